@@ -1,6 +1,7 @@
 from . import stabilization, tracking
 from .free_decay import with_decay_deviations
 from .model_free import identify_modes
+from .single_modes import SingleMode, fit_single_modes, spectral_matrices
 from .ssi import SsiSettings
 from .stabilization import SelectionSettings, expected_modes, identify
 from .sub_array import SubArray
@@ -10,13 +11,16 @@ from .whittle import RefinementSettings, refine
 __all__ = [
     "RefinementSettings",
     "SelectionSettings",
+    "SingleMode",
     "SsiSettings",
     "SubArray",
     "TrackSettings",
     "expected_modes",
+    "fit_single_modes",
     "identify",
     "identify_modes",
     "refine",
+    "spectral_matrices",
     "stabilization",
     "tracking",
     "with_decay_deviations",

@@ -1,5 +1,6 @@
 from .base import Publisher
 from .reports.diagnosis_report import write_report
+from .reports.look_data import G_M_S2, LookedBand, LookedMode, LookedRecording
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
 from .results.event_lines import EVENTS, event_line, event_text
@@ -23,9 +24,13 @@ from .viewer.scene import make_scene, utc
 
 __all__ = [
     "EVENTS",
+    "G_M_S2",
     "LINE_SCHEMA",
     "WINDOWS_SCHEMA",
     "LinesFile",
+    "LookedBand",
+    "LookedMode",
+    "LookedRecording",
     "Output",
     "Publisher",
     "Quality",

@@ -1,6 +1,7 @@
 from . import (
     alignment,
     channel_faults,
+    channel_relations,
     channel_watch,
     lost_samples,
     mains_hum,
@@ -10,6 +11,7 @@ from . import (
     window_quality,
     windows,
 )
+from .channel_faults import FALSE_RATE
 from .channel_watch import WatchState
 from .front_end import FrontEnd
 from .lost_samples import LostState
@@ -23,6 +25,7 @@ from .window_quality import QualitySettings
 from .windows import WindowGrid, WindowState
 
 __all__ = [
+    "FALSE_RATE",
     "LAGS_S",
     "LEAKAGE_OFFSETS",
     "ConditionState",
@@ -42,6 +45,7 @@ __all__ = [
     "WindowState",
     "alignment",
     "channel_faults",
+    "channel_relations",
     "channel_watch",
     "hann_amplitude",
     "leakage",

@@ -135,7 +135,7 @@ def _line(transforms: ComplexArray, k: int, tests: int) -> tuple[int | None, int
     own = np.diag(noise).real
     excess = np.diag(spectrum).real / own - 1.0
     i = int(excess.argmax())
-    if excess[i] <= 0.0 or _constancy(np.abs(at[:, i]) ** 2, own[i]) < np.log(tests / FALSE_RATE):
+    if excess[i] <= 0.0 or constancy(np.abs(at[:, i]) ** 2, own[i]) < np.log(tests / FALSE_RATE):
         return None
     amplitude = (spectrum - noise)[:, i] / np.sqrt(excess[i] * own[i])
     others = np.arange(c) != i
@@ -166,7 +166,7 @@ def _leakage_bins(ratio: float, n: int) -> int:
     return int(offsets[np.flatnonzero(leaked > 1.0 / np.sqrt(n))].max(initial=2)) + 1
 
 
-def _constancy(power: Array, noise: float) -> float:
+def constancy(power: Array, noise: float) -> float:
     """Compute the log likelihood ratio of a sinusoid in noise against a random response, nats.
 
     The power of a sinusoid in noise has the distribution of Rice, that of a random response is exponential.

@@ -1,0 +1,163 @@
+"""What a quick look at recordings without a model found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from monitor.core import Array, ComplexArray, ModalEstimate, Skipped
+from monitor.identification import SingleMode
+
+G_M_S2 = 9.80665
+"""Standard gravity. [m/s^2; definition]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LookedMode:
+    """Mode of a recording, identified without a model."""
+
+    frequency_hz: float
+    frequency_std_hz: float
+    damping_ratio: float
+    damping_std: float
+    shape: ComplexArray
+    """Shape (c,); the largest component is 1."""
+    shape_std: Array
+    """Shape (c,): standard deviations of the real parts."""
+    refined: bool
+    """True for the maximum-likelihood estimate, False for the subspace estimate."""
+    second: SingleMode | Skipped
+    """Second opinion."""
+    differs: str = ""
+    """In what the two opinions differ beyond chance; empty where they agree."""
+    remark: str = ""
+    """Why this may be no mode of the structure; empty where nothing speaks for that."""
+
+    @property
+    def collinearity(self) -> float:
+        """Modal phase collinearity: 1 where all channels move in phase or opposite, as a lightly damped structure does."""
+        re, im = self.shape.real, self.shape.imag
+        a, b, c = float(re @ re), float(im @ im), float(re @ im)
+        return float(((a - b) ** 2 + 4.0 * c**2) / (a + b) ** 2)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LookedBand:
+    """Identification at one sampling rate."""
+
+    rate_hz: float
+    band_hz: tuple[float, float]
+    """Lowest and highest frequency of the modes that were looked for."""
+    modes: ModalEstimate | Skipped
+    second: tuple[SingleMode | Skipped, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LookedRecording:
+    """What a quick look found; c channels."""
+
+    files: tuple[str, ...]
+    notes: tuple[str, ...]
+    """What was taken for granted."""
+    t_start_ns: int
+    duration_s: float
+    """From the first sample to the last, gaps included."""
+    rate_hz: float
+    channels: tuple[str, ...]
+    topics: dict[str, dict[str, Any]]
+    """Channels, unit, rate and number of samples of each topic."""
+    gaps: tuple[tuple[np.datetime64, float], ...]
+    """UTC and length in s."""
+    mean_m_s2: Array
+    """Shape (c,)."""
+    rms_m_s2: Array
+    """Shape (c,), about the mean."""
+    peak_m_s2: Array
+    """Shape (c,), about the mean."""
+    hz: Array
+    """Shape (n_bins,)."""
+    power: Array
+    """Shape (c, n_bins): power spectral densities, one-sided, (m/s^2)^2/Hz."""
+    singular_values: Array
+    """Shape (c, n_bins): of the spectral matrix, largest first, (m/s^2)^2/Hz."""
+    n_segments: int
+    """Half-overlapping segments over which the spectra are averaged."""
+    spectrogram_s: tuple[float, float]
+    """Begin and end of the spectrogram, s since the start."""
+    spectrogram: Array
+    """Shape (columns, n_bins, c): power spectral densities over time, (m/s^2)^2/Hz."""
+    bands: tuple[LookedBand, ...]
+    modes: tuple[LookedMode, ...]
+    """By frequency."""
+    doubts: tuple[str, ...]
+    """What is doubtful, one sentence each."""
+
+    def content(self) -> dict[str, Any]:
+        """Form the content of look.json, of plain values."""
+        return {
+            "files": list(self.files),
+            "notes": list(self.notes),
+            "start": str(np.datetime64(self.t_start_ns, "ns")),
+            "duration_s": self.duration_s,
+            "rate_hz": self.rate_hz,
+            "topics": self.topics,
+            "gaps": [{"at": str(at), "duration_s": length} for at, length in self.gaps],
+            "channels": [
+                {
+                    "channel": name,
+                    "mean_m_s2": float(mean),
+                    "rms_m_s2": float(rms),
+                    "rms_g": float(rms / G_M_S2),
+                    "peak_m_s2": float(peak),
+                    "peak_g": float(peak / G_M_S2),
+                }
+                for name, mean, rms, peak in zip(
+                    self.channels, self.mean_m_s2, self.rms_m_s2, self.peak_m_s2, strict=True
+                )
+            ],
+            "modes": [self._mode(k, mode) for k, mode in enumerate(self.modes, start=1)],
+            "doubts": list(self.doubts),
+            "bands": [
+                {
+                    "rate_hz": band.rate_hz,
+                    "band_hz": list(band.band_hz),
+                    "skipped": band.modes.reason if isinstance(band.modes, Skipped) else None,
+                }
+                for band in self.bands
+            ],
+            "spectra": {
+                "hz_step": float(self.hz[1]),
+                "segments": self.n_segments,
+                "level_db": [float(10.0 * np.log10(max(rms, 1e-300))) for rms in self.rms_m_s2],
+            },
+        }
+
+    def _mode(self, number: int, mode: LookedMode) -> dict[str, Any]:
+        """Form the record of a mode in look.json."""
+        second = mode.second
+        return {
+            "mode": number,
+            "frequency_hz": mode.frequency_hz,
+            "frequency_std_hz": mode.frequency_std_hz,
+            "damping_ratio": mode.damping_ratio,
+            "damping_std": mode.damping_std,
+            "shape": {
+                name: [float(x.real), float(x.imag)] for name, x in zip(self.channels, mode.shape, strict=True)
+            },
+            "shape_std": dict(zip(self.channels, mode.shape_std.tolist(), strict=True)),
+            "collinearity": mode.collinearity,
+            "refined": mode.refined,
+            "second_opinion": {"skipped": second.reason}
+            if isinstance(second, Skipped)
+            else {
+                "frequency_hz": second.frequency_hz,
+                "frequency_std_hz": second.frequency_std_hz,
+                "damping_ratio": second.damping_ratio,
+                "damping_std": second.damping_std,
+                "mac": second.mac,
+            },
+            "differs": mode.differs,
+            "remark": mode.remark,
+        }

@@ -1,0 +1,378 @@
+"""A quick look at recordings without a model: level and spectra, modes with a second opinion, and what is doubtful."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
+from drivers.mcap_file import read_recordings
+from drivers.mcap_records import MAGIC
+from monitor.core import Array, BadInputError, ComplexArray, MissingInputError, ModalEstimate, Skipped, Window
+from monitor.identification import (
+    RefinementSettings,
+    SelectionSettings,
+    SingleMode,
+    SsiSettings,
+    fit_single_modes,
+    identify_modes,
+)
+from monitor.publish import LookedBand, LookedMode, LookedRecording, utc
+from monitor.runs.importers import import_files
+from monitor.runs.look_doubts import Facts, find_doubts, remark_modes
+from monitor.runs.recordings import OnProgress, OnWarning
+from monitor.signals import (
+    Conditioner,
+    HealthSettings,
+    HealthState,
+    SegmentDesign,
+    WindowGrid,
+    alignment,
+    sensor_health,
+    transform,
+    windows,
+)
+
+_MOST_VALUES = 1 << 27
+"""Most samples, of all channels together, that are looked at; a longer recording is cut. [count; cost: 1 GB of memory]"""
+_BAND_RATIO = 4
+"""Ratio of the sampling rates of neighbouring bands. [1; cost: each band spans a range of frequencies of 1 to 20]"""
+_LEAST_CYCLES = 100.0
+"""Cycles of the lowest mode that is looked for. [count; judgement: its frequency is then known within 1 %, its damping roughly]"""
+_LEAST_BLOCKS = 12
+"""Blocks from which an uncertainty is estimated. [count; judgement: it is then known within a fifth]"""
+_SEGMENT_BLOCKS_S = 10.0
+"""Length of the blocks from which uncertainties are estimated. [s; as of the pipeline's windows]"""
+_SEGMENT_CYCLES = 100.0
+"""Cycles of a band's lowest mode in a segment. [count; judgement: bins as wide as a mode of damping 0.5 %]"""
+_LEAST_SEGMENTS = 11
+"""Half-overlapping segments into which every record is cut. [count; judgement: `RefinementSettings.min_segments` and room]"""
+_SPECTRUM_SEGMENTS = 59
+"""Half-overlapping segments of the spectra that are shown, at least. [count; judgement: a random error of 13 %]"""
+_MOST_SEGMENT_SAMPLES = 1 << 15
+"""Longest segment of the spectra that are shown. [samples; cost]"""
+_SHOWN_COLUMNS = 240
+"""Most columns of a spectrogram. [count; cost]"""
+_FALSE_RATE = 0.05
+"""Probability that the two opinions are told to differ by chance on any mode. [1; convention]"""
+_SAME_MAC = 0.8
+"""Modal assurance criterion from which modes of two bands at one frequency are one. [1; judgement]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Run:
+    """Consecutive samples without a gap."""
+
+    t_ns: int
+    values: Array
+    """Shape (n, c), m/s^2."""
+
+
+def look(
+    paths: Sequence[Path],
+    *,
+    rate_hz: float | None = None,
+    unit: str | None = None,
+    on_warning: OnWarning = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
+) -> LookedRecording:
+    """Look at recordings, or at tables that `import` reads, without a model.
+
+    Parameters
+    ----------
+    rate_hz, unit
+        Of a table whose file does not state them.
+
+    Raises
+    ------
+    BadInputError, MissingInputError
+        If the files cannot be used; the message names them.
+    """
+    if _are_recordings(paths):
+        if rate_hz is not None or unit is not None:
+            raise BadInputError(f"{paths[0]}: is a recording, which states its rate and unit: leave --rate and --unit out")
+        return _look(paths, (), on_warning, on_progress)
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / "imported.mcap"
+        taken: list[str] = []
+        info = import_files(
+            list(paths), recording, rate_hz=rate_hz, unit=unit or "m/s^2", on_warning=taken.append
+        )
+        begins = [one for one in taken if "1970" in one]
+        for one in taken:
+            if one not in begins:
+                on_warning(one)
+        stated = "as --unit says" if unit else "as the columns say; m/s^2 where they say none"
+        note = f"taken from {_names(paths)}: {info.sample_rate_hz:g} Hz, {stated}"
+        found = _look([recording], (note,), on_warning, on_progress)
+        return replace(found, files=tuple(map(str, paths)))
+
+
+def _are_recordings(paths: Sequence[Path]) -> bool:
+    """Check whether the files are recordings, and not tables to import."""
+    kinds = set()
+    for path in paths:
+        try:
+            with path.open("rb") as file:
+                kinds.add(file.read(len(MAGIC)) == MAGIC or path.suffix == ".mcap")
+        except OSError as error:
+            raise MissingInputError(f"{path}: {error.strerror or error}") from error
+    if len(kinds) > 1:
+        raise BadInputError(f"{_names(paths)}: are recordings and tables; look at one kind at a time")
+    return kinds.pop()
+
+
+def _names(paths: Sequence[Path]) -> str:
+    return ", ".join(map(str, paths))
+
+
+def _look(
+    paths: Sequence[Path], notes: tuple[str, ...], on_warning: OnWarning, on_progress: OnProgress
+) -> LookedRecording:
+    """Look at recordings."""
+    read = _Reader(paths, on_warning, on_progress)
+    runs, rate_hz = read.runs, read.rate_hz
+    longest = max(runs, key=lambda run: len(run.values))
+    if len(longest.values) < 2 * SsiSettings().block_rows * _LEAST_BLOCKS:
+        raise BadInputError(
+            f"{_names(paths)}: the longest stretch without a gap has {len(longest.values)} samples, too few to look at; "
+            f"record at least {2 * SsiSettings().block_rows * _LEAST_BLOCKS}"
+        )
+    duration_s = (runs[-1].t_ns - runs[0].t_ns) * 1e-9 + len(runs[-1].values) / rate_hz
+    transforms, design, middles_s = _transforms(runs, rate_hz)
+    spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms)
+    bands = _identify_bands(longest.values, rate_hz)
+    modes = _merge(bands)
+    values = np.concatenate([run.values for run in runs]) if len(runs) > 1 else longest.values
+    mean = values.mean(axis=0)
+    rms, peak = values.std(axis=0), np.abs(values - mean).max(axis=0)
+    facts = Facts(
+        channels=read.channels,
+        rate_hz=rate_hz,
+        duration_s=duration_s,
+        longest_s=len(longest.values) / rate_hz,
+        gaps=tuple(
+            (utc(a.t_ns + round(len(a.values) / rate_hz * 1e9)), (b.t_ns - a.t_ns) * 1e-9 - len(a.values) / rate_hz)
+            for a, b in pairwise(runs)
+        ),
+        truncated=read.truncated,
+        dropped=read.dropped,
+        mean=mean,
+        rms=rms,
+        health=tuple(read.health),
+        transforms=transforms,
+        step_hz=design.step_hz,
+        modes=tuple(modes),
+    )
+    facts = replace(facts, modes=remark_modes(facts))
+    return LookedRecording(
+        files=tuple(map(str, paths)),
+        notes=notes,
+        t_start_ns=runs[0].t_ns,
+        duration_s=duration_s,
+        rate_hz=rate_hz,
+        channels=read.channels,
+        topics=read.topics,
+        gaps=facts.gaps,
+        mean_m_s2=mean,
+        rms_m_s2=rms,
+        peak_m_s2=peak,
+        hz=np.arange(design.n_bins) * design.step_hz,
+        power=2.0 * np.einsum("kaa->ak", spectra).real,
+        singular_values=2.0 * np.linalg.eigvalsh(spectra)[:, ::-1].T,
+        n_segments=len(transforms),
+        spectrogram_s=(float(middles_s[0]), float(middles_s[-1])),
+        spectrogram=_thinned(np.abs(transforms) ** 2),
+        bands=tuple(bands),
+        modes=facts.modes,
+        doubts=find_doubts(facts),
+    )
+
+
+class _Reader:
+    """Reads recordings into runs of samples without a gap, and the health of their sensors."""
+
+    def __init__(self, paths: Sequence[Path], on_warning: OnWarning, on_progress: OnProgress) -> None:
+        self.channels: tuple[str, ...] = ()
+        self.rate_hz = 0.0
+        self.runs: list[_Run] = []
+        self.health: list[sensor_health.Health] = []
+        self.topics: dict[str, dict[str, Any]] = {}
+        self.truncated = False
+        state, health, parts, size = alignment.start(), HealthState(), list[Array](), 0
+        begin_ns, dropped = 0, 0
+        first: SampleBlock | None = None
+        for block in _blocks(paths, on_warning):
+            topic = self.topics.setdefault(
+                block.topic,
+                {"channels": list(block.channels), "unit": block.unit, "rate_hz": block.sample_rate_hz, "samples": 0},
+            )
+            topic["samples"] += block.n_samples
+            if block.topic != ACCELERATION:
+                continue
+            if first is None:
+                first, self.channels, self.rate_hz = block, block.channels, block.sample_rate_hz
+            if abs(block.sample_rate_hz / self.rate_hz - 1.0) > 1e-3:
+                raise BadInputError(
+                    f"{_names(paths)}: the rate changes from {self.rate_hz:g} to {block.sample_rate_hz:g} Hz; "
+                    "look at each recording alone"
+                )
+            size += block.n_samples * len(self.channels)
+            if size > _MOST_VALUES:
+                self.truncated = True
+                break
+            try:
+                state, pieces = alignment.step(state, block, self.channels)
+            except BadInputError as error:
+                raise BadInputError(f"{_names(paths)}: {error}") from error
+            for piece in pieces:
+                health, spans = sensor_health.step(
+                    health, piece, state.dropped, self.channels, HealthSettings(), keep_s=0.0
+                )
+                self.health += spans
+                if piece.gap is not None and parts:
+                    self.runs.append(_Run(begin_ns, np.concatenate(parts)))
+                    parts = []
+                if not parts:
+                    begin_ns = piece.t_ns
+                parts.append(piece.values)
+            on_progress((block.t_ns - first.t_ns) * 1e-9)
+            dropped = state.dropped
+        if parts:
+            self.runs.append(_Run(begin_ns, np.concatenate(parts)))
+        self.dropped = dropped
+        if not self.runs:
+            raise BadInputError(f"{_names(paths)}: {ACCELERATION} holds no samples")
+
+
+def _blocks(paths: Sequence[Path], on_warning: OnWarning) -> Iterator[SampleBlock]:
+    """Read all blocks of the recordings in time order (errors as `look`)."""
+    try:
+        yield from read_recordings(list(paths), topics=tuple(UNIT_OF), on_warning=on_warning, longest_s=30.0)
+    except RecordingMissingError as error:
+        raise MissingInputError(str(error)) from error
+    except RecordingError as error:
+        raise BadInputError(str(error)) from error
+
+
+def _transforms(runs: Sequence[_Run], rate_hz: float) -> tuple[ComplexArray, SegmentDesign, Array]:
+    """Transform half-overlapping segments of all runs; return them, their design, and the middles of the segments, s."""
+    total = sum(len(run.values) for run in runs)
+    longest = max(len(run.values) for run in runs)
+    n = min(_MOST_SEGMENT_SAMPLES, 2 * total // (_SPECTRUM_SEGMENTS + 1), longest) // 2 * 2
+    design = SegmentDesign(rate_hz, n, n // 2 + 1)
+    transforms, middles = [], []
+    for run in runs:
+        for begin in range(0, len(run.values) - n + 1, n // 2):
+            part = run.values[begin : begin + n]
+            transforms.append(transform(design, part - part.mean(axis=0)))
+            middles.append((run.t_ns - runs[0].t_ns) * 1e-9 + (begin + n / 2) / rate_hz)
+    return np.array(transforms), design, np.array(middles)
+
+
+def _thinned(power: Array) -> Array:
+    """Average the power of neighbouring segments, shape (n_segments, n_bins, c), to at most `_SHOWN_COLUMNS`."""
+    parts = np.array_split(power, min(len(power), _SHOWN_COLUMNS))
+    return np.array([2.0 * part.mean(axis=0) for part in parts])
+
+
+def _identify_bands(values: Array, rate_hz: float) -> list[LookedBand]:
+    """Identify the modes of a run, shape (n, c), at the source's rate and at lower ones, each with a band of its own.
+
+    The lags of the identification span one period of a band's lowest mode.
+    """
+    least_hz = _LEAST_CYCLES / (len(values) / rate_hz)
+    out, rate, top = [], rate_hz, True
+    while True:
+        lowest = rate / (2 * SsiSettings().block_rows)
+        band = _identify_band(values, rate_hz, rate, max(lowest, least_hz))
+        if band is not None:
+            out.append(band)
+        if lowest <= least_hz or (band is None and not top):
+            return out
+        rate, top = rate / _BAND_RATIO, False
+
+
+def _identify_band(values: Array, source_hz: float, rate_hz: float, lowest_hz: float) -> LookedBand | None:
+    """Identify the modes from `lowest_hz` up at a lower rate; None where the run is too short for it."""
+    conditioner = Conditioner.design(source_hz, rate_hz, 0.4 * rate_hz)
+    _, x = conditioner.step_block(conditioner.start(values.shape[1]), values - values.mean(axis=0))
+    rate, n_lags = conditioner.rate_hz, 2 * SsiSettings().block_rows
+    block_n = max(n_lags, min(round(_SEGMENT_BLOCKS_S * rate), len(x) // 40))
+    blocks = len(x) // block_n
+    if blocks < _LEAST_BLOCKS:
+        return None
+    x = x[len(x) - blocks * block_n :]  # the filter starts up in what is left over
+    segment_s = max(20.0, min(_SEGMENT_CYCLES / lowest_hz, 2.0 * len(x) / rate / (_LEAST_SEGMENTS + 1)))
+    segment_s = min(segment_s, 2.0 * len(x) / rate / (RefinementSettings().min_segments + 1))
+    grid = WindowGrid(rate, len(x), block_n, n_lags, segment_s, conditioner.cutoff_hz)
+    _, made = windows.step(grid, windows.start(grid, x.shape[1], index=0), x, 0)
+    window = next(one for one in made if isinstance(one, Window))
+    select = SelectionSettings(min_frequency_hz=lowest_hz)
+    modes = identify_modes(window, SsiSettings(), select, RefinementSettings(), cutoff_hz=conditioner.cutoff_hz)
+    second = () if isinstance(modes, Skipped) else fit_single_modes(window.segments, window.segment_bin_hz, modes)
+    return LookedBand(rate, (lowest_hz, conditioner.cutoff_hz), modes, second)
+
+
+def _merge(bands: Sequence[LookedBand]) -> list[LookedMode]:
+    """Collect the modes of all bands by frequency.
+
+    Of a mode that several bands show, a refined estimate is taken rather than one that is not, then that of the band whose middle
+    is nearest.
+    """
+    found = [
+        (not band.modes.refined, abs(np.log(f / np.sqrt(band.band_hz[0] * band.band_hz[1]))), _mode(band.modes, k, band.second[k]))
+        for band in bands
+        if isinstance(band.modes, ModalEstimate)
+        for k, f in enumerate(band.modes.frequencies_hz.tolist())
+    ]
+    kept: list[LookedMode] = []
+    for _, _, mode in sorted(found, key=lambda one: one[:2]):
+        if not any(_is_same(mode, other) for other in kept):
+            kept.append(mode)
+    kept.sort(key=lambda m: m.frequency_hz)
+    limit = NormalDist().inv_cdf(1.0 - _FALSE_RATE / (4.0 * max(1, len(kept))))  # frequency and damping, either way
+    return [replace(mode, differs=_differs(mode, limit)) for mode in kept]
+
+
+def _is_same(a: LookedMode, b: LookedMode) -> bool:
+    """Check whether two estimates are of one mode: their frequencies agree within what poles may differ, and their shapes."""
+    near = abs(a.frequency_hz / b.frequency_hz - 1.0) < 2.0 * SelectionSettings().stable_frequency
+    mac = abs(np.vdot(a.shape, b.shape)) ** 2 / (np.vdot(a.shape, a.shape).real * np.vdot(b.shape, b.shape).real)
+    return bool(near and mac > _SAME_MAC)
+
+
+def _mode(modes: ModalEstimate, k: int, second: SingleMode | Skipped) -> LookedMode:
+    """Form the record of one mode."""
+    shape = modes.shapes[k]
+    c = len(shape)
+    deviations = np.sqrt((modes.deviations[:, k, 2:] ** 2).sum(axis=0))
+    return LookedMode(
+        frequency_hz=float(modes.frequencies_hz[k]),
+        frequency_std_hz=float(modes.frequencies_std_hz[k]),
+        damping_ratio=float(modes.damping_ratio[k]),
+        damping_std=float(modes.damping_std[k]),
+        shape=shape,
+        shape_std=deviations[:c],
+        refined=modes.refined,
+        second=second,
+        differs="",
+    )
+
+
+def _differs(mode: LookedMode, limit: float) -> str:
+    """Say where the second opinion differs from the first by more than `limit` standard deviations; empty where it does not."""
+    other = mode.second
+    if isinstance(other, Skipped):
+        return ""
+    f = abs(other.frequency_hz - mode.frequency_hz) / np.hypot(other.frequency_std_hz, mode.frequency_std_hz)
+    d = abs(other.damping_ratio - mode.damping_ratio) / np.hypot(other.damping_std, mode.damping_std)
+    said = [name for name, z in (("frequency", f), ("damping", d)) if z > limit]
+    return " and ".join(said)

@@ -1,0 +1,229 @@
+"""What is doubtful about a recording, as far as its samples tell without a model: each doubt is one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from monitor.core import Array, ComplexArray
+from monitor.publish import G_M_S2, LookedMode
+from monitor.signals import FALSE_RATE, channel_relations, mains_hum, sensor_drift, sensor_health
+
+_STRONGEST_G = 2.0
+"""RMS from which the unit is asked; no structure that is monitored moves so. [g; judgement: strong earthquakes give 0.3]"""
+_WEAKEST_M_S2 = 1e-7
+"""RMS below which the unit is asked. [m/s^2; below the noise of the best accelerometers in any band above 1 Hz]"""
+_GRAVITY_TOLERANCE = 0.03
+"""Distance of a mean from 1, relative, within which it may be gravity. [1; judgement: a sensor's offset and its tilt]"""
+_LEAST_UNFOLDED = 0.5
+"""Density just below half the rate, over that of the upper half of the band, from which no lowpass is seen. [1; judgement]"""
+_LEAST_SHARE = 0.001
+"""Share of a recording's samples or spans from which a fault is told. [1; judgement]"""
+_OPPOSITE = 0.2
+"""Size of a component of the lowest mode, over the largest, from which its sign tells something. [1; judgement]"""
+_TONE_OFFSET_BINS = 4
+"""Bins from a peak where its background begins. [bins; the Hann taper's leakage is then below a thousandth]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Facts:
+    """What the doubts rest on; c channels."""
+
+    channels: tuple[str, ...]
+    rate_hz: float
+    duration_s: float
+    longest_s: float
+    """Longest stretch without a gap."""
+    gaps: tuple[tuple[np.datetime64, float], ...]
+    truncated: bool
+    """Whether the recording was too long to be read to its end."""
+    dropped: int
+    """Samples that were repeated, late or not finite."""
+    mean: Array
+    rms: Array
+    health: tuple[sensor_health.Health, ...]
+    transforms: ComplexArray
+    """Shape (n_segments, n_bins, c), Hann taper."""
+    step_hz: float
+    modes: tuple[LookedMode, ...]
+
+
+def find_doubts(facts: Facts) -> tuple[str, ...]:
+    """List what is doubtful, the gravest first; "may be" where a model, or a look at the sensors, must decide."""
+    return (
+        *_of_level(facts),
+        *_of_stream(facts),
+        *_of_sensors(facts),
+        *_of_spectra(facts),
+        *_of_channels(facts),
+    )
+
+
+def remark_modes(facts: Facts) -> tuple[LookedMode, ...]:
+    """Remark the modes that may be none of the structure: lines of the mains and of machines."""
+    hums = mains_hum.find_hum(facts.transforms, facts.step_hz, facts.rate_hz)
+    out = []
+    for mode in facts.modes:
+        hum = next((h for h in hums if h.low_hz <= mode.frequency_hz <= h.high_hz), None)
+        if hum is not None:
+            mode = replace(mode, remark=f"mains: a line at {hum.hz:.4g} Hz")
+        elif _is_tone(facts, mode):
+            mode = replace(mode, remark="of constant size, as a machine forces it: may be no mode")
+        out.append(mode)
+    return tuple(out)
+
+
+def _is_tone(facts: Facts, mode: LookedMode) -> bool:
+    """Test whether the power at a mode's frequency is as constant over time as that of a sinusoid."""
+    at = round(mode.frequency_hz / facts.step_hz)
+    n, n_bins, _ = facts.transforms.shape
+    if not _TONE_OFFSET_BINS < at < n_bins - 2 * _TONE_OFFSET_BINS:
+        return False
+    weights = mode.shape.conj() / np.linalg.norm(mode.shape)
+    near = np.abs(facts.transforms[:, at - 1 : at + 2] @ weights) ** 2
+    at += int(near.mean(axis=0).argmax()) - 1
+    around = [at - 2 * _TONE_OFFSET_BINS + k for k in range(_TONE_OFFSET_BINS)]
+    around += [at + _TONE_OFFSET_BINS + 1 + k for k in range(_TONE_OFFSET_BINS)]
+    around = [k for k in around if 0 < k < n_bins]
+    background = float((np.abs(facts.transforms[:, around] @ weights) ** 2).mean())
+    power = np.abs(facts.transforms[:, at] @ weights) ** 2
+    if not background > 0.0:
+        return False
+    # Half-overlapping segments share data, which makes steady what is random: every other one is independent.
+    return bool(mains_hum.constancy(power[::2], background) > np.log(len(facts.modes) / FALSE_RATE))
+
+
+def _of_level(facts: Facts) -> Iterator[str]:
+    """Ask for the unit where level or mean are implausible for m/s^2."""
+    strong = [k for k, rms in enumerate(facts.rms) if rms > _STRONGEST_G * G_M_S2]
+    if strong:
+        rms = max(facts.rms[k] for k in strong) / G_M_S2
+        yield f"{_names(facts, strong)}: {rms:.3g} g RMS: is the unit right?"
+    weak = [k for k, rms in enumerate(facts.rms) if 0.0 < rms < _WEAKEST_M_S2]
+    if weak:
+        rms = min(facts.rms[k] for k in weak)
+        yield f"{_names(facts, weak)}: {rms:.2g} m/s² RMS is less than a sensor's noise: is the unit right?"
+    still = [k for k, rms in enumerate(facts.rms) if rms == 0.0]
+    if still:
+        yield f"{_names(facts, still)}: constant, the sensor may be dead"
+    unity = [k for k, mean in enumerate(facts.mean) if abs(abs(mean) - 1.0) < _GRAVITY_TOLERANCE]
+    if unity:
+        yield f"{_names(facts, unity)}: the mean is {facts.mean[unity[0]]:.3g} m/s²: if that is gravity, the unit is g"
+    down = [k for k, mean in enumerate(facts.mean) if abs(abs(mean) / G_M_S2 - 1.0) < _GRAVITY_TOLERANCE]
+    if down:
+        yield f"{_names(facts, down)}: the mean is gravity: this axis is vertical"
+
+
+def _of_stream(facts: Facts) -> Iterator[str]:
+    """Tell of gaps, and of what was not used."""
+    if facts.truncated:
+        yield f"the recording is longer than can be looked at in one piece: only its first {facts.duration_s:.0f} s are used"
+    if facts.gaps:
+        at, length = max(facts.gaps, key=lambda gap: gap[1])
+        yield (
+            f"{len(facts.gaps)} {'gap' if len(facts.gaps) == 1 else 'gaps'}, the longest {length:.3g} s at {at}: the modes are of "
+            f"the longest stretch without one, {facts.longest_s:.0f} of {facts.duration_s:.0f} s"
+        )
+    if facts.dropped:
+        yield f"{facts.dropped} samples were repeated, late or no finite numbers, and are left out"
+
+
+def _of_sensors(facts: Facts) -> Iterator[str]:
+    """Tell what the sensors' health shows in the recording's spans."""
+    if not facts.health:
+        return
+    samples = np.array([span.samples for span in facts.health], dtype=float)
+    for k, name in enumerate(facts.channels):
+        spans = [span.channels[k] for span in facts.health]
+        clipped = float(samples @ [s.clipped for s in spans] / samples.sum())
+        if clipped > _LEAST_SHARE:
+            yield f"{name}: clipped, {100 * clipped:.2g} % of its samples lie at a limit: measure with a wider range"
+        spikes = sum(s.spikes for s in spans)
+        if spikes:
+            yield f"{name}: {spikes} {'spike' if spikes == 1 else 'spikes'} of single samples: a loose contact, or lost bits?"
+        held = sum(s.held_s for s in spans)
+        if held:
+            yield f"{name}: held one value for {held:.3g} s in all: lost samples that were filled in?"
+        steps = sum(s.step_m_s2 != 0.0 for s in spans)
+        if steps:
+            yield f"{name}: the offset steps in {steps} of {len(spans)} spans of 10 s: a loose or touched sensor?"
+        coarse = max(s.resolution_m_s2 for s in spans)
+        if coarse > facts.rms[k]:
+            yield f"{name}: a resolution of {coarse:.2g} m/s² is coarser than the motion of {facts.rms[k]:.2g} m/s² RMS"
+
+
+def _of_spectra(facts: Facts) -> Iterator[str]:
+    """Tell of hum, of drift and of a missing lowpass."""
+    for hum in mains_hum.find_hum(facts.transforms, facts.step_hz, facts.rate_hz):
+        where = "all channels" if hum.channel is None else facts.channels[hum.channel]
+        seen = f", folded from {hum.harmonic * hum.mains_hz:g} Hz" if hum.is_aliased else ""
+        yield f"{where}: hum of the mains at {hum.hz:.4g} Hz{seen}: earth the cable's screen on one side"
+    lowest = min((mode.frequency_hz for mode in facts.modes), default=0.02 * facts.rate_hz)
+    for drift in sensor_drift.find_drift(facts.transforms, int(0.5 * lowest / facts.step_hz)):
+        yield f"{facts.channels[drift.channel]}: drifts alone, slower than {0.5 * lowest:.3g} Hz"
+    folded = channel_relations.folded_share((np.abs(facts.transforms) ** 2).mean(axis=0))
+    bare = [k for k, share in enumerate(folded) if share > _LEAST_UNFOLDED and facts.rms[k] > 0.0]
+    if bare:
+        yield (
+            f"{_names(facts, bare)}: no lowpass is seen below half the rate ({facts.rate_hz / 2:g} Hz): motion beyond it, if there "
+            "is any, is folded into the band"
+        )
+
+
+def _of_channels(facts: Facts) -> Iterator[str]:
+    """Tell what coherence and phase say of clocks, cables and signs."""
+    moving = [k for k, rms in enumerate(facts.rms) if rms > 0.0]
+    transforms = facts.transforms[:, :, moving]
+    copies = channel_relations.find_copies(transforms)
+    for a, b in copies:
+        yield f"{facts.channels[moving[a]]} and {facts.channels[moving[b]]}: alike to the noise: may be one sensor, stored twice"
+    for delay in channel_relations.find_delays(transforms, facts.step_hz, facts.rate_hz, facts.duration_s):
+        if (min(delay.channel, delay.against), max(delay.channel, delay.against)) in copies:
+            continue
+        a, b = facts.channels[moving[delay.channel]], facts.channels[moving[delay.against]]
+        if delay.drift:
+            yield f"{a} and {b}: their clocks differ by {abs(delay.drift) * 1e6:.3g} parts in a million: may be two clocks"
+        else:
+            late, early = (a, b) if delay.delay_s > 0.0 else (b, a)
+            yield f"{late}: may be {abs(delay.delay_s) * 1e3:.3g} ms later than {early}"
+    yield from _of_signs(facts)
+
+
+def _of_signs(facts: Facts) -> Iterator[str]:
+    """Tell of a channel that moves against all others in the lowest mode, and of one out of order.
+
+    In the lowest mode of a building or a mast all of it moves to one side, the more the higher.
+    """
+    first = next((mode for mode in facts.modes if not mode.remark), None)
+    if first is None or len(facts.channels) < 3:
+        return
+    shape = first.shape.real
+    large = [k for k, x in enumerate(shape) if abs(x) > _OPPOSITE]
+    signs = np.sign(shape[large])
+    against = [k for k, sign in zip(large, signs, strict=True) if sign != np.sign(signs.sum())]
+    if len(against) == 1 and len(large) > 2:
+        yield (
+            f"{_names(facts, against)}: moves against all others in the lowest mode ({first.frequency_hz:.4g} Hz): may be reversed"
+        )
+    size, slack = np.abs(shape), 2.0 * first.shape_std
+    order = np.argsort(-size)
+    straight = [list(range(len(size))), list(range(len(size)))[::-1]]
+    if len(against) or order.tolist() in straight:
+        return
+    for a in range(len(size)):
+        for b in range(a + 1, len(size)):
+            swapped = size.copy()
+            swapped[[a, b]] = swapped[[b, a]]
+            if np.argsort(-swapped).tolist() in straight and abs(size[a] - size[b]) > slack[a] + slack[b]:
+                yield (
+                    f"{facts.channels[a]} and {facts.channels[b]}: may be swapped, if the channels go up or down the structure one by "
+                    f"one: in the lowest mode they move out of order"
+                )
+                return
+
+
+def _names(facts: Facts, channels: Sequence[int]) -> str:
+    """Join the names of channels; all of them in two words."""
+    return "all channels" if len(channels) == len(facts.channels) > 1 else ", ".join(facts.channels[k] for k in channels)

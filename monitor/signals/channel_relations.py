@@ -1,0 +1,147 @@
+"""What the channels' coherence and phase tell without a model: clocks that drift apart, delays, copies; and folded power.
+
+References
+----------
+J. S. Bendat, A. G. Piersol, Random Data, 4th ed., 2010, section 9.2: variance of the phase of a cross-spectrum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+import numpy as np
+
+from monitor.core import Array, ComplexArray
+from monitor.signals.channel_faults import FALSE_RATE
+from monitor.signals.welch import overlap_correlation
+
+_LEAST_COHERENCE = 0.5
+"""Coherence of two channels from which a bin tells their phase. [1; judgement]"""
+_LEAST_BINS = 8
+"""Coherent bins from which a delay is told. [bins; judgement]"""
+_LEAST_DELAY = 0.1
+"""Least delay that is told. [samples; judgement: shapes that are slightly complex look like less]"""
+_STRETCHES = 8
+"""Stretches of a recording in each of which a delay is measured. [count; judgement]"""
+_LEAST_SEGMENTS = 4
+"""Segments in a stretch from which its coherence means something. [count; judgement]"""
+_COPY_INCOHERENCE = 1e-6
+"""Incoherent share of two channels' power, in the median of all bins, below which one is a copy of the other. [1; judgement:
+two sensors have noise of their own]"""
+_TOP_SHARE = 0.05
+"""Share of the band below half the rate in which folded power is looked for. [1; judgement]"""
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """Delay of one channel against another one, by the slope of their phase."""
+
+    channel: int
+    against: int
+    delay_s: float
+    """Mean delay."""
+    delay_std_s: float
+    drift: float
+    """Rate at which the delay grows, s per s: the difference of two clocks; 0 where it is chance."""
+    drift_std: float
+
+
+def find_delays(transforms: ComplexArray, step_hz: float, rate_hz: float, stretch_s: float) -> tuple[Delay, ...]:
+    """Find the channels whose delay against the channel most coherent with them grows, or differs from zero.
+
+    Modes turn the phase between two channels by half a turn, whatever the frequency; a delay turns it in proportion to the
+    frequency.
+
+    Parameters
+    ----------
+    transforms : ndarray, shape (n_segments, n_bins, c)
+        Half-overlapping, from 0 Hz up, Hann taper.
+    step_hz : float
+        Spacing of the bins.
+    rate_hz : float
+        Sampling rate.
+    stretch_s : float
+        Time that the segments span.
+
+    Returns
+    -------
+    tuple of Delay
+        Those that are significant among all channels.
+    """
+    n, _, c = transforms.shape
+    per = n // _STRETCHES
+    if c < 2 or per < _LEAST_SEGMENTS:
+        return ()
+    spectra = np.array(
+        [
+            np.einsum("ska,skb->kab", part, part.conj()) / per
+            for part in transforms[: per * _STRETCHES].reshape(_STRETCHES, per, *transforms.shape[1:])
+        ]
+    )
+    whole = spectra.mean(axis=0)
+    power = np.einsum("kaa->ka", whole).real
+    coherence = np.abs(whole) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300)
+    informative = np.clip(coherence, 0.0, 1.0 - 1e-9)
+    informative = np.where(coherence >= _LEAST_COHERENCE, informative / (1.0 - informative), 0.0)
+    informative[0] = 0.0
+    total = informative.sum(axis=0) * (1.0 - np.eye(c))
+    limit = NormalDist().inv_cdf(1.0 - FALSE_RATE / (4.0 * c))
+    found = []
+    for a in range(c):
+        b = int(total[a].argmax())
+        if a > b and int(total[b].argmax()) == a:  # the same pair
+            continue
+        bins = np.flatnonzero(informative[:, a, b])
+        if len(bins) < _LEAST_BINS:
+            continue
+        independent = per / (1.0 + 2.0 * overlap_correlation())
+        weight = 2.0 * independent * informative[bins, a, b] / 2.0  # of a phase; neighbouring bins share half their data
+        delay = _delay(spectra[:, bins, a, b], whole[bins, a, b], 2.0 * np.pi * step_hz * bins, weight, stretch_s)
+        late = abs(delay.delay_s) > max(limit * delay.delay_std_s, _LEAST_DELAY / rate_hz)
+        drifts = abs(delay.drift) > max(limit * delay.drift_std, _LEAST_DELAY / (rate_hz * stretch_s))
+        if late or drifts:
+            found.append(replace(delay, channel=a, against=b, drift=delay.drift if drifts else 0.0))
+    return tuple(found)
+
+
+def _delay(cross: ComplexArray, whole: ComplexArray, omega: Array, weight: Array, stretch_s: float) -> Delay:
+    """Measure delay and drift from the cross-spectra of the stretches, shape (s, k), and of all of them, shape (k,)."""
+    information = float(weight @ omega**2)
+    # From one stretch to the next the phase turns by less than half a turn, unless the clocks differ by much.
+    turned = np.angle(cross[1:] * cross[:-1].conj())
+    steps = -(turned @ (weight * omega)) / information
+    s = len(cross)
+    at = (np.arange(s) - 0.5 * (s - 1)) * stretch_s / s
+    growing = np.concatenate([[0.0], np.cumsum(steps)])
+    drift = float(at @ growing / (at @ at))
+    rest = turned + np.diff(at)[:, None] * drift * omega
+    excess = max(1.0, 0.5 * float((rest**2 @ weight).mean()) / len(omega))
+    drift_std = float(np.sqrt(excess / (information * float(at @ at))))
+    # Up to half turns, which are the modes' own.
+    slope = -0.5 * np.angle(whole**2)
+    delay = float(slope @ (weight * omega)) / information
+    scatter = slope - delay * omega
+    # Shapes that are complex, and forces, add to chance.
+    excess = max(1.0, float(weight @ scatter**2) * s / (len(omega) - 1))
+    return Delay(0, 0, delay, float(np.sqrt(excess / (information * s))), drift, drift_std)
+
+
+def find_copies(transforms: ComplexArray) -> tuple[tuple[int, int], ...]:
+    """List the pairs of channels one of which is a copy of the other; shape (n_segments, n_bins, c)."""
+    spectra = np.einsum("ska,skb->kab", transforms, transforms.conj())
+    power = np.einsum("kaa->ka", spectra).real
+    coherence = np.abs(spectra) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300)
+    middle = np.median(1.0 - coherence[1:], axis=0)
+    c = transforms.shape[2]
+    return tuple((a, b) for a in range(c) for b in range(a + 1, c) if len(transforms) > 1 and middle[a, b] < _COPY_INCOHERENCE)
+
+
+def folded_share(power: Array) -> Array:
+    """Compare the power density just below half the rate with the median of the upper half of the band, shape (n_bins, c) to (c,).
+
+    A lowpass before the samples were taken leaves next to nothing there; about 1 means that none was at work.
+    """
+    n = len(power)
+    top = power[n - max(1, round(_TOP_SHARE * n)) :].mean(axis=0)
+    return np.asarray(top / np.maximum(np.median(power[n // 2 :], axis=0), 1e-300))
