@@ -18,11 +18,13 @@ from monitor import __version__
 from monitor.cli import (
     analyse,
     check,
+    compare,
     demo,
     diagnose,
     emulate,
     features,
     fleet,
+    look,
     operate,
     recordings,
     report,
@@ -66,6 +68,8 @@ for command in (
     analyse.calibrate,
     features.features,
     recordings.simulate,
+    look.look,
+    compare.compare,
 ):
     app.command()(command)
 app.command("import")(recordings.import_)

@@ -21,8 +21,8 @@ from monitor.core import Array, ComplexArray, ModalEstimate, Skipped
 from monitor.signals import LEAKAGE_OFFSETS, leakage, overlap_correlation
 
 _LEAST_ALIKE = 0.8
-"""Modal assurance criterion between the singular vectors of a bin and of the peak, from which the bin belongs to the mode. [1; Brincker
-and others (2001)]"""
+"""Modal assurance criterion between the singular vectors of a bin and of the peak, from which the bin belongs to the mode. [1;
+Brincker and others (2001)]"""
 _HALF_BAND = 6.0
 """Half-width of the fitted band, in half-power bandwidths of the mode. [1; judgement]"""
 _LEAST_HALF_BINS = 4
@@ -109,7 +109,7 @@ def _fit(
     if end - begin < _LEAST_HALF_BINS:
         return Skipped("no bell of one shape about the peak")
     power = np.abs(part[:, begin : end + 1] @ vector.conj()) ** 2
-    bins = np.arange(low + begin, low + end + 1)
+    bins = np.arange(low + begin, low + end + 1, dtype=float)
     fitted = _scoring(power.mean(axis=0), bins, bin_hz, np.log([hz, damping]), len(power))
     if fitted is None:
         return Skipped("the fit of the peak does not converge")
@@ -118,9 +118,7 @@ def _fit(
     return SingleMode(f, f * f_std, d, d * damping_std, float(macs.max()))
 
 
-def _scoring(
-    power: Array, bins: Array, bin_hz: float, start: Array, n_segments: int
-) -> tuple[Array, Array] | None:
+def _scoring(power: Array, bins: Array, bin_hz: float, start: Array, n_segments: int) -> tuple[Array, Array] | None:
     """Fit ln f, ln damping, ln of the bell's size and ln noise to a spectrum, shape (k,), by Fisher scoring.
 
     Returns

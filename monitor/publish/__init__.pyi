@@ -1,6 +1,7 @@
 from .base import Publisher
 from .reports.diagnosis_report import write_report
 from .reports.look_data import G_M_S2, LookedBand, LookedMode, LookedRecording
+from .reports.look_page import mode_rows, write_look
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
 from .results.event_lines import EVENTS, event_line, event_text
@@ -44,6 +45,7 @@ __all__ = [
     "event_text",
     "facts_of_line",
     "make_scene",
+    "mode_rows",
     "month_file",
     "pack_month",
     "read_line",
@@ -54,6 +56,7 @@ __all__ = [
     "utc",
     "window_line",
     "windows_table",
+    "write_look",
     "write_period",
     "write_report",
     "write_view",

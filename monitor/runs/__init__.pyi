@@ -1,4 +1,16 @@
-from . import calibrate, demo, diagnose, features, ledger, ledger_chain, paper_tables, replay, synthetic_recording
+from . import (
+    calibrate,
+    compare,
+    demo,
+    diagnose,
+    features,
+    ledger,
+    ledger_chain,
+    look,
+    paper_tables,
+    replay,
+    synthetic_recording,
+)
 from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
@@ -18,6 +30,7 @@ __all__ = [
     "Session",
     "SessionState",
     "calibrate",
+    "compare",
     "cut_into_blocks",
     "demo",
     "diagnose",
@@ -27,6 +40,7 @@ __all__ = [
     "import_files",
     "ledger",
     "ledger_chain",
+    "look",
     "open_viewer",
     "paper_tables",
     "replay",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +18,17 @@ import numpy as np
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import read_recordings
 from drivers.mcap_records import MAGIC
-from monitor.core import Array, BadInputError, ComplexArray, MissingInputError, ModalEstimate, Skipped, Window
+from monitor.core import (
+    Array,
+    BadInputError,
+    ComplexArray,
+    MissingInputError,
+    ModalEstimate,
+    Skipped,
+    Window,
+    demand_place,
+    write_atomically,
+)
 from monitor.identification import (
     RefinementSettings,
     SelectionSettings,
@@ -24,9 +37,10 @@ from monitor.identification import (
     fit_single_modes,
     identify_modes,
 )
-from monitor.publish import LookedBand, LookedMode, LookedRecording, utc
+from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, utc, write_look
 from monitor.runs.importers import import_files
 from monitor.runs.look_doubts import Facts, find_doubts, remark_modes
+from monitor.runs.look_structure import propose_structure
 from monitor.runs.recordings import OnProgress, OnWarning
 from monitor.signals import (
     Conditioner,
@@ -45,7 +59,7 @@ _MOST_VALUES = 1 << 27
 _BAND_RATIO = 4
 """Ratio of the sampling rates of neighbouring bands. [1; cost: each band spans a range of frequencies of 1 to 20]"""
 _LEAST_CYCLES = 100.0
-"""Cycles of the lowest mode that is looked for. [count; judgement: its frequency is then known within 1 %, its damping roughly]"""
+"""Cycles of the lowest mode that is looked for. [count; judgement: its frequency is then known within 1 %]"""
 _LEAST_BLOCKS = 12
 """Blocks from which an uncertainty is estimated. [count; judgement: it is then known within a fifth]"""
 _SEGMENT_BLOCKS_S = 10.0
@@ -97,14 +111,14 @@ def look(
     """
     if _are_recordings(paths):
         if rate_hz is not None or unit is not None:
-            raise BadInputError(f"{paths[0]}: is a recording, which states its rate and unit: leave --rate and --unit out")
+            raise BadInputError(
+                f"{paths[0]}: is a recording, which states its rate and unit: leave --rate and --unit out"
+            )
         return _look(paths, (), on_warning, on_progress)
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "imported.mcap"
         taken: list[str] = []
-        info = import_files(
-            list(paths), recording, rate_hz=rate_hz, unit=unit or "m/s^2", on_warning=taken.append
-        )
+        info = import_files(list(paths), recording, rate_hz=rate_hz, unit=unit or "m/s^2", on_warning=taken.append)
         begins = [one for one in taken if "1970" in one]
         for one in taken:
             if one not in begins:
@@ -184,7 +198,7 @@ def _look(
         mean_m_s2=mean,
         rms_m_s2=rms,
         peak_m_s2=peak,
-        hz=np.arange(design.n_bins) * design.step_hz,
+        hz=np.asarray(np.arange(design.n_bins) * design.step_hz, dtype=float),
         power=2.0 * np.einsum("kaa->ak", spectra).real,
         singular_values=2.0 * np.linalg.eigvalsh(spectra)[:, ::-1].T,
         n_segments=len(transforms),
@@ -328,7 +342,11 @@ def _merge(bands: Sequence[LookedBand]) -> list[LookedMode]:
     is nearest.
     """
     found = [
-        (not band.modes.refined, abs(np.log(f / np.sqrt(band.band_hz[0] * band.band_hz[1]))), _mode(band.modes, k, band.second[k]))
+        (
+            not band.modes.refined,
+            abs(np.log(f / np.sqrt(band.band_hz[0] * band.band_hz[1]))),
+            _mode(band.modes, k, band.second[k]),
+        )
         for band in bands
         if isinstance(band.modes, ModalEstimate)
         for k, f in enumerate(band.modes.frequencies_hz.tolist())
@@ -376,3 +394,61 @@ def _differs(mode: LookedMode, limit: float) -> str:
     d = abs(other.damping_ratio - mode.damping_ratio) / np.hypot(other.damping_std, mode.damping_std)
     said = [name for name, z in (("frequency", f), ("damping", d)) if z > limit]
     return " and ".join(said)
+
+
+RESULT_FILES = ("look.html", "look.json", "modes.csv")
+"""Files that `write_results` writes. [names; definition]"""
+
+
+def write_results(found: LookedRecording, out: Path) -> None:
+    """Write look.html, look.json and modes.csv into a folder, which is made."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_look(out / "look.html", found)
+    write_atomically(out / "look.json", json.dumps(found.content(), indent=1, allow_nan=False) + "\n")
+    write_atomically(out / "modes.csv", _modes_table(found))
+
+
+def write_structure(found: LookedRecording, path: Path, mass_kg: float | None) -> None:
+    """Write a structure file that fits the modes (`propose_structure`)."""
+    text = propose_structure(found, mass_kg)
+    demand_place(path)
+    write_atomically(path, text)
+
+
+def _modes_table(found: LookedRecording) -> str:
+    """Write the modes as a table with one line a mode."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    shape = [f"{part} {name}" for name in found.channels for part in ("re", "im", "std")]
+    writer.writerow(
+        ["mode", "frequency_hz", "frequency_std_hz", "damping_ratio", "damping_std", "collinearity", *shape, "remark"]
+    )
+    for number, m in enumerate(found.modes, start=1):
+        parts = [v for x, std in zip(m.shape, m.shape_std, strict=True) for v in (x.real, x.imag, std)]
+        numbers = [m.frequency_hz, m.frequency_std_hz, m.damping_ratio, m.damping_std, m.collinearity, *parts]
+        writer.writerow([number, *(f"{value:.9g}" for value in numbers), m.remark])
+    return text.getvalue()
+
+
+def in_words(found: LookedRecording) -> str:
+    """Write the result for a terminal: the modes first, then level and doubts."""
+    head = ["mode", "f, Hz", "damping, %", "second, Hz", "second, %", ""]
+    lines = _columns([head, *mode_rows(found)]) if found.modes else ["no modes found"]
+    lines += [f"note: {note}" for note in found.notes]
+    lines.append(
+        f"{found.duration_s:.6g} s at {found.rate_hz:g} Hz from {str(utc(found.t_start_ns))[:19]} UTC; "
+        f"{len(found.gaps)} gaps; topics: {', '.join(sorted(found.topics))}"
+    )
+    level = [
+        [name, f"{rms:.3g} m/s^2 RMS", f"{rms / G_M_S2:.2g} g", f"peak {peak:.3g} m/s^2"]
+        for name, rms, peak in zip(found.channels, found.rms_m_s2, found.peak_m_s2, strict=True)
+    ]
+    lines += _columns(level)
+    lines += [f"doubt: {doubt}" for doubt in found.doubts]
+    return "\n".join(lines)
+
+
+def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Align the cells of rows in columns."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -78,7 +78,7 @@ def remark_modes(facts: Facts) -> tuple[LookedMode, ...]:
 def _is_tone(facts: Facts, mode: LookedMode) -> bool:
     """Test whether the power at a mode's frequency is as constant over time as that of a sinusoid."""
     at = round(mode.frequency_hz / facts.step_hz)
-    n, n_bins, _ = facts.transforms.shape
+    n_bins = facts.transforms.shape[1]
     if not _TONE_OFFSET_BINS < at < n_bins - 2 * _TONE_OFFSET_BINS:
         return False
     weights = mode.shape.conj() / np.linalg.norm(mode.shape)
@@ -123,8 +123,8 @@ def _of_stream(facts: Facts) -> Iterator[str]:
     if facts.gaps:
         at, length = max(facts.gaps, key=lambda gap: gap[1])
         yield (
-            f"{len(facts.gaps)} {'gap' if len(facts.gaps) == 1 else 'gaps'}, the longest {length:.3g} s at {at}: the modes are of "
-            f"the longest stretch without one, {facts.longest_s:.0f} of {facts.duration_s:.0f} s"
+            f"{len(facts.gaps)} {'gap' if len(facts.gaps) == 1 else 'gaps'}, the longest {length:.3g} s at {at}: the modes "
+            f"are of the longest stretch without one, {facts.longest_s:.0f} of {facts.duration_s:.0f} s"
         )
     if facts.dropped:
         yield f"{facts.dropped} samples were repeated, late or no finite numbers, and are left out"
@@ -167,8 +167,8 @@ def _of_spectra(facts: Facts) -> Iterator[str]:
     bare = [k for k, share in enumerate(folded) if share > _LEAST_UNFOLDED and facts.rms[k] > 0.0]
     if bare:
         yield (
-            f"{_names(facts, bare)}: no lowpass is seen below half the rate ({facts.rate_hz / 2:g} Hz): motion beyond it, if there "
-            "is any, is folded into the band"
+            f"{_names(facts, bare)}: no lowpass is seen below half the rate ({facts.rate_hz / 2:g} Hz): motion beyond it, if "
+            "there is any, is folded into the band"
         )
 
 
@@ -177,8 +177,8 @@ def _of_channels(facts: Facts) -> Iterator[str]:
     moving = [k for k, rms in enumerate(facts.rms) if rms > 0.0]
     transforms = facts.transforms[:, :, moving]
     copies = channel_relations.find_copies(transforms)
-    for a, b in copies:
-        yield f"{facts.channels[moving[a]]} and {facts.channels[moving[b]]}: alike to the noise: may be one sensor, stored twice"
+    for i, j in copies:
+        yield f"{facts.channels[moving[i]]} and {facts.channels[moving[j]]}: alike to the noise: may be one sensor, stored twice"
     for delay in channel_relations.find_delays(transforms, facts.step_hz, facts.rate_hz, facts.duration_s):
         if (min(delay.channel, delay.against), max(delay.channel, delay.against)) in copies:
             continue
@@ -205,7 +205,8 @@ def _of_signs(facts: Facts) -> Iterator[str]:
     against = [k for k, sign in zip(large, signs, strict=True) if sign != np.sign(signs.sum())]
     if len(against) == 1 and len(large) > 2:
         yield (
-            f"{_names(facts, against)}: moves against all others in the lowest mode ({first.frequency_hz:.4g} Hz): may be reversed"
+            f"{_names(facts, against)}: moves against all others in the lowest mode ({first.frequency_hz:.4g} Hz): "
+            "may be reversed"
         )
     size, slack = np.abs(shape), 2.0 * first.shape_std
     order = np.argsort(-size)
@@ -218,12 +219,14 @@ def _of_signs(facts: Facts) -> Iterator[str]:
             swapped[[a, b]] = swapped[[b, a]]
             if np.argsort(-swapped).tolist() in straight and abs(size[a] - size[b]) > slack[a] + slack[b]:
                 yield (
-                    f"{facts.channels[a]} and {facts.channels[b]}: may be swapped, if the channels go up or down the structure one by "
-                    f"one: in the lowest mode they move out of order"
+                    f"{facts.channels[a]} and {facts.channels[b]}: may be swapped, if the channels go up or down the structure "
+                    "one by one: in the lowest mode they move out of order"
                 )
                 return
 
 
 def _names(facts: Facts, channels: Sequence[int]) -> str:
     """Join the names of channels; all of them in two words."""
-    return "all channels" if len(channels) == len(facts.channels) > 1 else ", ".join(facts.channels[k] for k in channels)
+    return (
+        "all channels" if len(channels) == len(facts.channels) > 1 else ", ".join(facts.channels[k] for k in channels)
+    )

@@ -96,8 +96,10 @@ def find_delays(transforms: ComplexArray, step_hz: float, rate_hz: float, stretc
         if len(bins) < _LEAST_BINS:
             continue
         independent = per / (1.0 + 2.0 * overlap_correlation())
-        weight = 2.0 * independent * informative[bins, a, b] / 2.0  # of a phase; neighbouring bins share half their data
-        delay = _delay(spectra[:, bins, a, b], whole[bins, a, b], 2.0 * np.pi * step_hz * bins, weight, stretch_s)
+        omega = np.asarray(2.0 * np.pi * step_hz * bins, dtype=float)
+        # Of a phase, by Bendat and Piersol; neighbouring bins share half their data.
+        weight = np.asarray(0.5 * 2.0 * independent * informative[bins, a, b])
+        delay = _delay(spectra[:, bins, a, b], whole[bins, a, b], omega, weight, stretch_s)
         late = abs(delay.delay_s) > max(limit * delay.delay_std_s, _LEAST_DELAY / rate_hz)
         drifts = abs(delay.drift) > max(limit * delay.drift_std, _LEAST_DELAY / (rate_hz * stretch_s))
         if late or drifts:
@@ -134,7 +136,9 @@ def find_copies(transforms: ComplexArray) -> tuple[tuple[int, int], ...]:
     coherence = np.abs(spectra) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300)
     middle = np.median(1.0 - coherence[1:], axis=0)
     c = transforms.shape[2]
-    return tuple((a, b) for a in range(c) for b in range(a + 1, c) if len(transforms) > 1 and middle[a, b] < _COPY_INCOHERENCE)
+    return tuple(
+        (a, b) for a in range(c) for b in range(a + 1, c) if len(transforms) > 1 and middle[a, b] < _COPY_INCOHERENCE
+    )
 
 
 def folded_share(power: Array) -> Array:

@@ -143,9 +143,7 @@ class LookedRecording:
             "frequency_std_hz": mode.frequency_std_hz,
             "damping_ratio": mode.damping_ratio,
             "damping_std": mode.damping_std,
-            "shape": {
-                name: [float(x.real), float(x.imag)] for name, x in zip(self.channels, mode.shape, strict=True)
-            },
+            "shape": {name: [float(x.real), float(x.imag)] for name, x in zip(self.channels, mode.shape, strict=True)},
             "shape_std": dict(zip(self.channels, mode.shape_std.tolist(), strict=True)),
             "collinearity": mode.collinearity,
             "refined": mode.refined,

@@ -1,0 +1,22 @@
+"""Command that compares two recordings or two folders of results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli.common import Json, progress, say, warn
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help="Recording, or folder of results of replay or run.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Of the same kind as A, by the same sensors.")],
+    as_json: Json = False,
+) -> None:
+    """Compare two recordings or two folders of results: modes, levels and damage index, each with what chance allows."""
+    from monitor.runs import compare as run
+
+    content = run.compare(first, second, on_warning=warn, on_progress=progress("compare"))
+    say(run.in_words(content), content, as_json)

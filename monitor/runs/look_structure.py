@@ -1,0 +1,192 @@
+"""Proposal of a structure file from the modes of a quick look: a shear frame where the shapes are those of one, else matrices."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from math import ceil
+
+import numpy as np
+
+from monitor.core import Array, BadInputError
+from monitor.identification import SsiSettings
+from monitor.model import Model, ShearFrame
+from monitor.publish import LookedMode, LookedRecording
+from monitor.signals import ProcessingSettings
+
+_MASS_SPREAD = 0.2
+"""Spread of the floors' masses about their mean that is taken for granted. [ratio; judgement: floors of one building]"""
+_LEAST_EQUATION_STD = 0.01
+"""Least standard deviation of an equation of motion, over the inertia of a floor. [ratio; judgement: no structure
+is quite a shear frame]"""
+_LEAST_FRAME_MAC = 0.9
+"""Modal assurance criterion between every mode and its counterpart in the frame, from which it is taken. [1; judgement]"""
+_MOST_FRAME_ERROR = 0.1
+"""Relative error of a frame's frequency up to which it is taken. [ratio; judgement: calibrate fits the stiffness anyway]"""
+_BEYOND = 4.0
+"""Frequency of what the modes do not determine, over that of the highest mode. [1; judgement: beyond the band]"""
+_CUTOFF_OVER_MODE = 1.4
+"""Cutoff of the lowpass over the highest mode. [1; as `stabilization.advice`]"""
+_WINDOWS = 4
+"""Windows without common data that a recording should hold. [count; judgement]"""
+
+
+def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> str:
+    """Write a structure file that fits the modes, what is doubtful about it as comments.
+
+    Parameters
+    ----------
+    mass_kg : float, optional
+        Mass of the whole structure; 1 kg by default.
+
+    Raises
+    ------
+    BadInputError
+        If there is no mode to fit.
+    """
+    modes = [mode for mode in found.modes if not mode.remark][: len(found.channels)]
+    if not modes:
+        raise BadInputError(f"{', '.join(found.files)}: no mode to make a structure of; record longer, or more motion")
+    doubts = []
+    if mass_kg is None:
+        doubts.append(
+            "The masses are relative, 1 kg in all: modes do not tell masses. Relative stiffness losses are right all the same, "
+            "N/m and drifts are not: give --mass-kg, or set masses_kg and scale stiffness_n_per_m by the same factor."
+        )
+    order = [int(k) for k in np.argsort(-np.abs(modes[0].shape.real))]
+    total = 1.0 if mass_kg is None else mass_kg
+    frame = _fit_frame(modes, order, total)
+    misfit = _frame_misfit(frame, modes, order)
+    damping = float(np.clip(np.mean([mode.damping_ratio for mode in modes[:2]]), 1e-4, 0.99))
+    if misfit is None:
+        doubts += [
+            "A shear frame with one sensor a floor, the top one first. Floors are ordered by their motion in the lowest mode: "
+            f"{', '.join(found.channels[k] for k in order)}. Check the order.",
+            "Floors without a sensor are not in it: add them if there are some.",
+        ]
+        table = [
+            'kind = "shear_frame"',
+            f"masses_kg = {_numbers(frame.masses_kg)}",
+            f"stiffness_n_per_m = {_numbers(frame.stiffness_n_per_m)}",
+        ]
+        if len(modes) < len(order):
+            doubts.append(f"{len(modes)} modes for {len(order)} floors: single masses are little more than a guess.")
+    else:
+        order = list(range(len(found.channels)))
+        doubts += [
+            f"No shear frame: {misfit}. The matrices below have the measured modes, and what the modes do not tell lies beyond the "
+            "band.",
+            'Each "story" is the stiffness of one mode, no place: a loss tells which mode fell, not where. Draw the structure '
+            "for more (docs/structures.md).",
+        ]
+        table = _matrices(modes, total)
+    processing = _processing(found, modes)
+    doubts += processing[1]
+    doubts += [f"Of the recording: {doubt}" for doubt in found.doubts]
+    lines = [f"# Proposed by `shm-monitor look` from {', '.join(found.files)}: it fits the modes, it is no drawing."]
+    lines += [f"# - {doubt}" for doubt in doubts]
+    lines += ["[structure]", *table, f"damping_ratio = {damping:.4g}"]
+    for floor, channel in enumerate(order, start=1):
+        lines += ["", "[[sensors]]", f"channel = {json.dumps(found.channels[channel])}", f"floor = {floor}"]
+    lines += ["", *processing[0]]
+    return "\n".join(lines) + "\n"
+
+
+def _fit_frame(modes: Sequence[LookedMode], order: Sequence[int], mass_kg: float) -> ShearFrame:
+    """Fit masses and stiffnesses of a shear frame to the modes, by the equations of motion.
+
+    Above each story the inertia of the floors is the story's force: both are linear in masses and stiffnesses.
+    """
+    from scipy.optimize import nnls  # takes a third of a second to load
+
+    n = len(order)
+    rows, right = [], []
+    scale = (2.0 * np.pi * modes[-1].frequency_hz) ** 2
+    for mode in modes:
+        shape = mode.shape.real[list(order)]
+        drift = shape - np.append(shape[1:], 0.0)
+        std = max(_LEAST_EQUATION_STD, float(np.sqrt((mode.shape_std**2).mean())))
+        omega2 = (2.0 * np.pi * mode.frequency_hz) ** 2
+        for j in range(n):
+            row = np.zeros(2 * n)
+            row[: j + 1] = shape[: j + 1]
+            row[n + j] = -drift[j] * scale / omega2
+            rows.append(row / std)
+            right.append(0.0)
+    for j in range(n):
+        rows.append(np.eye(2 * n)[j] / _MASS_SPREAD)
+        right.append(1.0 / _MASS_SPREAD)
+    x, _ = nnls(np.array(rows), np.array(right))
+    masses, stiffness = np.maximum(x[:n], 1e-3), np.maximum(x[n:], 1e-6) * scale
+    factor = mass_kg / masses.sum()
+    return ShearFrame(masses * factor, stiffness * factor, modes[0].damping_ratio)
+
+
+def _frame_misfit(frame: ShearFrame, modes: Sequence[LookedMode], order: Sequence[int]) -> str | None:
+    """Say why a fitted frame is not taken; None where it fits the modes."""
+    own = Model(frame).modes()
+    for number, mode in enumerate(modes, start=1):
+        nearest = int(np.abs(np.log(own.frequencies_hz / mode.frequency_hz)).argmin())
+        f, shape, a = float(own.frequencies_hz[nearest]), own.shapes[:, nearest], mode.shape[list(order)]
+        mac = abs(shape @ a) ** 2 / ((shape @ shape) * np.vdot(a, a).real)
+        if nearest != number - 1 or abs(f / mode.frequency_hz - 1.0) > _MOST_FRAME_ERROR or mac < _LEAST_FRAME_MAC:
+            return f"the fitted one has {f:.4g} Hz where mode {number} has {mode.frequency_hz:.4g} Hz, MAC {mac:.2f}"
+    return None
+
+
+def _matrices(modes: Sequence[LookedMode], mass_kg: float) -> list[str]:
+    """Write matrices with the measured modes: equal masses, shapes made orthogonal, and the rest beyond the band."""
+    n = len(modes[0].shape)
+    shapes = np.array([mode.shape.real / np.linalg.norm(mode.shape.real) for mode in modes]).T
+    u, _, vt = np.linalg.svd(shapes, full_matrices=False)
+    q = u @ vt  # the orthogonal shapes nearest to the measured ones
+    mass = mass_kg / n
+    modal = mass * (2.0 * np.pi * np.array([mode.frequency_hz for mode in modes])) ** 2
+    each = np.einsum("ar,br->rab", q, q)
+    rest = np.eye(n) - each.sum(axis=0)
+    stiffness = np.einsum("r,rab->ab", modal, each) + _BEYOND**2 * modal.max() * rest
+    derivatives = ", ".join(_matrix(one) for one in each)
+    return [
+        'kind = "matrices"',
+        f"mass_matrix = {_matrix(mass * np.eye(n))}",
+        f"stiffness_matrix = {_matrix(stiffness)}",
+        f"stiffness_n_per_m = {_numbers(modal)}",
+        f"stiffness_derivatives = [{derivatives}]",
+        f"story_names = {json.dumps([f'mode {k}' for k in range(1, len(modes) + 1)])}",
+    ]
+
+
+def _processing(found: LookedRecording, modes: Sequence[LookedMode]) -> tuple[list[str], list[str]]:
+    """Write the settings that suit the modes, and what is doubtful about them."""
+    lowest, highest = modes[0].frequency_hz, modes[-1].frequency_hz
+    rate = min(found.rate_hz, 5.0 * ceil(_CUTOFF_OVER_MODE * highest / 0.4 / 5.0))
+    rows = SsiSettings().block_rows
+    if 2 * rows / rate * lowest < 1.0:
+        rows = min(200, ceil(0.5 * rate / lowest))
+    usual = ProcessingSettings()
+    hop_s = max(usual.hop_s, ceil(2 * rows / rate / 5.0) * 5.0)
+    window_s = min(usual.window_s, found.duration_s / _WINDOWS)
+    window_s = max(2.0, window_s // hop_s) * hop_s
+    doubts = []
+    if window_s < usual.window_s:
+        doubts.append(f"Windows of {window_s:g} s, since the recording is short; longer ones see smaller changes.")
+    lines = [
+        "[processing]",
+        f"rate_hz = {rate:.6g}",
+        f"cutoff_hz = {0.4 * rate:.6g}",
+        f"window_s = {window_s:.6g}",
+        f"hop_s = {hop_s:.6g}",
+    ]
+    if rows != SsiSettings().block_rows:
+        lines += ["", "[identification]", f"block_rows = {rows}"]
+    return lines, doubts
+
+
+def _numbers(values: Array) -> str:
+    """Write a list of numbers."""
+    return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
+
+
+def _matrix(values: Array) -> str:
+    """Write a matrix as a list of its rows."""
+    return "[" + ", ".join("[" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in values) + "]"
