@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -177,3 +178,23 @@ def test_the_import_loads_no_library_for_computation() -> None:
         check=True,
     )
     assert done.stdout.strip() == ""
+
+
+@pytest.mark.docs
+@pytest.mark.parametrize("page", ["README.md", "docs/library.md"])
+def test_the_python_of_a_page_runs(
+    page: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And prints the modes that the page shows, where it shows them."""
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    root = Path(monitor.api.__file__).parents[2]
+    monkeypatch.chdir(root)
+    text = (root / page).read_text(encoding="utf-8")
+    known: dict[str, object] = {}
+    for block in re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        exec(compile(block, page, "exec"), known)
+    printed = capsys.readouterr().out
+    assert printed.count("Hz") == 3
+    for shown in re.findall(r"^```text\n(frequency.*?)^```", text, re.MULTILINE | re.DOTALL):
+        assert shown == printed
