@@ -108,7 +108,7 @@ def notebook_text(notebook: Path) -> str:
 
 
 def reference_text() -> str:
-    """Return the reference of the library: signature and docstring of each of its names."""
+    """Return the reference of the library: docstring of each name, with parameters of functions and fields of results."""
     import shm_monitor
 
     parts = [
@@ -117,18 +117,24 @@ def reference_text() -> str:
     ]
     for name in shm_monitor.__all__:
         thing = getattr(shm_monitor, name)
-        parts += [f"## {name}", f"```python\n{signature(name, thing)}\n```", f"```text\n{inspect.getdoc(thing)}\n```"]
+        parts.append(f"## {name}")
+        if inspect.isfunction(thing):
+            parts.append(f"```python\n{signature(name, thing)}\n```")
+        parts.append(f"```text\n{inspect.getdoc(thing)}\n```")
         if inspect.isclass(thing) and thing.__module__.startswith("monitor.api"):
             parts.append(fields_text(thing))
     return "\n\n".join(parts) + "\n"
 
 
 def signature(name: str, thing: Any) -> str:
-    """Return how a name is called."""
-    try:
-        return f"{name}{inspect.signature(thing)}"
-    except ValueError:
-        return name
+    """Return how a function is called, one parameter a line."""
+    called = inspect.signature(thing)
+    kinds = [str(parameter).replace("'", "") for parameter in called.parameters.values()]
+    first_named = next((k for k, p in enumerate(called.parameters.values()) if p.kind is p.KEYWORD_ONLY), None)
+    if first_named is not None:
+        kinds.insert(first_named, "*")
+    lines = "".join(f"    {kind},\n" for kind in kinds)
+    return f"{name}(\n{lines}) -> {str(called.return_annotation).strip(chr(39))}"
 
 
 def fields_text(kind: type) -> str:
@@ -140,7 +146,7 @@ def fields_text(kind: type) -> str:
         for name, member in vars(kind).items()
         if isinstance(member, property)
     ]
-    escaped = [[" ".join(cell.split()).replace("|", "\\|") for cell in row] for row in rows]
+    escaped = [[" ".join(cell.split()).replace("|", "or") for cell in row] for row in rows]
     return "\n".join(
         ["| field | type | meaning |", "|---|---|---|", *(f"| `{n}` | `{t}` | {d} |" for n, t, d in escaped)]
     )

@@ -108,7 +108,7 @@ def addresses(settings: NotifySettings, folder: Path) -> Addresses:
     if problems:
         raise ValueError("\n".join(problems))
     usable = () if left_out else tuple(dict.fromkeys(url for _, url in urls))
-    return Addresses(usable, *beats, left_out)
+    return Addresses(usable, beats[0], beats[1], left_out)
 
 
 def _known(url: str) -> bool:
