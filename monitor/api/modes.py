@@ -24,7 +24,7 @@ from monitor.identification import (
 from monitor.identification import identify as identify_by_model
 from monitor.signals import FrontEnd, ProcessingSettings
 
-_BAND = 0.4
+_CUTOFF_SHARE = 0.4
 """Cutoff of the lowpass, over the sampling rate after it, where no structure states them. [ratio; the defaults of
 [processing]]"""
 
@@ -136,8 +136,8 @@ def identify(
         return _by_model(checked(samples, rate_hz, structure.channels), rate_hz, structure)
     values = checked(samples, rate_hz)
     names = tuple(f"a{k + 1}" for k in range(values.shape[1]))
-    cutoff = min(_BAND * rate_hz, ProcessingSettings().cutoff_hz) if cutoff_hz is None else cutoff_hz
-    rate_out = min(rate_hz, cutoff / _BAND)
+    cutoff = min(_CUTOFF_SHARE * rate_hz, ProcessingSettings().cutoff_hz) if cutoff_hz is None else cutoff_hz
+    rate_out = min(rate_hz, cutoff / _CUTOFF_SHARE)
     ssi, refinement, select = SsiSettings(), RefinementSettings(), SelectionSettings()
     if max_modes is not None:
         select = select.model_copy(update={"max_modes": max_modes})

@@ -16,7 +16,7 @@ from drivers.mcap_records import MAGIC
 from monitor.core import Array, BadInputError, MissingInputError, import_extra
 from monitor.runs import import_files
 
-_LEAST_SHARE = 0.1
+_LEAST_FILLED = 0.1
 """Least share of a recording's time that must hold samples to be laid out as one array. [ratio; judgement: memory]"""
 
 
@@ -149,7 +149,7 @@ def _laid_out(path: Path, blocks: list[SampleBlock], first: SampleBlock, n: int 
         raise BadInputError(f"{path}: rate or channels change within the recording; read its parts one by one")
     places = [round((block.t_ns - first.t_ns) * 1e-9 * rate_hz) for block in blocks]
     end = max(place + block.n_samples for place, block in zip(places, blocks, strict=True)) if n is None else n
-    if sum(block.n_samples for block in blocks) < _LEAST_SHARE * end:
+    if sum(block.n_samples for block in blocks) < _LEAST_FILLED * end:
         raise BadInputError(f"{path}: gaps fill most of it; read its parts one by one")
     values = np.full((end, len(blocks[0].channels)), np.nan)
     for place, block in zip(places, blocks, strict=True):
