@@ -1,7 +1,7 @@
 from . import stabilization, tracking
 from .free_decay import with_decay_deviations
 from .model_free import identify_modes
-from .single_modes import SingleMode, fit_single_modes, spectral_matrices
+from .single_modes import SingleMode, fit_single_modes
 from .ssi import SsiSettings
 from .stabilization import SelectionSettings, expected_modes, identify
 from .sub_array import SubArray
@@ -20,7 +20,6 @@ __all__ = [
     "identify",
     "identify_modes",
     "refine",
-    "spectral_matrices",
     "stabilization",
     "tracking",
     "with_decay_deviations",

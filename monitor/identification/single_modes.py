@@ -27,7 +27,7 @@ _HALF_BAND = 6.0
 """Half-width of the fitted band, in half-power bandwidths of the mode. [1; judgement]"""
 _LEAST_HALF_BINS = 4
 """Least half-width of the fitted band. [bins; the Hann taper blurs over two]"""
-_BIN_CORRELATION = 35.0 / 18.0
+_BIN_CORRELATION_SQUARED = 35.0 / 18.0
 """Sum of the squared correlations of a bin with all bins. [1; definition: Hann taper]"""
 _MAX_ITERATIONS = 50
 """Most steps of scoring. [count; cost]"""
@@ -77,11 +77,6 @@ def fit_single_modes(
     )
 
 
-def spectral_matrices(transforms: ComplexArray) -> ComplexArray:
-    """Average the cross-spectra of segments, shape (n_segments, n_bins, c) to (n_bins, c, c), two-sided."""
-    return np.asarray(np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms))
-
-
 def _fit(
     transforms: ComplexArray, bin_hz: float, hz: float, damping: float, shape: ComplexArray
 ) -> SingleMode | Skipped:
@@ -93,7 +88,7 @@ def _fit(
     if high - low < 2 * _LEAST_HALF_BINS - 2:
         return Skipped("the peak lies at the edge of the band")
     part = transforms[:, low : high + 1]
-    values, vectors = np.linalg.eigh(spectral_matrices(part))  # ascending
+    values, vectors = np.linalg.eigh(np.einsum("ska,skb->kab", part, part.conj()) / len(part))  # ascending
     near = np.arange(max(0, centre - low - 2 - int(bandwidth)), min(high - low, centre - low + 2 + int(bandwidth)) + 1)
     peak = int(near[values[near, -1].argmax()])
     unit = shape / np.linalg.norm(shape)
@@ -141,7 +136,7 @@ def _scoring(power: Array, bins: Array, bin_hz: float, start: Array, n_segments:
 
     x = np.array([*start, 0.0, np.log(power.min())])
     x[2] = np.log(power.max()) - log_model(np.array([*start, 0.0, -50.0])).max()
-    information = n_segments / (1.0 + 2.0 * overlap_correlation()) / _BIN_CORRELATION
+    information = n_segments / (1.0 + 2.0 * overlap_correlation()) / _BIN_CORRELATION_SQUARED
     for _ in range(_MAX_ITERATIONS):
         d = slopes(x)
         normal = information * d @ d.T + np.diag([0.0, 0.0, 0.0, 1e-2])  # noise far below the bell is hardly determined

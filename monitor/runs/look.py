@@ -164,6 +164,9 @@ def _look(
     spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms)
     bands = _identify_bands(longest.values, rate_hz)
     modes = _merge(bands)
+    lowest_hz = min((band.band_hz[0] for band in bands), default=rate_hz / 2.0)
+    if bands:
+        notes = (*notes, f"modes are looked for from {lowest_hz:.3g} to {bands[0].band_hz[1]:.3g} Hz")
     values = np.concatenate([run.values for run in runs]) if len(runs) > 1 else longest.values
     mean = values.mean(axis=0)
     rms, peak = values.std(axis=0), np.abs(values - mean).max(axis=0)
@@ -184,6 +187,7 @@ def _look(
         transforms=transforms,
         step_hz=design.step_hz,
         modes=tuple(modes),
+        lowest_hz=lowest_hz,
     )
     facts = replace(facts, modes=remark_modes(facts))
     return LookedRecording(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -23,6 +24,13 @@ _LEAST_SHARE = 0.001
 """Share of a recording's samples or spans from which a fault is told. [1; judgement]"""
 _OPPOSITE = 0.2
 """Size of a component of the lowest mode, over the largest, from which its sign tells something. [1; judgement]"""
+_ROOM_BELOW = 4.0
+"""Frequency of the lowest mode found, over the lowest that was looked for, from which it counts as the structure's lowest. [1;
+judgement: the second mode of a building lies two and a half to six times above the first]"""
+_MOST_NAMED = 5
+"""Most sinusoids that are named. [count; judgement]"""
+_LEAST_CHANNELS = 3
+"""Channels from which one can be told to be out of line. [count; definition]"""
 _TONE_OFFSET_BINS = 4
 """Bins from a peak where its background begins. [bins; the Hann taper's leakage is then below a thousandth]"""
 
@@ -48,6 +56,8 @@ class Facts:
     """Shape (n_segments, n_bins, c), Hann taper."""
     step_hz: float
     modes: tuple[LookedMode, ...]
+    lowest_hz: float
+    """Lowest frequency at which modes were looked for, Hz."""
 
 
 def find_doubts(facts: Facts) -> tuple[str, ...]:
@@ -78,21 +88,32 @@ def remark_modes(facts: Facts) -> tuple[LookedMode, ...]:
 def _is_tone(facts: Facts, mode: LookedMode) -> bool:
     """Test whether the power at a mode's frequency is as constant over time as that of a sinusoid."""
     at = round(mode.frequency_hz / facts.step_hz)
-    n_bins = facts.transforms.shape[1]
-    if not _TONE_OFFSET_BINS < at < n_bins - 2 * _TONE_OFFSET_BINS:
+    if not 1 < at < facts.transforms.shape[1] - 2:
         return False
-    weights = mode.shape.conj() / np.linalg.norm(mode.shape)
-    near = np.abs(facts.transforms[:, at - 1 : at + 2] @ weights) ** 2
-    at += int(near.mean(axis=0).argmax()) - 1
-    around = [at - 2 * _TONE_OFFSET_BINS + k for k in range(_TONE_OFFSET_BINS)]
-    around += [at + _TONE_OFFSET_BINS + 1 + k for k in range(_TONE_OFFSET_BINS)]
-    around = [k for k in around if 0 < k < n_bins]
-    background = float((np.abs(facts.transforms[:, around] @ weights) ** 2).mean())
-    power = np.abs(facts.transforms[:, at] @ weights) ** 2
-    if not background > 0.0:
-        return False
+    power = np.abs(facts.transforms @ (mode.shape.conj() / np.linalg.norm(mode.shape))) ** 2
+    at += int(power[:, at - 1 : at + 2].mean(axis=0).argmax()) - 1
+    return _is_constant(power, at, len(facts.modes))
+
+
+def _is_constant(power: Array, at: int, tests: int) -> bool:
+    """Test whether the power in a bin, of shape (n_segments, n_bins), is as constant over the segments as a sinusoid's."""
+    offsets = np.arange(_TONE_OFFSET_BINS, 2 * _TONE_OFFSET_BINS)
+    around = np.concatenate([at - offsets, at + offsets])
+    around = around[(around > 0) & (around < power.shape[1])]
+    background = float(power[:, around].mean()) if around.size else 0.0
     # Half-overlapping segments share data, which makes steady what is random: every other one is independent.
-    return bool(mains_hum.constancy(power[::2], background) > np.log(len(facts.modes) / FALSE_RATE))
+    return background > 0.0 and mains_hum.constancy(power[::2, at], background) > np.log(tests / FALSE_RATE)
+
+
+def _tones(facts: Facts) -> Iterator[float]:
+    """Find the frequencies at which the power of a channel is as constant as that of a sinusoid, Hz."""
+    power = np.abs(facts.transforms) ** 2
+    mean = power.mean(axis=0)
+    n_bins, c = mean.shape
+    for at in range(2, n_bins - 2):
+        peaks = [k for k in range(c) if mean[at, k] == mean[at - 2 : at + 3, k].max() > 0.0]
+        if any(_is_constant(power[:, :, k], at, n_bins * c) for k in peaks):
+            yield at * facts.step_hz
 
 
 def _of_level(facts: Facts) -> Iterator[str]:
@@ -156,13 +177,26 @@ def _of_sensors(facts: Facts) -> Iterator[str]:
 
 def _of_spectra(facts: Facts) -> Iterator[str]:
     """Tell of hum, of drift and of a missing lowpass."""
-    for hum in mains_hum.find_hum(facts.transforms, facts.step_hz, facts.rate_hz):
+    hums = mains_hum.find_hum(facts.transforms, facts.step_hz, facts.rate_hz)
+    for hum in hums:
         where = "all channels" if hum.channel is None else facts.channels[hum.channel]
         seen = f", folded from {hum.harmonic * hum.mains_hz:g} Hz" if hum.is_aliased else ""
         yield f"{where}: hum of the mains at {hum.hz:.4g} Hz{seen}: earth the cable's screen on one side"
+    tones = [hz for hz in _tones(facts) if not any(hum.low_hz <= hz <= hum.high_hz for hum in hums)]
+    if tones:
+        of_mains = mains_hum.harmonic_bins(facts.rate_hz, facts.step_hz, facts.transforms.shape[1] - 1)
+        said = []
+        for hz in tones[:_MOST_NAMED]:
+            at = round(hz / facts.step_hz)
+            said.append(
+                f"{hz:.4g} Hz" + (" (the mains?)" if any(low <= at <= high for _, low, high in of_mains) else "")
+            )
+        more = f" and {len(tones) - _MOST_NAMED} more" if len(tones) > _MOST_NAMED else ""
+        yield f"sinusoids at {', '.join(said)}{more}: a machine, a shaker, or hum"
     lowest = min((mode.frequency_hz for mode in facts.modes), default=0.02 * facts.rate_hz)
-    for drift in sensor_drift.find_drift(facts.transforms, int(0.5 * lowest / facts.step_hz)):
-        yield f"{facts.channels[drift.channel]}: drifts alone, slower than {0.5 * lowest:.3g} Hz"
+    drifts = sensor_drift.find_drift(facts.transforms, int(0.5 * lowest / facts.step_hz))
+    if len(drifts) < len(facts.channels):  # what all do is the motion's
+        yield from (f"{facts.channels[one.channel]}: drifts alone, slower than {0.5 * lowest:.3g} Hz" for one in drifts)
     folded = channel_relations.folded_share((np.abs(facts.transforms) ** 2).mean(axis=0))
     bare = [k for k, share in enumerate(folded) if share > _LEAST_UNFOLDED and facts.rms[k] > 0.0]
     if bare:
@@ -187,7 +221,7 @@ def _of_channels(facts: Facts) -> Iterator[str]:
             yield f"{a} and {b}: their clocks differ by {abs(delay.drift) * 1e6:.3g} parts in a million: may be two clocks"
         else:
             late, early = (a, b) if delay.delay_s > 0.0 else (b, a)
-            yield f"{late}: may be {abs(delay.delay_s) * 1e3:.3g} ms later than {early}"
+            yield f"{late}: may be about {abs(delay.delay_s) * 1e3:.3g} ms later than {early}"
     yield from _of_signs(facts)
 
 
@@ -197,32 +231,37 @@ def _of_signs(facts: Facts) -> Iterator[str]:
     In the lowest mode of a building or a mast all of it moves to one side, the more the higher.
     """
     first = next((mode for mode in facts.modes if not mode.remark), None)
-    if first is None or len(facts.channels) < 3:
+    moving = np.flatnonzero(facts.rms > 0.0)
+    if first is None or len(moving) < _LEAST_CHANNELS or first.frequency_hz < _ROOM_BELOW * facts.lowest_hz:
         return
-    shape = first.shape.real
-    large = [k for k, x in enumerate(shape) if abs(x) > _OPPOSITE]
+    shape, slack = first.shape.real[moving], 2.0 * first.shape_std[moving]
+    large = np.flatnonzero(np.abs(shape) > _OPPOSITE)
     signs = np.sign(shape[large])
-    against = [k for k, sign in zip(large, signs, strict=True) if sign != np.sign(signs.sum())]
-    if len(against) == 1 and len(large) > 2:
+    against = [int(k) for k in large[signs != np.sign(signs.sum())]]
+    if len(against) == 1 and len(large) >= _LEAST_CHANNELS:
         yield (
-            f"{_names(facts, against)}: moves against all others in the lowest mode ({first.frequency_hz:.4g} Hz): "
+            f"{facts.channels[moving[against[0]]]}: moves against all others in the lowest mode ({first.frequency_hz:.4g} Hz): "
             "may be reversed"
         )
-    size, slack = np.abs(shape), 2.0 * first.shape_std
-    order = np.argsort(-size)
-    straight = [list(range(len(size))), list(range(len(size)))[::-1]]
-    if len(against) or order.tolist() in straight:
+    if against or _is_straight(np.abs(shape)):
         return
-    for a in range(len(size)):
-        for b in range(a + 1, len(size)):
-            swapped = size.copy()
-            swapped[[a, b]] = swapped[[b, a]]
-            if np.argsort(-swapped).tolist() in straight and abs(size[a] - size[b]) > slack[a] + slack[b]:
-                yield (
-                    f"{facts.channels[a]} and {facts.channels[b]}: may be swapped, if the channels go up or down the structure "
-                    "one by one: in the lowest mode they move out of order"
-                )
-                return
+    pairs = []
+    for a, b in combinations(range(len(shape)), 2):
+        swapped = np.abs(shape)
+        swapped[[a, b]] = swapped[[b, a]]
+        if _is_straight(swapped) and abs(swapped[a] - swapped[b]) > slack[a] + slack[b]:
+            pairs.append(f"{facts.channels[moving[a]]} and {facts.channels[moving[b]]}")
+    if pairs:
+        yield (
+            f"{', or '.join(pairs)}: may be swapped, if the channels go up or down the structure one by one: in the lowest mode "
+            "they move out of order"
+        )
+
+
+def _is_straight(size: Array) -> bool:
+    """Check whether values rise all along, or fall."""
+    steps = np.diff(size)
+    return bool((steps > 0.0).all() or (steps < 0.0).all())
 
 
 def _names(facts: Facts, channels: Sequence[int]) -> str:

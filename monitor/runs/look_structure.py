@@ -74,8 +74,8 @@ def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> s
     else:
         order = list(range(len(found.channels)))
         doubts += [
-            f"No shear frame: {misfit}. The matrices below have the measured modes, and what the modes do not tell lies beyond the "
-            "band.",
+            f"No shear frame: {misfit}. The matrices below have the measured modes, and what the modes do not tell lies "
+            "beyond the band.",
             'Each "story" is the stiffness of one mode, no place: a loss tells which mode fell, not where. Draw the structure '
             "for more (docs/structures.md).",
         ]

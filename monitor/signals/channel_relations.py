@@ -22,9 +22,9 @@ _LEAST_BINS = 8
 """Coherent bins from which a delay is told. [bins; judgement]"""
 _LEAST_DELAY = 0.1
 """Least delay that is told. [samples; judgement: shapes that are slightly complex look like less]"""
-_STRETCHES = 8
+_DELAY_STRETCHES = 8
 """Stretches of a recording in each of which a delay is measured. [count; judgement]"""
-_LEAST_SEGMENTS = 4
+_LEAST_STRETCH_SEGMENTS = 4
 """Segments in a stretch from which its coherence means something. [count; judgement]"""
 _COPY_INCOHERENCE = 1e-6
 """Incoherent share of two channels' power, in the median of all bins, below which one is a copy of the other. [1; judgement:
@@ -70,13 +70,13 @@ def find_delays(transforms: ComplexArray, step_hz: float, rate_hz: float, stretc
         Those that are significant among all channels.
     """
     n, _, c = transforms.shape
-    per = n // _STRETCHES
-    if c < 2 or per < _LEAST_SEGMENTS:
+    per = n // _DELAY_STRETCHES
+    if c < 2 or per < _LEAST_STRETCH_SEGMENTS:
         return ()
     spectra = np.array(
         [
             np.einsum("ska,skb->kab", part, part.conj()) / per
-            for part in transforms[: per * _STRETCHES].reshape(_STRETCHES, per, *transforms.shape[1:])
+            for part in transforms[: per * _DELAY_STRETCHES].reshape(_DELAY_STRETCHES, per, *transforms.shape[1:])
         ]
     )
     whole = spectra.mean(axis=0)
@@ -142,7 +142,7 @@ def find_copies(transforms: ComplexArray) -> tuple[tuple[int, int], ...]:
 
 
 def folded_share(power: Array) -> Array:
-    """Compare the power density just below half the rate with the median of the upper half of the band, shape (n_bins, c) to (c,).
+    """Compare the power density just below half the rate with the median of the upper half of the band, (n_bins, c) to (c,).
 
     A lowpass before the samples were taken leaves next to nothing there; about 1 means that none was at work.
     """

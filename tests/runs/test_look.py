@@ -1,0 +1,156 @@
+"""A look at tables and recordings without a model: what is found, what is doubted, the files, and the proposed structure."""
+
+from __future__ import annotations
+
+import csv
+import json
+import tomllib
+from pathlib import Path
+from xml.dom import minidom
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from monitor.config import configuration
+from monitor.core import BadInputError, MissingInputError, Skipped
+from monitor.model import Model, ShearFrame
+from monitor.publish import LookedRecording
+from monitor.runs import compare, look
+
+RATE_HZ, SECONDS = 50.0, 400.0
+FRAME = ShearFrame(np.array([1.0, 1.1, 0.9]), np.array([900.0, 1000.0, 1100.0]), damping_ratio=0.01)
+MODES = Model(FRAME).modes()
+
+
+def samples(seed: int = 0, level: float = 0.01, softer: float = 0.0) -> np.ndarray:
+    """Acceleration of the three floors by white forces, m/s^2, with sensor noise."""
+    rng = np.random.default_rng(seed)
+    modes = (
+        MODES if not softer else Model(FRAME).with_stiffness(FRAME.stiffness_n_per_m * [1.0, 1.0 - softer, 1.0]).modes()
+    )
+    forces = rng.standard_normal((int(RATE_HZ * SECONDS), 3)) @ modes.shapes
+    poles = np.exp(2.0 * np.pi / RATE_HZ * modes.frequencies_hz * (-0.01 + 1j))
+    modal = [
+        lfilter([1.0, -2.0, 1.0], [1.0, -2.0 * p.real, abs(p) ** 2], f) for p, f in zip(poles, forces.T, strict=True)
+    ]
+    clean = np.transpose(modal) @ modes.shapes.T
+    return np.asarray(level * (clean / clean.std() + 0.05 * rng.standard_normal(clean.shape)))
+
+
+def table(path: Path, values: np.ndarray, unit: str = "") -> Path:
+    names = ["t", *(f"a{k}{unit}" for k in range(1, values.shape[1] + 1))]
+    columns = np.column_stack([np.arange(len(values)) / RATE_HZ, values])
+    np.savetxt(path, columns, delimiter=",", header=",".join(names), comments="", fmt="%.8g")
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> LookedRecording:
+    return look.look([table(tmp_path_factory.mktemp("look") / "frame.csv", samples())])
+
+
+def doubts(folder: Path, values: np.ndarray, unit: str = "") -> str:
+    return "\n".join(look.look([table(folder / "d.csv", values, unit)]).doubts)
+
+
+def test_a_table_alone_gives_the_modes_with_intervals(found: LookedRecording) -> None:
+    assert found.rate_hz == RATE_HZ
+    assert found.duration_s == SECONDS
+    assert len(found.modes) == 3
+    for mode, hz in zip(found.modes, MODES.frequencies_hz, strict=True):
+        assert abs(mode.frequency_hz - hz) < 4.0 * mode.frequency_std_hz
+        assert not isinstance(mode.second, Skipped)
+        assert mode.differs == ""
+        assert mode.remark == ""
+    assert found.notes
+    assert "50 Hz" in found.notes[0]
+
+
+def test_a_sound_recording_is_doubted_for_nothing_but_its_missing_lowpass(found: LookedRecording) -> None:
+    assert all("lowpass" in doubt for doubt in found.doubts), found.doubts
+
+
+def test_what_is_wrong_with_a_channel_is_told(tmp_path: Path) -> None:
+    sound, t = samples(), np.arange(int(RATE_HZ * SECONDS)) / RATE_HZ
+    assert "g RMS: is the unit right?" in doubts(tmp_path, sound / sound.std() * 100.0)
+    reversed_ = sound * [1.0, -1.0, 1.0]
+    assert "a2: moves against all others" in doubts(tmp_path, reversed_)
+    assert "a1 and a2: may be swapped" in doubts(tmp_path, sound[:, [1, 0, 2]])
+    assert "a1: clipped" in doubts(tmp_path, np.clip(sound, [-0.02, -1.0, -1.0], [0.02, 1.0, 1.0]))
+    hum = sound.copy()
+    hum[:, 2] += 0.008 * np.sin(2.0 * np.pi * 60.02 * t)  # seen at 10.02 Hz
+    assert "the mains" in doubts(tmp_path, hum)
+    gravity = sound / 9.80665
+    gravity[:, 0] += 1.0
+    assert "if that is gravity, the unit is g" in doubts(tmp_path, gravity)
+    copied = sound.copy()
+    copied[:, 2] = copied[:, 1]
+    assert "a2 and a3: alike to the noise" in doubts(tmp_path, copied)
+
+
+def test_a_machine_is_told_from_a_mode(tmp_path: Path) -> None:
+    t = np.arange(int(RATE_HZ * SECONDS)) / RATE_HZ
+    turning = samples() + 0.01 * np.sin(2.0 * np.pi * 12.3 * t)[:, None] * [1.0, 0.6, -0.3]
+    found = look.look([table(tmp_path / "m.csv", turning)])
+    assert [mode.frequency_hz for mode in found.modes if not mode.remark] == pytest.approx(
+        MODES.frequencies_hz, rel=0.01
+    )
+    assert "sinusoids at 12.3" in "".join(found.doubts)
+
+
+def test_the_files_hold_what_was_found(found: LookedRecording, tmp_path: Path) -> None:
+    look.write_results(found, tmp_path)
+    content = json.loads((tmp_path / "look.json").read_text(), parse_constant=pytest.fail)
+    assert content == json.loads(json.dumps(found.content()))
+    assert [mode["frequency_hz"] for mode in content["modes"]] == [mode.frequency_hz for mode in found.modes]
+    rows = list(csv.DictReader((tmp_path / "modes.csv").read_text().splitlines()))
+    assert [float(row["frequency_hz"]) for row in rows] == pytest.approx([mode.frequency_hz for mode in found.modes])
+    page = minidom.parse(str(tmp_path / "look.html"))
+    titles = {caption.firstChild.data for caption in page.getElementsByTagName("figcaption")}
+    assert any("singular values" in title for title in titles)
+    assert len(page.getElementsByTagName("image")) == 3  # spectrograms
+    assert "http" not in (tmp_path / "look.html").read_text().replace("http-equiv", "")
+
+
+def test_the_proposed_frame_has_the_true_stiffness_and_is_a_structure_file(
+    found: LookedRecording, tmp_path: Path
+) -> None:
+    path = tmp_path / "frame.toml"
+    look.write_structure(found, path, mass_kg=3.0)
+    settings = configuration.load(path)
+    assert settings.channels == ("a1", "a2", "a3")
+    frame = tomllib.loads(path.read_text())["structure"]
+    assert frame["kind"] == "shear_frame"
+    assert frame["stiffness_n_per_m"] == pytest.approx(FRAME.stiffness_n_per_m, rel=0.05)
+    assert settings.model().modes().frequencies_hz == pytest.approx(MODES.frequencies_hz, rel=0.01)
+
+
+def test_shapes_of_no_frame_become_matrices_with_the_same_frequencies(tmp_path: Path) -> None:
+    mixed = samples() @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]) * [1.0, 1.0, -1.0]
+    found = look.look([table(tmp_path / "x.csv", mixed)])
+    look.write_structure(found, tmp_path / "x.toml", mass_kg=None)
+    assert tomllib.loads((tmp_path / "x.toml").read_text())["structure"]["kind"] == "matrices"
+    modes = configuration.load(tmp_path / "x.toml").model().modes()
+    assert modes.frequencies_hz == pytest.approx([mode.frequency_hz for mode in found.modes], rel=1e-4)
+
+
+def test_what_cannot_be_looked_at_is_refused_with_the_mend(tmp_path: Path) -> None:
+    with pytest.raises(MissingInputError, match="absent"):
+        look.look([tmp_path / "absent.csv"])
+    with pytest.raises(BadInputError, match="too few to look at"):
+        look.look([table(tmp_path / "short.csv", samples()[:300])])
+    (tmp_path / "bare.csv").write_text("a1,a2\n" + "0.1,0.2\n" * 3000)
+    with pytest.raises(BadInputError, match="--rate"):
+        look.look([tmp_path / "bare.csv"])
+
+
+def test_equal_structures_do_not_differ_and_a_softer_story_does(tmp_path: Path) -> None:
+    a = table(tmp_path / "a.csv", samples(1))
+    same = compare.compare(a, table(tmp_path / "b.csv", samples(2)))
+    softer = compare.compare(a, table(tmp_path / "c.csv", samples(3, softer=0.1)))
+    assert [test["what"] for test in same["tests"] if test["significant"]] == []
+    moved = {test["what"] for test in softer["tests"] if test["significant"]}
+    assert {"mode 1: frequency", "mode 3: frequency"} <= moved
+    text = compare.in_words(softer)
+    assert "beyond chance" in text

@@ -1,0 +1,80 @@
+"""What coherence and phase tell: drifting clocks, delays and copies; and a missing lowpass."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import cheby1, lfilter, sosfilt
+
+from monitor.signals import SegmentDesign, channel_relations, transform
+
+RATE_HZ, SECONDS, N = 100.0, 1200.0, 2000
+
+
+def motion(rng: np.random.Generator) -> np.ndarray:
+    """Three channels of two modes, the second of opposite sign at the last channel, and noise."""
+    modes = [
+        lfilter(
+            [1.0],
+            [1.0, -2.0 * r * np.cos(2.0 * np.pi * hz / RATE_HZ), r * r],
+            rng.standard_normal(int(SECONDS * RATE_HZ)),
+        )
+        for hz, r in ((4.0, 0.98), (11.0, 0.97))
+    ]
+    clean = np.transpose(modes) @ np.array([[1.0, 0.8, 0.5], [0.7, -0.4, -1.0]])
+    return np.asarray(clean + 0.05 * rng.standard_normal(clean.shape))
+
+
+def transforms(samples: np.ndarray) -> tuple[np.ndarray, float]:
+    design = SegmentDesign(RATE_HZ, N, N // 2 + 1)
+    parts = [transform(design, samples[k : k + N]) for k in range(0, len(samples) - N + 1, N // 2)]
+    return np.array(parts), design.step_hz
+
+
+def delays(samples: np.ndarray) -> tuple[channel_relations.Delay, ...]:
+    return channel_relations.find_delays(*transforms(samples), RATE_HZ, SECONDS)
+
+
+def shifted(samples: np.ndarray, late_s: np.ndarray | float) -> np.ndarray:
+    t = np.arange(len(samples)) / RATE_HZ
+    out = samples.copy()
+    out[:, 1] = np.interp(t - late_s, t, samples[:, 1])
+    return out
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_channels_on_one_clock_give_no_delay(seed: int) -> None:
+    assert delays(motion(np.random.default_rng(seed))) == ()
+
+
+def test_a_drifting_clock_is_told_with_its_rate() -> None:
+    samples = motion(np.random.default_rng(3))
+    found = delays(shifted(samples, 30e-6 * np.arange(len(samples)) / RATE_HZ))
+    assert found
+    for one in found:
+        assert 1 in (one.channel, one.against)
+        assert abs(one.drift) == pytest.approx(30e-6, rel=0.2)
+
+
+def test_a_late_channel_is_told_with_its_delay() -> None:
+    found = delays(shifted(motion(np.random.default_rng(4)), 0.003))
+    assert found
+    for one in found:
+        assert one.drift == 0.0
+        assert (one.delay_s if one.channel == 1 else -one.delay_s) == pytest.approx(0.003, rel=0.5)
+
+
+def test_a_copy_is_told_and_a_neighbour_is_not() -> None:
+    samples = motion(np.random.default_rng(5))
+    assert channel_relations.find_copies(transforms(samples)[0]) == ()
+    samples[:, 2] = 2.0 * samples[:, 0]
+    assert channel_relations.find_copies(transforms(samples)[0]) == ((0, 2),)
+
+
+def test_a_lowpass_leaves_nothing_at_half_the_rate() -> None:
+    samples = motion(np.random.default_rng(6))
+    bare = channel_relations.folded_share((np.abs(transforms(samples)[0]) ** 2).mean(axis=0))
+    filtered = sosfilt(cheby1(8, 0.05, 0.8, output="sos"), samples, axis=0)
+    quiet = channel_relations.folded_share((np.abs(transforms(filtered)[0]) ** 2).mean(axis=0))
+    assert (bare > 0.5).all()
+    assert (quiet < 0.01).all()
