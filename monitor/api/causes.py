@@ -9,7 +9,7 @@ from typing import Any
 from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
 from monitor.api.samples import checked
 from monitor.api.structures import Structure
-from monitor.core import Array, import_extra
+from monitor.core import Array, import_extra, single_blas_thread
 from monitor.inference import gather
 from monitor.runs import cut_into_blocks
 from monitor.runs import diagnose as job
@@ -70,6 +70,7 @@ class Diagnosis:
         return axes
 
 
+@single_blas_thread()
 def diagnose(
     samples: Any,
     rate_hz: float,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from monitor.api.samples import checked, longest_window_s, whole_window
 from monitor.api.structures import Structure
-from monitor.core import Array, ComplexArray, ModalEstimate, Skipped, import_extra
+from monitor.core import Array, ComplexArray, ModalEstimate, Skipped, import_extra, single_blas_thread
 from monitor.identification import (
     RefinementSettings,
     SelectionSettings,
@@ -85,6 +85,7 @@ class Modes:
         return axes
 
 
+@single_blas_thread()
 def identify(
     samples: Any,
     rate_hz: float,

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 from monitor.api.recording import Recording
 from monitor.api.structures import Structure
-from monitor.core import BadConfigurationError, BadInputError
+from monitor.core import BadConfigurationError, BadInputError, single_blas_thread
 from monitor.model import Effect, ExcitationKind, parse_effect, story_damage
 from monitor.model import simulate as simulate_motion
 from monitor.runs import require_stable
 
 
+@single_blas_thread()
 def simulate(
     structure: Structure,
     *,

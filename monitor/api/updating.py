@@ -9,7 +9,7 @@ import numpy as np
 
 from monitor.api.modes import Modes, sub_array
 from monitor.api.structures import Structure
-from monitor.core import Array, BadInputError, import_extra
+from monitor.core import Array, BadInputError, import_extra, single_blas_thread
 from monitor.damage import damage_index
 
 
@@ -73,6 +73,7 @@ class Updated:
         return axes
 
 
+@single_blas_thread()
 def update(modes: Modes, structure: Structure) -> Updated:
     """Update the stiffnesses of a structure to identified modes.
 
