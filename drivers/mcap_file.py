@@ -9,17 +9,18 @@ from math import inf
 from pathlib import Path
 from typing import TypeVar
 
+from mcap.reader import make_reader
 from mcap.records import Channel
 
 from drivers import codec
-from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
+from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_index import read_index
-from drivers.mcap_records import McapFile, Message, Segment
+from drivers.mcap_records import PARSE_ERRORS, McapFile, Message, Segment
 from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter, arrival, clock_of
 from drivers.merged import merged
 from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, split_target
 
-__all__ = ["McapWriter", "RecordingInfo", "read_recordings", "recording_info", "scan_messages"]
+__all__ = ["McapWriter", "RecordingInfo", "read_metadata", "read_recordings", "recording_info", "scan_messages"]
 
 _MAX_INT = 1 << 62
 _Item = SampleBlock | ImuSample
@@ -104,6 +105,26 @@ def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) ->
     start, end = first[ACCELERATION], last[ACCELERATION]
     duration = (end.t_ns - start.t_ns) / 1e9 + end.n_samples / end.sample_rate_hz
     return RecordingInfo(tuple(channels), channels, start.sample_rate_hz, duration, start.t_ns, samples[ACCELERATION])
+
+
+def read_metadata(path: Path, name: str) -> dict[str, str] | None:
+    """Read a metadata record of a recording; None where it has none of that name.
+
+    Raises
+    ------
+    RecordingMissingError
+        If the file cannot be opened.
+    RecordingError
+        If its bytes are damaged or foreign.
+    """
+    try:
+        with path.open("rb") as file:
+            found = (record.metadata for record in make_reader(file).iter_metadata() if record.name == name)
+            return next(found, None)
+    except OSError as error:
+        raise RecordingMissingError(f"{path}: {error.strerror}") from error
+    except PARSE_ERRORS as error:
+        raise RecordingError(f"{path}: damaged: {error}") from error
 
 
 def scan_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:

@@ -76,7 +76,9 @@ def simulate(
 
 
 def import_(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ or CAN log; or one file a level.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ, CAN log, MiniSEED or K-NET; or one file a level.")
+    ],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
     rate: Annotated[
         float | None, typer.Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
@@ -91,12 +93,16 @@ def import_(
     ] = [],  # noqa: B006
     start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
     dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="Layout of the frames of a CAN log.")] = None,
+    scale: Annotated[float | None, typer.Option(help="Of MiniSEED: m/s^2 of a count.")] = None,
+    inventory: Annotated[
+        Path | None, typer.Option(metavar="STATION.xml", help="Of MiniSEED: the channels' sensitivities.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Convert foreign data to the recording format."""
     from monitor.runs import import_files
 
-    spare_inputs([out], [*files, dbc])
+    spare_inputs([out], [*files, dbc, inventory])
     info = import_files(
         files,
         out,
@@ -107,6 +113,8 @@ def import_(
         forces=_places("--force", force),
         start_ns=time_ns("--start", start),
         dbc=dbc,
+        scale=scale,
+        inventory=inventory,
         on_warning=warn,
     )
     names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())

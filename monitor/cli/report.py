@@ -15,19 +15,52 @@ _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "l
 
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of 'replay --out' or of [output] dir.")],
-    out: Annotated[Path, typer.Option(metavar="REPORT.html", help="Page to write.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="REPORT.html", help="Page to write; of an event by default DIR/events/ID.html."),
+    ] = None,
     start: Annotated[
         str | None, typer.Option("--from", metavar="T", help="UTC, ISO 8601; the first window's by default.")
     ] = None,
     end: Annotated[
         str | None, typer.Option("--to", metavar="T", help="UTC, ISO 8601; the last window's by default.")
     ] = None,
+    event: Annotated[
+        str | None, typer.Option(metavar="ID", help="Report one event of events.jsonl instead; 'last' for the latest.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Report a period of a run as one page.  It shows availability, damage, alarms, modes, quality and findings.
 
-    A window belongs to the period in which it ends.
+    A window belongs to the period in which it ends.  With --event it is the page of one event: motion of the floors, drifts
+    against the site's limits, frequencies, loops, and what remains of the stiffness.
     """
+    if event is not None:
+        if start is not None or end is not None:
+            raise typer.BadParameter("--event goes without --from and --to")
+        _report_event(folder, event, out, as_json)
+    elif out is None:
+        raise typer.BadParameter("missing: name the page to write", param_hint="--out")
+    else:
+        _report_period(folder, out, start, end, as_json)
+
+
+def _report_event(folder: Path, wanted: str, out: Path | None, as_json: bool) -> None:
+    """Write the page of one event."""
+    from monitor.publish import EVENTS, event_text
+    from monitor.runs import page_of, read_event_line, write_event_page
+
+    line = read_event_line(folder, wanted)
+    place = out or page_of(folder, line["id"])
+    spare_inputs([place], [folder / EVENTS, *([folder / str(line["recording"])] if line.get("recording") else [])])
+    demand_place(place)
+    event = write_event_page(folder, line, place)
+    content = {"report": str(place), "id": event.id, "revision": event.revision, "verdict": event.verdict}
+    say(f"{event.id}: {event_text(event)}\nreport in {place}", {**content, "exceeded": list(event.exceeded)}, as_json)
+
+
+def _report_period(folder: Path, out: Path, start: str | None, end: str | None, as_json: bool) -> None:
+    """Write the page of a period."""
     from monitor.publish import closed_files, read_period, write_period
 
     from_ns, to_ns = time_ns("--from", start), time_ns("--to", end)

@@ -108,6 +108,10 @@ class OutputSettings(Settings):
     """Pack the results of each closed month into ``results-YYYY-MM.jsonl.zst``."""
     serve: str | None = None
     """HOST:PORT of the server that Rerun viewers may join."""
+    web: str | None = None
+    """HOST:PORT of the web page with the results; port 0 for any free one.  Another host than loopback needs `web_token_file`."""
+    web_token_file: str | None = None
+    """File with the token that readers of the web page must show, mode 0600."""
     zenoh: dict[str, Any] | None = None
     """Table of the publisher of results, alarms and health over Zenoh (`monitor.service.outlets`)."""
     metrics: dict[str, Any] | None = None
@@ -119,6 +123,18 @@ class OutputSettings(Settings):
         if text is not None:
             parse_address(text)
         return text
+
+    @field_validator("web")
+    @classmethod
+    def _shows(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_address(text, any_port=True)
+        return text
+
+    @property
+    def web_address(self) -> tuple[str, int] | None:
+        """Host and port of `web`; None if no page is wanted."""
+        return None if self.web is None else parse_address(self.web, any_port=True)
 
     @property
     def address(self) -> tuple[str, int] | None:

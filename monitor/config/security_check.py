@@ -17,7 +17,7 @@ def warnings(path: Path, config: Configuration) -> list[str]:
     Parameters
     ----------
     path : Path
-        Site file, to whose folder the path of the URL file is relative.
+        Site file, to whose folder the paths of files with secrets are relative.
     config : Configuration
         Settings of that file.
     """
@@ -31,6 +31,10 @@ def warnings(path: Path, config: Configuration) -> list[str]:
     host = str(metrics.get("listen", "127.0.0.1:9464")).rpartition(":")[0]
     if not is_loopback(host) and "client_ca" not in metrics:
         found.append(f"output.metrics: all who reach {host} may read; set certificate, private_key and client_ca")
+    if (web := config.output.web_address) is not None and not is_loopback(web[0]):
+        found.append(
+            f"output.web: at {config.output.web} the token and the results pass unencrypted; use SSH or a proxy with TLS"
+        )
     for name, table in (("source", config.source), ("output.zenoh", config.output.zenoh)):
         for key, risk in (
             ("listen", "is open to the network without TLS: whoever reaches it may send and ask anything"),
@@ -63,10 +67,18 @@ def _endpoints(table: Mapping[str, Any] | None, key: str) -> list[str]:
 
 
 def _readable_secrets(path: Path, config: Configuration) -> list[str]:
-    """Warn of a URL file that every user of this machine may read."""
-    name = config.notify.get("url_file")
+    """Warn of files with secrets that every user of this machine may read."""
+    files = {"notify.url_file": config.notify.get("url_file"), "output.web_token_file": config.output.web_token_file}
+    return [
+        f"{key}: {name} can be read by everyone: chmod o-r"
+        for key, name in files.items()
+        if name is not None and _mode(path.resolve().parent / str(name)) & stat.S_IROTH
+    ]
+
+
+def _mode(path: Path) -> int:
+    """Return the mode of a file; 0 if it cannot be asked for."""
     try:
-        mode = (path.resolve().parent / str(name)).stat().st_mode if name is not None else 0
+        return path.stat().st_mode
     except OSError:
-        return []
-    return [f"notify.url_file: {name} can be read by everyone: chmod o-r"] if mode & stat.S_IROTH else []
+        return 0

@@ -1,7 +1,8 @@
 from . import ground, stage
-from .event import Event, FloorMotion
+from .event import Event, FloorMotion, Spectrum
 from .ground import GroundState
-from .settings import EventSettings
+from .review import FirstMode, Review, review_event
+from .settings import EventSettings, LimitTable
 from .site import Site
 from .stage import EventState
 
@@ -9,9 +10,14 @@ __all__ = [
     "Event",
     "EventSettings",
     "EventState",
+    "FirstMode",
     "FloorMotion",
     "GroundState",
+    "LimitTable",
+    "Review",
     "Site",
+    "Spectrum",
     "ground",
+    "review_event",
     "stage",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,45 +17,12 @@ from monitor.events.motion import (
     response_spectrum,
     unknown_motion,
 )
+from monitor.events.record import Record
 from monitor.events.site import Site
 
 _UNRELATED = 1e-9
 """Share of a drift that a sensor must see to tell of it. [ratio; rounding]"""
-_STILL = 1e-3
-"""Range of a channel's motion in a second of strong motion, over the largest of all channels, below which it stood still.
-[ratio; -60 dB, as of dead channels]"""
 NO_LIMIT = "no limit exceeded"
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Record:
-    """Samples of an event, with quiet motion before it and, for the final line, after it."""
-
-    rate_hz: float
-    floors: Array
-    """Shape (n, c), m/s^2."""
-    ground: Array | None
-    """Shape (n,), m/s^2."""
-    strong: slice
-    still: NDArray[np.bool_]
-    """Shape (c,): channels that stood still while others moved, as dead ones and those that lost samples do."""
-    corners_hz: Array
-    """Shape (n_corners,): corners of the integration to choose from."""
-
-
-def still_channels(values: Array, strong: slice, rate_hz: float) -> NDArray[np.bool_]:
-    """Find the channels that stood still in some second of strong motion, shape (c,).
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, c), m/s^2
-        Samples as conditioned, in which lost samples are held.
-    """
-    n = max(1, round(rate_hz))
-    part = values[strong]
-    seconds = part[: len(part) // n * n].reshape(-1, n, part.shape[1])
-    ranges = np.ptp(seconds, axis=1)
-    return np.asarray((ranges < _STILL * ranges.max(axis=1, keepdims=True, initial=0.0)).any(axis=0))
 
 
 def describe(
@@ -122,21 +89,13 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
     if every floor has a sensor; its standard deviation is the most by which the same estimate is wrong in another story.
     """
     live = ~record.still
-    n, motion, sensors, rides = site.n_stories, record.floors[:, live], site.sensors[live], site.rides[live]
+    n, sensors = site.n_stories, site.sensors[live]
     drift, std, corner_hz = np.full(n, np.nan), np.full(n, np.nan), float(record.corners_hz[0])
     if not site.is_chain:
         return drift, std, corner_hz, "no drifts: the structure's stiffnesses are no stories"
-    if record.ground is not None:
-        motion = motion - record.ground[:, None] * rides
-    # Rows of weights on the channels that give a story's drift; without a ground they must not move with it.
-    weights, *_ = np.linalg.lstsq(sensors.T, site.drifts.T, rcond=None)
-    exact = np.abs(sensors.T @ weights - site.drifts.T).max(axis=0) < _UNRELATED
-    rigid = np.abs(rides @ weights) < _UNRELATED
-    told = exact & (rigid | (record.ground is not None))
+    told, accelerations = drift_accelerations(record, site)
     if told.any():
-        drift[told], std[told], corner_hz = peak_drifts(
-            motion @ weights[:, told], record.rate_hz, record.corners_hz, record.strong
-        )
+        drift[told], std[told], corner_hz = peak_drifts(accelerations, record.rate_hz, record.corners_hz, record.strong)
     note = f"drifts are dynamic, above {corner_hz:.2g} Hz: a permanent one is not seen"
     if told.all() or np.linalg.matrix_rank(sensors) < sensors.shape[1]:
         return (
@@ -153,14 +112,41 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
     return drift, std, corner_hz, f"{note}; without a measured ground the lowest story's follows from its stiffness"
 
 
+def drift_accelerations(record: Record, site: Site) -> tuple[NDArray[np.bool_], Array]:
+    """Compute the accelerations of the stories' drifts from the sensors that move as both floors of a story.
+
+    Returns
+    -------
+    told : ndarray of bool, shape (n,)
+        Stories of which sensors tell the drift.
+    accelerations : ndarray, shape (n_samples, n_told), m/s^2
+    """
+    live = ~record.still
+    motion, sensors, rides = record.floors[:, live], site.sensors[live], site.rides[live]
+    if record.ground is not None:
+        motion = motion - record.ground[:, None] * rides
+    # Rows of weights on the channels that give a story's drift; without a ground they must not move with it.
+    weights, *_ = np.linalg.lstsq(sensors.T, site.drifts.T, rcond=None)
+    exact = np.abs(sensors.T @ weights - site.drifts.T).max(axis=0) < _UNRELATED
+    rigid = np.abs(rides @ weights) < _UNRELATED
+    told = exact & (rigid | (record.ground is not None))
+    return told, motion @ weights[:, told]
+
+
+def inertia_above(record: Record, site: Site) -> Array:
+    """Compute the inertia of all floors above each story, shape (n_samples, n), N, by their absolute accelerations.
+
+    Every floor must have a sensor.  The force of a story, which includes that of its damper, holds up this inertia.
+    """
+    quiet = record.floors[: max(record.strong.start, 1)].mean(axis=0)
+    floors = np.linalg.lstsq(site.sensors, (record.floors - quiet).T, rcond=None)[0]
+    # Floors 1 (top) to j lie above story j.
+    return np.asarray(np.cumsum(site.masses_kg[:, None] * floors, axis=0).T)
+
+
 def _drifts_by_inertia(record: Record, site: Site) -> Array:
     """Compute the largest drift of each story as the inertia of all floors above over its stiffness, shape (n,), m."""
-    floors = np.linalg.lstsq(
-        site.sensors, (record.floors - record.floors[: max(record.strong.start, 1)].mean(axis=0)).T, rcond=None
-    )[0]
-    # The force of story j holds up the inertia of floors 1 (top) to j, absolute accelerations.
-    force = np.cumsum(site.masses_kg[:, None] * floors, axis=0)
-    return np.asarray(np.abs(force[:, record.strong]).max(axis=1) / site.stiffness_n_per_m)
+    return np.asarray(np.abs(inertia_above(record, site)[record.strong]).max(axis=0) / site.stiffness_n_per_m)
 
 
 def judge(event: Event, site: Site) -> Event:

@@ -45,19 +45,19 @@ _VELOCITY_ALONE = 7.0
 
 
 def integrated(acceleration: Array, rate_hz: float, corner_hz: float, times: int) -> Array:
-    """Integrate accelerations once or twice above a corner.
+    """Integrate accelerations once or twice above a corner; 0 times, only leave out what lies below it.
 
     Parameters
     ----------
     acceleration : ndarray, shape (n_samples, k), m/s^2
     corner_hz : float
         Frequency at which the high-pass filter halves the power.
-    times : {1, 2}
-        1 for velocity, 2 for displacement.
+    times : {0, 1, 2}
+        0 for acceleration, 1 for velocity, 2 for displacement.
 
     Returns
     -------
-    ndarray, shape (n_samples, k), m/s or m
+    ndarray, shape (n_samples, k), m/s^2, m/s or m
 
     Examples
     --------
@@ -245,7 +245,7 @@ def modal_frequencies(motion: Array, shapes: Array, near_hz: Array, rate_hz: flo
     Returns
     -------
     ndarray, shape (m,)
-        NaN where the power has no peak within the range.
+        NaN where the power has no peak within the range, or one that lies nearer to another mode.
     """
     n, c = motion.shape
     used = shapes[:c]
@@ -261,6 +261,7 @@ def modal_frequencies(motion: Array, shapes: Array, near_hz: Array, rate_hz: flo
         peaks, _ = find_peaks(own)
         if peaks.size:
             best = peaks[own[peaks].argmax()]
-            if own[best] >= own[[0, -1]].max():
-                found[k] = hz[inside[best]]
+            at_hz = hz[inside[best]]
+            if own[best] >= own[[0, -1]].max() and np.nanargmin(np.abs(np.log(near_hz / at_hz))) == k:
+                found[k] = at_hz
     return found

@@ -7,6 +7,9 @@ bands), and among them that of the structure's lowest frequency.  So one knocked
 doors and people, who shake floors at higher frequencies, are no motion of the whole structure.  A spike or a step touches two
 frames; an event takes three in a row.
 
+As long as the long-term average holds less than 60 s, its own scatter is larger, and the threshold higher: stationary Gaussian
+motion exceeds it as rarely as it exceeds `ratio_on` later (`_early_factor`).
+
 References
 ----------
 R. V. Allen, Automatic earthquake recognition and timing from single traces, BSSA 68 (1978) 1521-1532 (STA/LTA).
@@ -30,7 +33,7 @@ from monitor.events.settings import EventSettings
 STEP_S = 2.0
 """Length of a frame, the short-term average, and of the samples of one step. [s; Trnkoczy 2012: some periods of the signal]"""
 _LONG_TERM_S = 60.0
-"""Time constant of the long-term average; no event is recognized before that many seconds. [s; Trnkoczy 2012]"""
+"""Time constant of the long-term average. [s; Trnkoczy 2012]"""
 _RAISED_BANDS = 3
 """Bands of half an octave that must be raised together. [count; earthquakes span more than an octave, a machine's line or one
 mode does not]"""
@@ -146,11 +149,11 @@ def step(
     frames = np.array([joined[:, :n], joined[:, half:]])
     transforms = np.fft.rfft(frames * bands.taper)[:, :, : bands.end]
     power = np.add.reduceat(transforms.real**2 + transforms.imag**2, bands.edges, axis=2)
-    warm = state.steps * STEP_S >= _LONG_TERM_S
     own = int(np.searchsorted(bands.edges, lowest_hz * n / rate_hz + 0.5, side="right")) - 1
     own = min(max(own, 0), bands.edges.size - 1)
-    ratio = _voted_ratio(power, state.long_term, own) if warm else np.zeros(_FRAMES)
-    above, loud = ratio >= settings.ratio_on, ratio >= settings.ratio_off
+    ratio = _voted_ratio(power, state.long_term, own) if state.steps else np.zeros(_FRAMES)
+    threshold = settings.ratio_on * _early_factor(state.steps, settings.ratio_on)
+    above, loud = ratio >= threshold, ratio >= settings.ratio_off
     if settings.level_m_s2 is not None:
         peaks = np.sort(np.abs(frames).max(axis=2), axis=1)
         voted = peaks[:, (peaks.shape[1] - 1) // 2]
@@ -165,6 +168,30 @@ def step(
         long_term = long_term + (0.5 * (power[0] + power[1]) - long_term) / steps
     state = replace(state, tail=span[half:], long_term=long_term, steps=steps, raised=raised)
     return state, Trigger(on, loud)
+
+
+@lru_cache(maxsize=64)
+def _early_factor(steps: int, ratio_on: float) -> float:
+    """Compute the factor on the threshold while the long-term average holds few steps.
+
+    The power of one bin of a frame of Gaussian motion over the average of `k` such powers exceeds `x` with the probability
+    ``(1 + x / k) ** -k`` (the F distribution with 2 and 2 k degrees of freedom).  The factor keeps this probability at that of
+    a full average.  The two frames of a step, which overlap by half, count as two.
+
+    Examples
+    --------
+    >>> [round(_early_factor(steps, 4.0), 2) for steps in (1, 3, 10, 30)]
+    [12.25, 1.9, 1.14, 1.0]
+    """
+    full = _FRAMES * _LONG_TERM_S / STEP_S
+    k = float(_FRAMES * max(steps, 1))
+    rarity = (1.0 + ratio_on**2 / full) ** (full / k)
+    return float(np.sqrt(k * (rarity - 1.0)) / ratio_on)
+
+
+def is_settled(state: RecognitionState) -> bool:
+    """Say whether the long-term average holds all that it ever does."""
+    return state.steps * STEP_S >= _LONG_TERM_S
 
 
 def begin_anew(state: RecognitionState) -> RecognitionState:

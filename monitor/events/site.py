@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +58,23 @@ class Site:
             window_s,
             settings,
         )
+
+    def content(self) -> dict[str, Any]:
+        """Return the content as plain values, of which `read` makes the same site."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        settings = self.settings.model_dump(mode="json")
+        return {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in values.items()} | {
+            "settings": settings
+        }
+
+    @classmethod
+    def read(cls, content: dict[str, Any]) -> Site:
+        """Make a site of its content (`content`)."""
+        known = dict(content)
+        for name in ("sensors", "drifts", "stiffness_n_per_m", "masses_kg", "heights_m", "modes_hz", "shapes"):
+            known[name] = None if known[name] is None else np.array(known[name], dtype=float)
+        names = {name: tuple(known[name]) for name in ("channels", "names")}
+        return cls(**known | names | {"settings": EventSettings.model_validate(known["settings"])})
 
     @property
     def n_stories(self) -> int:

@@ -22,8 +22,8 @@ from monitor.events.site import Site
 from monitor.signals import Conditioner
 
 _SETTLED_STEPS = 2
-"""Steps after a gap that are not judged, while the filters, which begin at rest, settle. [steps of 2 s; a lowpass of 40 Hz
-settles in 1 s]"""
+"""Steps after a gap that are neither judged nor kept, while the filters, which begin at rest, settle. [steps of 2 s; a lowpass
+of 40 Hz settles in 1 s]"""
 _KEPT_STEPS = 3
 """Steps before the last judged one in which an event may turn out to have begun. [steps; definition: the frames in a row that
 confirm it]"""
@@ -31,14 +31,6 @@ _PRELIMINARY_S = 2.0
 """Quiet time after which the preliminary message is sent. [s; one step]"""
 _GROUND_LATE_S = 2.0
 """Time by which the ground's samples may arrive after the floors'. [s; the time after which the preliminary message is sent]"""
-_SPLINE_S = 1.0
-"""Time beyond an event's samples within which the ground's samples take part in their interpolation. [s; less than
-`_GROUND_LATE_S`, so that they are there however late they arrive]"""
-_CORNERS = (0.4, 0.2, 0.1, 0.05, 0.025)
-"""Corners of the integrated drifts to choose from, over the lowest frequency. [ratio; below the lowest frequency a frame
-follows the ground, and its drift is the ground's acceleration over the squared angular frequency]"""
-_LOWEST_CORNER = 2.0
-"""Lowest corner, over the reciprocal of the time before the event that is kept. [ratio; two periods of quiet motion]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -217,8 +209,8 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
     first, end = state.judged, state.judged + n
     span = state.kept[first - state.first : end - state.first]
     if state.settling:
-        known = replace(state.recognition, tail=span[n // 2 :])
-        return replace(state, recognition=known, judged=end, settling=state.settling - 1), []
+        known, kept = replace(state.recognition, tail=span[n // 2 :]), state.kept[end - state.first :]
+        return replace(state, recognition=known, judged=end, settling=state.settling - 1, first=end, kept=kept), []
     going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
     lowest_hz, active = float(site.modes_hz[0]), going is not None
     known, found = recognition.step(state.recognition, span, rate_hz, cutoff_hz, lowest_hz, settings, active=active)
@@ -231,7 +223,8 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
         elif going is not None and found.loud[k]:
             going = replace(going, end=at + n)
     state = replace(state, recognition=known, judged=end)
-    if going is not None or known.raised:
+    # Of a recording that begins with a few seconds of quiet before strong motion, a test's, the windows are judged.
+    if (going is not None or known.raised) and recognition.is_settled(known):
         state = replace(state, marks=(*state.marks, (first, end)))
     before = state.strong if not state.strong or state.strong[-1].closed else state.strong[:-1]
     if going is not None:
@@ -282,27 +275,21 @@ def _final(state: EventState, item: Strong, end: int, site: Site) -> tuple[Event
 
 def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> Event:
     """Describe an event: preliminarily, by the samples so far, or for good by those up to grid index `end`."""
-    from monitor.events.description import Record, describe, still_channels  # filters take a while to load
-    from monitor.events.motion import without_filter
+    from monitor.events.description import describe  # filters take a while to load
+    from monitor.events.record import make_record
 
     assert state.conditioner is not None
 
     settings, rate_hz = site.settings, state.rate_hz
     last = max(item.end, (state.judged if end is None else end) - round(_GROUND_LATE_S * rate_hz))
     first = max(state.first, item.begin - round(settings.pre_s * rate_hz))
-    values = state.kept[first - state.first : last - state.first]
-    begin_ns, end_ns = (state.t0_ns + round(i / rate_hz * 1e9) for i in (item.begin, item.end))
-    lowest_hz = float(site.modes_hz[0])
+    begin_ns, end_ns, t_ns = (state.t0_ns + round(i / rate_hz * 1e9) for i in (item.begin, item.end, first))
     before = tuple(r for r in state.recent if r.end_ns <= begin_ns)
+    quiet_s = (item.begin - first) / rate_hz
+    early = f"only {quiet_s:.0f} s of motion before it are known" if quiet_s < settings.pre_s - 1.0 / rate_hz else ""
+    values = state.kept[first - state.first : last - state.first]
     strong = slice(item.begin - first, item.end - first)
-    record = Record(
-        rate_hz=rate_hz,
-        floors=without_filter(values, rate_hz, state.conditioner),
-        ground=_ground_of(state, first, last),
-        strong=strong,
-        still=still_channels(values, strong, rate_hz),
-        corners_hz=np.maximum(np.array(_CORNERS) * lowest_hz, _LOWEST_CORNER / settings.pre_s),
-    )
+    record = make_record(values, t_ns, state.conditioner, (state.ground, state.ground_filter), strong, site)
     name = datetime.fromtimestamp(begin_ns // 10**9, UTC).strftime("%Y%m%dT%H%M%S") + f".{begin_ns // 10**7 % 100:02d}Z"
     return describe(
         record,
@@ -312,30 +299,8 @@ def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> E
         begin_ns=begin_ns,
         end_ns=end_ns,
         before_hz=mean_frequencies(before, site.modes_hz.size),
-        note=item.note,
+        note="; ".join(filter(None, (item.note, early))),
     )
-
-
-def _ground_of(state: EventState, first: int, end: int) -> Array | None:
-    """Interpolate the measured ground motion to the samples of the grid, shape (n,); None where it does not cover them."""
-    from scipy.interpolate import make_interp_spline  # takes a while to load
-
-    from monitor.events.motion import without_filter
-
-    if not state.ground or state.ground_filter is None:
-        return None
-    t_s, values = [], []
-    for piece in state.ground:
-        t_s.append((piece.t_ns - state.t0_ns) * 1e-9 + np.arange(piece.values.size) / piece.rate_hz)
-        values.append(piece.values)
-    wanted = np.arange(first, end) / state.rate_hz
-    at, index = np.unique(np.concatenate(t_s), return_index=True)
-    near = (at > wanted[0] - _SPLINE_S) & (at < wanted[-1] + _SPLINE_S)
-    at, moved = at[near], np.concatenate(values)[index][near]
-    if not at.size or at[0] > wanted[0] or at[-1] < wanted[-1]:
-        return None
-    moved = make_interp_spline(at, moved)(wanted)
-    return without_filter(moved[:, None], state.rate_hz, state.ground_filter)[:, 0]
 
 
 def _forget(state: EventState, site: Site) -> EventState:

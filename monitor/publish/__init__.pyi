@@ -1,10 +1,11 @@
 from .base import Publisher
 from .reports.diagnosis_report import write_report
+from .reports.event_report import EventPage, write_event
 from .reports.look_data import G_M_S2, LookedBand, LookedMode, LookedRecording
 from .reports.look_page import mode_rows, write_look
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
-from .results.event_lines import EVENTS, event_line, event_text
+from .results.event_lines import EVENTS, event_line, event_text, read_event, telling
 from .results.files import closed_files, month_file, pack_month, read_lines
 from .results.lines import (
     LinesFile,
@@ -28,6 +29,7 @@ __all__ = [
     "G_M_S2",
     "LINE_SCHEMA",
     "WINDOWS_SCHEMA",
+    "EventPage",
     "LinesFile",
     "LookedBand",
     "LookedMode",
@@ -48,14 +50,17 @@ __all__ = [
     "mode_rows",
     "month_file",
     "pack_month",
+    "read_event",
     "read_line",
     "read_lines",
     "read_period",
     "replay_text",
+    "telling",
     "to_json",
     "utc",
     "window_line",
     "windows_table",
+    "write_event",
     "write_look",
     "write_period",
     "write_report",

@@ -15,6 +15,7 @@ from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
 from .emulate import send_all
+from .event_page import page_of, read_event_line, write_event_page
 from .event_recordings import EventRecordings
 from .importers import import_files
 from .recordings import Progress, duration_s
@@ -42,11 +43,14 @@ __all__ = [
     "ledger_chain",
     "look",
     "open_viewer",
+    "page_of",
     "paper_tables",
+    "read_event_line",
     "replay",
     "reprocess",
     "require_stable",
     "send_all",
     "synthetic_recording",
     "warm_up",
+    "write_event_page",
 ]

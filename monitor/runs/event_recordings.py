@@ -1,10 +1,10 @@
-"""Recordings of events: the samples of each event as they came, in a file of its own."""
+"""Recordings of events: the samples of each event as they came, in a file of its own, with what the site's files say."""
 
 from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from drivers.base import SampleBlock
@@ -21,8 +21,12 @@ _MARGIN_S = 20.0
 """Data that are kept beyond the time before an event, since an event is recognized some seconds after it began. [s]"""
 
 
-def at_once(job: Callable[[], None]) -> None:
-    """Do a job now."""
+ABOUT = "event"
+"""Name of the metadata record of a recording. [name; definition]"""
+
+
+def at_once(_: str, job: Callable[[], None]) -> None:
+    """Do a job, which has a name, now."""
     job()
 
 
@@ -35,14 +39,30 @@ class EventRecordings:
         Folder of the results; the recordings go into its folder ``events``.
     settings : EventSettings
     run : callable
-        Does a job that writes a file, now or in another thread.
+        Does a job of some name that writes a file, now or in another thread.
+
+    Attributes
+    ----------
+    failed : str or None
+        Why the latest recording could not be written; None if it was.
     """
 
-    def __init__(self, out: Path, settings: EventSettings, run: Callable[[Callable[[], None]], None] = at_once) -> None:
+    dropped = 0  # a recording that cannot be written is told by `failed`
+
+    def __init__(
+        self, out: Path, settings: EventSettings, run: Callable[[str, Callable[[], None]], None] = at_once
+    ) -> None:
         self._out, self._settings, self._run = out, settings, run
+        self.failed: str | None = None
         self._blocks: deque[SampleBlock] = deque()
         self._bytes = sum(path.stat().st_size for path in (out / FOLDER).glob("*.mcap"))
         self._refused: set[str] = set()
+
+    @property
+    def reach_s(self) -> float:
+        """Length of data that an event may need, s."""
+        s = self._settings
+        return s.pre_s + s.longest_s + s.merge_s + s.post_s + _MARGIN_S
 
     def push(self, block: SampleBlock, *, active: bool) -> None:
         """Keep a block; without an event that goes on, only those that the next one may need."""
@@ -51,10 +71,11 @@ class EventRecordings:
         while not active and self._blocks[0].t_ns < block.t_ns - reach_ns:
             self._blocks.popleft()
 
-    def save(self, event: Event) -> str | None:
+    def save(self, event: Event, about: Mapping[str, str]) -> str | None:
         """Write the samples of an event's final line; return the file's name, or None where it has none.
 
-        Where the budget of ``[events] keep_gb`` is full, nothing is written, and a log line says so.
+        `about`, what the site's files say, is written into the file's metadata.  Where the budget of ``[events] keep_gb`` is
+        full, nothing is written, and a log line says so.
         """
         name = f"{FOLDER}/{event.id}.mcap"
         if event.revision is None or event.id in self._refused:
@@ -73,15 +94,17 @@ class EventRecordings:
                 for b in self._blocks
                 if b.t_ns + round(b.samples.shape[0] / b.sample_rate_hz * 1e9) >= first_ns and b.t_ns < last_ns
             ]
-            self._run(lambda: self._write(self._out / name, blocks))
+            self._run(name, lambda: self._write(self._out / name, blocks, about))
         return name
 
-    def _write(self, path: Path, blocks: list[SampleBlock]) -> None:
+    def _write(self, path: Path, blocks: list[SampleBlock], about: Mapping[str, str]) -> None:
         """Write blocks in the order of their times."""
         try:
-            with McapWriter(path) as file:
+            with McapWriter(path, {ABOUT: about}) as file:
                 for block in sorted(blocks, key=lambda b: b.t_ns):
                     file.write(block)
             self._bytes += path.stat().st_size
+            self.failed = None
         except OSError as error:
+            self.failed = f"{path}: {error.strerror}"
             _log.error("events: %s cannot be written: %s", path, error.strerror)

@@ -146,14 +146,27 @@ class Session:
         BadInputError
             If the pipeline refuses the block; the state of the session is then unchanged.
         """
+        going = bool(self.pipeline.state.events.strong)  # what this block ends is saved below, so it is kept until then
         results = self.pipeline.push(block)
         accepted(results)
         if self._recordings is not None:
-            self._recordings.push(block, active=bool(self.pipeline.state.events.strong))
+            self._recordings.push(block, active=going or bool(self.pipeline.state.events.strong))
         self._publish_findings(self.online_diagnosis.push(block))
         for result in results:
             self._publish(result)
         return results
+
+    @property
+    def longest_s(self) -> float:
+        """Length of data before a checkpoint that a diagnosis or an event after it may need, s."""
+        reach_s = 0.0 if self._recordings is None else self._recordings.reach_s
+        return max(self.online_diagnosis.longest_s, reach_s)
+
+    def keep_block(self, block: SampleBlock) -> None:
+        """Keep a block from before a checkpoint, which a diagnosis or an event after it may need."""
+        self.online_diagnosis.keep_block(block)
+        if self._recordings is not None:
+            self._recordings.push(block, active=True)
 
     def finish(self, stop: Callable[[], bool] = lambda: False) -> None:
         """Publish events that the end of the data cuts, and the last findings, waited for unless `stop` returns True."""
@@ -204,6 +217,12 @@ class Session:
         return assess(self._summary.course, self._known, findings, standing=present.active, whole=whole)
 
     @cached_property
+    def _about(self) -> dict[str, str]:
+        """Collect what the page of an event needs of the site's files."""
+        processing = self.config.processing.model_dump_json()
+        return {"site": to_json(self.pipeline.site.content()), "processing": processing}
+
+    @cached_property
     def _known(self) -> Known:
         """Collect what the state depends on and no window changes; the model is built for it, so once."""
         c, b = self.config, self._baseline
@@ -246,7 +265,10 @@ class Session:
             for publisher in self._publishers:
                 publisher.health(result)
         elif isinstance(result, Event):
-            recording = None if self._recordings is None else self._recordings.save(result)
+            recording = None if self._recordings is None else self._recordings.save(result, self._about)
+            if self._recordings is not None and recording is None and result.revision is not None:
+                full = "its samples are not kept: [events] keep_gb is full"
+                result = replace(result, note="; ".join(filter(None, (result.note, full))))
             line = to_json(event_line(result, recording))
             for publisher in self._publishers:
                 publisher.event(result, line)

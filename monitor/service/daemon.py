@@ -22,12 +22,22 @@ from typing import Any
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
 from monitor.config import configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
+from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, UserError, WindowResult
 from monitor.damage import Assessment, Baseline, load_baseline, outdated, utc
 from monitor.events import Event
 from monitor.pipeline import Result
 from monitor.publish import EVENTS, Publisher, current_alarm_line, episode_content, to_json
-from monitor.runs import EventRecordings, Progress, Session, duration_s, ledger, open_viewer, warm_up
+from monitor.runs import (
+    EventRecordings,
+    Progress,
+    Session,
+    duration_s,
+    ledger,
+    open_viewer,
+    page_of,
+    warm_up,
+    write_event_page,
+)
 from monitor.service import restart, systemd
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
@@ -122,6 +132,8 @@ class Daemon(Publisher):
             self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
             for outlet in self._outlets:
                 undo.callback(outlet.close, _END_S)
+                if self._events.last is not None:
+                    outlet.known_event(self._events.last)
             self._requests = RequestHandler(
                 self._outlets, self.out / ledger.LEDGER, self._chores, self._keeper, self._history, clock
             )
@@ -139,8 +151,10 @@ class Daemon(Publisher):
         settings = self.settings
         # Lines are written by a thread that waits for no fsync, so that health.jsonl can say that the others wait for one.
         self._chores, self._line_writer = Chores(), Chores("lines")
+        self._event_writer = Chores("events")  # a page takes a second or two, for which no other file waits
         undo.callback(self._chores.close, _END_S)
         undo.callback(self._line_writer.close, _END_S)
+        undo.callback(self._event_writer.close, _END_S)
         later = self._line_writer.do
         try:
             results, by_month = self.out / "results.jsonl", settings.output.pack_months
@@ -169,9 +183,15 @@ class Daemon(Publisher):
             undo.callback(self._view.close, _END_S)
         publishers = (self,) if self._view is None else (self, self._view)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-        recordings = EventRecordings(self.out, settings.events, partial(self._chores.do, "events"))
+        self._event_recordings = EventRecordings(self.out, settings.events, self._event_writer.do)
         self._begin = partial(
-            Session, settings, healthy, publishers, (self._path, healthy_path), findings, recordings=recordings
+            Session,
+            settings,
+            healthy,
+            publishers,
+            (self._path, healthy_path),
+            findings,
+            recordings=self._event_recordings,
         )
         spans = settings.processing.hop_s, settings.health.span_s
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
@@ -249,8 +269,18 @@ class Daemon(Publisher):
                 return
         elif not self._events.write_event(event.id, event.revision, line):
             return
+        else:
+            # After the job that writes its recording, in the same thread.
+            self._event_writer.do(f"page {event.id}", partial(self._write_page, event.id, line))
         for outlet in self._outlets:
             outlet.event(event, line)
+
+    def _write_page(self, id: str, line: str) -> None:
+        """Write the page of an event beside its recording (in the thread of events)."""
+        try:
+            write_event_page(self.out, json.loads(line), page_of(self.out, id))
+        except (UserError, OSError) as error:
+            _log.error("%s: the page of event %s is not written: %s", self.out, id, error)
 
     def gap(self, gap: Gap) -> None:
         """Store and publish a gap in the data."""
@@ -287,6 +317,7 @@ class Daemon(Publisher):
         self._line_writer.do("free space", self._vitals.look_at_disk)
         line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
         line["ledger_head"] = self._requests.head
+        line["web"] = next((outlet.url for outlet in self._outlets if outlet.url), None)
         for name in line["failed"].keys() - self._failed:
             _log.warning("blocked: %s: %s", name, line["failed"][name])
         self._failed = set(line["failed"])
@@ -448,6 +479,8 @@ class Daemon(Publisher):
         own |= {
             "results.jsonl": self._lines,
             EVENTS: self._events,
+            "events": self._event_recordings,
+            "pages of events": self._event_writer,
             "health.jsonl": self._health_lines,
             "summary.json": self._chores,
         }
@@ -464,6 +497,7 @@ class Daemon(Publisher):
         self._write_summary()
         self._history.close(self._share_s())
         self._line_writer.close(self._share_s())
+        self._event_writer.close(self._share_s())
         for lines in (self._lines, self._events, self._health_lines):
             self._chores.do(f"close {id(lines)}", lines.close)
         for outlet in reversed(self._outlets):

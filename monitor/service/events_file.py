@@ -19,6 +19,11 @@ class EventsFile(AppendedLines):
     run : callable
         As of `AppendedLines`.
 
+    Attributes
+    ----------
+    last : str or None
+        The last line that an earlier run wrote.
+
     Raises
     ------
     OSError
@@ -28,10 +33,12 @@ class EventsFile(AppendedLines):
     def __init__(self, path: Path, run: Callable[[Callable[[], None]], None]) -> None:
         super().__init__(path, run=run)
         self._written: set[tuple[str, int]] = set()
+        self.last: str | None = None
         for text in path.read_bytes().splitlines():
             try:
                 line = parse_json(text)
                 self._written.add((line["id"], line["revision"]))
+                self.last = text.decode()
             except (ValueError, KeyError, TypeError):  # a line that a crash cut is written again
                 continue
 

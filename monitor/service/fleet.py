@@ -21,7 +21,7 @@ from drivers.zenoh_session import Key, SessionSettings, leave, open_session
 from monitor.config import read_toml
 from monitor.core import BadConfigurationError, MissingInputError, Settings, settings_problems
 from monitor.damage import Assessment, State, outdated
-from monitor.service.status import ALARM, HEALTHY, TROUBLE, exit_code, read_assessment
+from monitor.service.status import ALARM, HEALTHY, TROUBLE, exit_code, last_event, read_assessment
 
 _MOST_BYTES = 1 << 20
 """Largest accepted answer of one monitor."""
@@ -70,6 +70,8 @@ class SiteStatus:
     """End of the latest window, UTC, ns since 1970."""
     silent_s: float | None = None
     """Time since the monitor's latest health line."""
+    event: str = ""
+    """The last event: when, the verdict, and the largest drift; empty where there was none."""
 
     @property
     def says(self) -> str:
@@ -211,6 +213,7 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
         frequency_hz=None if frequencies[0] is None else float(frequencies[0]),
         t_end_ns=result.get("t_end_ns") and int(result["t_end_ns"]),
         silent_s=quiet_s,
+        event=last_event(answer.get("event"))[:_MOST_TEXT],
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from monitor.publish import utc
 from monitor.service.fleet import SiteStatus
 
-_HEAD = ("site", "state", "largest loss", "first mode", "window until", "says")
+_HEAD = ("site", "state", "largest loss", "first mode", "window until", "last event", "says")
 
 
 def cells(status: SiteStatus) -> tuple[str, ...]:
@@ -21,7 +21,7 @@ def cells(status: SiteStatus) -> tuple[str, ...]:
     )
     mode = "" if status.frequency_hz is None else f"{status.frequency_hz:.4g} Hz"
     until = "" if status.t_end_ns is None else str(utc(status.t_end_ns).astype("datetime64[s]"))
-    return status.site, status.state.words, loss, mode, until, status.says
+    return status.site, status.state.words, loss, mode, until, status.event, status.says
 
 
 def text(statuses: Sequence[SiteStatus]) -> str:

@@ -217,13 +217,13 @@ class Checkpointer:
     def _catch_up(self, session: Session, saved: Saved) -> None:
         """Restore the checkpoint and process the blocks recorded since.
 
-        Blocks from shortly before the checkpoint are kept for the online diagnosis, which may need them.
+        Blocks from shortly before the checkpoint are kept for diagnoses and events, which may need them.
         """
         folder, restored = self._out / "recordings", False
-        from_ns = max(0, saved.stamp_ns - round(session.online_diagnosis.longest_s * 1e9))
+        from_ns = max(0, saved.stamp_ns - round(session.longest_s * 1e9))
         for stamp_ns, block in recorded(folder, from_ns) if self._config.recorder.enabled else ():
             if stamp_ns <= saved.stamp_ns:
-                session.online_diagnosis.keep_block(block)
+                session.keep_block(block)
                 continue
             if not restored:
                 session.restore(saved.session)

@@ -95,6 +95,7 @@ def look(out: Path) -> dict[str, Any]:
         "silent_s": age_s,
         "summary": summary,
         "health": health,
+        "web": (health or {}).get("web") if is_running else None,
         "result": result,
         "event": _last_line(out / EVENTS, _read_event),
         "ledger_head": ledger_chain.read_head(out / ledger.LEDGER),
@@ -139,7 +140,7 @@ def exit_code(state: State, troubles: Collection[str]) -> int:
 
 
 def tell(status: dict[str, Any]) -> str:
-    """Format the status of a daemon in ten lines, and one of doubts where there are any; the state stands first."""
+    """Format the status of a daemon in ten lines, the state first; doubts and the page's address have one more each."""
     summary, health, result = (status[k] or {} for k in ("summary", "health", "result"))
     source, recorder, quality = (
         d or {} for d in (health.get("source"), health.get("recorder"), summary.get("quality"))
@@ -156,9 +157,10 @@ def tell(status: dict[str, Any]) -> str:
         "alarm": lambda: name_stories(_alarm(summary.get("alarm"), result), _names(summary)) + _reference(result)[1],
         "recorder": lambda: _recorder(recorder, health),
         "findings": lambda: _findings(summary.get("findings") or []),
-        "event": lambda: _event(status["event"]),
+        "event": lambda: last_event(status["event"]) or "none",
+        "web": lambda: str(status["web"]),
     }
-    rows = [(name, _readable(make)) for name, make in makers.items() if name != "doubts" or status["doubts"]]
+    rows = [(n, _readable(make)) for n, make in makers.items() if n not in {"doubts", "web"} or status.get(n)]
     return "\n".join(f"{name:<9} {text}" for name, text in rows)
 
 
@@ -212,10 +214,10 @@ def _read_event(text: bytes) -> dict[str, Any]:
     return line
 
 
-def _event(event: Mapping[str, Any] | None) -> str:
-    """State the last event: when, the verdict, and the largest drift."""
+def last_event(event: Mapping[str, Any] | None) -> str:
+    """State an event by its line: when, the verdict, and the largest drift; empty where there was none."""
     if event is None:
-        return "none"
+        return ""
     drifts = [(value, j) for j, value in enumerate(event["drift_peak_m"], 1) if value is not None]
     largest = f"; largest drift {1e3 * max(drifts)[0]:.3g} mm in story {max(drifts)[1]}" if drifts else ""
     return f"{event['id']}: {event['verdict'] or 'no limit was judged'}{largest}"

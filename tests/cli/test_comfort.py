@@ -116,6 +116,9 @@ def test_progress_is_for_terminals_only(site: Path, main: Cli) -> None:
         (["view", "s.toml", "--port", "8000"], 2, "--web"),
         (["replay", "nowhere.mcap", "--structure", "s.toml", "--out", "o"], 66, "nowhere.mcap"),
         (["report", ".", "--out", "x.html"], 66, "replay --out"),
+        (["report", "."], 2, "--out"),
+        (["report", ".", "--event", "last"], 66, "replay --out"),
+        (["report", ".", "--event", "last", "--from", "2026-01-01"], 2, "--from"),
     ],
 )
 def test_errors_name_the_mend(site: Path, main: Cli, arguments: list[str], code: int, mend: str) -> None:

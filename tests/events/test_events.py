@@ -134,6 +134,27 @@ def test_a_weak_quake_at_six_times_the_ambient_motion_is_recognized() -> None:
         assert [e.revision for e in found] == [None, 0], seed
 
 
+def test_the_beginning_of_ambient_motion_is_no_event() -> None:
+    """Of a frame at rest, which its forces then fill with motion, and of one that moves already; 20 seeds of each."""
+    for seed in range(20):
+        rng = np.random.default_rng(100 + seed)
+        first, state = shake(np.zeros(round(70.0 * RATE)), rng)
+        second, _ = shake(np.zeros(round(70.0 * RATE)), rng, start=state)
+        for motion in (first, second):
+            assert not events(run(configuration(), blocks(motion, with_ground=False, n=1000))), seed
+
+
+def test_an_event_after_ten_seconds_of_quiet_is_told_and_skips_no_window() -> None:
+    """So begins the recording of a test, and its windows are what the user wants to see."""
+    motion = shake(ground(160.0, (12.0, 1.0, 3)), np.random.default_rng(4))[0]
+    results = run(configuration(**WINDOWS), blocks(motion, n=500))
+    told = events(results)
+    assert [e.revision for e in told] == [None, 0] and "s of motion before it are known" in told[1].note
+    assert told[1].drift_m == pytest.approx(true_drifts(motion, told[1]), rel=0.05)
+    reasons = [w.skipped.reason for w in results if isinstance(w, WindowResult) and w.skipped is not None]
+    assert not any("strong motion" in reason for reason in reasons)
+
+
 def test_windows_that_hold_an_event_are_skipped_by_name() -> None:
     motion = shake(ground(420.0, (80.0, 1.0, 3)), np.random.default_rng(4))[0]
     results = run(configuration(**WINDOWS), blocks(motion, n=500))

@@ -6,7 +6,8 @@ The user's own download of the data (nonlinearbenchmark.org) is read; it is no p
 taken for a displacement in m, differentiated twice in the frequency domain and stretched in time ten times, so that the
 circuit is a structure of 1 kg at 6.83 Hz.  Its forces end at 20 Hz (multisine) or fall from 18 Hz on (arrow).  Input and output
 together give k3 / k = 3.98 per square meter.  With ``--input`` the input voltage is the measured force, in N by the static
-compliance of the quietest samples; then the output of the arrow is predicted from its input and the extended structure.
+compliance of the quietest samples; then the output of the arrow is predicted from its input and the structure file that
+``diagnose`` writes.
 
 References
 ----------
@@ -27,7 +28,7 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, FORCE, SampleBlock
 from monitor.config.configuration import Configuration
-from monitor.diagnosis import content, fitted_model
+from monitor.diagnosis import content, fitted_model, structure_text
 from monitor.inference.segments import gather
 from monitor.model import Model
 from monitor.runs import diagnose
@@ -42,14 +43,12 @@ RATIO = 3.98
 DRAWN_HZ = 6.8
 FINER = 16
 """Steps of the integration for a sample."""
-
-
 QUIET = slice(4_000, 12_000)
 """Samples of the arrow at a low level."""
 
 
-def drawing(cutoff_hz: float, *, with_input: bool) -> Configuration:
-    """Make the structure file: one mass on one spring."""
+def drawing(cutoff_hz: float, *, with_input: bool) -> str:
+    """Write the structure file: one mass on one spring."""
     stiffness = (2.0 * np.pi * DRAWN_HZ) ** 2
     text = f"""
     [structure]
@@ -71,6 +70,11 @@ def drawing(cutoff_hz: float, *, with_input: bool) -> Configuration:
     """
         * with_input
     )
+    return text
+
+
+def read_back(text: str) -> Configuration:
+    """Read a structure file."""
     return Configuration.model_validate(tomllib.loads(text))
 
 
@@ -125,7 +129,8 @@ def main() -> None:
     u, y = voltages(options.file)
     part, force = PARTS[options.part], newton_per_volt(u, y) * u
     for cutoff_hz in options.cutoff:
-        config = drawing(cutoff_hz, with_input=options.input)
+        drawn = drawing(cutoff_hz, with_input=options.input)
+        config = read_back(drawn)
         blocks: list[SampleBlock] = [
             *cut_into_blocks(ACCELERATION, acceleration(y)[part, None], config.channels, RATE_HZ, 10**18, 512)
         ]
@@ -154,7 +159,8 @@ def main() -> None:
         if options.input:
             arrow = PARTS["arrow"]
             for name, fit in (("updated", found.null_fit), ("extended", found.final_fit)):
-                error = predicted(force[arrow], fitted_model(found.posterior, fit)) - y[arrow]
+                written = structure_text(drawn, fitted_model(found.posterior, fit))
+                error = predicted(force[arrow], read_back(written).model()) - y[arrow]
                 print(f"  arrow predicted by the {name} structure: RMSE {1e3 * np.sqrt(np.mean(error**2)):.2f} mV")
 
 

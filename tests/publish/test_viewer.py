@@ -50,6 +50,7 @@ from monitor.publish.viewer.state import StateDrawing
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
 from monitor.signals.sensor_health import ChannelHealth, Health
 from tests.examples.beam import bridge
+from tests.publish.test_event_report import told as shaken_event
 
 T0 = 1_772_359_200_000_000_000
 SCENE = Scene(
@@ -463,6 +464,19 @@ def test_sensors_clocks_and_verdicts_are_shown(tmp_path: Path) -> None:
     text = found["/verdict"][at][0]
     assert all(words in text for words in ("ambiguous", "story 1 or 2", "push each"))
     assert found["/trust/misfit/line"][window(0).t_end_ns] == [1.5]
+
+
+def test_an_event_stands_in_the_log_and_its_drifts_on_the_timeline(tmp_path: Path) -> None:
+    event, _, _ = shaken_event()
+    publisher = RerunPublisher(SCENE, file=tmp_path / "r.rrd", serve=None, lossless=True)
+    publisher.event(event, "")
+    publisher.close()
+    assert publisher.failed is None
+    content = read(tmp_path / "r.rrd")
+    for j in range(3):
+        assert content[f"/drift/story_{j + 1}"] == {event.end_ns: [pytest.approx(1e3 * event.drift_m[j])]}
+    ((text,),) = [content["/events"][event.end_ns]]
+    assert "strong motion (measured)" in text and event.id in text
 
 
 def test_a_covariate_is_shown_beside_the_range_that_was_learned(tmp_path: Path) -> None:

@@ -48,6 +48,13 @@ def test_a_site_that_is_well_says_its_largest_loss_and_first_mode() -> None:
     assert told() == wanted and wanted.content["says"] == WELL["headline"] and code([wanted]) == 0
 
 
+def test_the_last_event_is_shown_with_its_verdict() -> None:
+    event = {"id": "20260101T000319.97Z", "verdict": "inspect it", "drift_peak_m": [None, 0.0048]}
+    found = told(event=event)
+    assert found.event == "20260101T000319.97Z: inspect it; largest drift 4.8 mm in story 2"
+    assert found.event in text([found]) and told(event=None).event == ""
+
+
 def test_an_alarm_is_said_with_its_stories() -> None:
     found = told(**LOST, alarm={"level": "warning", "active": {"2": "warning"}, "reason": "story 2 lost 20 %"})
     assert (found.state, found.stories, found.says) == (State.WARNING, (2,), LOST["headline"])

@@ -13,6 +13,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from monitor.service.outlets import http_server
-from monitor.service.outlets.http_server import HttpServer
+from monitor.service.outlets.http_server import Bounds, HttpServer, wsgi
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 
 PAGE = b"x" * 1000
@@ -49,7 +50,7 @@ def application(environment: dict[str, Any], start: Callable[[str, list[tuple[st
 
 @pytest.fixture
 def server() -> Iterator[HttpServer]:
-    one = HttpServer("127.0.0.1", 0, application)
+    one = HttpServer("127.0.0.1", 0, wsgi(application))
     yield one
     one.close(5.0)
     assert not any(t.name == "http" for t in threading.enumerate())
@@ -99,7 +100,7 @@ def test_hundreds_of_half_requests_cost_no_thread_and_shut_out_nobody(server: Ht
         assert fetch(server.port) == PAGE
         assert threading.active_count() == threads
         ours = len(os.listdir("/proc/self/fd")) - handles - len(held)
-        assert ours <= http_server._MAX_CONNECTIONS + 1
+        assert ours <= server._bounds.connections + 1
     finally:
         for one in held:
             one.close()
@@ -107,7 +108,7 @@ def test_hundreds_of_half_requests_cost_no_thread_and_shut_out_nobody(server: Ht
 
 @pytest.mark.parametrize("how", ["silent", "drips", "reads slowly"])
 def test_a_connection_has_one_time_limit_in_all(server: HttpServer, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_server, "_CONNECTION_S", 0.5)
+    monkeypatch.setattr(server, "_bounds", replace(server._bounds, connection_s=0.5))
     ended = threading.Event()
     with connect(server.port, b"GET /long HTTP/1.1\r\n\r\n" if how == "reads slowly" else b"GET ") as one:
 
@@ -148,11 +149,28 @@ def test_what_is_no_request_is_closed_and_an_error_is_one_line(
 
 
 def test_requests_are_taken_no_faster_than_they_may_cost(server: HttpServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_server, "_MAX_PER_S", 10)
+    monkeypatch.setattr(server, "_bounds", replace(server._bounds, per_s=10))
     begun = time.monotonic()
     for _ in range(6):
         fetch(server.port)
     assert time.monotonic() - begun > 0.35
+
+
+def test_costly_answers_take_a_share_of_a_core_and_the_next_waits() -> None:
+    def costly(environment: dict[str, Any], start: Callable[[str, list[tuple[str, str]]], object]) -> Iterable[bytes]:
+        until = time.thread_time() + 0.05
+        while time.thread_time() < until:
+            pass
+        return application(environment, start)
+
+    one = HttpServer("127.0.0.1", 0, wsgi(costly), bounds=Bounds(per_s=1000.0, share=0.2))
+    try:
+        begun = time.monotonic()
+        for _ in range(5):
+            assert fetch(one.port) == PAGE
+        assert time.monotonic() - begun > 3 * 0.05 / 0.2
+    finally:
+        one.close(5.0)
 
 
 def test_no_room_for_a_connection_is_one_line_and_passes(

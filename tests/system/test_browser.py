@@ -21,6 +21,7 @@ from monitor.publish.reports.diagnosis_report import write_report
 from monitor.publish.reports.period_report import read_period, write_period
 from monitor.publish.viewer.publisher import RerunPublisher
 from tests.publish.test_diagnosis_report import LOSS, searched
+from tests.publish.test_event_report import page, told
 from tests.publish.test_period_report import json_lines, line_of
 from tests.publish.test_viewer import SCENE, window
 from tests.support.debian import demand
@@ -68,7 +69,11 @@ def write_diagnosis_report(folder: Path) -> None:
     write_report(folder / "r.html", case.diagnosis, case.content, case.segments)
 
 
-@pytest.mark.parametrize("write", [write_period_report, write_diagnosis_report])
+def write_event_report(folder: Path) -> None:
+    (folder / "r.html").write_text(page(*told()))
+
+
+@pytest.mark.parametrize("write", [write_period_report, write_diagnosis_report, write_event_report])
 def test_a_report_is_read_on_a_telephone_without_scrolling_sideways(
     write: Callable[[Path], None], tmp_path: Path
 ) -> None:

@@ -34,6 +34,13 @@ ul.doubts li { margin: .2rem 0 .2rem .6rem; } ul.doubts:empty { display: none; }
 .figures { display: flex; flex-wrap: wrap; gap: .6rem 2.4rem; margin: 1rem 0; }
 .figures div { font-size: .87rem; color: var(--muted); max-width: 19rem; }
 .figures b { display: block; font-size: 1.15rem; white-space: nowrap; color: var(--ink); }
+.long td:last-child { overflow-wrap: anywhere; }
+.stories { margin: .8rem 0; border-bottom: 4px solid var(--ink); max-width: 60rem; }
+.stories div { display: grid; grid-template-columns: 9rem 1fr; gap: .8rem; align-items: center; margin-bottom: 2px; }
+.stories b { padding: .4rem .7rem; color: #fff; background: #68717d; } .stories .beyond { background: #c2352b; }
+.stories .within { background: #2c7d46; }
+.signs { display: grid; grid-template-columns: 2fr 1fr 1fr; gap: 1.5rem; break-inside: avoid; }
+.sign { margin-top: 3.2rem; border-top: 1px solid var(--ink); color: var(--muted); font-size: .87rem; }
 .pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1rem; } .key { font-weight: 600; white-space: nowrap; }
 @media screen and (max-width: 640px) { h1 { font-size: 1.3rem; } .pair { grid-template-columns: 1fr; }
   body { margin: 1rem auto; } table { width: 100%; } td, th { padding-right: .6rem; } td.t, th.n { white-space: normal; }

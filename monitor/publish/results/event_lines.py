@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from monitor.core import Array
-from monitor.events import Event, FloorMotion
+from monitor.events import Event, FloorMotion, Spectrum
 
 EVENTS = "events.jsonl"
 """File of the events, beside results.jsonl. [name; contract]"""
@@ -57,6 +58,48 @@ def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
     }
 
 
+def read_event(line: Mapping[str, Any]) -> Event:
+    """Read an event from its line of events.jsonl; NaN for what cannot be said.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        It is no line of an event.
+    """
+    n = len(line["drift_peak_m"])
+    spectrum, ratio = line["spectrum"], line["drift_ratio_peak"]
+    return Event(
+        id=str(line["id"]),
+        revision=line["revision"],
+        begin_ns=int(line["t_begin_ns"]),
+        end_ns=int(line["t_end_ns"]),
+        floors=tuple(_read_motion(f) for f in line["floors"]),
+        ground=None if line["ground"] is None else _read_motion(line["ground"]),
+        spectrum=None
+        if spectrum is None
+        else Spectrum(_array(spectrum["period_s"]), _array(spectrum["pseudo_acceleration_m_s2"])),
+        instrumental_intensity=line["instrumental_intensity"],
+        corner_hz=float(line["drift_corner_hz"]),
+        drift_m=_array(line["drift_peak_m"]),
+        drift_std_m=_array(line["drift_peak_std_m"]),
+        drift_ratio=_array([None] * n if ratio is None else ratio),
+        before_hz=_array(line["frequencies_before_hz"]),
+        during_hz=_array(line["frequencies_during_hz"]),
+        after_hz=_array(line["frequencies_after_hz"]),
+        loss=_array(line["loss"]),
+        loss_std=_array(line["loss_std"]),
+        verdict=line["verdict"],
+        exceeded=tuple(line["exceeded"]),
+        note=str(line["note"]),
+    )
+
+
+def telling(event: Event) -> str:
+    """Say which telling of an event this is, and its id."""
+    told = {None: "preliminary", 0: "measured", 1: "lasting loss"}
+    return f"strong motion ({told[event.revision]}), {event.id}"
+
+
 def event_text(event: Event) -> str:
     """Tell an event in one sentence, as for a message.
 
@@ -71,14 +114,28 @@ def event_text(event: Event) -> str:
         parts.append(f"ground {event.ground.peak_m_s2:.2g} m/s^2")
     if np.isfinite(event.drift_m).any():
         j = int(np.nanargmax(event.drift_m))
-        std = f" ± {2e3 * event.drift_std_m[j]:.2g}" if math.isfinite(event.drift_std_m[j]) else ""
-        parts.append(f"largest drift {1e3 * event.drift_m[j]:.3g}{std} mm in story {j + 1}")
+        drift = with_interval(1e3 * event.drift_m[j], 2e3 * event.drift_std_m[j])
+        parts.append(f"largest drift {drift} mm in story {j + 1}")
     if np.isfinite(event.loss).any():
         j = int(np.nanargmax(event.loss))
-        lost, std = 100.0 * event.loss[j], 200.0 * event.loss_std[j]
-        parts.append(f"largest lasting loss {lost:.2g} ± {std:.2g} % of stiffness in story {j + 1}")
+        lost = with_interval(100.0 * event.loss[j], 200.0 * event.loss_std[j])
+        parts.append(f"largest lasting loss {lost} % of stiffness in story {j + 1}")
     text = "; ".join(parts)
     return text[0].upper() + text[1:] + "."
+
+
+def with_interval(value: float, half: float) -> str:
+    """Write a number with what lies on either side of it, to two digits of that; to three digits where that is not known.
+
+    Examples
+    --------
+    >>> with_interval(7.5931, 0.1296), with_interval(-0.004, 1.3), with_interval(123.4, 25.0), with_interval(2.0, math.nan)
+    ('7.59 ± 0.13', '0.0 ± 1.3', '123 ± 25', '2')
+    """
+    if not math.isfinite(half) or half <= 0.0:
+        return f"{value:.3g}"
+    digits = max(0, 1 - math.floor(math.log10(half)))
+    return f"{round(value, digits) + 0.0:.{digits}f} ± {half:.{digits}f}"  # never -0
 
 
 def _motion(floor: FloorMotion) -> dict[str, Any]:
@@ -91,6 +148,17 @@ def _motion(floor: FloorMotion) -> dict[str, Any]:
         "arias_m_s": _number(floor.arias_m_s),
         "cav_m_s": _number(floor.cav_m_s),
     }
+
+
+def _read_motion(content: Mapping[str, Any]) -> FloorMotion:
+    """Read the motion of one channel."""
+    numbers = ("peak_m_s2", "rms_m_s2", "peak_m_s", "arias_m_s", "cav_m_s")
+    return FloorMotion(content["channel"], *_array([content[name] for name in numbers]).tolist())
+
+
+def _array(values: Sequence[float | None]) -> Array:
+    """Make an array of numbers; NaN for None."""
+    return np.array([np.nan if v is None else float(v) for v in values])
 
 
 def _numbers(values: Array) -> list[float | None]:

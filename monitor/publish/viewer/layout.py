@@ -14,6 +14,8 @@ _DISTANCE_TO_WIDTH, _DISTANCE_TO_HEIGHT = 0.7, 0.95
 """Distance of the eye over width and height of what it sees. [ratio; the viewer's angle of view]"""
 _MODES_IN_A_COLUMN = 3
 """Most modes whose frequencies are drawn below each other. [count; judgement]"""
+DRIFT = "/drift"
+"""Entity of the stories' largest drifts in events. [path; definition]"""
 ALL_TIME = rrb.TimeAxis(
     view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
 )
@@ -91,6 +93,7 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
         rrb.Tabs(
             _plot("/ddi", f"Stiffness lost {since} (DDI), %"),
             _plot("/stiffness", "Stiffness, N/m"),
+            _plot(DRIFT, "Events: largest drift, mm"),
             active_tab=0 if scene.has_baseline else 1,
         ),
         rrb.StateTimelineView(origin="/state", contents="/state", name="State over time", time_view=ALL_TIME),

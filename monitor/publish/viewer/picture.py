@@ -9,7 +9,10 @@ import rerun as rr
 
 from monitor.core import Gap, ModalEstimate, Samples, StiffnessEstimate, WindowResult
 from monitor.damage import LEVEL, Assessment, drift_m, is_seen
-from monitor.publish.viewer.layout import blueprint
+from monitor.events import Event
+from monitor.publish.results.event_lines import event_text as words_of
+from monitor.publish.results.event_lines import telling
+from monitor.publish.viewer.layout import DRIFT, blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
 from monitor.publish.viewer.rows import Rows, Strips, ui_radius
 from monitor.publish.viewer.scene import (
@@ -34,7 +37,7 @@ from monitor.publish.viewer.thinning import Thinning
 from monitor.publish.viewer.trust import TrustDrawing
 from monitor.signals import Health
 
-Item = Samples | WindowResult | Gap | Health | Clocks | Assessment | dict[str, Any]
+Item = Samples | WindowResult | Gap | Health | Clocks | Assessment | Event | dict[str, Any]
 """Items that can be drawn; a dict is a finding."""
 
 
@@ -76,6 +79,8 @@ class ResultDrawing:
         for i, name in enumerate(self._scene.story_names):
             for entity in ("ddi", "stiffness"):
                 self._style(f"/{entity}/story_{i + 1}", [name] * 3, i)
+            marks = rr.SeriesPoints(names=[name], colors=[SERIES[i % len(SERIES)]], marker_sizes=[5.0])
+            self._stream.log(f"{DRIFT}/story_{i + 1}", marks, static=True)
         for i in range(self._scene.n_modes):
             for entity in ("frequency", "change", "damping"):
                 self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
@@ -119,6 +124,8 @@ class ResultDrawing:
             self._trust.finding(item)
         elif isinstance(item, Gap):
             self.gap(item)
+        elif isinstance(item, Event):
+            self.event(item)
         else:
             self.window(item)
         if isinstance(item, Health | WindowResult):
@@ -177,6 +184,14 @@ class ResultDrawing:
         self._event(gap.t_ns, f"gap of {gap.duration_s:.3g} s: {gap.reason}", rr.TextLogLevel.WARN)
         for channel in self._scene.channels:
             self._stream.log(self._stream_path(channel), rr.Scalars(np.nan))
+
+    def event(self, event: Event) -> None:
+        """Write an event into the log, and draw the largest drift of each story at its end."""
+        self._set_time(event.end_ns)
+        level = rr.TextLogLevel.WARN if event.exceeded else rr.TextLogLevel.INFO
+        self._event(event.end_ns, f"{telling(event)}: {words_of(event)}", level)
+        for j in np.flatnonzero(np.isfinite(event.drift_m)):
+            self._stream.log(f"{DRIFT}/story_{j + 1}", rr.Scalars(1e3 * event.drift_m[j]))
 
     def window(self, result: WindowResult) -> None:
         """Draw the result of one window at the window's end."""

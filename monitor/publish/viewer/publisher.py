@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.base import ClockHealth
 from monitor.core import Gap, Samples, WindowResult
 from monitor.damage import Assessment
+from monitor.events import Event
 from monitor.publish.base import Publisher
 from monitor.publish.viewer.queue import Worker
 from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Clocks, Scene
@@ -66,6 +67,10 @@ class RerunPublisher(Publisher):
     def window(self, result: WindowResult, line: str) -> None:
         """Publish the result of a window."""
         self._worker.put(result)
+
+    def event(self, event: Event, line: str) -> None:
+        """Publish what is told of an event."""
+        self._worker.put(event)
 
     def gap(self, gap: Gap) -> None:
         """Publish that samples are missing."""

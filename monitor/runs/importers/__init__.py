@@ -1,4 +1,4 @@
-"""Imports foreign data as recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, CAN logs."""
+"""Imports foreign data as recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, CAN logs, MiniSEED, K-NET."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.base import ACCELERATION, FORCE, GROUND, UNIT_OF, RecordingError, S
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError, MissingInputError
-from monitor.runs.importers import can_log, csv_table, npz, xsens_dot
+from monitor.runs.importers import can_log, csv_table, npz, seismic, xsens_dot
 from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, join_tables, sample_numbers, unit_factor
 
 __all__ = ["import_files"]
@@ -40,6 +40,8 @@ def import_files(
     forces: dict[str, str] | None = None,
     start_ns: int | None = None,
     dbc: Path | None = None,
+    scale: float | None = None,
+    inventory: Path | None = None,
     on_warning: OnWarning = lambda _: None,
 ) -> RecordingInfo:
     """Write the readings of `files` as one recording, and return the content of the recording.
@@ -65,6 +67,10 @@ def import_files(
         UTC of the first sample, ns since 1970; by default the time stated in a file, or 1970.
     dbc
         DBC file that describes the frames of CAN logs.
+    scale
+        m/s^2 of a count of MiniSEED.
+    inventory
+        StationXML with the sensitivities of MiniSEED.
     on_warning
         Shows a warning to the user.
 
@@ -89,6 +95,8 @@ def import_files(
         raise BadInputError(f"--rate {rate_hz}: must be a positive number of Hz")
     if unit_factor(unit) is None:
         raise BadInputError(f"--unit {unit!r}: known for acceleration: {', '.join(UNITS)}")
+    if scale is not None and not (np.isfinite(scale) and scale != 0.0):
+        raise BadInputError(f"--scale {scale}: must be a number of m/s^2 a count, not 0")
     try:
         if any(map(can_log.is_log, files)):
             can_log.check_options(files, dbc, channels or forces, ground, start_ns)
@@ -96,7 +104,7 @@ def import_files(
             return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
         if dbc is not None:
             raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
-        tables, clock = join_tables([_load_table(path, on_warning) for path in files], on_warning)
+        tables, clock = join_tables([_load_table(path, on_warning, scale, inventory) for path in files], on_warning)
         pushed = {name: _find_column(tables, reference) for name, reference in (forces or {}).items()}
         chosen, base = _choose_columns(tables, channels, ground, list(pushed.values()))
         rate, numbers = _timing(tables, clock, rate_hz, on_warning)
@@ -129,7 +137,7 @@ def _warn_of_missing(samples: Array, numbers: Ticks, rate_hz: float, on_warning:
         on_warning(f"{gaps} {'gap' if gaps == 1 else 'gaps'} between samples: {lost / rate_hz:.6g} s are missing")
 
 
-def _load_table(path: Path, on_warning: OnWarning) -> Table:
+def _load_table(path: Path, on_warning: OnWarning, scale: float | None, inventory: Path | None) -> Table:
     """Read a file, detect its format by its content, and convert it to a table."""
     try:
         if not path.is_file():
@@ -141,6 +149,10 @@ def _load_table(path: Path, on_warning: OnWarning) -> Table:
         raise BadInputError(f"{path}: is a CAN log; name it with the suffix .blf")
     if raw.startswith(MAGIC):
         raise BadInputError(f"{path}: is an MCAP recording already; use it as it is")
+    if seismic.is_seismic(raw):
+        return _require_samples(seismic.to_table(path, raw, _most_unpacked(raw), scale, inventory))
+    if scale is not None or inventory is not None:
+        raise BadInputError(f"{path}: --scale and --inventory are for MiniSEED; this is none")
     if raw.startswith(b"PK\x03\x04"):
         members = _zip_members(path, raw)
         if all(name.endswith(".npy") for name in members):

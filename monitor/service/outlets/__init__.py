@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, cast
 
 from pydantic import BaseModel, ValidationError
 
-from monitor.config import Configuration
+from monitor.config import Configuration, security_check
 from monitor.core import BadConfigurationError, settings_problems
 from monitor.service.outlets.base import Outlet as Outlet
 from monitor.service.outlets.inbox import Inbox
@@ -46,6 +47,7 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
         _maker("zenoh", config.output.zenoh, _zenoh, folder, problems),
         _maker("metrics", config.output.metrics, _metrics, folder, problems),
     ]
+    page = _web(config, folder, problems)
     settings, to = _notify(config, folder, problems)
     if problems:
         raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
@@ -57,6 +59,7 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
     return (
         Inbox(state / "requests", worker=Chores("requests")),
         *optional,
+        *(() if page is None else (page(),)),
         Notifier(name, settings, to, state / "outbox.jsonl"),
     )
 
@@ -92,6 +95,33 @@ def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[N
     except ValueError as error:
         problems += [f"notify.{line}" for line in str(error).split("\n")]
     return NotifySettings(), Addresses()
+
+
+def _web(config: Configuration, folder: Path, problems: list[str]) -> Callable[[], Outlet] | None:
+    """Return a function that creates the web page; None if none is wanted or, told in `problems`, none can be."""
+    output, found = config.output, len(problems)
+    if output.web_address is None:
+        if output.web_token_file is not None:
+            problems.append('output.web_token_file: without `web` there is no page; set web = "127.0.0.1:8080"')
+        return None
+    try:
+        from monitor.service.web.outlet import WebPage, read_token
+    except ImportError as error:
+        problems.append(f"output.web: needs the extra web (pip install 'shm-monitor[web]'): {error}")
+        return None
+    token = None
+    if output.web_token_file is not None:
+        try:
+            token = read_token(folder / output.web_token_file)
+        except ValueError as error:
+            problems.append(f"output.web_token_file: {error}")
+    elif not security_check.is_loopback(output.web_address[0]):
+        problems.append(
+            f"output.web: all who reach {output.web} could read without a token; set web_token_file, or listen at 127.0.0.1"
+        )
+    if len(problems) > found:
+        return None
+    return partial(WebPage, config.site_name, output.web_address, token, folder / output.dir)
 
 
 def _zenoh() -> tuple[Any, type[BaseModel]]:

@@ -23,6 +23,8 @@ class Outlet(Publisher):
         The present state of the structure.
     """
 
+    url: str | None = None
+    """Address at which people read it; None of one that has none, or does not listen."""
     present = Assessment(State.NOT_JUDGED, "No window of data yet.")
 
     @property
@@ -38,6 +40,9 @@ class Outlet(Publisher):
     def state(self, assessment: Assessment) -> None:
         """Keep the present state of the structure."""
         self.present = assessment
+
+    def known_event(self, line: str) -> None:
+        """Take the last event of a run before this one, as its line of events.jsonl: it is known and no news."""
 
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Take a line of health.jsonl: the sensors' health of a span, if one ended, and the daemon's own health."""

@@ -8,8 +8,12 @@ import logging
 import socket
 import ssl
 import threading
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from dataclasses import dataclass
+from http import HTTPStatus
 from typing import Any
+from urllib.parse import unquote
 
 _log = logging.getLogger(__name__)
 
@@ -19,16 +23,42 @@ _MAX_PER_S = 20
 """Largest number of connections accepted in a second. [1/s; cost: an answer takes some ms of the interpreter]"""
 _CONNECTION_S = 5.0
 """Longest time of a connection, from its start to the last byte of its answer. [s; judgement]"""
+_MAX_SHARE = 0.25
+"""Largest share of a core that answers take while many are asked for. [1; judgement: the rest is the monitor's]"""
 _MAX_HEAD_BYTES = 8192
 """Largest size of the head of a request. [B; judgement]"""
 _REST_S = 1.0
 """Pause where the system has no room for a connection. [s; judgement]"""
 
 WsgiApplication = Callable[[dict[str, Any], Callable[[str, list[tuple[str, str]]], object]], Iterable[bytes]]
+Message = MutableMapping[str, Any]
+AsgiApplication = Callable[
+    [MutableMapping[str, Any], Callable[[], Awaitable[Message]], Callable[[Message], Awaitable[None]]], Awaitable[None]
+]
+
+
+Respond = Callable[[bytes], Awaitable[bytes]]
+"""Function that answers the head of a request; it raises ValueError where that is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What readers may cost."""
+
+    connections: int = _MAX_CONNECTIONS
+    """Largest number of open connections."""
+    per_s: float = _MAX_PER_S
+    """Largest number of connections accepted in a second."""
+    connection_s: float = _CONNECTION_S
+    """Longest time of a connection, from its start to the last byte of its answer, s."""
+    share: float = _MAX_SHARE
+    """Largest share of a core's time that answers take: after costly ones the next connection waits longer."""
+    waiting: int = _MAX_CONNECTIONS
+    """Number of connections that the system keeps until they are accepted."""
 
 
 class HttpServer:
-    """Answer GET requests, one a connection, from a WSGI application.
+    """Answer requests without a body, one a connection.
 
     A connection beyond the largest number replaces the oldest, so that readers that hang do not shut out others.
 
@@ -38,10 +68,12 @@ class HttpServer:
         Name or address to listen at.
     port : int
         Port; 0 for any.
-    application : WSGI application
-        Called in the server's thread; it gets the method, the path, the query and the accept headers.
+    respond : function
+        Answer of the head of a request (`wsgi`, `asgi`); called in the server's thread.
     tls : SSLContext, optional
         With it the server speaks TLS.
+    bounds : Bounds
+        What readers may cost.
 
     Attributes
     ----------
@@ -54,12 +86,20 @@ class HttpServer:
         The port cannot be opened.
     """
 
-    def __init__(self, host: str, port: int, application: WsgiApplication, tls: ssl.SSLContext | None = None) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        respond: Respond,
+        tls: ssl.SSLContext | None = None,
+        bounds: Bounds = Bounds(),
+    ) -> None:
+        self._bounds = bounds
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-        self._listener = socket.create_server(address[:2], family=family, backlog=_MAX_CONNECTIONS)
+        self._listener = socket.create_server(address[:2], family=family, backlog=bounds.waiting)
         self._listener.setblocking(False)
         self.port = int(self._listener.getsockname()[1])
-        self._application, self._tls = application, tls
+        self._respond, self._tls = respond, tls
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(lambda _, context: _log.error("http: %s", context["message"]))
         self._serving: dict[asyncio.Task[None], None] = {}
@@ -92,8 +132,8 @@ class HttpServer:
             await asyncio.gather(*self._serving, return_exceptions=True)
 
     async def _accept(self) -> None:
-        """Accept connections, no faster than `_MAX_PER_S`."""
-        refused = False
+        """Accept connections, no faster than the bounds allow."""
+        refused, spent_s = False, time.thread_time()
         while True:
             try:
                 connection, _ = await self._loop.sock_accept(self._listener)
@@ -104,18 +144,21 @@ class HttpServer:
                 await asyncio.sleep(_REST_S)
                 continue
             refused = False
-            if len(self._serving) >= _MAX_CONNECTIONS:
+            if len(self._serving) >= self._bounds.connections:
                 next(iter(self._serving)).cancel()
             task = self._loop.create_task(self._serve(connection))
             self._serving[task] = None
             task.add_done_callback(lambda done: self._serving.pop(done, None))
-            await asyncio.sleep(1.0 / _MAX_PER_S)
+            await asyncio.sleep(1.0 / self._bounds.per_s)
+            now_s = time.thread_time()
+            await asyncio.sleep((now_s - spent_s) / self._bounds.share - 1.0 / self._bounds.per_s)
+            spent_s = now_s
 
     async def _serve(self, connection: socket.socket) -> None:
         """Answer one request, or close the connection where it does not come or its answer is not taken in time."""
         with contextlib.closing(connection):
             try:
-                async with asyncio.timeout(_CONNECTION_S):
+                async with asyncio.timeout(self._bounds.connection_s):
                     await self._answer(connection)
             except (OSError, EOFError, ValueError, asyncio.LimitOverrunError) as error:
                 _log.debug("http: a connection was closed: %s", error or type(error).__name__)
@@ -134,36 +177,86 @@ class HttpServer:
         """
         reader = asyncio.StreamReader(limit=_MAX_HEAD_BYTES)
         protocol = asyncio.StreamReaderProtocol(reader)
-        limits = {"ssl_handshake_timeout": _CONNECTION_S, "ssl_shutdown_timeout": _CONNECTION_S} if self._tls else {}
+        longest_s = self._bounds.connection_s
+        limits = {"ssl_handshake_timeout": longest_s, "ssl_shutdown_timeout": longest_s} if self._tls else {}
         transport, _ = await self._loop.connect_accepted_socket(lambda: protocol, connection, ssl=self._tls, **limits)
         writer = asyncio.StreamWriter(transport, protocol, reader, self._loop)
         try:
-            writer.write(self._response(await reader.readuntil(b"\r\n\r\n")))
+            writer.write(await self._respond(await reader.readuntil(b"\r\n\r\n")))
             writer.close()
             await writer.wait_closed()
         finally:
             transport.abort()
 
-    def _response(self, head: bytes) -> bytes:
-        """Write the response to a request.
 
-        Raises
-        ------
-        ValueError
-            The head is not that of a request.
-        """
-        first, *rows = head.decode("latin-1").split("\r\n")
-        method, target, _version = first.split(" ")
-        path, _, query = target.partition("?")
+def wsgi(application: WsgiApplication) -> Respond:
+    """Make the function that answers a request by a WSGI application, which gets method, path, query and accept headers."""
+
+    async def respond(head: bytes) -> bytes:
+        method, path, query, fields = _parts(head)
         environment: dict[str, Any] = {"REQUEST_METHOD": method, "PATH_INFO": path, "QUERY_STRING": query}
-        for name, _, value in (row.partition(":") for row in rows):
-            if name.lower() in {"accept", "accept-encoding"}:
-                environment[f"HTTP_{name.upper().replace('-', '_')}"] = value.strip()
+        for name, value in fields:
+            if name in {"accept", "accept-encoding"}:
+                environment[f"HTTP_{name.upper().replace('-', '_')}"] = value
         started: list[str] = []
 
         def start(status: str, headers: list[tuple[str, str]]) -> None:
             started.extend([f"HTTP/1.1 {status}", *(f"{name}: {value}" for name, value in headers)])
 
-        body = b"".join(self._application(environment, start))
+        body = b"".join(application(environment, start))
         lines = [*started, f"Content-Length: {len(body)}", "Connection: close", "", ""]
         return "\r\n".join(lines).encode("latin-1") + body
+
+    return respond
+
+
+def asgi(application: AsgiApplication) -> Respond:
+    """Make the function that answers a request by an ASGI application, which gets no body; it is sent when it is whole."""
+
+    async def receive() -> Message:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    async def respond(head: bytes) -> bytes:
+        method, path, query, fields = _parts(head)
+        scope = {
+            "type": "http",
+            "asgi": {"version": "3.0", "spec_version": "2.3"},
+            "http_version": "1.1",
+            "method": method,
+            "scheme": "http",
+            "path": unquote(path),
+            "raw_path": path.encode("latin-1"),
+            "query_string": query.encode("latin-1"),
+            "root_path": "",
+            "headers": [(name.encode("latin-1"), value.encode("latin-1")) for name, value in fields],
+            "client": None,
+            "server": None,
+        }
+        sent: list[Message] = []
+
+        async def send(message: Message) -> None:
+            sent.append(message)
+
+        await application(scope, receive, send)
+        begun, *parts = sent
+        lines = [f"HTTP/1.1 {begun['status']} {HTTPStatus(begun['status']).phrase}".encode("latin-1")]
+        lines += [name + b": " + value for name, value in begun["headers"]]
+        body = b"" if method == "HEAD" else b"".join(part.get("body", b"") for part in parts)
+        return b"\r\n".join([*lines, b"Connection: close", b"", body])
+
+    return respond
+
+
+def _parts(head: bytes) -> tuple[str, str, str, list[tuple[str, str]]]:
+    """Split the head of a request into method, path, query, and names (lower case) and values of its fields.
+
+    Raises
+    ------
+    ValueError
+        It is not the head of a request.
+    """
+    first, *rows = head.decode("latin-1").split("\r\n")
+    method, target, _version = first.split(" ")
+    path, _, query = target.partition("?")
+    fields = (row.partition(":") for row in rows if row)
+    return method, path, query, [(name.strip().lower(), value.strip()) for name, _, value in fields]

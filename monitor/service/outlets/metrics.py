@@ -23,7 +23,7 @@ from monitor import __version__
 from monitor.core import WHOLE, Gap, Level, Settings, WindowResult, parse_address
 from monitor.damage import State
 from monitor.service.outlets.base import Outlet
-from monitor.service.outlets.http_server import HttpServer
+from monitor.service.outlets.http_server import HttpServer, wsgi
 
 _log = logging.getLogger(__name__)
 _MOST_LABELS = 256
@@ -181,7 +181,7 @@ class Metrics(Collector, Outlet):
         registry = CollectorRegistry(auto_describe=False)
         registry.register(self)
         try:
-            self._server = HttpServer(*s.address, make_wsgi_app(registry), self._tls())
+            self._server = HttpServer(*s.address, wsgi(make_wsgi_app(registry)), self._tls())
             self.port, self.failed = self._server.port, None
         except (OSError, ValueError) as error:
             if self.failed is None:

@@ -15,7 +15,7 @@ from pydantic import Field
 from monitor.core import WHOLE, AlarmCondition, Level, Settings, WindowResult
 from monitor.damage import Assessment, State
 from monitor.events import Event
-from monitor.publish import event_text
+from monitor.publish import event_text, telling
 
 _MOST_TEXT = 1000
 
@@ -224,5 +224,4 @@ def of_finding(
 
 def of_event(event: Event) -> Notice:
     """Announce what is told of an event; the verdict stands first in the text."""
-    told = {None: "preliminary", 0: "measured", 1: "lasting loss"}
-    return Notice("event", False, f"strong motion ({told[event.revision]}), {event.id}", event_text(event))
+    return Notice("event", False, telling(event), event_text(event))

@@ -109,6 +109,11 @@ class ZenohOut(Outlet):
         """Publish a line of events.jsonl, and before it the preliminary message, whose revision is null."""
         self._put("event", line)
 
+    def known_event(self, line: str) -> None:
+        """Answer queries of the state with an event of an earlier run, until there is another."""
+        with self._changed:
+            self._latest.setdefault("event", line)
+
     def gap(self, gap: Gap) -> None:
         """Publish that samples are missing."""
         self._put("gap", to_json({"t_ns": gap.t_ns, "duration_s": gap.duration_s, "reason": gap.reason}))

@@ -1,0 +1,112 @@
+"""The samples of an event, as they are described: on one grid, with the filter taken out, floors and ground together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from monitor.core import Array
+from monitor.events.ground import Ground
+from monitor.events.motion import without_filter
+from monitor.events.site import Site
+from monitor.signals import Conditioner
+
+_STILL = 1e-3
+"""Range of a channel's motion in a second of strong motion, over the largest of all channels, below which it stood still.
+[ratio; -60 dB, as of dead channels]"""
+_SPLINE_S = 1.0
+"""Time beyond an event's samples within which the ground's samples take part in their interpolation. [s; less than
+`_GROUND_LATE_S`, so that they are there however late they arrive]"""
+_CORNERS = (0.4, 0.2, 0.1, 0.05, 0.025)
+"""Corners of the integrated drifts to choose from, over the lowest frequency. [ratio; below the lowest frequency a frame
+follows the ground, and its drift is the ground's acceleration over the squared angular frequency]"""
+_LOWEST_CORNER = 2.0
+"""Lowest corner, over the reciprocal of the quiet time before the event. [ratio; two periods of quiet motion]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Record:
+    """Samples of an event, with quiet motion before it and, for the final line, after it."""
+
+    t_ns: int
+    """UTC of the first sample."""
+    rate_hz: float
+    floors: Array
+    """Shape (n, c), m/s^2."""
+    ground: Array | None
+    """Shape (n,), m/s^2."""
+    strong: slice
+    still: NDArray[np.bool_]
+    """Shape (c,): channels that stood still while others moved, as dead ones and those that lost samples do."""
+    corners_hz: Array
+    """Shape (n_corners,): corners of the integration to choose from."""
+
+
+def make_record(
+    values: Array,
+    t_ns: int,
+    conditioner: Conditioner,
+    ground: tuple[Sequence[Ground], Conditioner | None],
+    strong: slice,
+    site: Site,
+) -> Record:
+    """Put the conditioned samples of an event together.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, c), m/s^2
+        As conditioned, in which lost samples are held.
+    t_ns : int
+        UTC of the first, less the delay of the filter.
+    conditioner : Conditioner
+        Filter of the samples.
+    ground : (sequence of Ground, Conditioner or None)
+        The measured ground motion, and its filter.
+    strong : slice
+        The samples from begin to end.
+    site : Site
+    """
+    rate_hz, lowest_hz = conditioner.rate_hz, float(site.modes_hz[0])
+    corners_hz = np.array(_CORNERS) * lowest_hz
+    return Record(
+        t_ns=t_ns,
+        rate_hz=rate_hz,
+        floors=without_filter(values, rate_hz, conditioner),
+        ground=_interpolated(*ground, t_ns, len(values), rate_hz),
+        strong=strong,
+        still=_still_channels(values, strong, rate_hz),
+        corners_hz=np.clip(_LOWEST_CORNER * rate_hz / max(strong.start, 1), corners_hz, corners_hz[0]),
+    )
+
+
+def _still_channels(values: Array, strong: slice, rate_hz: float) -> NDArray[np.bool_]:
+    """Find the channels that stood still in some second of strong motion, shape (c,)."""
+    n = max(1, round(rate_hz))
+    part = values[strong]
+    seconds = part[: len(part) // n * n].reshape(-1, n, part.shape[1])
+    ranges = np.ptp(seconds, axis=1)
+    return np.asarray((ranges < _STILL * ranges.max(axis=1, keepdims=True, initial=0.0)).any(axis=0))
+
+
+def _interpolated(
+    ground: Sequence[Ground], conditioner: Conditioner | None, t_ns: int, n: int, rate_hz: float
+) -> Array | None:
+    """Interpolate the measured ground motion to the samples of the grid, shape (n,); None where it does not cover them."""
+    if not ground or conditioner is None:
+        return None
+    at, values = [], []
+    for piece in ground:
+        at.append((piece.t_ns - t_ns) * 1e-9 + np.arange(piece.values.size) / piece.rate_hz)
+        values.append(piece.values)
+    wanted = np.arange(n) / rate_hz
+    t_s, index = np.unique(np.concatenate(at), return_index=True)
+    near = (t_s > -_SPLINE_S) & (t_s < wanted[-1] + _SPLINE_S)
+    t_s, moved = t_s[near], np.concatenate(values)[index][near]
+    if not t_s.size or t_s[0] > 0.0 or t_s[-1] < wanted[-1]:
+        return None
+    moved = make_interp_spline(t_s, moved)(wanted)
+    return without_filter(moved[:, None], rate_hz, conditioner)[:, 0]

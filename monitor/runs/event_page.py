@@ -1,0 +1,115 @@
+"""The page of one event, from the folder of a replay or a daemon: its line, and its recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivers.base import ACCELERATION, GROUND, RecordingError, RecordingMissingError
+from drivers.mcap_file import read_metadata, read_recordings
+from monitor.core import BadInputError, MissingInputError, Skipped, WrongUsageError, parse_json, sha256
+from monitor.events import Event, Review, Site, review_event
+from monitor.publish import EVENTS, EventPage, read_event, write_event
+from monitor.runs.event_recordings import ABOUT, FOLDER
+from monitor.signals import FrontEnd, ProcessingSettings
+
+LAST = "last"
+"""Word for the latest event. [name; contract]"""
+_MOST_NAMED = 20
+"""Most events that a message names. [count; judgement]"""
+
+
+def page_of(folder: Path, id: str) -> Path:
+    """Return the place of an event's page, beside its recording."""
+    return folder / FOLDER / f"{id}.html"
+
+
+def read_event_line(folder: Path, wanted: str) -> dict[str, Any]:
+    """Read the highest revision of an event from events.jsonl.
+
+    Parameters
+    ----------
+    folder : Path
+    wanted : str
+        Id of the event, or ``last``.
+
+    Raises
+    ------
+    MissingInputError
+        There is no events.jsonl, or no event in it.
+    WrongUsageError
+        There is no such event; the message lists those that there are.
+    """
+    path, lines = folder / EVENTS, dict[str, dict[str, Any]]()
+    try:
+        texts = path.read_bytes().splitlines()
+    except OSError as error:
+        says = f"{path}: {error.strerror}; name a folder of 'replay --out' or of [output] dir"
+        raise MissingInputError(says) from error
+    for text in texts:
+        try:
+            line = parse_json(text)
+            id, revision = str(line["id"]), int(line["revision"])
+        except (ValueError, KeyError, TypeError):  # a line that a crash cut
+            continue
+        if id not in lines or revision >= lines[id]["revision"]:
+            lines[id] = line
+    if not lines:
+        raise MissingInputError(f"{path}: no event was recognized")
+    latest = max(lines.values(), key=lambda line: int(line["t_begin_ns"]))
+    if wanted != LAST and wanted not in lines:
+        known = sorted(lines)[-_MOST_NAMED:]
+        raise WrongUsageError(f"--event {wanted}: no such event; there are {', '.join(known)}, and {LAST}")
+    return latest if wanted == LAST else lines[wanted]
+
+
+def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
+    """Write the page of an event and return the event.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the results.
+    line : mapping
+        The event's line of events.jsonl.
+    out : Path
+
+    Raises
+    ------
+    BadInputError
+        The line or the recording is damaged.
+    OSError
+        The page cannot be written.
+    """
+    try:
+        event = read_event(line)
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInputError(f"{folder / EVENTS}: not as the monitor writes it ({error!r})") from error
+    recording, site, seen, why_not = line.get("recording"), None, None, "The event's samples are not kept."
+    path = None if recording is None else folder / str(recording)
+    if path is not None:
+        site, found = _read_recording(path, event)
+        seen, why_not = (
+            (None, f"{found.reason[:1].upper()}{found.reason[1:]}.") if isinstance(found, Skipped) else (found, "")
+        )
+    checksum = None if path is None or not path.exists() else sha256(path)
+    write_event(out, EventPage(folder.resolve().name, event, recording, checksum, site, seen, why_not))
+    return event
+
+
+def _read_recording(path: Path, event: Event) -> tuple[Site | None, Review | Skipped]:
+    """Read an event's recording: what the site's files said, and the motion over time."""
+    try:
+        about = read_metadata(path, ABOUT)
+        if about is None:
+            return None, Skipped("the event's recording does not say of which structure it is")
+        site = Site.read(parse_json(about["site"].encode()))
+        processing = ProcessingSettings.model_validate_json(about["processing"])
+        front_end = FrontEnd(site.channels, processing, segment_s=0.0, n_lags=0)
+        blocks = read_recordings([path], (ACCELERATION, GROUND))
+        return site, review_event(blocks, front_end, site, event.begin_ns, event.end_ns, event.corner_hz)
+    except RecordingMissingError:
+        return None, Skipped(f"the event's recording {path.name} is not there")
+    except (RecordingError, KeyError, TypeError, ValueError) as error:
+        raise BadInputError(f"{path}: damaged, or not as the monitor writes it ({error})") from error

@@ -1,0 +1,152 @@
+"""OpenAPI document of the endpoints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from monitor import __version__
+from monitor.damage import State
+from monitor.service.web.snapshots import DEFAULT_LIMIT, FINDING_KEYS, MOST_IN_ANSWER, WINDOW_KEYS
+
+_NUMBER: dict[str, Any] = {"type": ["number", "null"]}
+_INTEGER: dict[str, Any] = {"type": ["integer", "null"]}
+_TEXT: dict[str, Any] = {"type": ["string", "null"]}
+_OBJECT: dict[str, Any] = {"type": ["object", "null"]}
+_NUMBERS: dict[str, Any] = {"type": ["array", "null"], "items": _NUMBER}
+_TEXTS: dict[str, Any] = {"type": ["array", "null"], "items": {"type": "string"}}
+_KINDS: dict[str, Any] = {
+    "t_end_ns": {"type": "integer"},
+    "window_s": _NUMBER,
+    "misfit": _NUMBER,
+    "temperature_degc": _NUMBER,
+    "rms_m_s2": _NUMBER,
+    "channels_left_out": _TEXTS,
+    "left_out_reasons": _TEXTS,
+    "skipped": _TEXT,
+}
+"""Key of a window -> its schema, where it is not a list of numbers. [none; definition]"""
+
+
+def describe(api: str) -> dict[str, Any]:
+    """Write the OpenAPI document (version 3.1) of the endpoints below the path `api`."""
+    paths: dict[str, Any] = {
+        f"{api}/status": _get("State of the structure and of the monitor; which other endpoints changed.", "Status"),
+        f"{api}/windows": _get("Results of windows, oldest first.", "Windows", _range_parameters()),
+        f"{api}/events": _get("Latest events (strong motion), newest first.", "Events"),
+        f"{api}/findings": _get("Latest findings of diagnoses, newest first.", "Findings"),
+        f"{api}/alarms": _get("Latest alarm episodes, newest first.", "Alarms"),
+        f"{api}/sensors": _get("Health of the sensors, the stream, the source and the recorder.", "Sensors"),
+    }
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "shm-monitor",
+            "version": __version__,
+            "description": "Read-only results of one monitor. Times are UTC, ns since 1970; units are SI and stand in the "
+            "names. Every answer has an ETag: a request with If-None-Match is answered by 304 while nothing has changed.",
+        },
+        "paths": paths,
+        "components": {
+            "schemas": _schemas(),
+            "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
+        },
+        "security": [{"token": []}, {}],
+    }
+
+
+def _get(summary: str, schema: str, parameters: list[dict[str, Any]] | None = None) -> dict[str, Any]:
+    content = {"application/json": {"schema": {"$ref": f"#/components/schemas/{schema}"}}}
+    answers: dict[str, Any] = {
+        "200": {"description": summary, "content": content},
+        "304": {"description": "Nothing has changed."},
+        "401": {"description": "The token is missing or wrong."},
+        "403": {"description": "Without a token: asked for under another name than 127.0.0.1 or localhost."},
+    }
+    if parameters:
+        answers["400"] = {"description": "A parameter is out of its range."}
+    return {
+        "get": {"summary": summary, "operationId": schema.lower(), "parameters": parameters or [], "responses": answers}
+    }
+
+
+def _range_parameters() -> list[dict[str, Any]]:
+    return [
+        {
+            "name": "since_ns",
+            "in": "query",
+            "description": "Only windows that end later than this.",
+            "schema": {"type": "integer", "minimum": 0},
+        },
+        {
+            "name": "limit",
+            "in": "query",
+            "description": "Largest number of windows; of more, evenly spaced ones are given, the latest among them.",
+            "schema": {"type": "integer", "minimum": 1, "maximum": MOST_IN_ANSWER, "default": DEFAULT_LIMIT},
+        },
+    ]
+
+
+def _schemas() -> dict[str, Any]:
+    window = {key: {**_KINDS.get(key, _NUMBERS), "description": words} for key, words in WINDOW_KEYS.items()}
+    window |= {
+        "level": _TEXT,
+        "stories": {"type": "array", "items": {"type": "integer"}},
+        "changed": _list({"type": "string"}),
+    }
+    status: dict[str, Any] = {
+        "site": {"type": "string", "description": "Name of the site."},
+        "version": {"type": "string", "description": "Version of shm-monitor."},
+        "begun_ns": {
+            "type": "integer",
+            "description": "When the page began to be served; another one: `revisions` count anew.",
+        },
+        "state": {"type": "string", "enum": [state.value for state in State]},
+        "headline": {"type": "string", "description": "The state in one sentence."},
+        "doubts": {"type": "array", "items": {"type": "string"}, "description": "What else holds."},
+        "monitor": {"type": "string", "enum": ["starting", "running", "silent"]},
+        "troubles": {"type": "array", "items": {"type": "string"}, "description": "Parts that do not work."},
+        "t_ns": {**_INTEGER, "description": "Data until."},
+        "uptime_s": {**_NUMBER, "description": "Since the start of the monitor, s."},
+        "disk_free_bytes": {**_INTEGER, "description": "Where results go."},
+        "windows": {**_INTEGER, "description": "Number of windows in this run."},
+        "skipped": {**_INTEGER, "description": "Number of those that could not be judged."},
+        "alarm": {**_OBJECT, "description": "The present alarm, as in summary.json."},
+        "stories": {"type": "array", "items": {"type": "string"}, "description": "Names of the stories."},
+        "has_baseline": {"type": ["boolean", "null"], "description": "Without one there is no alarm."},
+        "alarm_loss": {**_NUMBER, "description": "Loss from which a confirmed one is an alarm."},
+        "latest": {"anyOf": [_ref("Window"), {"type": "null"}], "description": "The latest window."},
+        "judged": {"anyOf": [_ref("Window"), {"type": "null"}], "description": "The latest that was not skipped."},
+        "revisions": {
+            "type": "object",
+            "additionalProperties": {"type": "integer"},
+            "description": "Name of an endpoint: a number that grows when its answer changes.",
+        },
+    }
+    finding = {key: _INTEGER if key.endswith("_ns") else _TEXT for key in FINDING_KEYS}
+    channel = {"channel": {"type": "string"}, "in_use": {"type": "boolean"}, "reason": _TEXT}
+    sensors = dict.fromkeys(("stream", "source", "recorder", "refused", "quality"), _OBJECT)
+    return {
+        "Status": _object(status),
+        "Window": {"type": "object", "properties": window, "required": ["t_end_ns", "level", "stories", "skipped"]},
+        "Windows": _object({"matched": {"type": "integer"}, "windows": _list(_ref("Window"))}),
+        "Event": {"type": "object", "description": "A line of events.jsonl.", "required": ["id", "t_begin_ns"]},
+        "Events": _object({"events": _list(_ref("Event"))}),
+        "Finding": _object(finding | {"causes": {"type": ["array", "null"]}}),
+        "Findings": _object({"findings": _list(_ref("Finding"))}),
+        "Alarm": {"type": "object", "description": "An entry of `alarms` in summary.json.", "required": ["level"]},
+        "Alarms": _object({"alarms": _list(_ref("Alarm"))}),
+        "Channel": _object(channel),
+        "Sensors": _object({"channels": _list(_ref("Channel")), "t_ns": _INTEGER, "delay_s": _NUMBER, **sensors}),
+    }
+
+
+def _object(properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "properties": properties, "required": list(properties)}
+
+
+def _list(items: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+def _ref(name: str) -> dict[str, Any]:
+    return {"$ref": f"#/components/schemas/{name}"}

@@ -1,0 +1,174 @@
+"""The page of an event: all that the engineer signs is on it, by the line and the recording."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from drivers.mcap_file import recording_info
+from monitor.core import BadInputError, MissingInputError, WrongUsageError
+from monitor.events import Event, Review, Site, review_event
+from monitor.pipeline import Pipeline
+from monitor.publish import EventPage, Publisher, event_line, read_event, to_json
+from monitor.publish.reports.event_report import event_html
+from monitor.runs import page_of, read_event_line, write_event_page
+from monitor.runs.event_recordings import EventRecordings
+from monitor.runs.session import Session
+from tests.conftest import Cli
+from tests.events.shaken import blocks, configuration
+from tests.events.test_review import shaken
+
+LIMITS = [{"drift_ratio": 0.0005, "says": "inspect <this> story"}, {"residual_loss": 0.05, "says": "call the engineer"}]
+
+
+@cache
+def told() -> tuple[Event, Site, Review]:
+    config = configuration(events={"limits": LIMITS})
+    pipeline = Pipeline(config)
+    events = [e for b in blocks(shaken()) for e in pipeline.push(b) if isinstance(e, Event)]
+    (event,) = [e for e in [*events, *pipeline.finish()] if e.revision == 0]
+    found = review_event(
+        blocks(shaken()), config.front_end(), pipeline.site, event.begin_ns, event.end_ns, event.corner_hz
+    )
+    assert isinstance(found, Review)
+    return event, pipeline.site, found
+
+
+def page(event: Event, site: Site | None, seen: Review | None) -> str:
+    html = event_html(EventPage("house", event, "events/x.mcap", "ab" * 32, site, seen, "The samples are not kept."))
+    ElementTree.fromstring(html.partition("\n")[2])
+    return html
+
+
+def test_the_page_has_the_verdict_the_limits_and_every_chart() -> None:
+    event, site, seen = told()
+    html = page(event, site, seen)
+    assert "limit exceeded" in html and "EXCEEDED" in html and "inspect &lt;this&gt; story" in html
+    assert "not judged" in html  # the lasting loss
+    titles = (
+        "a1: acceleration",
+        "ground: acceleration",
+        "story 3: drift",
+        "story 3: force",
+        "drift ratio",
+        "First mode",
+    )
+    assert all(title in html for title in (*titles, "Pseudo-acceleration", "UNOFFICIAL", "date and signature"))
+    assert "Not known until the revision after 60 minutes of ambient motion" in html
+    assert html.count('class="beyond"') == int((event.drift_ratio > 0.0005).sum()) > 0
+
+
+def test_a_revised_event_shows_its_lasting_loss_with_its_interval() -> None:
+    event, site, seen = told()
+    revised = replace(event, revision=1, loss=np.array([0.0, 0.1234, 0.0]), loss_std=np.full(3, 0.005))
+    assert "12.3 ± 1.0" in page(revised, site, seen) and "revised" in page(revised, site, seen)
+
+
+def test_without_recording_the_page_keeps_the_numbers_and_says_why_it_has_no_curves() -> None:
+    event, _, _ = told()
+    html = page(event, None, None)
+    assert "The samples are not kept." in html and "a1: acceleration" not in html
+    assert f"{event.floors[0].peak_m_s2:.3g}" in html and 'class="unknown"' in html
+
+
+def test_nothing_known_is_told_as_not_known() -> None:
+    event, site, _ = told()
+    nan = np.full(3, np.nan)
+    nothing = replace(
+        event, drift_m=nan, drift_std_m=nan, drift_ratio=nan, exceeded=(), verdict=None, ground=None, spectrum=None
+    )
+    html = page(nothing, site, None)
+    assert "no limit judged" in html and "No drift is known." in html and "The ground was not measured." in html
+
+
+def test_an_event_is_read_from_its_line() -> None:
+    event, _, _ = told()
+    line = json.loads(to_json(event_line(event, "events/x.mcap")))
+    assert event_line(read_event(line), "events/x.mcap") == line
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Event]:
+    """A folder of results with one event, its line and its recording."""
+    out = tmp_path_factory.mktemp("house")
+    config = configuration(events={"limits": LIMITS, "post_s": 15.0, "merge_s": 5.0})
+    session = Session(config, None, (), None, out / "findings", recordings=EventRecordings(out, config.events))
+    events = [r for b in blocks(shaken()) for r in session.push(b) if isinstance(r, Event) and r.revision == 0]
+    (event,) = events
+    (out / "events.jsonl").write_text(to_json(event_line(event, f"events/{event.id}.mcap")) + "\n{cut")
+    return out, event
+
+
+def test_the_page_is_made_of_the_folder_alone(folder: tuple[Path, Event]) -> None:
+    out, event = folder
+    for wanted in (event.id, "last"):
+        place = page_of(out, wanted)
+        assert write_event_page(out, read_event_line(out, wanted), place).id == event.id
+        html = place.read_text()
+        assert "story 3: force" in html and "inspect &lt;this&gt; story" in html and "0 s before the event" not in html
+
+
+def test_the_command_writes_the_page_beside_the_recording(folder: tuple[Path, Event], main: Cli) -> None:
+    out, event = folder
+    done = main("report", out, "--event", "last", "--json")
+    assert done.returncode == 0, done.stderr
+    told_of = json.loads(done.stdout)
+    assert (told_of["id"], told_of["verdict"]) == (event.id, "inspect <this> story")
+    assert Path(told_of["report"]) == page_of(out, event.id) and page_of(out, event.id).exists()
+    wrong = main("report", out, "--event", "yesterday")
+    assert (wrong.returncode, event.id in wrong.stderr, "Traceback" in wrong.stderr) == (2, True, False)
+
+
+def test_the_recording_reaches_from_before_the_event_to_after_it(folder: tuple[Path, Event]) -> None:
+    out, event = folder
+    info = recording_info(out / "events" / f"{event.id}.mcap")
+    assert info.t_start_ns <= event.begin_ns - 29 * 10**9
+    assert info.t_start_ns + info.duration_s * 1e9 >= event.end_ns + 14 * 10**9
+
+
+def test_an_unknown_event_is_told_with_those_that_there_are(folder: tuple[Path, Event], tmp_path: Path) -> None:
+    out, event = folder
+    with pytest.raises(WrongUsageError, match=event.id):
+        read_event_line(out, "yesterday")
+    with pytest.raises(MissingInputError, match=r"events\.jsonl"):
+        read_event_line(tmp_path, "last")
+    (tmp_path / "events.jsonl").write_text("")
+    with pytest.raises(MissingInputError, match="no event"):
+        read_event_line(tmp_path, "last")
+
+
+def test_a_damaged_recording_is_named_and_a_missing_one_told(folder: tuple[Path, Event], tmp_path: Path) -> None:
+    out, event = folder
+    line = read_event_line(out, "last")
+    write_event_page(tmp_path, line, tmp_path / "x.html")
+    assert "is not there" in (tmp_path / "x.html").read_text()
+    (tmp_path / "events").mkdir()
+    (tmp_path / "events" / f"{event.id}.mcap").write_bytes(b"\x89MCAP0\r\n" + b"nonsense" * 9)
+    with pytest.raises(BadInputError, match=event.id):
+        write_event_page(tmp_path, line, tmp_path / "y.html")
+    assert not (tmp_path / "y.html").exists()
+
+
+def test_where_the_budget_is_full_the_line_and_peaks_are_kept_and_it_is_told(tmp_path: Path) -> None:
+    config = configuration(events={"post_s": 15.0, "merge_s": 5.0, "keep_gb": 1e-9})
+    (tmp_path / "events").mkdir()
+    (tmp_path / "events" / "earlier.mcap").write_bytes(b"0123")
+    got = list[tuple[Event, str]]()
+
+    class Kept(Publisher):
+        def event(self, event: Event, line: str) -> None:
+            got.append((event, line))
+
+    recordings = EventRecordings(tmp_path, config.events)
+    session = Session(config, None, (Kept(),), None, tmp_path / "findings", recordings=recordings)
+    for block in blocks(shaken()):
+        session.push(block)
+    line = json.loads(got[-1][1])
+    assert line["revision"] == 0 and line["recording"] is None and "keep_gb is full" in line["note"]
+    assert min(line["peak_acceleration_m_s2"].values()) > 0.5 and len(list((tmp_path / "events").iterdir())) == 1

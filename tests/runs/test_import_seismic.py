@@ -1,0 +1,125 @@
+"""MiniSEED and K-NET: read as ObsPy reads them, in m/s^2 by their own scale, a given one, or the station's inventory."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.mcap_file import read_recordings
+from monitor.core import BadInputError, MissingInputError
+from monitor.runs.importers import import_files, seismic
+
+HEAD = b"000001D " + b" " * 56
+T0 = "2026-01-01T00:00:00"
+
+
+@pytest.fixture
+def counts() -> np.ndarray:
+    return np.random.default_rng(0).integers(-1000, 1000, (500, 2)).astype(np.int32)
+
+
+def miniseed(path: Path, counts: np.ndarray, *pieces: slice) -> Path:
+    """Two channels, in the pieces that there are of them."""
+    obspy = pytest.importorskip("obspy")
+    stream = obspy.Stream()
+    for part in pieces or (slice(0, len(counts)),):
+        for i, name in enumerate(("HNX", "HNY")):
+            start = obspy.UTCDateTime(T0) + part.start / 100.0
+            header = {"network": "XX", "station": "ROOF", "channel": name, "sampling_rate": 100.0, "starttime": start}
+            stream.append(obspy.Trace(counts[part, i].copy(), header))
+    stream.write(str(path), format="MSEED")
+    return path
+
+
+def read(path: Path) -> np.ndarray:
+    return np.concatenate([block.samples for block in read_recordings([path])])
+
+
+def test_counts_are_scaled_and_keep_their_time(tmp_path: Path, counts: np.ndarray) -> None:
+    file = miniseed(tmp_path / "a.mseed", counts)
+    info = import_files([file], tmp_path / "r.mcap", scale=1e-3)
+    assert info.channels["/acceleration"] == ("XX.ROOF..HNX", "XX.ROOF..HNY") and info.sample_rate_hz == 100.0
+    assert info.t_start_ns == 1_767_225_600_000_000_000
+    assert read(tmp_path / "r.mcap") == pytest.approx(1e-3 * counts, rel=1e-6)
+
+
+def test_what_lies_between_records_is_missing(tmp_path: Path, counts: np.ndarray) -> None:
+    file, told = miniseed(tmp_path / "a.mseed", counts, slice(0, 200), slice(300, 500)), list[str]()
+    import_files([file], tmp_path / "r.mcap", scale=1.0, on_warning=told.append)
+    samples = read(tmp_path / "r.mcap")
+    assert np.isnan(samples[200:300]).all() and samples[300:] == pytest.approx(counts[300:])
+    assert any("missing" in text for text in told)
+
+
+def test_counts_alone_are_refused_with_the_mend(tmp_path: Path, counts: np.ndarray) -> None:
+    file = miniseed(tmp_path / "a.mseed", counts)
+    with pytest.raises(BadInputError, match=r"a\.mseed: MiniSEED holds counts; give --scale"):
+        import_files([file], tmp_path / "r.mcap")
+    assert not (tmp_path / "r.mcap").exists()
+
+
+@pytest.mark.parametrize(("unit", "works"), [("M/S**2", True), ("M/S", False)])
+def test_an_inventory_tells_what_a_count_is(tmp_path: Path, counts: np.ndarray, unit: str, works: bool) -> None:
+    obspy = pytest.importorskip("obspy")
+    from obspy.core.inventory import Channel, InstrumentSensitivity, Inventory, Network, Response, Station
+
+    known = Response(instrument_sensitivity=InstrumentSensitivity(4e5, 1.0, unit, "COUNTS"))
+    place = {"latitude": 0.0, "longitude": 0.0, "elevation": 0.0}
+    channels = [
+        Channel(name, "", depth=0.0, response=known, start_date=obspy.UTCDateTime(0), **place)
+        for name in ("HNX", "HNY")
+    ]
+    station = Station("ROOF", channels=channels, start_date=obspy.UTCDateTime(0), **place)
+    Inventory(networks=[Network("XX", [station])]).write(str(tmp_path / "s.xml"), format="STATIONXML")
+    file = miniseed(tmp_path / "a.mseed", counts)
+    if works:
+        import_files([file], tmp_path / "r.mcap", inventory=tmp_path / "s.xml")
+        assert read(tmp_path / "r.mcap") == pytest.approx(counts / 4e5, rel=1e-6)
+    else:
+        with pytest.raises(BadInputError, match="no acceleration"):
+            import_files([file], tmp_path / "r.mcap", inventory=tmp_path / "s.xml")
+
+
+def test_k_net_is_read_by_its_own_scale(tmp_path: Path) -> None:
+    """ObsPy's own test file, whose header states the largest acceleration, 4.383 Gal about the mean."""
+    obspy = pytest.importorskip("obspy")
+    file = Path(obspy.__file__).parent / "io" / "nied" / "tests" / "data" / "test.knet"
+    info = import_files([file], tmp_path / "r.mcap")
+    samples = read(tmp_path / "r.mcap")
+    assert np.abs(samples - samples.mean()).max() == pytest.approx(0.04383, rel=0.01)
+    assert info.channels["/acceleration"] == ("BO.AKT013..EW",) and info.sample_rate_hz == 100.0
+    assert str(np.datetime64(info.t_start_ns, "ns"))[:19] == "1996-08-10T18:12:24"
+    with pytest.raises(BadInputError, match="its own scale"):
+        import_files([file], tmp_path / "s.mcap", scale=1.0)
+
+
+@pytest.mark.parametrize("raw", [HEAD, b"Origin Time       1996\n" + b"nonsense\n" * 30])
+def test_a_damaged_file_is_named(tmp_path: Path, raw: bytes) -> None:
+    pytest.importorskip("obspy")
+    (tmp_path / "a.x").write_bytes(raw)
+    with pytest.raises(BadInputError, match=r"a\.x: (cannot be read as|holds no samples)"):
+        import_files([tmp_path / "a.x"], tmp_path / "r.mcap", scale=None if raw.startswith(b"O") else 1.0)
+
+
+def test_without_obspy_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "obspy", None)
+    (tmp_path / "a.mseed").write_bytes(HEAD)
+    with pytest.raises(MissingInputError, match="shm-monitor\\[seismic\\]"):
+        import_files([tmp_path / "a.mseed"], tmp_path / "r.mcap", scale=1.0)
+
+
+def test_the_scale_is_for_counts_alone(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,a1 [g]\n0.00,0.1\n0.01,0.2\n0.02,0.1\n")
+    with pytest.raises(BadInputError, match="for MiniSEED"):
+        import_files([tmp_path / "a.csv"], tmp_path / "r.mcap", scale=1.0)
+    with pytest.raises(BadInputError, match="--scale 0"):
+        import_files([tmp_path / "a.csv"], tmp_path / "r.mcap", scale=0.0)
+
+
+def test_other_files_are_told_apart() -> None:
+    assert seismic.is_seismic(HEAD) and seismic.is_seismic(b"MS\x03") and seismic.is_seismic(b"Origin Time  2011")
+    assert not any(map(seismic.is_seismic, (b"", b"t,a1\n0,1\n", b"123456 1.0\n", io.BytesIO(b"PK\x03\x04").read())))

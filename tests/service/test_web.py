@@ -1,0 +1,526 @@
+"""The web page shows what was published, to those who may read it, and asks nothing of the world outside."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from monitor.config import configuration, security_check
+from monitor.core.errors import BadConfigurationError
+from monitor.damage import Assessment, State
+from monitor.publish.results.files import pack_month
+from monitor.service.outlets import make_outlets
+from monitor.service.outlets.http_server import asgi
+from monitor.service.web import outlet, snapshots
+from monitor.service.web.application import make_application
+from monitor.service.web.outlet import WebPage, read_token
+from monitor.service.web.snapshots import Snapshots, latest_events, latest_windows
+from tests.conftest import T0_NS, Cli
+from tests.service.test_daemon import SITE as BARE_SITE
+
+TOKEN = "a-token-of-letters-0123456789"
+SECOND = 1_000_000_000
+PAGES = Path(snapshots.__file__).parent / "pages"
+ALARM = {"level": "normal", "stories": [], "reason": "no significant loss", "shelved": []}
+CHANNEL = {"channel": "a1", "rms_m_s2": 1.0, "peak_m_s2": 3.0, "spikes": 0, "clipped": 0.0, "noise_floor": 1e-4}
+HEALTH: dict[str, Any] = {
+    "t_ns": T0_NS,
+    "stream": {"rate_hz": 100.0, "availability": 1.0},
+    "channels": [CHANNEL],
+    "source": {"connected": True, "error": ""},
+    "recorder": {"recording": False, "detail": "too little free space"},
+    "failed": {"Notifier": "refused"},
+    "refused": {"blocks": 0, "latest": ""},
+    "delay_s": 0.1,
+    "uptime_s": 5.0,
+    "disk_free_bytes": 1 << 30,
+}
+FINDING = {
+    "id": "1",
+    "t_ns": T0_NS,
+    "from_ns": T0_NS,
+    "reason": "warning",
+    "verdict": "named",
+    "says": "Softer.",
+    "causes": [],
+}
+SUMMARY: dict[str, Any] = {
+    "windows": 3,
+    "skipped": 1,
+    "alarms": [{"level": "alarm", "story": 2, "t_first_ns": T0_NS, "t_last_ns": None, "ddi": 0.1, "ddi_std": 0.01}],
+    "alarm": {"level": "alarm", "stories": [2]},
+    "known": {"names": ["story 1", "story 2"], "has_baseline": True, "alarm_loss": 0.1, "channels": ["a1", "a2"]},
+    "findings": [FINDING],
+    "quality": {"availability": 1.0, "gaps": 0},
+}
+EVENT: dict[str, Any] = {
+    "id": "e1",
+    "revision": 0,
+    "t_begin_ns": T0_NS,
+    "t_end_ns": T0_NS + SECOND,
+    "verdict": None,
+    "spectrum": {},
+}
+
+
+def line(k: int, **changes: Any) -> dict[str, Any]:
+    """Window k of a frame of two stories."""
+    figures: dict[str, Any] = {
+        "frequencies_hz": [5.123456789, 15.0],
+        "frequencies_std_hz": [0.01, 0.02],
+        "damping_ratio": [0.01, None],
+        "model_modes": [1, 2],
+        "stiffness_n_per_m": [2000.0, 1500.0],
+        "stiffness_std": [5.0, 4.0],
+        "ddi": [0.0, 0.1],
+        "ddi_std": [0.01, 0.01],
+        "channels_left_out": ["a2"],
+        "left_out_reasons": ["does not move"],
+    }
+    return (
+        {"window": k, "t_end_ns": T0_NS + k * SECOND, "window_s": 20.0, "alarm": ALARM, "skipped": None}
+        | figures
+        | changes
+    )
+
+
+def filled() -> Snapshots:
+    shown = Snapshots("bench")
+    shown.state(Assessment(State.ALARM, "Story 2 lost 10 %.", ("A doubt.",)))
+    for k in range(3):
+        shown.window(line(k))
+    shown.event(EVENT)
+    shown.health(HEALTH)
+    shown.summary(SUMMARY)
+    return shown
+
+
+Ask = Callable[..., tuple[int, dict[str, str], bytes]]
+
+
+def asking(shown: Snapshots, token: str | None = None) -> Ask:
+    """Ask the application as a browser does, without a socket."""
+    respond = asgi(make_application(shown, token))
+
+    def ask(path: str, method: str = "GET", **fields: str) -> tuple[int, dict[str, str], bytes]:
+        rows = {"Host": "127.0.0.1:8080", **{name.replace("_", "-"): value for name, value in fields.items()}}
+        head = "\r\n".join([f"{method} {path} HTTP/1.1", *(f"{k}: {v}" for k, v in rows.items()), "", ""])
+        answer = asyncio.run(respond(head.encode("latin-1")))
+        top, _, body = answer.partition(b"\r\n\r\n")
+        first, *more = top.decode("latin-1").split("\r\n")
+        pairs = (row.partition(": ") for row in more)
+        return int(first.split(" ")[1]), {name.lower(): value for name, _, value in pairs}, body
+
+    return ask
+
+
+def content(ask: Ask, path: str, **fields: str) -> dict[str, Any]:
+    status, _, body = ask(path, **fields)
+    assert status == 200, body
+    return cast(dict[str, Any], json.loads(body))
+
+
+def problems(value: Any, schema: dict[str, Any], all_schemas: dict[str, Any], where: str = "$") -> list[str]:
+    """List where a value is not as its schema (the part of JSON schema that the document uses) says."""
+    if "$ref" in schema:
+        return problems(value, all_schemas[schema["$ref"].rpartition("/")[2]], all_schemas, where)
+    if "anyOf" in schema:
+        found = [problems(value, one, all_schemas, where) for one in schema["anyOf"]]
+        return [] if [] in found else found[0]
+    kinds = schema.get("type", [])
+    named = {"array": list, "object": dict, "string": str, "null": type(None), "boolean": bool}
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    fits = {"integer": is_number and isinstance(value, int), "number": is_number}
+    fits |= {kind: isinstance(value, known) for kind, known in named.items()}
+    if kinds and not any(fits[kind] for kind in ([kinds] if isinstance(kinds, str) else kinds)):
+        return [f"{where}: {value!r} is no {kinds}"]
+    if isinstance(value, list):
+        return [
+            p for i, v in enumerate(value) for p in problems(v, schema.get("items", {}), all_schemas, f"{where}[{i}]")
+        ]
+    if isinstance(value, dict):
+        missing = [f"{where}: no {key}" for key in schema.get("required", ()) if key not in value]
+        parts = schema.get("properties", {})
+        return missing + [
+            p for k, v in value.items() for p in problems(v, parts.get(k, {}), all_schemas, f"{where}.{k}")
+        ]
+    return [f"{where}: {value!r}"] if value not in schema.get("enum", [value]) else []
+
+
+@pytest.mark.parametrize("shown", [filled(), Snapshots("empty")], ids=["filled", "empty"])
+def test_each_endpoint_answers_as_the_openapi_document_says(shown: Snapshots) -> None:
+    ask = asking(shown)
+    described = content(ask, "/openapi.json")
+    assert described["openapi"].startswith("3.1")
+    schemas = described["components"]["schemas"]
+    assert len(described["paths"]) == 6
+    for path, operations in described["paths"].items():
+        schema = operations["get"]["responses"]["200"]["content"]["application/json"]["schema"]
+        assert problems(content(ask, path), schema, schemas) == []
+    assert problems({"channels": 1}, schemas["Sensors"], schemas), "the check can fail"
+
+
+def test_the_answers_hold_what_was_published() -> None:
+    ask = asking(filled())
+    status = content(ask, "/api/v1/status")
+    assert (status["state"], status["headline"], status["doubts"]) == ("alarm", "Story 2 lost 10 %.", ["A doubt."])
+    assert status["monitor"] == "running"
+    assert status["troubles"] == ["recorder: too little free space", "Notifier: refused"]
+    assert status["stories"] == ["story 1", "story 2"]
+    assert status["latest"]["frequencies_hz"] == [5.12346, 15.0], "six digits"
+    assert [w["t_end_ns"] for w in content(ask, "/api/v1/windows")["windows"]] == [T0_NS + k * SECOND for k in range(3)]
+    (event,) = content(ask, "/api/v1/events")["events"]
+    assert (event["id"], "spectrum" in event) == ("e1", False)
+    assert [f["says"] for f in content(ask, "/api/v1/findings")["findings"]] == ["Softer."]
+    assert [a["story"] for a in content(ask, "/api/v1/alarms")["alarms"]] == [2]
+    channels = content(ask, "/api/v1/sensors")["channels"]
+    assert [(c["channel"], c["in_use"], c["reason"]) for c in channels] == [
+        ("a1", True, None),
+        ("a2", False, "does not move"),
+    ]
+
+
+def test_a_site_without_a_model_and_skipped_windows_are_shown() -> None:
+    shown = Snapshots("bench")
+    none = dict.fromkeys(("ddi", "ddi_std", "stiffness_n_per_m", "stiffness_std"))
+    alarm = {**ALARM, "level": "warning", "changed": ["the shape of mode 2"]}
+    shown.window(line(0, **none, alarm=alarm, frequency_change=[-0.01, None], frequency_change_std=[0.002, None]))
+    shown.window({"t_end_ns": T0_NS + SECOND, "alarm": ALARM, "skipped": "gap"})
+    status = content(asking(shown), "/api/v1/status")
+    assert status["latest"]["skipped"] == "gap"
+    assert status["judged"]["ddi"] is None
+    assert status["judged"]["frequency_change"] == [-0.01, None]
+    assert (status["judged"]["level"], status["judged"]["changed"]) == ("warning", ["the shape of mode 2"])
+
+
+def test_what_a_reader_has_is_not_sent_again() -> None:
+    shown = filled()
+    ask = asking(shown)
+    for name in ("status", "windows", "events", "findings", "alarms", "sensors"):
+        headers = ask(f"/api/v1/{name}")[1]
+        assert ask(f"/api/v1/{name}", If_None_Match=headers["etag"])[::2] == (304, b"")
+    before, tag = content(ask, "/api/v1/status")["revisions"], ask("/api/v1/status")[1]["etag"]
+    shown.summary(SUMMARY)
+    shown.event(EVENT)
+    assert content(ask, "/api/v1/status")["revisions"]["findings"] == before["findings"], (
+        "the same finding is no change"
+    )
+    shown.finding({**FINDING, "t_ns": T0_NS + SECOND})
+    after = content(ask, "/api/v1/status")["revisions"]
+    assert after["findings"] > before["findings"]
+    assert after["windows"] == before["windows"]
+    assert ask("/api/v1/status", If_None_Match=tag)[0] == 200
+
+
+def test_data_need_the_token_in_the_header_and_pages_hold_none() -> None:
+    ask = asking(filled(), TOKEN)
+    described = content(ask, "/openapi.json", Host="monitor.example")["paths"]
+    for path in described:
+        for fields in (
+            {},
+            {"Authorization": "Bearer"},
+            {"Authorization": f"Bearer {TOKEN}x"},
+            {"Authorization": f"Basic {TOKEN}"},
+        ):
+            code, headers, body = ask(path, **fields)
+            assert (code, headers["www-authenticate"]) == (401, "Bearer")
+            assert b"Story" not in body
+        assert ask(f"{path}?token={TOKEN}", Cookie=f"token={TOKEN}")[0] == 401, "not in the address, no cookie"
+        assert ask(path, Authorization=f"Bearer {TOKEN}", Host="monitor.example")[0] == 200
+    assert ask("/", Host="monitor.example")[0] == 200
+    assert "set-cookie" not in ask("/")[1]
+
+
+def test_without_a_token_a_name_from_elsewhere_is_refused() -> None:
+    """Else a page from elsewhere could give its name this machine's address, and read."""
+    ask = asking(filled())
+    for host in ("127.0.0.1", "localhost:8080", "[::1]:8080", "[::1]", "127.0.0.2:1"):
+        assert ask("/api/v1/status", Host=host)[0] == 200
+    for host in ("evil.example", "evil.example:8080", "", "127.0.0.1.evil.example:8080"):
+        assert ask("/api/v1/status", Host=host)[0] == 403
+
+
+@pytest.mark.parametrize(
+    ("path", "method", "code"),
+    [
+        ("/nothing", "GET", 404),
+        ("/api/v1/", "GET", 404),
+        ("/api/v1/status/", "GET", 404),
+        ("/../pyproject.toml", "GET", 404),
+        ("/%2e%2e/outlet.py", "GET", 404),
+        ("/api/v1/status", "POST", 405),
+        ("/api/v1/status", "DELETE", 405),
+        ("/api/v1/windows?limit=0", "GET", 400),
+        ("/api/v1/windows?limit=2001", "GET", 400),
+        ("/api/v1/windows?limit=x", "GET", 400),
+        ("/api/v1/windows?limit=%C2%B2", "GET", 400),
+        ("/api/v1/windows?since_ns=-1", "GET", 400),
+        ("/api/v1/windows?since_ns=" + "9" * 40, "GET", 400),
+        ("/api/v1/status", "HEAD", 200),
+        ("/", "HEAD", 200),
+    ],
+)
+def test_each_answer_has_its_code_and_the_policy(path: str, method: str, code: int) -> None:
+    got, headers, body = asking(filled())(path, method)
+    assert got == code
+    assert headers["content-security-policy"].startswith("default-src 'self';")
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["connection"] == "close"
+    assert (body == b"") == (method == "HEAD")
+    if code >= 400:
+        assert "error" in json.loads(body)
+
+
+def test_the_pages_name_nothing_outside_and_have_no_inline_code() -> None:
+    own = [path for path in PAGES.iterdir() if not path.name.startswith("uplot")]
+    assert len(own) >= 6
+    for path in own:
+        text = (
+            path.read_text(encoding="utf-8")
+            .replace('xmlns="http://www.w3.org/2000/svg"', "")
+            .replace("http://HOST:PORT", "")
+        )
+        assert not re.search(r"https?://|//[a-z]+\.[a-z]", text), path
+        if path.suffix == ".html":
+            assert not re.search(r"<style|\sstyle=|\son[a-z]+=|<script(?![^>]*\ssrc=)", text), path
+    script = (PAGES / "uplot.js").read_text(encoding="utf-8")
+    assert set(re.findall(r"https?://[^\s)\"']+", script)) == {"https://github.com/leeoniya/uPlot"}, (
+        "in its first comment"
+    )
+    assert "MIT" in (PAGES / "uplot-LICENSE.txt").read_text(encoding="utf-8")
+
+
+def test_windows_after_a_time_and_evenly_spaced_ones() -> None:
+    shown = Snapshots("bench")
+    for k in (1, 0, 2, 3, 3, 4, 5, 6, 7, 8, 9):  # late, and repeated
+        shown.window(line(k))
+    ask = asking(shown)
+
+    def ends(query: str) -> tuple[int, list[int]]:
+        answer = content(ask, f"/api/v1/windows?{query}")
+        return answer["matched"], [(w["t_end_ns"] - T0_NS) // SECOND for w in answer["windows"]]
+
+    assert ends("") == (10, list(range(10)))
+    assert ends(f"since_ns={T0_NS + 7 * SECOND}") == (2, [8, 9])
+    assert ends(f"since_ns={T0_NS + 9 * SECOND}") == (0, [])
+    assert ends("limit=1") == (10, [9])
+    assert ends("limit=4") == (10, [2, 4, 7, 9])
+
+
+def test_the_number_of_windows_is_bounded_and_the_past_gets_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(snapshots, "MOST_WINDOWS", 100)
+    shown = Snapshots("bench")
+    for k in range(1000):
+        shown.window(line(k))
+    answer = content(asking(shown), "/api/v1/windows?limit=1000")
+    ends = [(w["t_end_ns"] - T0_NS) // SECOND for w in answer["windows"]]
+    assert 50 <= len(ends) <= 100
+    assert ends[-50:] == list(range(950, 1000))
+    assert 0 < ends[0] < 900 and ends == sorted(set(ends)), "it reaches farther back than its number"
+
+
+def test_events_are_bounded_and_their_highest_revision_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(snapshots, "_MOST_ITEMS", 3)
+    shown = Snapshots("bench")
+    for k in range(5):
+        for revision in (None, 1, 0):
+            shown.event({**EVENT, "id": f"e{k}", "t_begin_ns": T0_NS + k, "revision": revision})
+    events = content(asking(shown), "/api/v1/events")["events"]
+    assert [(e["id"], e["revision"]) for e in events] == [("e4", 1), ("e3", 1), ("e2", 1)]
+
+
+def test_a_monitor_that_went_silent_is_not_normal() -> None:
+    now = [0.0]
+    shown = Snapshots("bench", lambda: now[0])
+    ask = asking(shown)
+    shown.state(Assessment(State.NORMAL, "No change."))
+    assert content(ask, "/api/v1/status")["monitor"] == "starting"
+    shown.health(HEALTH)
+    tag = ask("/api/v1/status")[1]["etag"]
+    now[0] = 61.0
+    code, _, body = ask("/api/v1/status", If_None_Match=tag)
+    told = json.loads(body)
+    assert (code, told["state"], told["monitor"]) == (200, "not_judged", "silent")
+
+
+def json_lines(path: Path, rows: list[Any]) -> None:
+    path.write_text("".join(row if isinstance(row, str) else json.dumps(row) + "\n" for row in rows))
+
+
+def test_the_past_is_read_from_the_output_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert list(latest_windows(tmp_path)) == [] == list(latest_events(tmp_path))
+    json_lines(tmp_path / "results-2025-12.jsonl", [line(0), line(1)])
+    json_lines(tmp_path / "results.jsonl", ["{damaged\n", "[]\n", line(2), '{"t_end_ns": 1', ""])
+    json_lines(tmp_path / "events.jsonl", [EVENT, "[]\n", '{"id": 1}\n', "x\n"])
+    assert [row["window"] for row in latest_windows(tmp_path)] == [0, 1, 2]
+    pack_month(tmp_path / "results-2025-12.jsonl")
+    assert [row["window"] for row in latest_windows(tmp_path)] == [0, 1, 2]
+    assert [row["id"] for row in latest_events(tmp_path)] == ["e1"]
+    (tmp_path / "results-2025-12.jsonl.zst").write_bytes(b"no zst")
+    assert [row["window"] for row in latest_windows(tmp_path)] == [2]
+    json_lines(tmp_path / "results.jsonl", [line(k) for k in range(50)])
+    monkeypatch.setattr(snapshots, "_TAIL_BYTES", 2000)
+    assert 0 < len(rows := [row["window"] for row in latest_windows(tmp_path)]) < 10
+    assert rows[-1] == 49, "the end, whole lines of it"
+    monkeypatch.undo()
+    monkeypatch.setattr(snapshots, "_MOST_READ", 20)
+    assert [row["window"] for row in latest_windows(tmp_path)] == [*range(0, 40, 4), *range(40, 50)]
+
+
+@pytest.mark.parametrize("text", ["", "short", "two words that are long enough", "ümlaut-ümlaut-ümlaut", "a\nb" * 10])
+def test_a_token_that_could_be_guessed_or_not_be_sent_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"token: a token is one word of at least 16 .* openssl rand -hex 24"):
+        read_token(path)
+    path.write_bytes(b"\xff" * 20)
+    with pytest.raises(ValueError, match="it is no text"):
+        read_token(path)
+    path.write_text(f"{TOKEN}\n")
+    assert read_token(path) == TOKEN
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        (
+            'web = "0.0.0.0:8080"',
+            r"output.web: all who reach 0.0.0.0:8080 could read without a token; set web_token_file",
+        ),
+        ('web = "[::]:8080"', r"output.web: all who reach"),
+        ('web = "127.0.0.1:0"\nweb_token_file = "none"', r"output.web_token_file: .*none: No such file"),
+        ('web_token_file = "none"', r"without `web` there is no page"),
+        ('web = "8080"', r"'8080' is not HOST:PORT"),
+    ],
+)
+def test_a_page_that_all_could_read_is_refused(
+    keys: str, words: str, tmp_path: Path, frame_text: str, main: Cli
+) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(BARE_SITE.replace('dir = "out"', f'dir = "out"\n{keys}') + frame_text)
+    for command in ("check", "run"):
+        done = main(command, path)
+        assert done.returncode == 78
+        assert re.search(words, done.stderr), done.stderr
+        assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_page_for_others_needs_the_token_and_check_warns_of_the_open_network(tmp_path: Path, frame_text: str) -> None:
+    path, token = tmp_path / "site.toml", tmp_path / "web.token"
+    token.write_text(TOKEN)
+    token.chmod(0o644)
+    path.write_text(
+        BARE_SITE.replace('dir = "out"', 'dir = "out"\nweb = "0.0.0.0:0"\nweb_token_file = "web.token"') + frame_text
+    )
+    config = configuration.load(path)
+    make_outlets(path, config, dry=True)
+    open_network, readable = security_check.warnings(path, config)
+    assert "output.web: at 0.0.0.0:0 the token and the results pass unencrypted" in open_network
+    assert readable == "output.web_token_file: web.token can be read by everyone: chmod o-r"
+    token.chmod(0o600)
+    assert len(security_check.warnings(path, config)) == 1
+
+
+def test_without_the_extra_one_line_names_it(tmp_path: Path, frame_text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(BARE_SITE.replace('dir = "out"', 'dir = "out"\nweb = "127.0.0.1:0"') + frame_text)
+    monkeypatch.setitem(__import__("sys").modules, "monitor.service.web.outlet", None)
+    with pytest.raises(
+        BadConfigurationError, match=r"output\.web: needs the extra web \(pip install 'shm-monitor\[web\]'\)"
+    ):
+        make_outlets(path, configuration.load(path), dry=True)
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[WebPage]:
+    json_lines(tmp_path / "results.jsonl", [line(0), line(1)])
+    (tmp_path / "summary.json").write_text(json.dumps(SUMMARY))
+    one = WebPage("bench", ("127.0.0.1", 0), TOKEN, tmp_path)
+    yield one
+    one.close(5.0)
+    assert not any(thread.name == "http" for thread in threading.enumerate())
+
+
+def fetch(page: WebPage, path: str, token: str | None = TOKEN) -> dict[str, Any]:
+    assert page.url is not None
+    headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+    with urllib.request.urlopen(urllib.request.Request(f"{page.url}{path}", headers=headers), timeout=30.0) as answer:
+        return cast(dict[str, Any], json.loads(answer.read()))
+
+
+def until(true: Callable[[], object], what: str) -> None:
+    deadline = time.monotonic() + 60.0
+    while not true():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+
+
+def test_the_outlet_shows_the_past_and_what_comes(page: WebPage) -> None:
+    page.window(cast(Any, None), json.dumps(line(2)))
+    page.state(Assessment(State.ALARM, "Story 2 lost 10 %."))
+    page.event(cast(Any, SimpleNamespace()), json.dumps(EVENT))
+    page.health_line(HEALTH)
+    until(lambda: fetch(page, "api/v1/windows")["matched"] == 3, "the past and the present")
+    until(lambda: fetch(page, "api/v1/events")["events"], "the event")
+    until(lambda: fetch(page, "api/v1/status")["windows"] == 3, "the summary")
+    assert fetch(page, "api/v1/status")["state"] == "alarm"
+    with pytest.raises(urllib.error.HTTPError, match="401"):
+        fetch(page, "api/v1/status", None)
+    assert (page.failed, page.dropped) == (None, 0)
+
+
+def test_a_page_that_hangs_costs_the_main_thread_nothing(page: WebPage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outlet, "_MOST_WAITING", 10)
+    go_on = threading.Event()
+    monkeypatch.setattr(page._snapshots, "window", lambda _: go_on.wait(60.0))
+    for k in range(20):
+        page.window(cast(Any, None), json.dumps(line(k)))
+    assert page.dropped >= 9
+    go_on.set()
+    until(lambda: not page._waiting, "it goes on")
+
+
+def test_readers_that_hang_do_not_hold_up_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outlet, "_BOUNDS", replace(outlet._BOUNDS, connection_s=3600.0))
+    one = WebPage("bench", ("127.0.0.1", 0), None, tmp_path)
+    assert one.url is not None and one._server is not None
+    port = int(one.url.rstrip("/").rpartition(":")[2])
+    held = [socket.create_connection(("127.0.0.1", port), 30.0) for _ in range(4)]
+    for k, connection in enumerate(held):
+        connection.sendall(b"GET /uplot.js HTTP/1.1\r\n" + (b"Host: localhost\r\n\r\n" if k % 2 else b""))
+    server = one._server
+    until(lambda: len(server._serving) >= 2, "the connections are open")
+    one.close(60.0)
+    assert not any(thread.name == "http" for thread in threading.enumerate())
+    for connection in held:
+        connection.close()
+
+
+def test_a_port_that_is_taken_is_told_and_tried_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        one = WebPage("bench", ("127.0.0.1", port), None, tmp_path)
+        one.health_line(HEALTH)
+        assert one.url is None
+        assert one.failed is not None and "in use" in one.failed
+        assert len(caplog.records) == 1
+    one.health_line(HEALTH)
+    assert (one.failed, one.url) == (None, f"http://127.0.0.1:{port}/")
+    assert capsys.readouterr().err == f"web page at {one.url}\n"
+    one.close(5.0)

@@ -1,0 +1,242 @@
+"""The web page of a running daemon, in a real browser, and under readers that hang and that are many."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from monitor.config import configuration
+from monitor.model.simulation import simulate
+from monitor.service.status import look, tell
+from tests.service.test_daemon import SITE as BARE_SITE
+from tests.service.test_web import TOKEN
+from tests.support.debian import demand
+from tests.support.live_rig import until
+from tests.support.live_site import RATE
+from tests.system.test_browser import browser_tool
+
+pytestmark = pytest.mark.system
+
+ROOT = Path(__file__).parents[2]
+PACE_S = 0.025
+"""Between two blocks of half a second: twenty times real time, four windows a second."""
+READERS, HANGING = 50, 40
+
+
+@dataclass(frozen=True)
+class Running:
+    """A daemon with a page."""
+
+    process: subprocess.Popen[bytes]
+    out: Path
+    url: str
+    position: Path
+
+    @property
+    def windows(self) -> int:
+        """Lines of results.jsonl so far."""
+        results = self.out / "results.jsonl"
+        return results.read_bytes().count(b"\n") if results.exists() else 0
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """Parts that fail, by the latest whole line of health.jsonl."""
+        whole = (self.out / "health.jsonl").read_bytes().rpartition(b"\n")[0]
+        return dict(json.loads(whole.splitlines()[-1])["failed"])
+
+    def stop(self) -> int:
+        """Exit code after SIGTERM."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(60.0)
+
+
+@contextmanager
+def running(folder: Path, frame_text: str, keys: str) -> Iterator[Running]:
+    site, log, position = folder / "site.toml", folder / "log", folder / "position"
+    site.write_text(BARE_SITE.replace('dir = "out"', f'dir = "out"\nweb = "127.0.0.1:0"\n{keys}') + frame_text)
+    if not (folder / "stream.npy").exists():
+        model = configuration.load(site).model()
+        stream = simulate(model, duration_s=120.0, rate_hz=RATE, noise=0.03, seed=6).floors
+        np.save(folder / "stream.npy", stream.astype(np.float32))
+    arguments = map(str, (site, folder / "stream.npy", position, PACE_S, 0))
+    with log.open("wb") as said:
+        command = [sys.executable, "-m", "tests.support.live_site", *arguments]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+        process = subprocess.Popen(command, stdout=said, stderr=said, cwd=ROOT, env=environment)
+    try:
+        until(lambda: "READY" in log.read_text() or process.poll() is not None, "READY")
+        assert process.poll() is None, log.read_text()
+        (address,) = [text.split()[-1] for text in log.read_text().splitlines() if text.startswith("web page at ")]
+        one = Running(process, folder / "out", address, position)
+        until(lambda: one.windows >= 3, "windows")
+        yield one
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+def wait_for(page: Any, expression: str) -> None:
+    for _ in range(240):
+        if page.value(expression):
+            return
+        page.wait(0.25)
+    raise AssertionError(f"not within a minute: {expression}; the page says {page.value('document.body.innerText')}")
+
+
+def own_errors(page: Any) -> list[str]:
+    return [text for text in page.errors if "401" not in text]
+
+
+SMALLEST = """Math.min(...[...document.querySelectorAll('body *')].filter(e => e.offsetParent).map(e =>
+  parseFloat(getComputedStyle(e).fontSize)))"""
+DRAWN = """document.querySelectorAll('#modes canvas').length >= 3 &&
+  document.querySelectorAll('#sensors tbody tr').length === 3"""
+OUTSIDE = (
+    "performance.getEntriesByType('resource').map(e => e.name).filter(name => !name.startsWith(location.origin)).length"
+)
+
+
+def test_a_browser_reads_the_page_with_the_token_at_a_desk_and_on_a_telephone(tmp_path: Path, frame_text: str) -> None:
+    demand("chromium")
+    (tmp_path / "web.token").write_text(TOKEN)
+    with (
+        running(tmp_path, frame_text, 'web_token_file = "web.token"') as one,
+        browser_tool().browser(1280, 900) as page,
+    ):
+        for width, scheme in ((1280, "light"), (390, "dark")):
+            size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
+            page.call("Emulation.setDeviceMetricsOverride", **size)
+            page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+            page.call("Page.navigate", url=one.url)
+            if width > 390:  # the tab keeps the token
+                for token, after in (
+                    ("wrong" * 5, "login-says').textContent.includes('not the monitor')"),
+                    (TOKEN, "login').hidden"),
+                ):
+                    wait_for(page, "typeof refresh === 'function' && !document.getElementById('login').hidden")
+                    page.value(
+                        f"document.getElementById('token').value = '{token}'; document.querySelector('#login button').click()"
+                    )
+                    wait_for(page, f"document.getElementById('{after}")
+            wait_for(page, DRAWN)
+            assert page.value("document.querySelectorAll('#loss canvas').length") == 3
+            assert page.value("document.getElementById('word').textContent") == "not judged", "there is no baseline"
+            assert "no baseline" in page.value("document.getElementById('headline').textContent").lower()
+            assert page.value("document.documentElement.scrollWidth") <= width
+            assert page.value(SMALLEST) >= 11.0
+            assert page.value("document.querySelectorAll('figure [role=img][aria-label]').length") >= 6, (
+                "charts have words"
+            )
+            drawn = page.value("rows.length")
+            wait_for(page, f"rows.length > {drawn}")
+            picture = tmp_path / f"{width}.png"
+            picture.write_bytes(page.picture())
+            assert (
+                page.value("getComputedStyle(document.body).backgroundColor")
+                == {
+                    "light": "rgb(246, 247, 249)",
+                    "dark": "rgb(17, 22, 28)",
+                }[scheme]
+            )
+        assert page.value(OUTSIDE) == 0
+        assert page.value("performance.getEntriesByType('resource').length") > 5
+        assert TOKEN not in page.value(
+            "performance.getEntriesByType('resource').map(e => e.name).join() + location.href"
+        )
+        assert page.value("document.cookie") == ""
+        page.call("Page.navigate", url=f"{one.url}api")
+        wait_for(page, "document.querySelectorAll('#paths section').length >= 7")
+        assert page.value("document.documentElement.scrollWidth") <= 390
+        assert own_errors(page) == []
+
+
+def hang(port: int, text: bytes) -> socket.socket:
+    """Say something, and never read the answer; the connection may wait to be accepted."""
+    one = socket.socket()
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    one.settimeout(30.0)
+    one.connect(("127.0.0.1", port))
+    one.sendall(text)
+    return one
+
+
+def read_all(url: str, answers: list[int], failures: list[str]) -> None:
+    """Read what a browser does when it opens the page."""
+    for path in ("", "page.js", "uplot.js", "api/v1/status", "api/v1/windows", "api/v1/sensors"):
+        for attempt in range(20):
+            try:
+                with urllib.request.urlopen(f"{url}{path}", timeout=60.0) as answer:
+                    answers.append(len(answer.read()))
+                break
+            except OSError as error:  # its place was given to a later reader; a browser asks again, too
+                if attempt == 19:
+                    failures.append(f"{path}: {error}")
+                time.sleep(0.2)
+
+
+def test_readers_that_hang_and_fifty_at_once_hold_up_nothing_and_the_end_is_told(
+    tmp_path: Path, frame_text: str
+) -> None:
+    demand("chromium")
+    with running(tmp_path, frame_text, "") as one, browser_tool().browser(1280, 900) as page, ExitStack() as ending:
+        status = look(one.out)
+        assert status["web"] == one.url
+        assert f"web       {one.url}" in tell(status)
+        page.call("Page.navigate", url=one.url)
+        wait_for(page, "document.querySelectorAll('#modes canvas').length >= 3")
+        assert own_errors(page) == []
+
+        port = int(one.url.rstrip("/").rpartition(":")[2])
+        for k in range(HANGING):
+            ending.callback(
+                hang(port, b"GET /uplot.js HTTP/1.1\r\nHost: localhost\r\n" + (b"\r\n" if k % 2 else b"")).close
+            )
+        before, drawn = one.windows, page.value("rows.length")
+        answers: list[int] = []
+        failures: list[str] = []
+        readers = [
+            threading.Thread(target=read_all, args=(one.url, answers, failures), daemon=True) for _ in range(READERS)
+        ]
+        for reader in readers:
+            reader.start()
+        for reader in readers:
+            reader.join(120.0)
+        assert failures == []
+        assert len(answers) == 6 * READERS
+        until(lambda: one.windows >= before + 10, "windows go on")
+        wait_for(page, f"rows.length > {drawn}")
+        assert one.failed == {}
+
+        # What a fault in the page could ask for: the browser refuses it.
+        page.errors.clear()
+        page.value("new Image().src = 'http://127.0.0.1:9/x.png'")
+        page.value(
+            "const code = document.createElement('script'); code.textContent = 'window.ran = 1'; document.body.append(code)"
+        )
+        page.wait(0.5)
+        assert page.value("window.ran") is None
+        assert sum("Content Security Policy" in text for text in page.errors) >= 2
+
+        for _ in range(HANGING):
+            ending.callback(hang(port, b"GET / HTTP/1.1\r\n").close)
+        assert one.stop() == 0
+        page.value("heard -= LATE_MS")  # as if it had not answered for that long
+        page.value("refresh()")
+        wait_for(page, "document.getElementById('word').textContent === 'No answer'")
+        assert page.value("document.getElementById('state').className") == "state not_judged"
