@@ -175,13 +175,16 @@ def test_the_core_replays_and_diagnoses_and_names_the_extra_that_it_lacks(core: 
 
 @pytest.mark.system
 def test_a_command_or_a_site_that_needs_an_extra_names_it(core: Path, tmp_path: Path) -> None:
-    site = (RECORDINGS / "frame.toml").read_text() + '\n[notify]\nurls = ["mailto://somebody@localhost"]\n'
+    site = (
+        RECORDINGS / "frame.toml"
+    ).read_text() + '\n[notify]\nurls = ["mailto://somebody@localhost"]\n[output]\nweb = "127.0.0.1:0"\n'
     (tmp_path / "site.toml").write_text(site)
     (tmp_path / "x.rrd").write_text("")
     for extra, code, arguments in (
         ("viewer", 78, ("view", "x.rrd")),
         ("archive", 78, ("reprocess", "*.mcap", "--structure", "site.toml", "--out", "out")),
         ("notify", 0, ("check", "site.toml")),
+        ("web", 0, ("check", "site.toml")),
     ):
         done = run(core, "-m", "monitor", *arguments, folder=tmp_path)
         assert done.returncode == code, done.stderr
