@@ -2,12 +2,15 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+DEV := .venv/.installed-dev
 WARM := .venv/.compiled
 
 # What `make test` leaves to `make test-all`; each test that is not slow is in one of the two.
 HEAVY := (engine or system or docs) and not representative
 
-.PHONY: demo test test-all test-heavy test-slow lint format lock audit benchmark docs clean
+LOCK := out/lock/bin/uv pip compile --quiet --generate-hashes --no-annotate --no-header --python-version 3.11
+
+.PHONY: demo test test-all test-heavy test-slow lint format lock audit benchmark docs site sizes wheels clean
 
 demo: $(STAMP)
 	$(BIN)/shm-monitor demo
@@ -23,50 +26,70 @@ test-heavy: $(WARM) test
 	$(BIN)/python -m pytest -n auto --dist loadscope -m "not slow and engine and not representative"
 	$(BIN)/python -m pytest -m "not slow and not engine and $(HEAVY)"
 
-test-slow: $(STAMP)
+test-slow: $(DEV)
 	$(BIN)/python -m pytest -m slow --timeout 7200 -s
 
-lint: $(STAMP)
+lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-format: $(STAMP)
+format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-benchmark: $(STAMP)
+benchmark: $(DEV)
 	$(BIN)/python tests/benchmarks/speed.py
 
 # The API reference from docstrings, in out/api.
-docs: $(STAMP)
+docs: $(DEV)
 	$(BIN)/python docs/api.py out/api
 
-# Writes versions and hashes, no address.
-lock: $(STAMP)
-	$(BIN)/pip install uv
-	$(BIN)/uv pip compile --quiet --upgrade --generate-hashes --no-annotate --no-header --python-version 3.11 requirements.in -o requirements.txt
+# The pages of docs/ as a site that needs no network, in out/site.
+site: $(DEV)
+	$(BIN)/python docs/site_builder.py out/site
+
+# Writes versions and hashes, no address: what is needed to run, what tests and development add to it, what a site's daemon may use.
+lock:
+	$(PYTHON) -m venv out/lock
+	out/lock/bin/pip install --quiet --disable-pip-version-check uv
+	$(LOCK) --upgrade requirements.in -o requirements.txt
+	$(LOCK) --upgrade -c requirements.txt requirements-dev.in -o requirements-dev.txt
+	$(LOCK) --upgrade -c requirements-dev.txt deploy/requirements.in -o deploy/requirements.txt
+
+# The size of an environment of each kind, the time to start; installs the core alone in out/core, so it needs the network.
+sizes: $(DEV)
+	$(BIN)/python docs/sizes.py
+
+# Asks whether each pinned package has a wheel for 64-bit ARM; needs the network.
+wheels: $(DEV)
+	$(BIN)/python docs/wheels.py
 
 # The pinned packages against published faults, by a tool in an environment of its own; needs the network.
 audit:
 	$(PYTHON) -m venv out/audit
 	out/audit/bin/pip install --quiet --disable-pip-version-check pip-audit
-	out/audit/bin/pip-audit --disable-pip --require-hashes -r requirements.txt
+	out/audit/bin/pip-audit --disable-pip --require-hashes -r requirements-dev.txt
 
 # Compiled functions are kept on the disk: made once, here, and not by several tests at the same time.
-$(WARM): $(STAMP) $(shell grep -rl "^@compiled" monitor)
+$(WARM): $(DEV) $(shell grep -rl "^@compiled" monitor)
 	$(BIN)/shm-monitor replay recordings/mini-shake-table-flexible.mcap \
 		--structure recordings/mini-shake-table-flexible.toml --out out/warm/replay >/dev/null
 	$(BIN)/shm-monitor diagnose recordings/frame-before.mcap --structure recordings/frame.toml --out out/warm/diagnosis >/dev/null
 	touch $(WARM)
 
 $(STAMP): requirements.txt pyproject.toml
-	@echo "Installing into .venv (1.7 GB; a minute or more, silently) ..."
+	@echo "Installing into .venv (1.2 GB; a minute or more, silently) ..."
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $(STAMP)
+
+$(DEV): $(STAMP) requirements-dev.txt
+	@echo "Adding what tests and development need (1.4 GB more; a minute or more, silently) ..."
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.txt
+	touch $(DEV)
 
 clean:
 	rm -rf .venv out

@@ -48,7 +48,8 @@ def replay(
         on_progress=progress("replay"),
     )
     summary_text = replay_text(summary)
-    text = f"{summary_text}\nresults in {out}; look at them with: shm-monitor view {out}"
+    look = f"; look at them with: shm-monitor view {out}" if (out / "live.rrd").exists() else ""
+    text = f"{summary_text}\nresults in {out}{look}"
     say(text, {**summary, "out": str(out)}, as_json)
 
 

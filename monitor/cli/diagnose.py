@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, Recordings, Structure, progress, say, warn
-from monitor.core import demand_place, spare_inputs, write_atomically
+from monitor.core import demand_place, missing_extra, spare_inputs, write_atomically
 
 Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
 
@@ -44,11 +44,17 @@ def diagnose(
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     write_atomically(updated, structure_text(text, found.updated, found.reference_degc))
     write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
-    # Imported only now: Rerun starts threads, and no process should be forked while threads run.
-    from monitor.publish import write_report, write_view
+    from monitor.publish import write_report
 
-    for write, path in ((write_report, report), (write_view, view)):
-        write(path, found.diagnosis, found.content, found.segments, settings.story_names)
+    write_report(report, found.diagnosis, found.content, found.segments, settings.story_names)
+    if (missing := missing_extra("viewer")) is None:
+        # Imported only now: Rerun starts threads, and no process should be forked while threads run.
+        from monitor.publish import write_view
+
+        write_view(view, found.diagnosis, found.content, found.segments, settings.story_names)
+    else:
+        view.unlink(missing_ok=True)  # an earlier one would be taken for this diagnosis
+        warn(f"{view.name} is left out: it {missing}")
     lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]
     lines += [f"  {100 * a['probability']:.0f} %: {a['says']}" for a in found.content["alternatives"]]
     lines += [f"refitted: {row['says']}" for row in found.content["refit"]]

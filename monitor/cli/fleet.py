@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import address
-from monitor.core import MissingInputError, demand_place, spare_inputs, write_atomically
+from monitor.core import MissingInputError, demand_place, require_extra, spare_inputs, write_atomically
 
 
 def fleet(
@@ -42,6 +42,8 @@ def fleet(
         raise typer.BadParameter("--count says how often to look: needs --every")
     spare_inputs([place for place in (out, page) if place is not None], [file])
     settings, served = fleet_status.load(file), address(serve)
+    if out is not None or served is not None:
+        require_extra("viewer", "--out and --serve: the view")
     for place in (out, page):
         if place is not None:
             demand_place(place)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, Structure, say, warn
-from monitor.core import BadInputError
+from monitor.core import BadInputError, require_extra
 
 
 def reprocess(
@@ -43,6 +43,7 @@ def reprocess(
 
     Consecutive recordings of one folder are replayed together, with the results that 'replay' gives for them.
     """
+    require_extra("archive", "reprocess")
     from monitor.runs import WINDOWS, expand_patterns
     from monitor.runs import reprocess as run
 

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import typer
 
 from monitor.cli.common import warn
-from monitor.core import MissingInputError, WrongUsageError, parse_address
+from monitor.core import MissingInputError, WrongUsageError, parse_address, require_extra
 
 _LOOPBACK, _PORT = "127.0.0.1", 9090
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
@@ -102,14 +102,14 @@ def _viewer_program() -> str:
 
     Raises
     ------
-    MissingInputError
+    MissingExtraError
         The viewer is not installed.
     """
+    require_extra("viewer", "view")
     spec = find_spec("rerun_cli")
-    path = Path(spec.origin).parent / "rerun" if spec and spec.origin else Path("rerun")
-    if not path.exists():
-        raise MissingInputError(f"{path}: the viewer is not installed; it comes with rerun-sdk")
-    return str(path)
+    assert spec is not None
+    assert spec.origin is not None
+    return str(Path(spec.origin).parent / "rerun")
 
 
 def _free_port(address: str, port: int) -> int:

@@ -9,7 +9,7 @@ from .errors import (
     UserError,
     WrongUsageError,
 )
-from .extras import load_extra
+from .extras import import_extra, missing_extra, require_extra
 from .files import demand_place, finish, partial, set_aside, sha256, spare_inputs, write_atomically
 from .memory import keep_freed
 from .naming import name_stories, name_stories_in
@@ -72,15 +72,17 @@ __all__ = [
     "compiled",
     "demand_place",
     "finish",
+    "import_extra",
     "keep_freed",
     "levenberg_marquardt",
-    "load_extra",
+    "missing_extra",
     "name_stories",
     "name_stories_in",
     "parallel_map",
     "parse_address",
     "parse_json",
     "partial",
+    "require_extra",
     "set_aside",
     "settings_problems",
     "sha256",

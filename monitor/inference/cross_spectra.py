@@ -321,7 +321,9 @@ def ground_density(
         return float((part / (part + by_force)).mean()) - share
 
     middle = float(np.log(by_force.mean() / by_ground.mean()))
-    return float(np.exp(brentq(excess, middle - 25.0, middle + 25.0, xtol=1e-10)))
+    # At these densities every channel has less, or more, than its share; in a trial step they may lie far apart.
+    ends = np.log(by_force / by_ground) + np.log(share / (1.0 - share))
+    return float(np.exp(brentq(excess, min(middle - 25.0, ends.min()), max(middle + 25.0, ends.max()), xtol=1e-10)))
 
 
 def variances(

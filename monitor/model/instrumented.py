@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,6 +55,10 @@ class InstrumentedModel:
     def stiffness_prior_std(self) -> Array:
         """Relative standard deviations of the stiffnesses alone, shape (p,)."""
         return self.prior_std[: self.model.structure.n_stories]
+
+    def with_model(self, model: Model) -> InstrumentedModel:
+        """Return the same sensors on another model of the structure."""
+        return replace(self, model=model)
 
     def context(self, rate_hz: float) -> Context:
         """Make the context in which effects act, for samples at `rate_hz` (Hz)."""

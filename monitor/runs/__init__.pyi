@@ -23,6 +23,7 @@ from .modal_calibration import calibrate_modes
 from .online_diagnosis import RecentBlocks, longest_diagnosis_s
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
+from .synthetic_recording import cut_into_blocks, require_stable
 from .viewer import open_viewer
 from .warming import warm_up
 
@@ -38,6 +39,7 @@ __all__ = [
     "calibrate",
     "calibrate_modes",
     "compare",
+    "cut_into_blocks",
     "demo",
     "diagnose",
     "duration_s",
@@ -55,6 +57,7 @@ __all__ = [
     "read_event_line",
     "replay",
     "reprocess",
+    "require_stable",
     "send_all",
     "synthetic_recording",
     "warm_up",

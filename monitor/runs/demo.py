@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from monitor.config import configuration
-from monitor.core import MissingInputError, demand_place
+from monitor.core import MissingInputError, demand_place, missing_extra
 from monitor.damage import save_baseline
 from monitor.publish import replay_text
 from monitor.runs import calibrate, replay
@@ -39,9 +39,10 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
         [recordings / "mini-shake-table-flexible.mcap"], measured, None, target, on_warning=on_warning
     )
     say(_indent(replay_text(summary)))
-    say("Look at it:")
-    for folder in (out, target):
-        say(f"   .venv/bin/shm-monitor view {folder}    (--web for a browser)")
+    if missing_extra("viewer") is None:
+        say("Look at it:")
+        for folder in (out, target):
+            say(f"   .venv/bin/shm-monitor view {folder}    (--web for a browser)")
     say(f"Numbers: {out / 'results.jsonl'} (a line a window), {out / 'summary.json'}")
 
 

@@ -76,7 +76,6 @@ class Finding:
     """Temperature at which the models' stiffnesses are valid, degC."""
 
 
-@_IGNORE_OVERFLOW
 def diagnose(
     paths: list[Path],
     config: Configuration,
@@ -91,7 +90,18 @@ def diagnose(
     MissingInputError, BadInputError
         If a recording cannot be used, or the baseline has no reference for a diagnosis.
     """
-    segments = _read(paths, config, on_warning, on_progress)
+    return diagnose_gathered(_read(paths, config, on_warning, on_progress), config, baseline)
+
+
+@_IGNORE_OVERFLOW
+def diagnose_gathered(segments: Segments, config: Configuration, baseline: Baseline | None) -> Finding:
+    """Diagnose segments of a recording against the baseline, or against the structure file without one.
+
+    Raises
+    ------
+    BadInputError
+        If the baseline has no reference for a diagnosis.
+    """
     if baseline is not None and baseline.reference is None:
         raise BadInputError(
             "the baseline holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"

@@ -103,17 +103,20 @@ def replay(
         read_blocks(paths, config, on_warning, **pieces)
     )  # bad input shows before any output is begun
     written = _ResultFiles(out)
-    view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True)
+    view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True, on_warning=on_warning)
     recordings = EventRecordings(out, config.events)
-    session = Session(config, baseline, (written, view), files, out / "findings", whole=True, recordings=recordings)
+    publishers = (written,) if view is None else (written, view)
+    session = Session(config, baseline, publishers, files, out / "findings", whole=True, recordings=recordings)
     try:
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress)
         content = session.content(factor)
         written.close(content, session.online_diagnosis.findings)
-        view.close(timeout_s=120.0)
+        if view is not None:
+            view.close(timeout_s=120.0)
     except BaseException:
         written.abandon()
-        view.abort()
+        if view is not None:
+            view.abort()
         raise
     finally:
         session.online_diagnosis.close()
@@ -169,12 +172,12 @@ def pass_through(
     return factor
 
 
-def _warn_of_losses(session: Session, view: RerunPublisher, out: Path, on_warning: OnWarning) -> None:
+def _warn_of_losses(session: Session, view: RerunPublisher | None, out: Path, on_warning: OnWarning) -> None:
     """Warn of failed diagnoses, a failed viewer file and dropped samples, which do not end the replay."""
     for finding in session.online_diagnosis.findings:
         if "error" in finding:
             on_warning(f"finding {finding['id']} ({finding['reason']}) came to nothing: {finding['error']}")
-    if view.failed is not None:
+    if view is not None and view.failed is not None:
         on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
     if session.dropped:
         on_warning(f"{session.dropped} samples were repeated, late or not finite and were dropped")

@@ -189,7 +189,7 @@ def write_simulated_recording(
     try:
         model = config.model()
         planted = [*map(parse_damage, damage), *map(parse_effect, effects)]
-        truth = _require_stable(replace(model, effects=(*model.effects, *planted)), config.channels)
+        truth = require_stable(replace(model, effects=(*model.effects, *planted)), config.channels)
         n_samples = round(duration_s * rate_hz) if isfinite(duration_s) else 0
         if n_samples <= 0:
             raise ValueError(f"--duration {duration_s:g}: not even one sample at {rate_hz:g} Hz")
@@ -223,7 +223,7 @@ def write_simulated_recording(
     _write_blocks(out, _sample_blocks(motion, config, weather, t0_ns), {"simulated": metadata})
 
 
-def _require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
+def require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
     """Return the model if its effects fit the structure and its stiffness matrix is positive definite.
 
     Raises

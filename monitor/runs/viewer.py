@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from monitor.config import Configuration
+from monitor.core import missing_extra
 from monitor.damage import AnyBaseline, Baseline, ModalBaseline
 from monitor.publish import RerunPublisher, make_modal_scene, make_scene
 
@@ -16,7 +18,8 @@ def open_viewer(
     file: Path | None,
     serve: tuple[str, int] | None,
     lossless: bool,
-) -> RerunPublisher:
+    on_warning: Callable[[str], None],
+) -> RerunPublisher | None:
     """Open a publisher that draws the results of a site with Rerun.
 
     Parameters
@@ -27,7 +30,19 @@ def open_viewer(
         Reference whose model and frequencies the viewer shows; by default the model of the structure file, if there is one.
     file, serve, lossless
         As of `monitor.publish.RerunPublisher`.
+    on_warning : callable
+        Is told in one line where the extra `viewer` is not installed.
+
+    Returns
+    -------
+    RerunPublisher or None
+        None without that extra; an earlier `file` is removed, for it would be taken for this run's.
     """
+    if (missing := missing_extra("viewer")) is not None:
+        if file is not None:
+            file.unlink(missing_ok=True)
+        on_warning(f"{'[output] serve' if file is None else file.name} is left out: it {missing}")
+        return None
     if isinstance(baseline, ModalBaseline) or not config.has_model:
         assert not isinstance(baseline, Baseline)
         view = make_modal_scene(

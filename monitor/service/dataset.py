@@ -13,7 +13,7 @@ from typing import Any
 from urllib.parse import quote
 
 from monitor.config import configuration
-from monitor.core import BadConfigurationError, MissingInputError, UserError, finish, partial
+from monitor.core import BadConfigurationError, MissingInputError, UserError, finish, partial, require_extra
 from monitor.publish import closed_files, read_line, read_lines
 
 _log = logging.getLogger(__name__)
@@ -73,6 +73,7 @@ def write_dataset(folders: Mapping[str, Path], place: Path) -> dict[str, int]:
     MissingInputError
         The dataset cannot be written.
     """
+    require_extra("archive", "dataset")
     written: dict[str, int] = {}
     for name, folder in folders.items():
         own = place / f"site={quote(name, safe=' ')}"

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from monitor.core import WrongUsageError, demand_place, finish, partial
+from monitor.core import WrongUsageError, demand_place, finish, partial, require_extra
 from monitor.service import line_protocol, universal_file
 from monitor.service.run_tables import MODES, open_table
 
@@ -83,8 +83,12 @@ def export(
         The folder holds no run, or the file cannot be written.
     BadInputError
         The run cannot be read.
+    MissingExtraError
+        The extra that the form needs is not installed.
     """
     form = form_of(out, form)
+    if form in ("csv", "parquet"):
+        require_extra("archive", f"{out}:")
     if form == "uff" and table != MODES:
         raise WrongUsageError(f"--format uff: holds mode shapes: give --table {MODES}")
     with open_table(folder, table) as source:

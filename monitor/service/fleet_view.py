@@ -6,10 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import rerun as rr
-import rerun.blueprint as rrb
-
-from monitor.publish import Output, utc
+from monitor.publish import utc
 from monitor.service.fleet import SiteStatus
 
 _HEAD = ("site", "state", "largest loss", "first mode", "window until", "last event", "says")
@@ -51,6 +48,11 @@ class FleetView:
     """
 
     def __init__(self, file: Path | None, serve: tuple[str, int] | None) -> None:
+        # Imported here: the table as text needs no viewer.
+        import rerun.blueprint as rrb
+
+        from monitor.publish import Output
+
         self._output = Output("fleet", file, serve)
         states = rrb.StateTimelineView(origin="/state", name="State")
         losses = rrb.TimeSeriesView(origin="/ddi", name="Largest loss of stiffness, %")
@@ -59,6 +61,8 @@ class FleetView:
 
     def show(self, statuses: Sequence[SiteStatus]) -> None:
         """Draw the states of one query."""
+        import rerun as rr
+
         stream = self._output.stream
         stream.set_time("time", timestamp=utc(time.time_ns()))
         lines = ["| " + " | ".join(row) + " |" for row in (_HEAD, ("---",) * len(_HEAD), *map(cells, statuses))]

@@ -477,7 +477,7 @@ class Host:
 
     def _warm_up(self, settings: Configuration, healthy: AnyBaseline | None) -> None:
         """Compile what the windows of a site need, once for all sites alike."""
-        alike = (type(settings.structure.structure()), settings.refinement.enabled, healthy is None)
+        alike = (settings.structure.kind, settings.refinement.enabled, healthy is None)
         if alike not in self._warmed:
             warm_up(settings, healthy)
             self._warmed.add(alike)

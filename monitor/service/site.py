@@ -515,8 +515,8 @@ class Site(Publisher):
         return max(0.0, self._end_s - self._clock()) / 2.0
 
 
-def _open_viewer(settings: Configuration, healthy: AnyBaseline | None, serve: tuple[str, int]) -> RerunPublisher:
+def _open_viewer(settings: Configuration, healthy: AnyBaseline | None, serve: tuple[str, int]) -> RerunPublisher | None:
     """Open the viewer of a site; its library is loaded only where one is served."""
     from monitor.runs import open_viewer
 
-    return open_viewer(settings, healthy, file=None, serve=serve, lossless=False)
+    return open_viewer(settings, healthy, file=None, serve=serve, lossless=False, on_warning=_log.warning)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import ComplexArray, load_extra
+from monitor.core import ComplexArray, import_extra
 
 _ACCELERATION, _TIME, _FREQUENCY, _GENERAL = 12, 17, 18, 1
 """Specific data types of the format. [1; definition: universal dataset 58]"""
@@ -34,7 +34,7 @@ def write(rows: Iterable[Mapping[str, Any]], out: Path, channels: Sequence[str])
     BadConfigurationError
         The library pyuff is not installed.
     """
-    pyuff = load_extra("pyuff", "formats", "a universal file (UFF)")
+    pyuff = import_extra("pyuff", "a universal file (UFF)")
     courses: dict[int, list[Mapping[str, Any]]] = defaultdict(list)
     for row in rows:
         if row["mode"] is not None:

@@ -82,7 +82,12 @@ def programs(folder: Path) -> dict[str, str]:
         (places / name).write_text(starts + call + "\n")
         (places / name).chmod(0o755)
     path = f"{places}:{Path(sys.executable).parent}:{os.environ['PATH']}"
-    return {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+    return {
+        **os.environ,
+        "PATH": path,
+        "PYTHONPATH": f"{ROOT}:{ROOT / 'monitor/api/installed'}",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
 
 
 RUN = [p for p in PAGES if any(b.kind == "sh" and b.mark != "not run" for b in blocks(p))]

@@ -54,15 +54,16 @@ def test_it_would_be_seen() -> None:
         assert problems(ast.parse(text)), text
 
 
-def test_what_is_installed_is_pinned_by_hash_and_named_by_no_address() -> None:
+@pytest.mark.parametrize("lock", ["requirements", "requirements-dev", "deploy/requirements"])
+def test_what_is_installed_is_pinned_by_hash_and_named_by_no_address(lock: str) -> None:
     """An audit against published faults needs the network and is the operator's (docs/security.md); this does not."""
-    text = (ROOT / "requirements.txt").read_text()
+    text = (ROOT / f"{lock}.txt").read_text()
     assert "://" not in text and not re.search(r"^\s*-(?!-hash)", text, re.MULTILINE)
     pinned = re.split(r"\n(?=[A-Za-z0-9])", text.strip())
     for block in pinned:
         assert re.match(r"[A-Za-z0-9_.\-\[\]]+==\S+", block) and "--hash=sha256:" in block, block[:80]
     names = {re.match(r"[A-Za-z0-9_.\-]+", block)[0].lower().replace("_", "-") for block in pinned}  # type: ignore[index]
-    asked = re.findall(r"^([A-Za-z0-9_.\-]+)", (ROOT / "requirements.in").read_text(), re.MULTILINE)
+    asked = re.findall(r"^([A-Za-z0-9][A-Za-z0-9_.\-]*)", (ROOT / f"{lock}.in").read_text(), re.MULTILINE)
     assert {n.lower().replace("_", "-") for n in asked} <= names
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import BadInputError, load_extra
+from monitor.core import BadInputError, import_extra
 from monitor.runs.importers.arrays import VALUE_BYTES, AnyArray, build_table
 from monitor.runs.importers.table import OnWarning, Table
 
@@ -62,7 +62,7 @@ def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> 
     BadConfigurationError
         The library h5py is not installed.
     """
-    load_extra("h5py", "formats", f"{path}: HDF5 (MAT 7.3)")
+    import_extra("h5py", f"{path}: HDF5 (MAT 7.3)")
     with TemporaryDirectory() as folder:
         out = Path(folder, "arrays.npz")
         command = [sys.executable, "-m", __name__, str(path), str(out), str(most_bytes)]
@@ -94,7 +94,7 @@ def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> 
 
 def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, str]]:
     """Read the arrays of a file and their units; raise ValueError if they would take more than `most_bytes`."""
-    h5py = load_extra("h5py", "formats", "HDF5")
+    h5py = import_extra("h5py", "HDF5")
 
     def demand_room(size: int) -> None:
         if size > most_bytes:

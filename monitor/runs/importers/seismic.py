@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import io
 import re
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from monitor.core import BadInputError, MissingInputError
+from monitor.core import BadInputError, MissingInputError, import_extra
 from monitor.runs.importers.table import Array, Table
 
 _MINISEED = re.compile(rb"[0-9 ]{6}[DRQM][ \0]|MS\x03")
@@ -48,7 +47,7 @@ def to_table(path: Path, raw: bytes, most_bytes: int, scale: float | None, inven
     MissingInputError
         ObsPy is not installed, or the inventory cannot be read.
     """
-    obspy, is_nied = _obspy(path), raw.startswith(_NIED)
+    obspy, is_nied = import_extra("obspy", f"{path}: MiniSEED or K-NET"), raw.startswith(_NIED)
     if is_nied and (scale is not None or inventory is not None):
         raise BadInputError(f"{path}: K-NET states its own scale; give neither --scale nor --inventory")
     if not is_nied and (scale is None) == (inventory is None):
@@ -66,21 +65,6 @@ def to_table(path: Path, raw: bytes, most_bytes: int, scale: float | None, inven
         values = values * np.array(factors)
     clock = t_ns + np.rint(np.arange(len(values)) * (1e9 / rate_hz)).astype(np.int64)
     return Table(path, columns, (_UNIT,) * len(columns), values, columns, clock, None, t_ns, rate_hz)
-
-
-def _obspy(path: Path) -> Any:
-    """Import ObsPy, which has no types.
-
-    Raises
-    ------
-    MissingInputError
-        It is not installed.
-    """
-    try:
-        return import_module("obspy")
-    except ImportError as error:
-        says = f"{path}: MiniSEED and K-NET need ObsPy, the extra `seismic`: pip install 'shm-monitor[seismic]'"
-        raise MissingInputError(says) from error
 
 
 def _joined(path: Path, stream: Any, most_bytes: int) -> tuple[tuple[str, ...], Array, int, float]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import BadInputError, load_extra
+from monitor.core import BadInputError, import_extra
 from monitor.runs.importers.table import OnWarning, Table
 
 _MARK = b"    -1"
@@ -41,7 +41,7 @@ def to_table(path: Path, raw: bytes, on_warning: OnWarning) -> Table:
     BadConfigurationError
         The library pyuff is not installed.
     """
-    pyuff = load_extra("pyuff", "formats", f"{path}: a universal file (UFF)")
+    pyuff = import_extra("pyuff", f"{path}: a universal file (UFF)")
     with NamedTemporaryFile(suffix=".uff") as copy:  # the library reads files, by their bytes as they were checked
         copy.write(raw)
         copy.flush()

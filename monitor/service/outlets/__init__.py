@@ -5,6 +5,7 @@ The module of an outlet is imported only when the site file has its table.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,12 +14,14 @@ from typing import Any, Protocol, cast
 from pydantic import BaseModel, ValidationError
 
 from monitor.config import Configuration, security_check
-from monitor.core import BadConfigurationError, settings_problems
+from monitor.core import BadConfigurationError, missing_extra, settings_problems
 from monitor.service.outlets.base import Outlet as Outlet
 from monitor.service.outlets.delivery_workers import Trial, send_test
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.service.threads import Chores
+
+_log = logging.getLogger(__name__)
 
 
 def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:
@@ -50,6 +53,8 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
     settings, to = _notify(config, folder, problems)
     if problems:
         raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    if to.left_out is not None:
+        _log.warning(to.left_out)
     if dry:
         return ()
     optional = tuple(make(name) for make in makers if make is not None)
@@ -118,17 +123,17 @@ def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[N
 
 
 def _web(config: Configuration, folder: Path, problems: list[str]) -> Callable[[], Outlet] | None:
-    """Return a function that creates the web page; None if none is wanted or, told in `problems`, none can be."""
+    """Return a function that creates the web page; None if none is wanted, or none can be made: told in `problems` or the log."""
     output, found = config.output, len(problems)
     if output.web_address is None:
         if output.web_token_file is not None:
             problems.append('output.web_token_file: without `web` there is no page; set web = "127.0.0.1:8080"')
         return None
-    try:
-        from monitor.service.web.outlet import WebPage, read_token
-    except ImportError as error:
-        problems.append(f"output.web: needs the extra web (pip install 'shm-monitor[web]'): {error}")
+    if (missing := missing_extra("web")) is not None:
+        _log.warning("[output] web is left out: it %s", missing)
         return None
+    from monitor.service.web.outlet import WebPage, read_token
+
     token = None
     if output.web_token_file is not None:
         try:

@@ -20,7 +20,7 @@ from typing import Any
 
 from pydantic import Field
 
-from monitor.core import Busy, WindowResult
+from monitor.core import Busy, WindowResult, missing_extra
 from monitor.events import Event
 from monitor.service.outlets import notices
 from monitor.service.outlets.base import Outlet
@@ -62,6 +62,8 @@ class Addresses:
     urls: tuple[str, ...] = field(default=(), repr=False)
     heartbeat_url: str | None = field(default=None, repr=False)
     heartbeat_blocked_url: str | None = field(default=None, repr=False)
+    left_out: str | None = None
+    """Why messages are sent to none of the URLs, or None."""
 
 
 def addresses(settings: NotifySettings, folder: Path) -> Addresses:
@@ -95,7 +97,9 @@ def addresses(settings: NotifySettings, folder: Path) -> Addresses:
         return "" if missing else _VARIABLE.sub(lambda match: os.environ[match[1]], text)
 
     urls = [(place, expanded(place, url)) for place, url in named]
-    problems += [f"{place}: no URL that apprise knows" for place, url in urls if url and not _known(url)]
+    left_out = f"[notify] sends no message: it {missing}" if urls and (missing := missing_extra("notify")) else None
+    if left_out is None:
+        problems += [f"{place}: no URL that apprise knows" for place, url in urls if url and not _known(url)]
     beats: list[str | None] = []
     for place in ("heartbeat_url", "heartbeat_blocked_url"):
         text = getattr(settings, place)
@@ -104,7 +108,8 @@ def addresses(settings: NotifySettings, folder: Path) -> Addresses:
             problems.append(f"{place}: no http:// or https:// URL")
     if problems:
         raise ValueError("\n".join(problems))
-    return Addresses(tuple(dict.fromkeys(url for _, url in urls)), *beats)
+    usable = () if left_out else tuple(dict.fromkeys(url for _, url in urls))
+    return Addresses(usable, beats[0], beats[1], left_out)
 
 
 def _known(url: str) -> bool:
@@ -154,7 +159,12 @@ class Notifier(Outlet):
     def failed(self) -> str | None:
         """Addresses that cannot be reached, or why messages cannot be stored; None if all is well."""
         stored = None if self._outbox is None else self._saving.overdue or self._outbox.failed
-        reasons = [stored, self._heartbeat.failed, *(worker.failed for worker in self._workers.values())]
+        reasons = [
+            self._to.left_out,
+            stored,
+            self._heartbeat.failed,
+            *(worker.failed for worker in self._workers.values()),
+        ]
         return "; ".join(reason for reason in reasons if reason) or None
 
     @property

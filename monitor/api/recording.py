@@ -1,0 +1,162 @@
+"""Recordings as arrays."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.base import ACCELERATION, FORCE, GROUND, RecordingError, RecordingMissingError, SampleBlock
+from drivers.mcap_file import read_recordings
+from drivers.mcap_records import MAGIC
+from monitor.core import Array, BadInputError, MissingInputError, import_extra
+from monitor.runs import import_files
+
+_LEAST_FILLED = 0.1
+"""Least share of a recording's time that must hold samples to be laid out as one array. [ratio; judgement: memory]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Recording:
+    """Samples of one recording on one clock."""
+
+    samples: Array
+    """Accelerations, shape (n_samples, c), m/s^2; NaN where samples are missing."""
+    rate_hz: float
+    """Rate of the samples, Hz."""
+    channels: tuple[str, ...]
+    """Names of the c columns."""
+    start_ns: int
+    """UTC of the first sample, ns since 1970."""
+    ground: Array | None = None
+    """Measured ground acceleration, shape (n_samples,), m/s^2; None where it was not measured."""
+    force: Array | None = None
+    """Measured forces, shape (n_samples, k), N; None where none was measured."""
+
+    @property
+    def duration_s(self) -> float:
+        """Length, s."""
+        return len(self.samples) / self.rate_hz
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the channels over time, and return the matplotlib axes.
+
+        Raises
+        ------
+        UserError
+            The extra ``plot`` is not installed.
+        """
+        axes = import_extra("matplotlib.pyplot", "plot()").gca() if axes is None else axes
+        axes.plot(np.arange(len(self.samples)) / self.rate_hz, self.samples, linewidth=0.5, label=self.channels)
+        axes.set(xlabel="time, s", ylabel="acceleration, m/s$^2$")
+        axes.legend(loc="upper right")
+        return axes
+
+
+def read(
+    file: str | Path, *, unit: str = "m/s^2", rate_hz: float | None = None, start_ns: int | None = None
+) -> Recording:
+    """Read a recording (MCAP), or a table (CSV of any delimiter, NPZ, Xsens DOT), as arrays in SI units.
+
+    Parameters
+    ----------
+    file : path
+        File to read.
+    unit : str
+        Unit of columns of a table whose header states none: m/s^2, g, mg, gal.
+    rate_hz : float, optional
+        Rate of a table without a column of time, Hz.
+    start_ns : int, optional
+        UTC of the first sample of a table that does not tell it, ns since 1970.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    UserError
+        The file does not exist, cannot be read, or is no recording.
+
+    Warns
+    -----
+    UserWarning
+        The file ends early, samples are missing, or clocks disagree.
+
+    Examples
+    --------
+    >>> import tempfile, shm_monitor as shm
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder, "a.csv")
+    ...     _ = table.write_text("t,top [g]\\n0.00,0.1\\n0.01,0.2\\n0.02,0.1\\n")
+    ...     record = shm.read(table, start_ns=0)
+    >>> record.rate_hz, record.channels, record.samples[1].round(3)
+    (100.0, ('top',), array([1.961]))
+    """
+    path = Path(file)
+    try:
+        with path.open("rb") as stream:
+            is_recording = stream.read(len(MAGIC)) == MAGIC
+    except OSError as error:
+        raise MissingInputError(f"{path}: {error.strerror or error}") from error
+    if is_recording:
+        return _gathered(path)
+    with tempfile.TemporaryDirectory() as folder:
+        imported = Path(folder, "imported.mcap")
+        import_files([path], imported, rate_hz=rate_hz, unit=unit, start_ns=start_ns, on_warning=_warn)
+        return _gathered(imported)
+
+
+def _gathered(path: Path) -> Recording:
+    """Read the blocks of a recording and lay them out on one grid.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+        The recording cannot be read, has no accelerations, or changes its rate or channels.
+    """
+    try:
+        blocks = list(read_recordings([path], topics=(ACCELERATION, GROUND, FORCE), on_warning=_warn))
+    except RecordingMissingError as error:
+        raise MissingInputError(str(error)) from error
+    except RecordingError as error:
+        raise BadInputError(str(error)) from error
+    floors = [block for block in blocks if block.topic == ACCELERATION]
+    first = floors[0]
+    samples = _laid_out(path, floors, first, None)
+    ground = _laid_out(path, [b for b in blocks if b.topic == GROUND], first, len(samples))
+    force = _laid_out(path, [b for b in blocks if b.topic == FORCE], first, len(samples))
+    return Recording(
+        samples,
+        first.sample_rate_hz,
+        first.channels,
+        first.t_ns,
+        ground[:, 0] if ground.size else None,
+        force if force.size else None,
+    )
+
+
+def _laid_out(path: Path, blocks: list[SampleBlock], first: SampleBlock, n: int | None) -> Array:
+    """Place the samples of blocks by their times on the grid of the block `first`, shape (n, c); NaN where there are none."""
+    if not blocks:
+        return np.zeros((0, 0))
+    rate_hz = first.sample_rate_hz
+    if any(b.sample_rate_hz != rate_hz or b.channels != blocks[0].channels for b in blocks):
+        raise BadInputError(f"{path}: rate or channels change within the recording; read its parts one by one")
+    places = [round((block.t_ns - first.t_ns) * 1e-9 * rate_hz) for block in blocks]
+    end = max(place + block.n_samples for place, block in zip(places, blocks, strict=True)) if n is None else n
+    if sum(block.n_samples for block in blocks) < _LEAST_FILLED * end:
+        raise BadInputError(f"{path}: gaps fill most of it; read its parts one by one")
+    values = np.full((end, len(blocks[0].channels)), np.nan)
+    for place, block in zip(places, blocks, strict=True):
+        here = slice(max(place, 0), min(place + block.n_samples, end))
+        values[here] = block.samples[here.start - place : here.stop - place]
+    return values
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, stacklevel=3)
