@@ -15,7 +15,10 @@ def compare(
     second: Annotated[Path, typer.Argument(metavar="B", help="Of the same kind as A, by the same sensors.")],
     as_json: Json = False,
 ) -> None:
-    """Compare two recordings or two folders of results: modes, levels and damage index, each with what chance allows."""
+    """Compare two recordings or two folders of results.
+
+    Modes, levels and damage index, each with what chance allows.
+    """
     from monitor.runs import compare as run
 
     content = run.compare(first, second, on_warning=warn, on_progress=progress("compare"))

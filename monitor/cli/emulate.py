@@ -24,7 +24,10 @@ def emulate(
     dbc: Dbc = None,
     speed: Speed = None,
 ) -> None:
-    """Send recordings as sensor nodes would, over CAN, Zenoh or MQTT; in real time unless --speed says otherwise."""
+    """Send recordings as sensor nodes would.
+
+    Over CAN, Zenoh or MQTT; in real time unless --speed says otherwise.
+    """
     send(recordings, to, dbc, speed)
 
 

@@ -52,7 +52,9 @@ def dataset(
     out: Annotated[Path, typer.Option(metavar="DATASET", help="Folder of the dataset; months that stand are kept.")],
     as_json: Json = False,
 ) -> None:
-    """Write the results of many sites as one Parquet dataset, partitioned by site and month.
+    """Write the results of many sites as a Parquet dataset.
+
+    It is partitioned by site and month.
 
     The sites may be running.  Times of day are UTC; the columns are those of 'reprocess'.
     """

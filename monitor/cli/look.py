@@ -34,7 +34,10 @@ def look(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Look at recordings without a model: level, spectra, modes with intervals and a second opinion, and what is doubtful."""
+    """Look at recordings without a model.
+
+    Shows level, spectra, modes with intervals and a second opinion, and what is doubtful.
+    """
     from monitor.runs import look as run
 
     written = [] if out is None else [out / name for name in run.RESULT_FILES]

@@ -94,7 +94,9 @@ def notify(
     test: Annotated[bool, typer.Option("--test", help="Send a test message to every address.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Send a test message to every address of [notify], heartbeats too, and print what became of each.
+    """Send a test message to every address of [notify].
+
+    Heartbeats are sent too; what became of each is printed.
 
     Exit code 0: all have taken it; 1: one has not.  The exit code of each delivery is printed too: 0 taken, 1 refused or not
     reached, negative: ended after 30 s without an answer.

@@ -105,7 +105,7 @@ def import_(
     ] = [],  # noqa: B006
     start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
     dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="Layout of the frames of a CAN log.")] = None,
-    scale: Annotated[float | None, typer.Option(help="Of MiniSEED: m/s^2 of a count.")] = None,
+    scale: Annotated[float | None, typer.Option(min=1e-30, max=1e30, help="Of MiniSEED: m/s^2 of a count.")] = None,
     inventory: Annotated[
         Path | None, typer.Option(metavar="STATION.xml", help="Of MiniSEED: the channels' sensitivities.")
     ] = None,
@@ -117,7 +117,10 @@ def import_(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Convert foreign data to the recording format, and print what was taken: start, rate, unit and level."""
+    """Convert foreign data to the recording format.
+
+    Prints what was taken: start, rate, unit and level.
+    """
     from monitor.runs import ImportedChannel, import_files
 
     spare_inputs([out], [*files, dbc, inventory])

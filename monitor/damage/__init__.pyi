@@ -1,4 +1,4 @@
-from . import alarm, slow_learning
+from . import alarm, damage_index, slow_learning
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
 from .assessment import (
@@ -62,6 +62,7 @@ __all__ = [
     "WindowFacts",
     "alarm",
     "assess",
+    "damage_index",
     "diagnosis_of",
     "drift_m",
     "facts_of",

@@ -198,7 +198,8 @@ def _names(summary: dict[str, Any]) -> list[str]:
 
 def _changes(summary: dict[str, Any], result: dict[str, Any]) -> dict[str, Callable[[], str]]:
     """Return the row of what was lost, or without a model of how the frequencies changed."""
-    if (summary.get("known") or {}).get("n_modes") is None:
+    known = summary.get("known")
+    if not isinstance(known, dict) or known.get("n_modes") is None:
         return {"loss": lambda: _pairs(result.get("ddi"), result.get("ddi_std"), "%" + _reference(result)[0], 100.0)}
     unit = "% of each frequency"
     return {"change": lambda: _pairs(result.get("frequency_change"), result.get("frequency_change_std"), unit, 100.0)}

@@ -740,7 +740,7 @@ def test_numbers_that_are_not_finite_or_absurd_are_wrong_usage(
 
 def test_every_command_with_such_numbers_is_among_them() -> None:
     assert {option for _, option in FLOATS} == {
-        "--duration", "--noise", "--rate", "--level-spread", "--shelve", "--every", "--gap",
+        "--duration", "--noise", "--rate", "--level-spread", "--shelve", "--every", "--gap", "--scale", "--mass-kg",
     }  # fmt: skip
 
 

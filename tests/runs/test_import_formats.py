@@ -19,7 +19,8 @@ import scipy.io
 
 from drivers.base import ACCELERATION, FORCE
 from drivers.mcap_file import RecordingInfo, read_recordings
-from monitor.core.errors import BadConfigurationError, BadInputError
+from monitor.core.errors import BadInputError
+from monitor.core.extras import EXTRAS, MissingExtraError
 from monitor.runs import importers
 from monitor.runs.importers import ImportedChannel, import_files
 from monitor.runs.importers.clocks import best_shift
@@ -278,8 +279,8 @@ def test_without_a_library_one_line_names_the_extra(
     tmp_path: Path, kind: str, module: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = hdf5(tmp_path / "a.h5", a=X) if kind == "h5" else uff(tmp_path / "a.uff", BOTH)
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(BadConfigurationError, match=r"needs the extra formats: pip install 'shm-monitor\[formats\]'"):
+    monkeypatch.setitem(EXTRAS, "formats", (module, "no_such_module"))
+    with pytest.raises(MissingExtraError, match=r"needs the extra formats: pip install 'shm-monitor\[formats\]'"):
         load(path)
 
 

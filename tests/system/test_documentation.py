@@ -161,7 +161,7 @@ def test_code_compiles_and_links_lead_somewhere(page: Path) -> None:
 
 
 def test_a_wrong_option_would_be_seen() -> None:
-    for wrong in (["replay", "a.mcap", "--structur", "s.toml", "--out", "o"], ["replai"], ["report", "dir"]):
+    for wrong in (["replay", "a.mcap", "--structur", "s.toml", "--out", "o"], ["replai"], ["calibrate", "a.mcap"]):
         with pytest.raises(Exception, match=r"(?i)no such option|no command|missing"):
             parse(wrong)
 
