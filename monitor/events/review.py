@@ -217,8 +217,10 @@ def _review(record: Record, site: Site, corner_hz: float, lost: Array, gaps: int
 
 
 def _first_mode(record: Record, site: Site) -> FirstMode | None:
-    """Fit frequency and damping of the first mode in stretches of the motion; None where no stretch tells them."""
+    """Fit frequency and damping of the first mode in stretches of the motion; None where no stretch, or no mode, tells them."""
     assert record.ground is not None
+    if not site.modes_hz.size:
+        return None
     near_hz, rate_hz = float(site.modes_hz[0]), record.rate_hz
     relative = record.floors - record.ground[:, None] * site.rides
     project = np.linalg.pinv(site.shapes)[:, 0] * site.shapes[0, np.abs(site.shapes[0]).argmax()]

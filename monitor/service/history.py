@@ -123,8 +123,7 @@ class History:
         """
         latest = {}
         for episode in episodes:
-            row = {key: value for key, value in episode.items() if key != "part"}
-            row["story"] = episode.get("part", episode["story"]) or 0
+            row = alarm_row(episode)
             latest[row["story"], row["t_first_ns"]] = row
         for key, row in latest.items():
             if self._stored_alarms.get(key) != row:
@@ -268,6 +267,12 @@ def window_row(line: Mapping[str, Any]) -> Row:
     )
     row = {name: line.get(name) for name in names} | {name: _text(line.get(name)) for name in lists}
     return row | {"level": line["alarm"]["level"]}
+
+
+def alarm_row(episode: Mapping[str, Any]) -> Row:
+    """Return the row of an alarm, given as in summary.json; see `History.episodes`."""
+    row = {key: value for key, value in episode.items() if key != "part"}
+    return row | {"story": episode.get("part", episode["story"]) or 0}
 
 
 def insert(database: sqlite3.Connection, table: str, row: Row) -> None:

@@ -12,7 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
 from monitor.core import MissingInputError
-from monitor.service.outlets.http_server import HttpServer
+from monitor.service.outlets.http_server import HttpServer, wsgi
 from monitor.service.outlets.metrics import Metrics
 
 _ASK_S = 2.0
@@ -44,7 +44,7 @@ class _Endpoint(Collector):
         registry = CollectorRegistry(auto_describe=False)
         registry.register(self)
         try:
-            self._server = HttpServer(*address, make_wsgi_app(registry))
+            self._server = HttpServer(*address, wsgi(make_wsgi_app(registry)))
         except OSError as error:
             raise MissingInputError(f"--metrics {address[0]}:{address[1]}: {error.strerror or error}") from error
         self.port = self._server.port

@@ -11,7 +11,7 @@ from typing import Any
 
 from monitor.core import BadInputError, MissingInputError, WrongUsageError, parse_json
 from monitor.publish import closed_files, read_line, read_lines
-from monitor.service.history import TABLES, insert, make_tables, window_row
+from monitor.service.history import TABLES, alarm_row, insert, make_tables, window_row
 
 MODES = "modes"
 """Table with a row for each mode of each window; it is always made from results.jsonl."""
@@ -83,7 +83,7 @@ def _made(folder: Path) -> sqlite3.Connection:
             for file in files:
                 _add_lines(database, file)
             for episode in _alarms(folder / "summary.json"):
-                insert(database, "alarms", {**episode, "story": episode["story"] or 0})
+                insert(database, "alarms", alarm_row(episode))
     except BaseException:
         database.close()
         raise
@@ -136,7 +136,11 @@ def _alarms(file: Path) -> list[dict[str, Any]]:
     """Return the episodes of a summary.json; none without the file, as while a replay runs."""
     names = ("level", "story", "t_first_ns", "t_last_ns", "ddi", "ddi_std", "loss_n_per_m")
     try:
-        return [{name: episode[name] for name in names} for episode in parse_json(file.read_bytes())["alarms"]]
+        return [
+            {name: episode[name] for name in names}
+            | {name: episode[name] for name in ("part", "change", "change_std") if name in episode}
+            for episode in parse_json(file.read_bytes())["alarms"]
+        ]
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError, KeyError) as error:

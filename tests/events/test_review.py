@@ -152,3 +152,13 @@ def test_what_the_first_mode_of_the_shake_table_frame_did() -> None:
         3.79, abs=0.02
     )
     assert mode.damping[strong].max() > 0.013 > 0.008 > mode.damping[weak].max()
+
+
+def test_where_nothing_is_known_but_the_channels_no_mode_and_no_drift_is_told() -> None:
+    config = frame()
+    known = Pipeline(config).site
+    bare = Site.of_channels(config.channels, None, 1.0, known.window_s, known.settings)
+    begin_ns, end_ns = (T0_NS + round(t * 1e9) for t in (BEGIN_S, END_S))
+    found = review_event(blocks(shaken(), with_ground=True), config.front_end(), bare, begin_ns, end_ns, 0.2)
+    assert isinstance(found, Review)
+    assert found.first_mode is None and found.force_n is None and found.drift_m.shape[1] == 0

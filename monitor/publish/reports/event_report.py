@@ -204,6 +204,8 @@ def _loss(page: EventPage) -> str:
     """Tabulate what remains of the stiffness."""
     e = page.event
     title = "<h2>Lasting loss of stiffness</h2>"
+    if not e.loss.size:  # nothing is known of stories
+        return ""
     if not np.isfinite(e.loss).any():
         known = e.revision == _REVISED
         hours = "an hour" if page.site is None else f"{page.site.settings.revision_s / 60:.0f} minutes"

@@ -96,7 +96,7 @@ def read_event(line: Mapping[str, Any]) -> Event:
 
 def telling(event: Event) -> str:
     """Say which telling of an event this is, and its id."""
-    told = {None: "preliminary", 0: "measured", 1: "lasting loss"}
+    told = {None: "preliminary", 0: "measured", 1: "lasting loss" if event.loss.size else "afterwards"}
     return f"strong motion ({told[event.revision]}), {event.id}"
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from monitor.core import Gap, WindowResult
-from monitor.damage import Assessment
+from monitor.damage import Assessment, modal_parts
 from monitor.events import Event
 from monitor.publish import alarm_line, to_json
 from monitor.service.outlets.base import Outlet
@@ -28,6 +28,9 @@ class Messages(Outlet):
         """Publish a window's line of results.jsonl, and its alarm if that changed."""
         self._put("results", line)
         alarm = alarm_line(result.alarm)
+        if result.modal is not None:
+            parts = enumerate(modal_parts(result.modal.ln_frequency.size), 1)
+            alarm["names"] = {str(j): name for j, name in parts if str(j) in alarm["active"]}
         if (alarm["level"], alarm["active"], alarm["conditions"]) != self._alarm:
             self._alarm = alarm["level"], alarm["active"], alarm["conditions"]
             self._put("alarm", to_json({"t_end_ns": result.t_end_ns, **alarm}))
