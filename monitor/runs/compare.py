@@ -112,6 +112,8 @@ def in_words(content: dict[str, Any]) -> str:
     """Write the result of `compare` for a terminal."""
     rows = [["", "A", "B", "B - A", "z", ""]]
     for test in content["tests"]:
+        if test["kind"] == "level" and not test["significant"]:
+            continue
         change = f"{100.0 * test['relative']:+.2f} %" if test["relative"] is not None else f"{test['change']:+.3g}"
         unit = f", {test['unit']}" if test["unit"] else ""
         said = "beyond chance" if test["significant"] else ""

@@ -38,7 +38,7 @@ from monitor.identification import (
     identify_modes,
 )
 from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, utc, write_look
-from monitor.runs.importers import import_files
+from monitor.runs.importers import ImportedChannel, import_files
 from monitor.runs.look_doubts import Facts, find_doubts, remark_modes
 from monitor.runs.look_structure import propose_structure
 from monitor.runs.recordings import OnProgress, OnWarning
@@ -118,14 +118,29 @@ def look(
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "imported.mcap"
         taken: list[str] = []
-        info = import_files(list(paths), recording, rate_hz=rate_hz, unit=unit or "m/s^2", on_warning=taken.append)
+        channels: list[ImportedChannel] = []
+        info = import_files(
+            list(paths),
+            recording,
+            rate_hz=rate_hz,
+            unit=unit or "m/s^2",
+            on_warning=taken.append,
+            on_channel=channels.append,
+        )
         begins = [one for one in taken if "1970" in one]
         for one in taken:
             if one not in begins:
                 on_warning(one)
-        stated = "as --unit says" if unit else "as the columns say; m/s^2 where they say none"
-        note = f"taken from {_names(paths)}: {info.sample_rate_hz:g} Hz, {stated}"
-        found = _look([recording], (note,), on_warning, on_progress)
+        units = {
+            f"unit {one.unit} "
+            + ("as its file states" if one.stated else "as --unit says" if unit else "as none is stated")
+            for one in channels
+        }
+        note = f"taken from {_names(paths)}: {info.sample_rate_hz:g} Hz, {'; '.join(sorted(units))}"
+        try:
+            found = _look([recording], (note,), on_warning, on_progress)
+        except BadInputError as error:
+            raise BadInputError(str(error).replace(str(recording), _names(paths))) from error
         return replace(found, files=tuple(map(str, paths)))
 
 
@@ -333,7 +348,8 @@ def _identify_band(values: Array, source_hz: float, rate_hz: float, lowest_hz: f
     grid = WindowGrid(rate, len(x), block_n, n_lags, segment_s, conditioner.cutoff_hz)
     _, made = windows.step(grid, windows.start(grid, x.shape[1], index=0), x, 0)
     window = next(one for one in made if isinstance(one, Window))
-    select = SelectionSettings(min_frequency_hz=lowest_hz)
+    # A mode below the band bends the spectra of the lowest one in it, so that it is identified too; it is not told.
+    select = SelectionSettings(min_frequency_hz=0.5 * lowest_hz)
     modes = identify_modes(window, SsiSettings(), select, RefinementSettings(), cutoff_hz=conditioner.cutoff_hz)
     second = () if isinstance(modes, Skipped) else fit_single_modes(window.segments, window.segment_bin_hz, modes)
     return LookedBand(rate, (lowest_hz, conditioner.cutoff_hz), modes, second)
@@ -354,6 +370,7 @@ def _merge(bands: Sequence[LookedBand]) -> list[LookedMode]:
         for band in bands
         if isinstance(band.modes, ModalEstimate)
         for k, f in enumerate(band.modes.frequencies_hz.tolist())
+        if f >= band.band_hz[0] and f > 2.0 * band.modes.frequencies_std_hz[k]
     ]
     kept: list[LookedMode] = []
     for _, _, mode in sorted(found, key=lambda one: one[:2]):

@@ -59,7 +59,10 @@ def warm_up(config: Configuration | None = None, baseline: AnyBaseline | None = 
     p = config.processing
     rate_hz = _RATIO * p.rate_hz
     motion = simulate(_model(config, baseline), duration_s=p.window_s + 2.0 * p.hop_s, rate_hz=rate_hz, noise=_NOISE)
-    blocks = list(cut_into_blocks(ACCELERATION, motion.floors, config.channels, rate_hz, 0, round(rate_hz)))
+    # What sensors at degrees of freedom see; how they are mounted compiles nothing else.
+    seen = np.eye(motion.floors.shape[1]) if not config.has_model else config.instrumented().sensor_matrix
+    samples = motion.floors @ seen.T
+    blocks = list(cut_into_blocks(ACCELERATION, samples, config.channels, rate_hz, 0, round(rate_hz)))
     judged = 0
     for is_refined in {config.refinement.enabled, False}:
         refinement = config.refinement.model_copy(update={"enabled": is_refined})

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
 from monitor.config import Configuration, configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
+from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, UserError, WindowResult
 from monitor.damage import AnyBaseline, Assessment, outdated, utc
 from monitor.events import Event
 from monitor.pipeline import Result
@@ -332,7 +332,8 @@ class Site(Publisher):
         try:
             write_event_page(self.out, json.loads(line), page_of(self.out, id))
         except Exception as error:  # noqa: BLE001 - the thread goes on to write the recordings of later events
-            _log.error("%s: the page of event %s is not written: %s", self.out, id, error, exc_info=True)
+            unexpected = not isinstance(error, UserError | OSError)
+            _log.error("%s: the page of event %s is not written: %s", self.out, id, error, exc_info=unexpected)
 
     def gap(self, gap: Gap) -> None:
         """Store and publish a gap in the data."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from monitor.config import configuration
+from monitor.config import Configuration, configuration
 from monitor.runs.warming import warm_up
 from monitor.service import daemon as daemon_module
 from monitor.service.daemon import Daemon
@@ -102,3 +102,17 @@ def test_a_start_goes_on_where_something_cannot_be_compiled(
     monkeypatch.setattr(daemon_module, "warm_up", lambda *_: 1 / 0)
     Daemon(site, Scripted([])).run()
     assert "not all is compiled" in caplog.text
+
+
+def test_a_structure_with_fewer_sensors_than_floors_is_warmed_up_too() -> None:
+    structure = {
+        "kind": "shear_frame",
+        "masses_kg": [0.3] * 4,
+        "stiffness_n_per_m": [2500.0] * 4,
+        "damping_ratio": 0.01,
+    }
+    sensors = [{"channel": f"a{floor}", "floor": floor} for floor in (1, 2, 4)]
+    config = Configuration.model_validate(
+        {"structure": structure, "sensors": sensors, "processing": {"window_s": 100.0, "hop_s": 50.0}}
+    )
+    assert warm_up(config) > 0
