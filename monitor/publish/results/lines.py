@@ -109,6 +109,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
             "level": result.alarm.level.value,
             "stories": list(result.alarm.stories),
             "reason": result.alarm.reason,
+            "active": {str(j): level.value for j, level in result.alarm.active.items()},
             "shelved": [j for j, c in result.alarm.conditions.items() if c is AlarmCondition.SHELVED],
             "changed": [] if modal is None else _changed(modal, result.alarm),
         },
@@ -277,9 +278,7 @@ def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
     level = Level(line["alarm"]["level"])
     if line.get("frequency_change") is not None:
         return _modal_facts(line, level)
-    active: dict[int, Level] = (
-        {} if level is Level.NORMAL else dict.fromkeys(line["alarm"]["stories"] or [WHOLE], level)
-    )
+    active = _active(line["alarm"], level, line["alarm"]["stories"])
     losses = {} if line["ddi"] is None else {story: _reading(line, story) for story in active}
     detectable = line.get("detectable_loss")
     return WindowFacts(
@@ -303,7 +302,7 @@ def _modal_facts(line: Mapping[str, Any], level: Level) -> WindowFacts:
     sizes = zip([*frequency, *shape], [*line["frequency_change_std"], *line["shape_change_std"]], strict=True)
     parts, known = modal_parts(len(frequency)), list(sizes)
     changed = [parts.index(part) + 1 for part in line["alarm"]["changed"]]
-    active: dict[int, Level] = {} if level is Level.NORMAL else dict.fromkeys(changed or [WHOLE], level)
+    active = _active(line["alarm"], level, changed)
     return modal_facts(
         line["t_end_ns"],
         line.get("window_s") or 0.0,
@@ -314,6 +313,13 @@ def _modal_facts(line: Mapping[str, Any], level: Level) -> WindowFacts:
         line.get("rms_m_s2"),
         tuple(zip(line.get("channels_left_out") or (), line.get("left_out_reasons") or (), strict=False)),
     )
+
+
+def _active(alarm: Mapping[str, Any], level: Level, announced: list[int]) -> dict[int, Level]:
+    """Return the level of each announced story or part; older lines, without `active`, tell those of the highest level alone."""
+    if "active" in alarm:
+        return {int(j): Level(own) for j, own in alarm["active"].items()}
+    return {} if level is Level.NORMAL else dict.fromkeys(announced or [WHOLE], level)
 
 
 def _reading(line: Mapping[str, Any], story: int) -> tuple[float, float, float | None]:

@@ -44,6 +44,7 @@ LINE_SCHEMA: dict[str, Any] = {
                 "level": {"type": "string"},
                 "stories": _INTEGERS,
                 "reason": {"type": "string"},
+                "active": {"type": "object", "additionalProperties": {"type": "string"}},
                 "shelved": _INTEGERS,
                 "changed": _STRINGS,
             },
