@@ -407,6 +407,7 @@ class Host:
         """Have a site started again after a pause."""
         place.pause_s = min(max(_RETRY_S[0], 2.0 * place.pause_s), _RETRY_S[1])
         place.due_s, place.state = self._clock() + place.pause_s, State.WAITING
+        logs.site_name.set(place.name)
         _log.warning("%s is started again in %.0f s", place.name, place.pause_s)
 
     def _open_all(self) -> None:
