@@ -18,7 +18,9 @@ STEP_HZ = 4096.0
 """Least rate of steps. [Hz; accuracy of the integration]"""
 
 _CUBIC, _CONTACT, _FRICTION = int(LawKind.CUBIC), int(LawKind.CONTACT), int(LawKind.FRICTION)
-_SLIP = int(LawKind.SLIP)
+_SLIP, _MICROSLIP = int(LawKind.SLIP), int(LawKind.MICROSLIP)
+SLIDER_DRIFT_M = np.logspace(-7.0, 0.0, 43)
+"""Drifts at which the sliders of a joint with microslip slip. [m; accuracy: the loss factor within 4 %]"""
 _TEMPERATURE_LAW = -1
 """Kind of law of a story whose stiffness follows the temperature. [index; definition]"""
 
@@ -41,6 +43,36 @@ def phi(kind: int, p0: float, p1: float, d: float, v: float) -> float:
     if kind == _SLIP:
         return p0 * (slipped(0.0, d / p1) - d / p1)  # from rest
     return p0 * v * abs(v)
+
+
+def slider_stiffness(stiffness: float, relative: float, exponent: float) -> Array:
+    """Compute the stiffness of the sliders whose backbone loses ``stiffness * relative * (d / 1 mm)^exponent * d`` at drift d.
+
+    Returns
+    -------
+    ndarray, shape (n_sliders,), N/m
+        Together at most the stiffness.
+    """
+    ends = np.append(SLIDER_DRIFT_M, SLIDER_DRIFT_M[-1] ** 2 / SLIDER_DRIFT_M[-2])
+    lost = stiffness * relative * (ends / 1e-3) ** exponent * ends
+    return np.diff(np.minimum(np.diff(lost) / np.diff(ends), stiffness), prepend=0.0)
+
+
+@compiled(error_model="numpy")
+def _sliders_force(stiffness: Array, at: Array, held: Array, moved: float, d: float) -> float:
+    """Evaluate the force of sliders in parallel, less that which they would have had they never slipped.
+
+    Parameters
+    ----------
+    stiffness, at, held : ndarray, shape (n_sliders,), N/m, m, m
+        Stiffness of each, its elongation where it slips, and its elongation before it moved.
+    moved, d : float
+        Drift since then, and drift, m.
+    """
+    force = 0.0
+    for i in range(at.size):
+        force += stiffness[i] * (min(max(held[i] + moved, -at[i]), at[i]) - d)
+    return force
 
 
 @compiled(error_model="numpy")
@@ -107,7 +139,11 @@ def march(
     ahead = (constant - h) / (poles * h)
     acting = np.array([law.direction for law in laws]).reshape(-1, n)
     sensing, kinds = acting, [int(law.kind) for law in laws]
-    parameters = np.array([law.parameters for law in laws], dtype=np.float64).reshape(-1, 2)
+    parameters = np.array([law.parameters[:2] for law in laws], dtype=np.float64).reshape(-1, 2)
+    sliders = np.zeros((len(laws) + (n if factor is not None else 0), SLIDER_DRIFT_M.size))
+    for row, law in zip(sliders, laws, strict=False):
+        if law.kind == _MICROSLIP:
+            row[:] = slider_stiffness(*law.parameters)
     if factor is not None:
         acting, sensing = np.vstack([acting, np.eye(n)]), np.vstack([acting, system.stiffness[:n, :n]])
         kinds, parameters = kinds + n * [_TEMPERATURE_LAW], np.vstack([parameters, np.zeros((n, 2))])
@@ -125,6 +161,8 @@ def march(
         inverse_mass[:, :n] @ acting.T,
         np.array(kinds, dtype=np.int64),
         parameters,
+        sliders,
+        SLIDER_DRIFT_M,
         np.ascontiguousarray(forces),
         np.zeros(0) if factor is None else factor - 1.0,
         substeps,
@@ -144,7 +182,7 @@ def loaded() -> None:
 def _march(
     decay: ComplexArray, behind: ComplexArray, ahead: ComplexArray, drive: ComplexArray, acting: ComplexArray,
     drift: ComplexArray, speed: ComplexArray, output: ComplexArray, direct: Array, kinds: Array, parameters: Array,
-    forces: Array, excess: Array, substeps: int,
+    sliders: Array, slider_drift: Array, forces: Array, excess: Array, substeps: int,
 ) -> Array:  # fmt: skip
     """Integrate the accelerations without the direct part of the applied forces, shape (n_samples, n), m/s^2.
 
@@ -161,6 +199,8 @@ def _march(
         Accelerations that the laws' forces cause at once.
     kinds, parameters : ndarray, shape (q,), (q, 2)
         Kind and parameters of each law.
+    sliders, slider_drift : ndarray, shape (q, n_sliders), (n_sliders,)
+        Stiffness of the sliders of each law, N/m, and the drift at which they slip, m.
     forces : ndarray, shape (n_samples, columns), N
     excess : ndarray, shape (n_samples,) or (0,)
         Factor on the stiffness less one; empty where the stiffness is constant.
@@ -171,6 +211,7 @@ def _march(
     law_force, force_change, d, v = np.zeros((4, q))
     # Force of each hysteretic law over its largest, and displacement, at the start of the step.
     held, before = np.zeros((2, q))
+    elongation = np.zeros_like(sliders)
     both, carried = np.empty((2, m, q), dtype=np.complex128)
     last = np.empty((m, q), dtype=np.complex128)
     for p in range(m):
@@ -204,16 +245,27 @@ def _march(
                     v[j] += speed[j, p].real * state.real - speed[j, p].imag * state.imag
                 predicted[p] = state
             for j in range(q):
-                own = _force(kinds[j], parameters[j], stiffness_excess, d[j], v[j], held[j], before[j])
+                if kinds[j] == _MICROSLIP:
+                    own = _sliders_force(sliders[j], slider_drift, elongation[j], d[j] - before[j], d[j])
+                else:
+                    own = _force(kinds[j], parameters[j], stiffness_excess, d[j], v[j], held[j], before[j])
                 force_change[j] = -own - law_force[j]
             for j in range(q):
                 for i in range(q):
                     d[j] += own_drift[j, i] * force_change[i]
                     v[j] += own_speed[j, i] * force_change[i]
-                own = _force(kinds[j], parameters[j], stiffness_excess, d[j], v[j], held[j], before[j])
+                if kinds[j] == _MICROSLIP:
+                    own = _sliders_force(sliders[j], slider_drift, elongation[j], d[j] - before[j], d[j])
+                else:
+                    own = _force(kinds[j], parameters[j], stiffness_excess, d[j], v[j], held[j], before[j])
                 law_force[j] = -own
                 if kinds[j] == _SLIP:
                     held[j] = own / parameters[j, 0] + d[j] / parameters[j, 1]
+                    before[j] = d[j]
+                elif kinds[j] == _MICROSLIP:
+                    for i in range(slider_drift.size):
+                        moved = elongation[j, i] + d[j] - before[j]
+                        elongation[j, i] = min(max(moved, -slider_drift[i]), slider_drift[i])
                     before[j] = d[j]
         for i in range(n):
             total = 0.0

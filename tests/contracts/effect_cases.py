@@ -54,6 +54,7 @@ CASES = (
     "sensor_noise:channel a3:rms_m_s2=2",
     "unmodelled_mode:frame:frequency_hz=9.5,damping_ratio=0.012,shape_1=0.8,shape_2=-0.3,shape_3=0.5",
     "hysteretic_slip:story 2:force_n=0.3,relative=0.2",
+    "microslip:story 2:relative_at_1mm=0.05,exponent=0.4",
     "ambient_forces:frame:common_share=0.3," + ",".join(f"rise_{i}={(-0.4, 0.3, -0.6)[i % 3]}" for i in range(1, 16)),
 )
 

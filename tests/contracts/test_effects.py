@@ -41,10 +41,11 @@ NAMES = [
     *("sensor_gain", "sensor_polarity", "channel_swap", "time_offset", "clock_rate", "sensor_clipping", "sensor_noise"),
     "unmodelled_mode",
     "hysteretic_slip",
+    "microslip",
 ]
 ROUGH = {  # the largest deviation in a band of 1 Hz that the linearization of each law leaves, over the measured power
     "cubic_stiffness": 2.0, "gap_contact": 1.0, "bilinear_stiffness": 0.7, "coulomb_friction": 0.3,
-    "quadratic_damping": 0.3, "sensor_clipping": 8.0, "hysteretic_slip": 1.6,
+    "quadratic_damping": 0.3, "sensor_clipping": 8.0, "hysteretic_slip": 1.6, "microslip": 1.0,
 }  # fmt: skip
 
 every = pytest.mark.parametrize("text", CASES)

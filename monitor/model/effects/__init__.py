@@ -38,6 +38,7 @@ from monitor.model.effects.gravity_softening import GravitySoftening
 from monitor.model.effects.harmonic_excitation import HarmonicExcitation
 from monitor.model.effects.hysteretic_slip import HystereticSlip
 from monitor.model.effects.joint_flexibility import JointFlexibility
+from monitor.model.effects.microslip import Microslip
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.quadratic_damping import QuadraticDamping
 from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates, interval, unit
@@ -79,6 +80,7 @@ EFFECTS: dict[str, type[Effect]] = {
         SensorNoise,
         UnmodelledMode,
         HystereticSlip,
+        Microslip,
     )
 }
 """Catalogue of the effects that a diagnosis looks for."""

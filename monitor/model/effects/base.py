@@ -201,7 +201,7 @@ class Peak:
 
 
 class LawKind(IntEnum):
-    """Kind of the function phi in `monitor.model.integration`, with its two parameters in brackets."""
+    """Kind of the function phi in `monitor.model.integration`, with its parameters in brackets."""
 
     CUBIC = 0
     """(k3, drift at which the factor on the cubic force is one half)"""
@@ -213,6 +213,8 @@ class LawKind(IntEnum):
     """(coefficient, unused)"""
     SLIP = 4
     """(force at which the element slips, drift at which it would slip without rounding); its force depends on the past"""
+    MICROSLIP = 5
+    """(stiffness, share of it lost at a drift of 1 mm, exponent); its force depends on the past"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -225,7 +227,7 @@ class Law:
     kind: LawKind
     direction: Array
     """Row that picks a story's drift or a floor's motion, shape (n,)."""
-    parameters: tuple[float, float]
+    parameters: tuple[float, ...]
 
 
 @dataclass(frozen=True)
