@@ -136,7 +136,9 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     total = covariances.sum(axis=0)
     past, pairs = _places(channel, others, *total.shape[:2])
     gram = total.ravel()[pairs]
-    gram[np.diag_indices(len(gram))] *= 1.0 + _ASSUMED_NOISE
+    # The products that reach over a block's ends count for one of the blocks alone, which large coefficients of opposite signs
+    # magnify: a prediction may not rest on less than their share of the power.
+    gram[np.diag_indices(len(gram))] *= 1.0 + max(_ASSUMED_NOISE, _HALF_LENGTH / float(counts.min()))
     weights = np.linalg.solve(gram, total.ravel()[past])
     # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
     shown = np.bincount(past, weights, total.size)
