@@ -10,9 +10,20 @@ from numba import njit
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def compiled(**options: Any) -> Callable[[_Function], _Function]:
+def compiled(*, part: bool = False, **options: Any) -> Callable[[_Function], _Function]:
     """Compile a function by ``numba.njit`` without the interpreter lock, and cache the result on disk where possible.
 
+    Parameters
+    ----------
+    part : bool
+        Whether other compiled functions call it.  It is then compiled with each of them, never read from the disk: numba puts
+        one that it has just compiled into its caller, and one from the disk it does not, so that the last digits of the caller's
+        results would depend on what earlier processes left there.
+    options
+        As of ``numba.njit``.
+
+    Notes
+    -----
     There is no cache where neither the package nor the user has a writable folder, unless ``NUMBA_CACHE_DIR`` names one: for
     example a program that root installed, run by a user without a home.  The function is then compiled again in each process,
     which takes seconds, without a message.
@@ -20,7 +31,7 @@ def compiled(**options: Any) -> Callable[[_Function], _Function]:
 
     def wrap(function: _Function) -> _Function:
         try:
-            result: _Function = njit(cache=True, nogil=True, **options)(function)
+            result: _Function = njit(cache=not part, nogil=True, **options)(function)
         except RuntimeError:
             result = njit(nogil=True, **options)(function)
         return result

@@ -84,7 +84,7 @@ def _by_lapack(a: Array, c: Array, orders: Sequence[int], region: Region) -> Pol
     return space, values, np.log(values), shapes / np.linalg.norm(shapes, axis=1, keepdims=True)
 
 
-@compiled()
+@compiled(part=True)
 def _within(logarithm: complex, region: Region) -> bool:
     """Check that a pole lies in the region."""
     slowest, fastest, least_damped, most_damped = region
@@ -127,7 +127,7 @@ def _upper_poles(
     return space[:m].copy(), value[:m].copy(), logarithm[:m].copy(), shape[:m].copy(), sound
 
 
-@compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+@compiled(part=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def _reduce(h: Array, c: Array) -> None:
     """Reduce `h`, shape (n, n), to Hessenberg form by reflections, and transform `c`, shape (l, n), alike, in place."""
     n = h.shape[0]
@@ -165,7 +165,7 @@ def _reduce(h: Array, c: Array) -> None:
             _reflect(c[i, k + 1 :], v, twice)
 
 
-@compiled(fastmath={"contract", "reassoc"})
+@compiled(part=True, fastmath={"contract", "reassoc"})
 def _reflect(row: Array, v: Array, twice: float) -> None:
     """Multiply `row` by the reflection along `v`, in place."""
     total = 0.0
@@ -176,7 +176,7 @@ def _reflect(row: Array, v: Array, twice: float) -> None:
         row[j] -= total * v[j]
 
 
-@compiled(error_model="numpy", fastmath={"contract"})
+@compiled(part=True, error_model="numpy", fastmath={"contract"})
 def _eigenvalues(hessenberg: Array) -> ComplexArray:
     """Compute all eigenvalues of a Hessenberg matrix, shape (n,); NaN if the iteration does not converge."""
     n = hessenberg.shape[0]
@@ -204,7 +204,7 @@ def _eigenvalues(hessenberg: Array) -> ComplexArray:
     return values
 
 
-@compiled(error_model="numpy", fastmath={"contract"})
+@compiled(part=True, error_model="numpy", fastmath={"contract"})
 def _sweep(h: Array, begin: int, end: int, stuck: bool) -> None:
     """Do one double-shift QR step on the block from `begin` to `end`, in place."""
     x, y, product = h[end, end], h[end - 1, end - 1], h[end, end - 1] * h[end - 1, end]
@@ -247,7 +247,7 @@ def _sweep(h: Array, begin: int, end: int, stuck: bool) -> None:
             h[i, k + 2] -= total * r
 
 
-@compiled(error_model="numpy", fastmath={"contract"})
+@compiled(part=True, error_model="numpy", fastmath={"contract"})
 def _eigenvector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> bool:
     """Compute an eigenvector of `h` into `x`, of any scale, by one step of inverse iteration; `u` is a workspace.
 
@@ -293,7 +293,7 @@ def _eigenvector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> b
     return growth * norm >= _MIN_GROWTH
 
 
-@compiled(error_model="numpy")
+@compiled(part=True, error_model="numpy")
 def _inverse(pivot: complex, least: float) -> complex:
     """Invert a pivot, or `least` where the pivot is smaller."""
     if abs(pivot.real) + abs(pivot.imag) < least:

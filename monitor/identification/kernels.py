@@ -73,7 +73,7 @@ def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
     return out
 
 
-@compiled()
+@compiled(part=True)
 def _mac(a: ComplexArray, b: ComplexArray) -> float:
     """Compute the modal assurance criterion of two shapes of unit norm, shape (c,)."""
     total = 0j

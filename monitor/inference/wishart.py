@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, ComplexArray, compiled
 
 
-@compiled(error_model="numpy")
+@compiled(part=True, error_model="numpy")
 def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
     """Compute the lower Cholesky factor of a, shape (c, c), into `out`; return False where a is not positive definite."""
     c = a.shape[0]
@@ -63,7 +63,7 @@ def log_det_and_trace(spectra: ComplexArray, data: ComplexArray) -> tuple[Array,
     return log_det, trace
 
 
-@compiled(error_model="numpy")
+@compiled(part=True, error_model="numpy")
 def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
     """Invert a lower triangular matrix, shape (c, c), into `out`."""
     c = lower.shape[0]

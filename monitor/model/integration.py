@@ -23,7 +23,7 @@ _TEMPERATURE_LAW = -1
 """Kind of law of a story whose stiffness follows the temperature. [index; definition]"""
 
 
-@compiled(error_model="numpy")
+@compiled(part=True, error_model="numpy")
 def phi(kind: int, p0: float, p1: float, d: float, v: float) -> float:
     """Evaluate the force of a nonlinear law at displacement d and velocity v.
 
@@ -43,7 +43,7 @@ def phi(kind: int, p0: float, p1: float, d: float, v: float) -> float:
     return p0 * v * abs(v)
 
 
-@compiled(error_model="numpy")
+@compiled(part=True, error_model="numpy")
 def slipped(z: float, moved: float) -> float:
     """Move a hysteretic element from the force z, over its largest, by a drift, over that at slip; return the new force.
 
@@ -225,7 +225,7 @@ def _march(
     return floors
 
 
-@compiled(error_model="numpy")
+@compiled(part=True, error_model="numpy")
 def _force(
     kind: int, parameters: Array, stiffness_excess: float, d: float, v: float, held: float, before: float
 ) -> float:

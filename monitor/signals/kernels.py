@@ -166,7 +166,7 @@ def described(x: Array, factor: float, fewest: int, ratio: int) -> tuple[Array, 
     return centred, statistics
 
 
-@compiled()
+@compiled(part=True)
 def _count_spikes(row: Array, limit: float) -> int:
     """Count the samples that differ from both neighbours by more than the limit, or than three median nonzero steps."""
     found = _count_outliers(row, limit)
@@ -177,7 +177,7 @@ def _count_spikes(row: Array, limit: float) -> int:
     return found
 
 
-@compiled()
+@compiled(part=True)
 def _count_outliers(row: Array, limit: float) -> int:
     """Count the samples that differ from both neighbours by more than the limit, in the same direction."""
     found = 0
@@ -187,7 +187,7 @@ def _count_outliers(row: Array, limit: float) -> int:
     return found
 
 
-@compiled()
+@compiled(part=True)
 def _count_piled(row: Array, top: float, fewest: int, ratio: int) -> int:
     """Count the samples at the largest value `top` of a row, shape (n,); 0 if they are not piled up (see `described`)."""
     count = 0
