@@ -16,6 +16,7 @@ from scipy.linalg import lapack
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
 from monitor.core.results import Array, ModalEstimate, Window, WindowResult
+from monitor.damage import StiffnessJudge
 from monitor.identification.eigen import upper_poles
 from monitor.identification.stabilization import identify
 from monitor.pipeline import Pipeline
@@ -78,15 +79,16 @@ class Identification:
 
     def __call__(self) -> None:
         """Take in the next hop."""
-        line, c = self.pipeline, self.config
+        judge, c = self.pipeline.judge, self.config
+        assert isinstance(judge, StiffnessJudge)
         self.state, found = windows.step(self.grid, self.state, next(self._pieces), 0)
         for item in found:
             assert isinstance(item, Window)
             modes = identify(
                 item,
-                line.past,
-                line.reference_modes,
-                line.sensors,
+                judge._past,
+                judge._reference_modes,
+                judge._sensors,
                 c.identification,
                 c.selection,
                 cutoff_hz=c.processing.cutoff_hz,

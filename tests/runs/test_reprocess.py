@@ -84,9 +84,11 @@ def lines(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows of the dataset as lines of results.jsonl."""
     told = []
     for row in rows:
-        row["alarm"] = {key: row.pop(f"alarm_{key}") for key in ("level", "stories", "reason", "shelved")}
+        keys = ("level", "stories", "reason", "active", "shelved", "changed")
+        row["alarm"] = {key: row.pop(f"alarm_{key}") for key in keys}
+        row["alarm"]["active"] = dict(row["alarm"]["active"])
         assert row.pop("t_end").value == row["t_end_ns"]
-        for key in ("covariates", "covariate_effect"):
+        for key in ("covariates", "covariate_effect", "frequency_effect"):
             row[key] = None if row[key] is None else dict(row[key])
         told.append({k: v for k, v in row.items() if k != "stream"})
     return told

@@ -58,6 +58,7 @@ WINDOWS_SCHEMA = pa.schema(
         ("alarm_level", pa.string()),
         ("alarm_stories", _NUMBERS),
         ("alarm_reason", pa.string()),
+        ("alarm_active", pa.map_(pa.string(), pa.string())),
         ("alarm_shelved", _NUMBERS),
         ("alarm_changed", pa.list_(pa.string())),
         ("channels_left_out", pa.list_(pa.string())),
@@ -65,7 +66,7 @@ WINDOWS_SCHEMA = pa.schema(
         ("skipped", pa.string()),
     ]
 )
-"""Columns of the table: the keys of a line of results.jsonl, with `alarm` as five columns, the stream's name, and the end of the
+"""Columns of the table: the keys of a line of results.jsonl, with `alarm` as six columns, the stream's name, and the end of the
 window as a timestamp.
 """
 
@@ -89,6 +90,7 @@ def windows_table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:
     for line in lines:
         alarm = {f"alarm_{key}": value for key, value in line["alarm"].items()}
         given = {key: line.get(key) for key in ("covariates", "covariate_effect", "frequency_effect")}
+        given["alarm_active"] = alarm.get("alarm_active")
         maps = {key: None if value is None else list(dict(value).items()) for key, value in given.items()}
         rows.append({**line, **alarm, **maps, "stream": stream, "t_end": line["t_end_ns"]})
     return pa.Table.from_pylist(rows, schema=WINDOWS_SCHEMA)
