@@ -92,8 +92,8 @@ def test_a_machine_s_line_does_not_scale_with_the_level_of_the_forces() -> None:
     assert line == pytest.approx(np.broadcast_to(line[0], line.shape), rel=1e-9, abs=1e-12 * np.abs(with_line).max())
 
 
-# The last digits of a sum, which depend on the machine and on where an array lies in memory, decide at which of two optima the search
-# ends: `named`, or a second mode of 87 nats beside the first.  Until it tells the two apart, this is no test of a change.
+# The last digits of sums, which depend on the machine and on where arrays lie in memory, decide at which of two optima the
+# search ends: `named`, or a second mode of 87 nats beside the first.  Until it tells the two apart, this tests no change.
 @pytest.mark.slow
 @pytest.mark.engine
 def test_a_coupling_is_found_and_stated_as_the_mode_that_is_seen() -> None:
