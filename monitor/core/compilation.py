@@ -18,7 +18,7 @@ def compiled(*, part: bool = False, **options: Any) -> Callable[[_Function], _Fu
     part : bool
         Whether other compiled functions call it.  It is then compiled with each of them, never read from the disk: numba puts
         one that it has just compiled into its caller, and one from the disk it does not, so that the last digits of the caller's
-        results would depend on what earlier processes left there.
+        results may depend on what earlier processes left there.
     options
         As of ``numba.njit``.
 
