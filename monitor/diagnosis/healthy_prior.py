@@ -89,5 +89,5 @@ def learn_prior(
 
 def _covariance(posterior: Posterior, x: Array) -> Array:
     """Compute the covariance of parameters whose posterior has changed since their fit, shape (p, p)."""
-    rows = posterior.jacobian(x, (), posterior.predict(x, ()))[0]
-    return inverse(rows.T @ rows + posterior.normal_prior(x, ())[1])
+    slopes = posterior.linearized(x, (), posterior.predict(x, ()))[0]
+    return inverse(slopes.information + posterior.normal_prior(x, ())[1])

@@ -198,12 +198,12 @@ def _expected_gains(
     """
     prediction = posterior.predict(null_fit.x, null_fit.effects)
     mean, precision = posterior.normal_prior(null_fit.x, null_fit.effects)
-    tangent = null_fit.jacobian
+    tangent = null_fit.slopes
     normal = inverse(null_fit.information + precision)
     residual = np.concatenate([null_fit.residual, null_fit.mean_residual])
     # The nuisances' slope is that of the posterior, since a pull away from their prior is evidence of an effect.
-    nuisance_slope = tangent.T @ residual - precision @ (null_fit.x - mean)
-    tangent, driven = np.asfortranarray(tangent), posterior.observed.drive is not None
+    nuisance_slope = tangent.along(residual) - precision @ (null_fit.x - mean)
+    driven = posterior.observed.drive is not None
 
     def predict_gain(effect: Effect) -> list[tuple[float, Effect]]:
         if effect.proportional and not driven:
@@ -218,7 +218,7 @@ def _expected_gains(
                 return out
             # Phases of a driven response differ much between two fits, so whole changes rank better (docs/measured-frames.md).
             v = whitened_change(posterior, prediction, moved)
-        along = tangent.T @ v
+        along = tangent.along(v)
         information, score = (
             float(v @ v - along @ normal @ along),
             float(v @ residual - along @ normal @ nuisance_slope),
@@ -256,13 +256,13 @@ def detectable_losses(posterior: Posterior, null_fit: MapEstimate, margin: float
     typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
     starts = [kind.starts(place, context, typical)[0] for place in locations("story", context)]
     prediction = posterior.predict(null_fit.x, null_fit.effects)
-    tangent = null_fit.jacobian
+    tangent = null_fit.slopes
     normal = inverse(null_fit.information + posterior.normal_prior(null_fit.x, null_fit.effects)[1])
     stds = np.sqrt(2.0 * (margin + parameter_cost(posterior, 1))) + _ONE_SIDED_95
 
     def loss(effect: Effect) -> float | None:
         v = _whitened_slope(posterior, null_fit, prediction, effect)
-        along = tangent.T @ v
+        along = tangent.along(v)
         information = float(v @ v - along @ normal @ along)
         size = stds * float(abs(effect.coordinates[0])) / np.sqrt(max(information, 1e-9))
         return size if size < 1.0 else None
@@ -296,7 +296,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
         posterior, prior=replace(known, precision=known.precision + np.diag(_HELD_STRUCTURE_PRECISION / known.units**2))
     )
     x = posterior.layout.with_structure(null_fit.x, known.mean)
-    unused = null_fit.first_slopes(posterior.layout.structure.stop)  # of what does not move
+    unused = null_fit.slopes.first(posterior.layout.structure.stop)  # of what does not move
     return held, maximize_posterior(held, x, (*null_fit.effects, *more), iterations=_MAX_STEPS_HELD, frozen=unused)
 
 
@@ -383,7 +383,7 @@ def fit_candidate(
     """
     driven = posterior.observed.drive is not None
     # Driven motion is so informative that a cause changes the other slopes at once.
-    frozen = null_fit.first_slopes(null_fit.x.size) if quick and not driven else None
+    frozen = null_fit.slopes.first(null_fit.x.size) if quick and not driven else None
     few, many = (ROUGHLY, FAR) if driven else (_MAX_STEPS_ROUGH, LONG)
     fitted = partial(
         maximize_posterior,

@@ -385,15 +385,14 @@ def _simulation_scatter(
     if k < 2:
         return 0.0, np.zeros(0)
     prediction = posterior.predict(fit.x, fit.effects)
-    rows = fit.jacobian[: fit.residual.size]
     steps, lost = [], 0.0
     for spectra in (offsets, free):
         deviations, _ = posterior.whitened(
             prediction.spectra, posterior.spread(spectra - spectra.mean(axis=0)), prediction.data
         )
-        steps.append((fit.covariance @ (rows.T @ deviations))[own_sizes])
+        steps.append((fit.covariance @ (fit.slopes.along(deviations)))[own_sizes])
         if spectra is offsets:
             lost = 0.5 * float((deviations**2).sum()) / (k * (k - 1))
     own, whole = (s.var(axis=1, ddof=1) for s in steps)
-    expected = np.diag(fit.covariance @ (rows.T @ rows) @ fit.covariance)[own_sizes]
+    expected = np.diag(fit.covariance @ fit.information @ fit.covariance)[own_sizes]
     return lost, np.sqrt(own / k + np.maximum(whole - expected, 0.0))

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import (
@@ -16,8 +17,11 @@ from monitor.inference.cross_spectra import (
     line_spectra,
     random_spectra,
 )
+from monitor.inference.forward_model import Prediction
 from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
-from monitor.model import Effect
+from monitor.inference.spectral_slopes import Slopes, SpectralSlopes
+from monitor.inference.system_slopes import SystemChange, force_matrix, packed, system_slopes, unpacked
+from monitor.model import Effect, System
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -79,47 +83,183 @@ class AmbientPosterior(Posterior):
         own = x[self.layout.forces]
         return np.full(own.size, own.mean()), difference_operator(own.size)
 
+    def linearized(
+        self, x: Array, effects: tuple[Effect, ...], prediction: Prediction
+    ) -> tuple[Slopes, Array, Array]:
+        """See `Posterior.linearized`."""
+        parts = self._slope_parts(x, effects, prediction.spectra, 0)
+        slopes = SpectralSlopes.at(*parts, prediction.spectra, self.root_information())
+        return slopes, self.whitened(prediction.spectra, prediction.spectra[None][:0], prediction.data)[1], np.zeros(0)
+
+    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:
+        """See `Posterior.slopes`."""
+        shared, scale, own, order = self._slope_parts(x, effects, spectra, first)
+        of_class = np.concatenate([scale.T[:, :, None, None] * shared[:, None], own])
+        return unpacked(of_class[order])
+
+    def _slope_parts(
+        self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int
+    ) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+        """Differentiate the (smoothed) spectra by the coordinates from `first` on.
+
+        Most slopes are computed in the middle class and scaled by level, since they only weight the residual.
+
+        Returns
+        -------
+        shared, scale, own, order : ndarray
+            See `SpectralSlopes`.
+        """
+        layout, noise, shape = self.layout, self.noise(x), (self.context.sensors.shape[0] ** 2, spectra.shape[1])
+        begin = first if first >= layout.n_nuisance else min(first, layout.forces.start)
+        noises = [i for i in (*range(x.size)[layout.channel_noise], layout.noise) if i >= begin]
+        levels = [i for i in range(x.size)[layout.levels] if i >= begin]
+        apart = [i for i in self._different_in_classes(x, effects) if i >= begin]
+        moving = [i for i in range(begin, x.size) if i not in {*noises, *levels, *apart}]
+        level = self.relative_levels(x)
+        shared = np.zeros((len(moving) + len(noises), *shape))
+        shared[: len(moving)] = self._slopes_of_middle(x, effects, spectra[self.n_classes // 2], moving)
+        for by_noise, i in zip(shared[len(moving) :], noises, strict=True):
+            channels = np.arange(noise.size) if i == layout.noise else np.array([i - layout.channel_noise.start])
+            by_noise[(channels + 1) ** 2 - 1] = noise[channels, None]
+        scale = np.ones((self.n_classes, len(shared)))
+        scale[:, : len(moving)] = level[:, None]
+        own = np.zeros((len(apart) + len(levels), self.n_classes, *shape))
+        for by_class, i in zip(own, apart, strict=False):
+            by_class[:] = packed(self.slope_by_class(x, i, effects, spectra))
+        forces = range(x.size)[layout.forces]
+        # A level moves all forces of its class at once, but neither lines nor noise.
+        of_forces = shared[[j for j, i in enumerate(moving) if i in forces]].sum(axis=0) * level[:, None, None]
+        of_forces = of_forces + own[[j for j, i in enumerate(apart) if i in forces]].sum(axis=0)
+        for k, by_level in enumerate(own[len(apart) :]):
+            by_level[k] = of_forces[k]
+        columns = np.array([*moving, *noises, *apart, *levels], dtype=int)
+        order = np.argsort(columns)
+        return shared, scale, own, order[columns[order] >= first]
+
+    def _different_in_classes(self, x: Array, effects: tuple[Effect, ...]) -> list[int]:
+        """List the coordinates whose slopes do not scale with the level, but are computed in every class.
+
+        They are those of persistent effects that depend on the condition, and of all extra effects but for those that act in
+        proportion to the forces in a model that is alike in all classes.
+        """
+        first, persistent = self.layout.persistent.start, self.prior.model.effects
+        by_class = [first + j for j, e in enumerate(_of_coordinates(persistent)) if e.conditional or e.lines()]
+        alike = self.error is None and self.offset is None
+        alike = alike and not any(e.conditional or e.lines() for e in self.effects(x, effects))
+        return by_class + [
+            self.layout.n_nuisance + j
+            for j, e in enumerate(_of_coordinates(effects))
+            if not (e.extra_modes(self.context) or (alike and e.scales_with_level))
+        ]
+
+    def _slopes_of_middle(
+        self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, wanted: Sequence[int]
+    ) -> Array:
+        """Differentiate the (smoothed) spectra of the middle class, shape (n_wanted, c * c, bins).
+
+        Parameters
+        ----------
+        spectra : ndarray, shape (bins, c, c)
+            The prediction in this class.
+        """
+        middle = self.n_classes // 2
+        if not wanted:
+            return np.zeros((0, *packed(spectra).shape))
+        by_mode = self.slopes_by_mode(x, effects, wanted)
+        systemic = self._systemic(x, effects, [i for i in wanted if i not in by_mode])
+        steps = np.array([self.nudged(x, i, effects)[0] for i in wanted])
+        out = np.zeros((len(wanted), *packed(spectra).shape[:1], self.observed.band.n_bins))
+        if systemic:
+            out[[wanted.index(i) for i in systemic]] = self._slopes_by_system(x, effects, systemic)
+        linear = self.linear_spectra(x, self.effects(x, effects), [middle]) 
+        for j, i in enumerate(wanted):
+            if i in by_mode:
+                out[j] = packed(by_mode[i])
+            elif i not in systemic:
+                h, moved = self.nudged(x, i, effects)
+                everything = self.effects(moved, with_coordinates(effects, moved[self.layout.effects]))
+                out[j] = packed((self.linear_spectra(moved, everything, [middle])[0] - linear[0]) / h)
+        if self.error is None and self.offset is None:
+            return out if self.smoothing is None else out @ self.smoothing.T
+        whole = [self.smooth(self.complete(linear + h * unpacked(d), x, effects, [middle]))[0] for h, d in zip(steps, out, strict=True)]
+        return packed((np.array(whole) - spectra) / steps[:, None, None, None])
+
     def slopes_by_mode(
-        self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, wanted: Iterable[int]
+        self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]
     ) -> dict[int, ComplexArray]:
-        """See `Posterior.slopes_by_mode`.  The slope is that of the middle class, as of any nuisance."""
+        """Differentiate the linearized spectra of the middle class by those wanted coordinates that only change extra modes.
+
+        Returns
+        -------
+        dict of int to ndarray, shape (n_bins, c, c)
+        """
         owners, everything = self.owners(effects), self.effects(x, effects)
-        at_modes = [i for i in wanted if everything[owners[i]].extra_modes(self.context)]
-        if not at_modes:
-            return {}
-        context, band = self.context_at(x), self.observed.band
-        middle, scale = self.n_classes // 2, self.relative_levels(x)[:, None, None, None]
+        context, band, middle = self.context_at(x), self.observed.band, self.n_classes // 2
         force = float(self.forces(x)[middle].mean())
-        linear = self.linear_spectra(x, everything, [middle])
 
         def part(effect: Effect) -> ComplexArray:
             modes = effect.extra_modes(context)
             return extra_mode_spectra(modes, everything, force, band, context, self.conditions[middle])
 
         out = {}
-        for i in at_modes:
-            h, moved = self.nudged(x, i, effects)
-            after = self.effects(moved, with_coordinates(effects, moved[self.layout.n_nuisance :]))
-            change = part(after[owners[i]]) - part(everything[owners[i]])
-            whole = self.smooth(self.complete(linear + change, x, effects, [middle]))[0]
-            out[i] = np.asarray((whole - spectra[middle]) / h * scale)
+        for i in wanted:
+            if i in owners and everything[owners[i]].extra_modes(context):
+                h, moved = self.nudged(x, i, effects)
+                after = self.effects(moved, with_coordinates(effects, moved[self.layout.effects]))
+                out[i] = np.asarray((part(after[owners[i]]) - part(everything[owners[i]])) / h)
         return out
 
-    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:
-        """See `Posterior.slopes`."""
-        layout, noise = self.layout, self.noise(x)
-        diagonal = np.arange(noise.size)
-        out = np.zeros((x.size, *spectra.shape), dtype=complex)
-        out[layout.effects] = self.effect_slopes(x, effects, spectra)
-        by_noise = np.zeros((noise.size, *spectra.shape), dtype=complex)
-        by_noise[diagonal, :, :, diagonal, diagonal] = noise[:, None, None]
-        out[layout.channel_noise], out[layout.noise] = by_noise, by_noise.sum(axis=0)
-        others = (*range(layout.channel_noise.start), *range(layout.channel_noise.stop, layout.levels.start))
-        wanted = [i for i in others if i >= min(first, layout.forces.start)]  # the levels' slopes are the forces' sum
-        persistent = range(layout.persistent.start, layout.persistent.stop)
-        by_mode = self.slopes_by_mode(x, effects, spectra, [i for i in wanted if i in persistent])
-        for i in wanted:
-            out[i] = by_mode[i] if i in by_mode else self.slope(x, i, effects, spectra)
-        for k, by_level in enumerate(out[layout.levels]):
-            by_level[k] = out[layout.forces, k].sum(axis=0)  # all forces at once, but neither lines nor noise
-        return out[first:]
+    def _systemic(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> list[int]:
+        """List the wanted coordinates that change the linear system or its forces alone, and not what is recorded of them."""
+        owners, everything = self.owners(effects), self.effects(x, effects)
+        if any(e.ground_share for e in everything):
+            return []  # the ground's share depends on the whole system
+        return [i for i in wanted if i not in owners or everything[owners[i]].acts_on_system_alone]
+
+    def _slopes_by_system(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> Array:
+        """Differentiate the linearized spectra of the middle class by coordinates that change the system, see `_systemic`.
+
+        Returns
+        -------
+        ndarray, shape (n_wanted, c * c, n_bins)
+        """
+        band, middle, owners = self.observed.band, self.n_classes // 2, self.owners(effects)
+        everything, condition = self.effects(x, effects), self.conditions[middle]
+        has_lines = any(e.lines() for e in everything)
+        n_extra = sum(len(e.extra_modes(self.context)) for e in everything)
+
+        def at(x: Array, everything: Sequence[Effect]) -> tuple[System, tuple[Array, ...]]:
+            context = self.context_at(x)
+            system = extended(self.system(x, everything), everything, context, condition)
+            forces = force_matrix(system, everything, self.forces(x)[middle], n_extra)
+            lines = packed(line_spectra(system, everything, band, context, condition)) if has_lines else np.zeros(())
+            return system, (
+                system.mass, system.damping, system.stiffness, system.sensors(context.sensors), forces, lines
+            )  # fmt: skip
+
+        def moved(i: int) -> tuple[Array, ...]:
+            h, moved_x = self.nudged(x, i, effects)
+            with_one = list(everything)
+            if i in owners:
+                first = min(j for j, owner in owners.items() if owner == owners[i])
+                one = everything[owners[i]]
+                with_one[owners[i]] = one.at(moved_x[first : first + len(one.parameters)])
+            return tuple((after - before) / h for after, before in zip(at(moved_x, with_one)[1], here, strict=True))
+
+        system, here = at(x, everything)
+        changes = [moved(i) for i in wanted]
+        slopes = system_slopes(
+            system,
+            everything,
+            self.forces(x)[middle],
+            [SystemChange(*change[:-1]) for change in changes],
+            band,
+            self.context_at(x),
+            condition,
+        )
+        return slopes + np.array([change[-1] for change in changes]) if has_lines else slopes
+
+
+def _of_coordinates(effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effect of every coordinate of effects."""
+    return [e for e in effects for _ in e.parameters]

@@ -101,14 +101,19 @@ class CorrectedPosterior(AmbientPosterior):
         grown = np.exp(x[self.layout.masses].mean() - self.ln_mass)
         return np.array([grown if p.weighty else 1.0 for e in laws for p in e.parameters])
 
-    def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """See `Posterior.slope`.
+    def _different_in_classes(self, x: Array, effects: tuple[Effect, ...]) -> list[int]:
+        """See `AmbientPosterior._different_in_classes`.
 
-        Every class has a slope of its own, since a strongly nonlinear law has peaks at other frequencies in each class.
+        Every class has slopes of its own, since a strongly nonlinear law has peaks at other frequencies in each class.
         """
+        by_class = AmbientPosterior._different_in_classes(self, x, effects)
         if not self._applies_to(effects):
-            return Posterior.slope(self, x, i, effects, spectra)
-        return self.slope_by_class(x, i, effects, spectra)
+            return by_class
+        layout = self.layout
+        owners, everything = self.owners(effects), self.effects(x, effects)
+        fixed = {*range(x.size)[layout.channel_noise], *range(x.size)[layout.levels], layout.noise}
+        modes = {i for i, owner in owners.items() if everything[owner].extra_modes(self.context)}
+        return sorted({*by_class, *(i for i in range(x.size) if i not in fixed | modes)})
 
     def _applies_to(self, effects: Sequence[Effect]) -> bool:
         """Check that the correction is that of these effects."""

@@ -126,7 +126,7 @@ def random_spectra(
     condition: Condition,
 ) -> ComplexArray:
     """Compute the part of the segments' cross-spectra that is random motion and noise, shape (n_bins, c, c), (m/s^2)^2/Hz."""
-    clock = _clock(effects)
+    clock = clock_ratio(effects)
     fine = band.fine_hz
     answer = seen(system, effects, fine, clock, context, condition)
     force = excitation.force
@@ -155,7 +155,7 @@ def line_spectra(
     system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
 ) -> ComplexArray:
     """Compute the part of the segments' cross-spectra that harmonic forces cause, shape (n_bins, c, c), (m/s^2)^2/Hz."""
-    c, clock = len(context.channels), _clock(effects)
+    c, clock = len(context.channels), clock_ratio(effects)
     spectra = np.zeros((band.n_bins, c, c), dtype=complex)
     for line in (line for effect in effects for line in effect.lines()):
         at = np.array([line.frequency_hz / clock])
@@ -183,13 +183,13 @@ def extra_mode_spectra(
     force : float
         Mean density of the floors' forces, which is that on every mode, N^2/Hz.
     """
-    clock, fine = _clock(effects), band.fine_hz
-    answer = _recorded(extra_mode_response(modes, clock * fine, context), effects, clock * fine, context, condition)
+    clock, fine = clock_ratio(effects), band.fine_hz
+    answer = recorded(extra_mode_response(modes, clock * fine, context), effects, clock * fine, context, condition)
     density = np.outer(force_colour(effects, clock * fine), np.full(len(modes), force))
     return np.asarray(blurred_products(answer, density, _TAPS) * band.gain[:, None, None])
 
 
-def _clock(effects: Sequence[Effect]) -> float:
+def clock_ratio(effects: Sequence[Effect]) -> float:
     """Compute the ratio of the true rate to the nominal one."""
     return float(np.prod([e.clock_factor for e in effects]))
 
@@ -215,10 +215,10 @@ def seen(
     modes = [mode for effect in effects for mode in effect.extra_modes(context)]
     if modes:
         answer = np.concatenate([answer, extra_mode_response(modes, clock * hz, context)], axis=2)
-    return _recorded(answer, effects, clock * hz, context, condition)
+    return recorded(answer, effects, clock * hz, context, condition)
 
 
-def _recorded(
+def recorded(
     answer: ComplexArray, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
 ) -> ComplexArray:
     """Apply the effects of the acquisition to the true accelerations at the sensors, shape (n_hz, c, columns)."""

@@ -138,14 +138,31 @@ class DrivenPosterior(Posterior):
         """See `Posterior.slopes`."""
         layout = self.layout
         out = np.zeros((x.size, *spectra.shape), dtype=complex)
+        if first >= layout.n_nuisance:
+            return self.effect_slopes(x, effects, spectra, first - layout.n_nuisance)
         out[layout.effects] = self.effect_slopes(x, effects, spectra)
         # The forces are fixed until quiet segments give an estimate, since free forces would hide a wrong response at its peaks.
         free = layout.structure if self.wind is None else slice(layout.forces.stop)
         for i in (*range(free.stop), layout.noise):
-            out[i] = self.slope(x, i, effects, spectra)
+            out[i] = self._slope(x, i, effects, spectra)
         for k, by_level in enumerate(out[layout.levels]):
             by_level[k] = self.smooth(np.exp(x[layout.levels][k]) * _diagonal(self.power))
         return out[first:]
+
+    def _slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+        """Differentiate the (smoothed) spectra by nuisance i, shape (classes, bins, c, c).
+
+        The slope is computed in the middle class, since it only weights the residual, but for persistent effects that act
+        differently in each class.
+        """
+        first = self.layout.persistent.start
+        owners = [e for e in self.prior.model.effects for _ in e.parameters]
+        if 0 <= i - first < len(owners) and (owners[i - first].conditional or owners[i - first].lines()):
+            return self.slope_by_class(x, i, effects, spectra)
+        middle = self.n_classes // 2
+        h, moved = self.nudged(x, i, effects)
+        change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
+        return np.broadcast_to(change / h, spectra.shape)
 
     def mean_slopes(
         self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray, wanted: Iterable[int]
@@ -218,12 +235,12 @@ class DrivenPosterior(Posterior):
         )
         return rows[:, :-1], rows[:, -1]
 
-    def jacobian(
+    def slope_rows(
         self, x: Array, effects: tuple[Effect, ...], prediction: Prediction, first: int = 0
     ) -> tuple[Array, Array, Array]:
-        """See `Posterior.jacobian`."""
+        """See `Posterior.slope_rows`."""
         assert prediction.left is not None
-        rows, residual, _ = Posterior.jacobian(self, x, effects, prediction, first)
+        rows, residual, _ = Posterior.slope_rows(self, x, effects, prediction, first)
         mean_slopes = self.mean_slopes(
             x, effects, self.observed.segments.values - prediction.left, range(first, x.size)
         )

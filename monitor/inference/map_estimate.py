@@ -10,6 +10,7 @@ import numpy as np
 from monitor.core import Array, levenberg_marquardt
 from monitor.inference.forward_model import Prediction
 from monitor.inference.posterior import MAX_EXCITATION_STEP, Posterior, with_coordinates
+from monitor.inference.spectral_slopes import JoinedSlopes, RowSlopes, Slopes
 from monitor.model import Effect, inverse
 
 _MAX_STRUCTURE_STEP = 0.1
@@ -38,7 +39,7 @@ class MapEstimate:
     covariance: Array
     """Covariance of x, shape (p, p)."""
     converged: bool
-    jacobian: Array
+    slopes: Slopes
     """Whitened slopes, each row weighted by the root of its information, shape (rows, p): classes * bins * c * c rows of
     the spectra, then those of the segments' means where the ground was measured."""
     residual: Array
@@ -46,7 +47,7 @@ class MapEstimate:
     mean_residual: Array
     """Whitened and weighted residual of the means' rows."""
     information: Array
-    """Fisher information of the data, without the prior, shape (p, p): ``jacobian.T @ jacobian``."""
+    """Fisher information of the data, without the prior, shape (p, p)."""
 
     @property
     def log_posterior(self) -> float:
@@ -54,8 +55,8 @@ class MapEstimate:
         return self.log_likelihood + self.log_prior
 
     def without_slopes(self) -> MapEstimate:
-        """Return the fit without its Jacobian, for what compares fits alone: with many channels the Jacobian takes 0.3 GB."""
-        return replace(self, jacobian=np.zeros((0, self.x.size)))
+        """Return the fit without its slopes, for what compares fits alone: with many channels the slopes take 0.1 GB."""
+        return replace(self, slopes=RowSlopes(np.zeros((0, self.x.size))))
 
     def coordinates_of(self, i: int) -> slice:
         """Return the slice of the coordinates of extra effect i in `x`."""
@@ -67,20 +68,6 @@ class MapEstimate:
         """Number of coordinates of the extra effects."""
         return sum(len(e.parameters) for e in self.effects)
 
-    def first_slopes(self, n: int) -> FirstSlopes:
-        """Return the slopes by the first n parameters."""
-        return FirstSlopes(np.ascontiguousarray(self.jacobian[:, :n]), self.information[:n, :n])
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class FirstSlopes:
-    """Whitened slopes of the first n parameters."""
-
-    rows: Array
-    """Shape (rows, n)."""
-    information: Array
-    """Their Fisher information, shape (n, n)."""
-
 
 def maximize_posterior(
     posterior: Posterior,
@@ -89,7 +76,7 @@ def maximize_posterior(
     *,
     iterations: int = 12,
     tolerance: float = 0.02,
-    frozen: FirstSlopes | None = None,
+    frozen: Slopes | None = None,
     keep_slopes: bool = True,
 ) -> MapEstimate:
     """Find the most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
@@ -104,10 +91,10 @@ def maximize_posterior(
         Largest number of steps.
     tolerance : float
         Gain of a step below which the fit has converged, nats.
-    frozen : FirstSlopes, optional
+    frozen : Slopes, optional
         Slopes of the first n parameters that are not computed again: faster, for a ranking, or where these do not move.
     keep_slopes : bool
-        Whether the fit has its Jacobian, from which another search can start.
+        Whether the fit has its slopes, from which another search can start.
     """
     start = _evaluate(posterior, x, effects)
 
@@ -124,19 +111,18 @@ def maximize_posterior(
         fixed_slopes_gain=_FIXED_SLOPES_GAIN,
     )
     found = search.point
-    slopes = search.linearization or _no_slopes(start.x.size)
-    blocks = slopes.blocks if keep_slopes else (np.zeros((0, start.x.size)),)
+    last = search.linearization or _no_slopes(start.x.size)
     return MapEstimate(
         found.x,
         found.effects,
         found.log_likelihood,
         found.log_prior,
-        inverse(slopes.normal),
+        inverse(last.normal),
         search.converged,
-        blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1),
-        slopes.residual,
-        slopes.mean_residual,
-        slopes.information,
+        last.slopes if keep_slopes else RowSlopes(np.zeros((0, start.x.size))),
+        last.residual,
+        last.mean_residual,
+        last.slopes.information,
     )
 
 
@@ -160,12 +146,10 @@ class _Point:
 class _Slopes:
     """The log posterior near a point to second order, by Fisher information."""
 
-    blocks: tuple[Array, ...]
-    """Columns of `MapEstimate.jacobian` in blocks, which are not joined before the end: with many channels they are large."""
+    slopes: Slopes
+    """As `MapEstimate.slopes`."""
     residual: Array
     mean_residual: Array
-    information: Array
-    """As `MapEstimate.information`."""
     normal: Array
     """Fisher information and the prior's precision, shape (p, p)."""
     gradient: Array
@@ -174,8 +158,7 @@ class _Slopes:
 
 def _no_slopes(n: int) -> _Slopes:
     """Stand for the slopes at a point from which no step was taken."""
-    nothing = np.zeros((n, n))
-    return _Slopes((np.zeros((0, n)),), np.zeros(0), np.zeros(0), nothing, np.eye(n), np.zeros(n))
+    return _Slopes(RowSlopes(np.zeros((0, n))), np.zeros(0), np.zeros(0), np.eye(n), np.zeros(n))
 
 
 def _evaluate(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> _Point:
@@ -187,24 +170,23 @@ def _evaluate(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> _P
     return _Point(x, effects, prediction, posterior.log_likelihood(prediction.spectra, prediction.data), log_prior)
 
 
-def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: FirstSlopes | None) -> _Slopes:
+def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: Slopes | None) -> _Slopes:
     """Linearize the prediction at a point; beside no measured ground the slopes of `last` serve again."""
     here = at.prediction
     if last is None or here.left is not None:
-        first = 0 if frozen is None else frozen.rows.shape[1]
-        own, residual, mean_residual = posterior.jacobian(at.x, at.effects, here, first=first)
-        information = own.T @ own
-        blocks: tuple[Array, ...] = (own,)
-        if frozen is not None:
-            across = frozen.rows.T @ own
-            blocks, information = (frozen.rows, own), np.block([[frozen.information, across], [across.T, information]])
+        if frozen is None:
+            slopes, residual, mean_residual = posterior.linearized(at.x, at.effects, here)
+        else:
+            first = len(frozen.information)
+            rows, residual, mean_residual = posterior.slope_rows(at.x, at.effects, here, first)
+            slopes = JoinedSlopes.of(frozen, RowSlopes(rows))
     else:
-        blocks, mean_residual, information = last.blocks, last.mean_residual, last.information
+        slopes, mean_residual = last.slopes, last.mean_residual
         residual = posterior.whitened(here.spectra, here.spectra[None][:0], here.data)[1]
     mean, precision = posterior.normal_prior(at.x, at.effects)
     both = np.concatenate([residual, mean_residual])
-    gradient = np.concatenate([rows.T @ both for rows in blocks]) - precision @ (at.x - mean)
-    return _Slopes(blocks, residual, mean_residual, information, information + precision, gradient)
+    gradient = slopes.along(both) - precision @ (at.x - mean)
+    return _Slopes(slopes, residual, mean_residual, slopes.information + precision, gradient)
 
 
 def _take_bounded_step(posterior: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:

@@ -12,7 +12,7 @@ P. Whittle, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al., The de
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -23,6 +23,7 @@ from scipy.linalg import block_diag
 from monitor.core import Array, ComplexArray
 from monitor.inference.forward_model import ForwardModel, Prediction
 from monitor.inference.observed_spectra import ObservedSpectra
+from monitor.inference.spectral_slopes import RowSlopes, Slopes
 from monitor.inference.wishart import log_det_and_trace, whiten
 from monitor.model import Effect
 
@@ -140,23 +141,11 @@ class Posterior(ForwardModel):
             The prediction at `x`.
         """
 
-    def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """Differentiate the (smoothed) spectra by nuisance i, shape (classes, bins, c, c).
-
-        The slope is computed in the middle class and scaled by level, since it only weights the residual.  The slopes by
-        persistent effects that act differently in each class are computed in every class.
-        """
-        if i in self._by_class:
-            return self.slope_by_class(x, i, effects, spectra)
-        middle, scale = self.n_classes // 2, self.relative_levels(x)
-        h, moved = self.nudged(x, i, effects)
-        change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
-        return np.asarray(change / h * scale[:, None, None, None])
-
     def slope_by_class(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """Differentiate the (smoothed) spectra by nuisance i in every class, shape (classes, bins, c, c)."""
+        """Differentiate the (smoothed) spectra by coordinate i in every class, shape (classes, bins, c, c)."""
         h, moved = self.nudged(x, i, effects)
-        return np.asarray((self.smooth(self.scatter(moved, effects)) - spectra) / h)
+        after = with_coordinates(effects, moved[self.layout.effects])
+        return np.asarray((self.smooth(self.scatter(moved, after)) - spectra) / h)
 
     def effect_slopes(
         self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0
@@ -167,29 +156,9 @@ class Posterior(ForwardModel):
         -------
         ndarray, shape (n_wanted, classes, bins, c, c)
         """
-        n = self.layout.n_nuisance
-        wanted = range(n + first, x.size)
-        by_mode = self.slopes_by_mode(x, effects, spectra, wanted)
-        out = np.empty((len(wanted), *spectra.shape), dtype=complex)
-        for j, i in enumerate(wanted):
-            if i in by_mode:
-                out[j] = by_mode[i]
-                continue
-            h, moved = self.nudged(x, i, effects)
-            out[j] = (self.smooth(self.scatter(moved, with_coordinates(effects, moved[n:]))) - spectra) / h
-        return out
-
-    def slopes_by_mode(
-        self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, wanted: Iterable[int]
-    ) -> dict[int, ComplexArray]:
-        """Differentiate the (smoothed) spectra by those wanted coordinates that only change extra modes.
-
-        Returns
-        -------
-        dict of int to ndarray, shape (classes, bins, c, c)
-            The coordinates' slopes; empty where no shorter way than finite differences of the whole is known.
-        """
-        return {}
+        wanted = range(self.layout.n_nuisance + first, x.size)
+        slopes = [self.slope_by_class(x, i, effects, spectra) for i in wanted]
+        return np.array(slopes, dtype=complex).reshape(-1, *spectra.shape)
 
     def effects(self, x: Array, effects: Sequence[Effect]) -> tuple[Effect, ...]:
         """Return the persistent effects at a vector of parameters, and the extra ones."""
@@ -202,13 +171,6 @@ class Posterior(ForwardModel):
         n_persistent = sum(len(e.parameters) for e in before)
         extra = range(self.layout.n_nuisance, self.layout.n_nuisance + len(owners) - n_persistent)
         return dict(zip((*range(first, first + n_persistent), *extra), owners, strict=True))
-
-    @property
-    def _by_class(self) -> list[int]:
-        """Indices of the coordinates of persistent effects that depend on the condition, or do not scale with the level."""
-        first = self.layout.persistent.start
-        conditional = [e.conditional or bool(e.lines()) for e in self.prior.model.effects for _ in e.parameters]
-        return [first + j for j, by_class in enumerate(conditional) if by_class]
 
     def mean_rows(self, prediction: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
         """Whiten changes of the segments' means as `whitened` does those of the spectra.
@@ -225,25 +187,26 @@ class Posterior(ForwardModel):
         """
         return np.zeros((0, len(slopes))), np.zeros(0)
 
-    def jacobian(
-        self, x: Array, effects: tuple[Effect, ...], prediction: Prediction, first: int = 0
-    ) -> tuple[Array, Array, Array]:
-        """Compute the whitened slopes by the coordinates from `first` on, and the whitened residuals.
+    def linearized(self, x: Array, effects: tuple[Effect, ...], prediction: Prediction) -> tuple[Slopes, Array, Array]:
+        """Compute the whitened slopes and the whitened residuals at a point.
 
         Returns
         -------
-        rows : ndarray, shape (rows, p - first)
-            Rows of the spectra, then rows of the segments' means.
+        slopes : Slopes
+            Of the spectra, then of the segments' means.
         residual, mean_residual : ndarray
             Residuals of the rows of the spectra and of the means.
         """
-        n = self.layout.n_nuisance
-        slopes = (
-            self.slopes(x, effects, prediction.spectra, first)
-            if first < n
-            else self.effect_slopes(x, effects, prediction.spectra, first - n)
+        rows, residual, mean_residual = self.slope_rows(x, effects, prediction)
+        return RowSlopes(rows), residual, mean_residual
+
+    def slope_rows(
+        self, x: Array, effects: tuple[Effect, ...], prediction: Prediction, first: int = 0
+    ) -> tuple[Array, Array, Array]:
+        """Compute as `linearized`, but for the slopes by the coordinates from `first` on as rows, shape (rows, p - first)."""
+        rows, residual = self.whitened(
+            prediction.spectra, self.slopes(x, effects, prediction.spectra, first), prediction.data
         )
-        rows, residual = self.whitened(prediction.spectra, slopes, prediction.data)
         return rows, residual, np.zeros(0)
 
     def whitened(
@@ -265,8 +228,12 @@ class Posterior(ForwardModel):
         residual : ndarray, shape (classes * bins * c * c,)
         """
         data = self.data() if data is None else data
-        root = np.sqrt(self.observed.weight * self.observed.counts[:, None] * self.widths())
+        root = self.root_information()
         return whiten(spectra, slopes, root), whiten(spectra, (data - spectra)[None], root)[:, 0]
+
+    def root_information(self) -> Array:
+        """Compute the root of the information in each class and (coarse) bin, shape (classes, bins)."""
+        return np.sqrt(self.observed.weight * self.observed.counts[:, None] * self.widths())
 
     def nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
         """Return the finite difference for coordinate i, and the parameter vector changed by it, shape (p,)."""

@@ -9,7 +9,7 @@ from monitor.core import Array, ComplexArray, compiled
 
 
 @compiled(part=True, error_model="numpy")
-def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
+def cholesky(a: ComplexArray, out: ComplexArray) -> bool:
     """Compute the lower Cholesky factor of a, shape (c, c), into `out`; return False where a is not positive definite."""
     c = a.shape[0]
     for j in range(c):
@@ -48,9 +48,9 @@ def log_det_and_trace(spectra: ComplexArray, data: ComplexArray) -> tuple[Array,
     inverse = np.zeros((c, c), dtype=np.complex128)
     for k in range(classes):
         for f in range(bins):
-            if not _cholesky(spectra[k, f], lower):
+            if not cholesky(spectra[k, f], lower):
                 continue
-            _invert_lower(lower, inverse)
+            invert_lower(lower, inverse)
             total = 0.0
             for i in range(c):
                 total += np.log(lower[i, i].real)
@@ -64,7 +64,7 @@ def log_det_and_trace(spectra: ComplexArray, data: ComplexArray) -> tuple[Array,
 
 
 @compiled(part=True, error_model="numpy")
-def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
+def invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
     """Invert a lower triangular matrix, shape (c, c), into `out`."""
     c = lower.shape[0]
     for j in range(c):
@@ -84,7 +84,7 @@ def definite(matrices: ComplexArray) -> NDArray[np.bool_]:
     lower = np.zeros((c, c), dtype=np.complex128)
     for k in range(classes):
         for f in range(bins):
-            out[k, f] = _cholesky(matrices[k, f], lower)
+            out[k, f] = cholesky(matrices[k, f], lower)
     return out
 
 
@@ -108,7 +108,7 @@ def grown_by(spectra: ComplexArray, relative: ComplexArray) -> ComplexArray:
     half = np.empty((c, c), dtype=np.complex128)
     for k in range(classes):
         for f in range(bins):
-            if not _cholesky(spectra[k, f], lower):
+            if not cholesky(spectra[k, f], lower):
                 out[k, f] = np.nan
                 continue
             for i in range(c):
@@ -149,10 +149,10 @@ def whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
     for k in range(classes):
         for f in range(bins):
             row = (k * bins + f) * c * c
-            if not _cholesky(spectra[k, f], lower):
+            if not cholesky(spectra[k, f], lower):
                 out[row : row + c * c] = 0.0
                 continue
-            _invert_lower(lower, inverse)
+            invert_lower(lower, inverse)
             for q in range(p):
                 for i in range(c):
                     for b in range(i + 1):  # the upper triangle follows from symmetry

@@ -481,6 +481,17 @@ class Effect(ReportFace, ABC):
         """True rate over nominal rate."""
         return 1.0
 
+    @property
+    def acts_on_system_alone(self) -> bool:
+        """Whether the effect, if it adds no extra modes, changes the system alone: neither its forces nor what is recorded."""
+        others = ("colour", "common_force", "ground_share", "lines", "response", "noise_variance", "clock_factor")
+        return all(getattr(type(self), name) is getattr(Effect, name) for name in others)
+
+    @property
+    def scales_with_level(self) -> bool:
+        """Whether what the effect changes, if it does not depend on the condition, is in proportion to the forces' level."""
+        return all(getattr(type(self), name) is getattr(Effect, name) for name in ("lines", "noise_variance"))
+
     # --- time domain (time face) ------------------------------------------------------------------------------------------
 
     def laws(self, structure: Structure) -> tuple[Law, ...]:

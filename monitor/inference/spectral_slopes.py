@@ -1,0 +1,269 @@
+"""Slopes of a prediction by its parameters, whitened, as a fit needs them: their information, and their products with residuals.
+
+The whitened slopes have one row for every number in the spectra of every class.  With many channels they take gigabytes, and
+most coordinates change the spectra of all classes in proportion.  So the slopes are kept before they are whitened, once for
+all classes.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from monitor.core import Array, ComplexArray, compiled
+from monitor.inference.wishart import cholesky, invert_lower
+
+_BINS = 32
+"""Bins that are whitened together. [count; cost: their rows stay in the processor's cache]"""
+
+
+class Slopes(ABC):
+    """Whitened slopes of a prediction by some of its parameters, a matrix of shape (rows, p)."""
+
+    information: Array
+    """Fisher information of the data: the slopes' transpose times the slopes, shape (p, p)."""
+
+    @abstractmethod
+    def along(self, rows: Array) -> Array:
+        """Multiply the slopes' transpose by whitened rows, shape (rows,) or (rows, k); shape (p,) or (p, k)."""
+
+    @abstractmethod
+    def first(self, n: int) -> Slopes:
+        """Return the slopes by the first n parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowSlopes(Slopes):
+    """Slopes that are kept whitened."""
+
+    rows: Array
+    """Shape (rows, p)."""
+
+    @cached_property
+    def information(self) -> Array:  # type: ignore[override]
+        """See `Slopes.information`."""
+        return np.asarray(self.rows.T @ self.rows)
+
+    def along(self, rows: Array) -> Array:
+        """See `Slopes.along`."""
+        return np.asarray(self.rows.T @ rows)
+
+    def first(self, n: int) -> RowSlopes:
+        """See `Slopes.first`."""
+        return RowSlopes(np.ascontiguousarray(self.rows[:, :n]))
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedSlopes(Slopes):
+    """Slopes by some parameters that are not computed again, then those by the others."""
+
+    frozen: Slopes
+    others: RowSlopes
+    information: Array
+    """See `Slopes.information`."""
+
+    @classmethod
+    def of(cls, frozen: Slopes, others: RowSlopes) -> JoinedSlopes:
+        """Join slopes."""
+        across = frozen.along(others.rows)
+        return cls(frozen, others, np.block([[frozen.information, across], [across.T, others.information]]))
+
+    def along(self, rows: Array) -> Array:
+        """See `Slopes.along`."""
+        return np.concatenate([self.frozen.along(rows), self.others.along(rows)])
+
+    def first(self, n: int) -> Slopes:
+        """See `Slopes.first`."""
+        m = len(self.frozen.information)
+        return self.frozen.first(n) if n <= m else JoinedSlopes.of(self.frozen, self.others.first(n - m))
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralSlopes(Slopes):
+    """Slopes of the spectra of all classes, kept before they are whitened."""
+
+    shared: Array
+    """Slopes of the middle class, see `packed`, shape (n_shared, c * c, n_bins)."""
+    scale: Array
+    """Factor from these to the slopes of every class, shape (classes, n_shared)."""
+    own: Array
+    """Slopes by coordinates that change the classes in different ways, shape (n_own, classes, c * c, n_bins)."""
+    order: Array
+    """Where each parameter stands among the shared and then the own ones, shape (p,)."""
+    root: ComplexArray
+    """Lower triangular matrices that whiten the spectra of a class and bin and weight them by the root of their information,
+    shape (classes, c, c, n_bins)."""
+    information: Array
+    """See `Slopes.information`."""
+
+    @classmethod
+    def at(cls, shared: Array, scale: Array, own: Array, order: Array, spectra: ComplexArray, root: Array) -> SpectralSlopes:
+        """Whiten slopes by predicted spectra.
+
+        Parameters
+        ----------
+        spectra : ndarray, shape (classes, n_bins, c, c)
+        root : ndarray, shape (classes, n_bins)
+            Root of the information in each bin.
+        """
+        whitening = _whitening(spectra, root)
+        information = _information(shared, scale, own, whitening)
+        return cls(shared, scale, own, order, whitening, information[np.ix_(order, order)])
+
+    def along(self, rows: Array) -> Array:
+        """See `Slopes.along`."""
+        if rows.ndim == 2:
+            return np.stack([self.along(column) for column in rows.T], axis=1)
+        changes = _unwhitened(self.root, rows).reshape(len(self.root), -1)
+        shared = self.shared.reshape(len(self.shared), -1) @ changes.T
+        own = self.own.reshape(len(self.own), changes.size) @ changes.ravel()
+        return np.asarray(np.concatenate([(shared * self.scale.T).sum(axis=1), own])[self.order])
+
+    def first(self, n: int) -> SpectralSlopes:
+        """See `Slopes.first`."""
+        return SpectralSlopes(
+            self.shared, self.scale, self.own, self.order[:n], self.root, np.ascontiguousarray(self.information[:n, :n])
+        )
+
+
+def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) -> Array:
+    """Compute the information on the shared, then on the own parameters, shape (p, p)."""
+    n, p, (classes, c, _, bins) = len(shared), len(shared) + len(own), root.shape
+    out = np.zeros((p, p))
+    re, im = np.ascontiguousarray(root.real), np.ascontiguousarray(root.imag)
+    ones = np.ones(len(own))
+    for first in range(0, bins, _BINS):
+        rows = np.empty((p, c * c, min(_BINS, bins - first)))
+        for k in range(classes):
+            _whiten(re[k], im[k], shared, scale[k], first, rows[:n])
+            _whiten(re[k], im[k], own[:, k], ones, first, rows[n:])
+            flat = rows.reshape(p, -1)
+            out += flat @ flat.T
+    return out
+
+
+@compiled(error_model="numpy")
+def _whitening(spectra: ComplexArray, root: Array) -> ComplexArray:
+    """Compute ``sqrt(root) L^-1`` with ``S = L L^H``, shape (classes, c, c, n_bins); zero where S is not positive definite."""
+    classes, bins, c, _ = spectra.shape
+    out = np.zeros((classes, c, c, bins), dtype=np.complex128)
+    lower = np.zeros((c, c), dtype=np.complex128)
+    inverse = np.zeros((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            if not cholesky(spectra[k, f], lower):
+                continue
+            invert_lower(lower, inverse)
+            for i in range(c):
+                for j in range(i + 1):
+                    out[k, i, j, f] = np.sqrt(root[k, f]) * inverse[i, j]
+    return out
+
+
+@compiled(error_model="numpy")
+def _whiten(re: Array, im: Array, slopes: Array, scale: Array, first: int, out: Array) -> None:
+    """Whiten packed slopes of some bins into real rows, as `whiten` does.
+
+    Parameters
+    ----------
+    re, im : ndarray, shape (c, c, n_bins)
+        See `SpectralSlopes.root`.
+    slopes : ndarray, shape (p, c * c, n_bins)
+    scale : ndarray, shape (p,)
+    first : int
+        First bin.
+    out : ndarray, shape (p, c * c, m)
+    """
+    p, _, m = out.shape
+    c = re.shape[0]
+    half_re, half_im = np.empty((2, c, m))
+    t_re, t_im = np.empty(m), np.empty(m)
+    for q in range(p):
+        for i in range(c):
+            for b in range(i + 1):  # the upper triangle follows from symmetry
+                for k in range(m):
+                    half_re[b, k], half_im[b, k] = 0.0, 0.0
+                for a in range(i + 1):
+                    if a == b:
+                        at = b * b + 2 * b
+                        for k in range(m):
+                            s = slopes[q, at, first + k]
+                            half_re[b, k] += re[i, a, first + k] * s
+                            half_im[b, k] += im[i, a, first + k] * s
+                    else:
+                        at = max(a, b) * max(a, b) + 2 * min(a, b)
+                        sign = 1.0 if a > b else -1.0
+                        for k in range(m):
+                            x, y = slopes[q, at, first + k], sign * slopes[q, at + 1, first + k]
+                            half_re[b, k] += re[i, a, first + k] * x - im[i, a, first + k] * y
+                            half_im[b, k] += re[i, a, first + k] * y + im[i, a, first + k] * x
+            for j in range(i + 1):
+                for k in range(m):
+                    t_re[k], t_im[k] = 0.0, 0.0
+                for b in range(j + 1):
+                    for k in range(m):
+                        x, y = re[j, b, first + k], -im[j, b, first + k]
+                        t_re[k] += half_re[b, k] * x - half_im[b, k] * y
+                        t_im[k] += half_re[b, k] * y + half_im[b, k] * x
+                at = i * i + 2 * j
+                if i == j:
+                    for k in range(m):
+                        out[q, at, k] = scale[q] * t_re[k]
+                else:
+                    factor = np.sqrt(2.0) * scale[q]
+                    for k in range(m):
+                        out[q, at, k] = factor * t_re[k]
+                        out[q, at + 1, k] = factor * t_im[k]
+
+
+@compiled(error_model="numpy")
+def _unwhitened(root: ComplexArray, rows: Array) -> Array:
+    """Compute the numbers whose products with packed slopes are those of whitened rows with whitened slopes.
+
+    Parameters
+    ----------
+    root : ndarray, shape (classes, c, c, n_bins)
+        See `SpectralSlopes.root`.
+    rows : ndarray, shape (classes * n_bins * c * c,)
+
+    Returns
+    -------
+    ndarray, shape (classes, c * c, n_bins)
+    """
+    classes, c, _, bins = root.shape
+    out = np.empty((classes, c * c, bins))
+    inner = np.empty((c, c), dtype=np.complex128)
+    half = np.empty((c, c), dtype=np.complex128)
+    lower = np.empty((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            at = (k * bins + f) * c * c
+            for i in range(c):
+                for j in range(i):
+                    inner[i, j] = complex(rows[at], rows[at + 1]) / np.sqrt(2.0)
+                    inner[j, i] = np.conj(inner[i, j])
+                    at += 2
+                inner[i, i] = rows[at]
+                at += 1
+                for j in range(i + 1):
+                    lower[i, j] = root[k, i, j, f]
+            for i in range(c):
+                for b in range(c):
+                    total = 0j
+                    for a in range(b, c):
+                        total += inner[i, a] * lower[a, b]
+                    half[i, b] = total
+            for i in range(c):
+                for j in range(i + 1):
+                    total = 0j
+                    for a in range(i, c):
+                        total += np.conj(lower[a, i]) * half[a, j]
+                    if i == j:
+                        out[k, i * i + 2 * i, f] = total.real
+                    else:
+                        out[k, i * i + 2 * j, f] = 2.0 * total.real
+                        out[k, i * i + 2 * j + 1, f] = 2.0 * total.imag
+    return out

@@ -1,0 +1,238 @@
+"""Slopes of the expected cross-spectra by coordinates that change the matrices of the linear system, its sensors or its forces.
+
+The spectra at one frequency are ``S = Y Q Y^H`` with the response ``Y = T W B``, where W is the accelerance of all degrees of
+freedom, T what the channels record of them, and B picks those on which forces act.  A change of the matrices by dM, dC and dK
+changes the response by ``T W (dK / w^2 + i dC / w - dM) W B``.  So the solutions of one linear system for each frequency give
+the slopes by all coordinates, where a finite difference solves it again for each of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core import Array, ComplexArray, compiled
+from monitor.inference.cross_spectra import (
+    Band,
+    accelerance,
+    clock_ratio,
+    extra_mode_response,
+    force_colour,
+    force_root,
+    recorded,
+)
+from monitor.model import Condition, Context, Effect, System
+from monitor.signals import leakage
+
+_TAPS = leakage()
+_BLOCK = 64
+"""Frequencies that are computed together. [count; cost]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SystemChange:
+    """Slopes of a linear system by one coordinate."""
+
+    mass: Array
+    """Shape (N, N)."""
+    damping: Array
+    """Shape (N, N)."""
+    stiffness: Array
+    """Shape (N, N)."""
+    sensors: Array
+    """Of what the channels see of the degrees of freedom, shape (c, N)."""
+    forces: Array
+    """Of the force densities, see `force_matrix`, shape (columns, columns)."""
+
+
+def force_matrix(system: System, effects: Sequence[Effect], force: Array, n_extra: int) -> Array:
+    """Compute the densities of all forces: on the floors, on the coupled modes and on the extra modes, shape (columns, columns).
+
+    Parameters
+    ----------
+    force : ndarray, shape (n,), N^2/Hz
+        Densities of the floors' forces.
+    n_extra : int
+        Number of extra modes.
+    """
+    root, n, mean = force_root(force, effects), force.size, float(force.mean())
+    out = np.diag(np.r_[force, [mean * mode.force_ratio for mode in system.coupled], np.full(n_extra, mean)])
+    out[:n, :n] = root @ root.T
+    return out
+
+
+def system_slopes(
+    system: System,
+    effects: Sequence[Effect],
+    force: Array,
+    changes: Sequence[SystemChange],
+    band: Band,
+    context: Context,
+    condition: Condition,
+) -> Array:
+    """Differentiate the expected cross-spectra without ground motion by coordinates that change the system.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n,), N^2/Hz
+    changes : sequence of SystemChange
+
+    Returns
+    -------
+    ndarray, shape (n_changes, c * c, n_bins), (m/s^2)^2/Hz by a coordinate
+        In the order of `packed`.
+    """
+    clock = clock_ratio(effects)
+    hz, size, n = clock * band.fine_hz, system.mass.shape[0], force.size
+    omega = 2.0 * np.pi * hz
+    of_all = accelerance(system.mass, system.damping, system.stiffness, omega, np.eye(size))
+    c = len(context.channels)
+    through = recorded(np.eye(c, dtype=complex)[None], effects, hz, context, condition)
+    left = through @ system.sensors(context.sensors) @ of_all
+    forced = [*range(n), *(mode.index for mode in system.coupled)]
+    modes = [mode for effect in effects for mode in effect.extra_modes(context)]
+    answer = left[:, :, forced]
+    if modes:
+        answer = np.concatenate([answer, through @ extra_mode_response(modes, hz, context)], axis=2)
+    adjoint = answer.conj().swapaxes(1, 2) * force_colour(effects, hz)[:, None, None]
+    driven = force_matrix(system, effects, force, len(modes)) @ adjoint
+    right = of_all[:, :, forced] @ driven[:, : len(forced)]
+    everything = np.concatenate([left, np.broadcast_to(through, (hz.size, c, c)), answer], axis=2)
+    acting = np.concatenate([right, 0.5 * adjoint], axis=1)
+    start, at, of_matrices = _entries(changes, size, c)
+    parts = [np.ascontiguousarray(a.transpose(1, 2, 0)) for m in (everything, acting) for a in (m.real, m.imag)]
+    return np.asarray(_sum_changes(*parts, 1.0 / omega, start, at, of_matrices, _TAPS, band.gain))
+
+
+def _entries(changes: Sequence[SystemChange], size: int, c: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """List the entries of all changes that are not zero, ordered by change and by row of the right factor.
+
+    Returns
+    -------
+    start : ndarray, shape (n_changes + 1,)
+        First entry of each change.
+    at : ndarray, shape (n_entries, 2)
+        Rows of the right factor and columns of the left one.
+    value : ndarray, shape (n_entries, 3)
+        Factors of 1, of i / w and of 1 / w^2.
+    """
+    start, at, value = [0], [], []
+    for change in changes:
+        columns = change.forces.shape[0]
+        of_matrices = np.zeros((size + columns, size + c + columns, 3))
+        of_matrices[:size, :size] = np.stack([-change.mass.T, change.damping.T, change.stiffness.T], axis=2)
+        of_matrices[:size, size : size + c, 0] = change.sensors.T
+        of_matrices[size:, size + c :, 0] = change.forces.T
+        where = np.argwhere(of_matrices.any(axis=2))
+        at.append(where)
+        value.append(of_matrices[where[:, 0], where[:, 1]])
+        start.append(start[-1] + len(where))
+    return np.array(start), np.concatenate(at), np.concatenate(value)
+
+
+@compiled(error_model="numpy")
+def _sum_changes(
+    left_re: Array,
+    left_im: Array,
+    right_re: Array,
+    right_im: Array,
+    period: Array,
+    start: NDArray[np.intp],
+    at: NDArray[np.intp],
+    value: Array,
+    taps: Array,
+    gain: Array,
+) -> Array:
+    """Compute ``left dZ right`` and its adjoint for every change dZ, convolved with the taper's kernel into bins.
+
+    Parameters
+    ----------
+    left_re, left_im : ndarray, shape (c, n_left, n_fine)
+    right_re, right_im : ndarray, shape (n_right, c, n_fine)
+    period : ndarray, shape (n_fine,), s/rad
+        Reciprocals of the angular frequencies.
+    start, at, value : ndarray
+        See `_entries`.
+    taps : ndarray, shape (n_taps,)
+    gain : ndarray, shape (n_bins,)
+
+    Returns
+    -------
+    ndarray, shape (n_changes, c * c, n_bins)
+    """
+    c, _, n_fine = left_re.shape
+    n_bins = gain.size
+    out = np.empty((start.size - 1, c * c, n_bins))
+    x_re, x_im = np.empty((2, c, c, n_fine))
+    v_re, v_im = np.empty((2, c, _BLOCK))
+    z_re, z_im, h_re, h_im = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(n_fine), np.empty(n_fine)
+    for q in range(start.size - 1):
+        x_re[:], x_im[:] = 0.0, 0.0
+        for first in range(0, n_fine, _BLOCK):
+            m = min(_BLOCK, n_fine - first)
+            e = start[q]
+            while e < start[q + 1]:
+                b = at[e, 0]
+                v_re[:], v_im[:] = 0.0, 0.0
+                while e < start[q + 1] and at[e, 0] == b:
+                    a = at[e, 1]
+                    for k in range(m):
+                        z_re[k] = value[e, 0] + value[e, 2] * period[first + k] * period[first + k]
+                        z_im[k] = value[e, 1] * period[first + k]
+                    for i in range(c):
+                        for k in range(m):
+                            x, y = left_re[i, a, first + k], left_im[i, a, first + k]
+                            v_re[i, k] += x * z_re[k] - y * z_im[k]
+                            v_im[i, k] += x * z_im[k] + y * z_re[k]
+                    e += 1
+                for i in range(c):
+                    for j in range(c):
+                        for k in range(m):
+                            x, y = right_re[b, j, first + k], right_im[b, j, first + k]
+                            x_re[i, j, first + k] += v_re[i, k] * x - v_im[i, k] * y
+                            x_im[i, j, first + k] += v_re[i, k] * y + v_im[i, k] * x
+        for i in range(c):
+            for j in range(i + 1):
+                row = i * i + 2 * j
+                for k in range(n_fine):
+                    h_re[k] = x_re[i, j, k] + x_re[j, i, k]
+                    h_im[k] = x_im[i, j, k] - x_im[j, i, k]
+                for k in range(n_bins):
+                    total = 0.0
+                    for t in range(taps.size):
+                        total += taps[t] * h_re[2 * k + t]
+                    out[q, row, k] = gain[k] * total
+                if i > j:
+                    for k in range(n_bins):
+                        total = 0.0
+                        for t in range(taps.size):
+                            total += taps[t] * h_im[2 * k + t]
+                        out[q, row + 1, k] = gain[k] * total
+    return out
+
+
+def packed(slopes: ComplexArray) -> Array:
+    """Pack Hermitian matrices, shape (..., n_bins, c, c), as real numbers, shape (..., c * c, n_bins).
+
+    Row by row of the lower triangle: real and imaginary parts before the diagonal, then the diagonal.
+    """
+    c = slopes.shape[-1]
+    out = np.empty((*slopes.shape[:-3], c * c, slopes.shape[-3]))
+    for i in range(c):
+        out[..., i * i : i * i + 2 * i : 2, :] = np.moveaxis(slopes[..., i, :i].real, -1, -2)
+        out[..., i * i + 1 : i * i + 2 * i : 2, :] = np.moveaxis(slopes[..., i, :i].imag, -1, -2)
+        out[..., i * i + 2 * i, :] = slopes[..., i, i].real
+    return out
+
+
+def unpacked(rows: Array) -> ComplexArray:
+    """Invert `packed`: shape (..., c * c, n_bins) to (..., n_bins, c, c)."""
+    c = round(np.sqrt(rows.shape[-2]))
+    out = np.empty((*rows.shape[:-2], rows.shape[-1], c, c), dtype=complex)
+    for i in range(c):
+        below = np.moveaxis(rows[..., i * i : i * i + 2 * i : 2, :] + 1j * rows[..., i * i + 1 : i * i + 2 * i : 2, :], -2, -1)
+        out[..., i, :i], out[..., :i, i], out[..., i, i] = below, below.conj(), rows[..., i * i + 2 * i, :]
+    return out
