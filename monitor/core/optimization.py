@@ -20,6 +20,10 @@ _MAX_REFUSED = 6
 """Steps refused in a row after which the search ends. [count; damping has grown a millionfold]"""
 _ROUNDING_NATS = 1e-9
 """Loss that counts as rounding. [nats; rounding]"""
+_WORTHWHILE = 0.1
+"""Gain of a step with slopes that served before, over that of the step before, from which they serve once more. [ratio; cost]"""
+_NO_INFORMATION = 1e-200
+"""Information on a coordinate below which the coordinate stays where it is. [1; rounding: its square is next to no number]"""
 _STALLED_FACTOR = 10.0
 """A search that no step improves has converged if the last step promised less than so many tolerances. [ratio; judgement]"""
 
@@ -66,6 +70,7 @@ def levenberg_marquardt(
     iterations: int,
     tolerance: float,
     fixed_slopes_gain: float,
+    slopes_are_costly: bool = False,
 ) -> Maximum[P, L]:
     """Maximize an objective by Levenberg-Marquardt steps.
 
@@ -84,6 +89,8 @@ def levenberg_marquardt(
         Gain of a step at which the search has converged, nats.
     fixed_slopes_gain : float
         Gain of a step up to which slopes may serve once more, nats.
+    slopes_are_costly : bool
+        Whether slopes also serve after longer steps, as long as they gain much.  Such steps do not count as iterations.
 
     References
     ----------
@@ -102,21 +109,39 @@ def levenberg_marquardt(
     """
     point, damping, gain = start, _FIRST_DAMPING, np.inf
     linearization: L | None = None
+
+    def step_with(at: L) -> Array:
+        normal = at.normal
+        diagonal = np.diag(normal)
+        known = diagonal > _NO_INFORMATION
+        scale = np.where(known, 1.0 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
+        scaled, identity = normal * scale[:, None] * scale, np.eye(scale.size)
+        return np.asarray(scale * np.linalg.solve(scaled + (damping + 1e-12) * identity, scale * at.gradient))
+
     for _ in range(iterations if np.isfinite(start.value) else 0):
         linearization = linearize(point, None if gain > fixed_slopes_gain else linearization)
-        normal, gradient = linearization.normal, linearization.gradient
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        scaled, identity = normal * scale[:, None] * scale, np.eye(scale.size)
         for _ in range(_MAX_REFUSED):
-            step = scale * np.linalg.solve(scaled + (damping + 1e-12) * identity, scale * gradient)
+            step = step_with(linearization)
+            if not np.isfinite(step).all():
+                return Maximum(point, linearization, False)
             moved = move(point, step)
             if moved.value > point.value - _ROUNDING_NATS:
                 break
             damping = max(_DAMPING_FACTOR * damping, _LEAST_RAISED_DAMPING)
         else:
-            return Maximum(point, linearization, float(gradient @ step) < _STALLED_FACTOR * tolerance)
+            return Maximum(point, linearization, float(linearization.gradient @ step) < _STALLED_FACTOR * tolerance)
         gain, point = moved.value - point.value, moved
         damping /= _DAMPING_FACTOR
         if gain < tolerance:
             return Maximum(point, linearization, True)
+        further = gain
+        while slopes_are_costly and further > max(fixed_slopes_gain, _WORTHWHILE * gain):
+            again = linearize(point, linearization)
+            step = step_with(again)
+            if not np.isfinite(step).all():
+                break
+            moved = move(point, step)
+            further = moved.value - point.value
+            if further > 0.0:
+                linearization, point = again, moved
     return Maximum(point, linearization, False)

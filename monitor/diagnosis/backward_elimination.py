@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.initial_fit import ROUGHLY
+from monitor.diagnosis.initial_fit import FAR
 from monitor.diagnosis.missing_modes import effects_at_peak
 from monitor.diagnosis.score_test import (
     Candidate,
@@ -108,7 +108,7 @@ def eliminate_backward(
             break  # no later cause is in the model
         nuisances, i = posterior.layout.nuisances, kept.index(cause)
         rest = (*fit.effects[:i], *fit.effects[i + 1 :])
-        at_peak: list[Effect] = []
+        at_peak: list[Candidate] = []
         if cause.effect.repeatable:
             certain, at_peak = _test_roughly(posterior, fit, i, margin)
             if certain:
@@ -118,10 +118,13 @@ def eliminate_backward(
         excluded = {cause.key, *(c.key for c in later), *((e.name, e.location) for e in rest)}
         # A simulated correction holds for one law only, so a nonlinear cause neither replaces another nor is replaced.
         linear = [] if cause.effect.nonlinear else [c for c in candidates if not c.effect.nonlinear]
-        rivals = at_peak or [c.effect for c in linear if c.key not in excluded][:_N_ALTERNATIVES]
         min_log_evidence = max(min_gain + lead, margin)
-        fit_rival = refine_rough_fit if at_peak else partial(fit_candidate, min_log_evidence=min_log_evidence)
-        fitted = parallel_map(partial(fit_rival, posterior, without), rivals)
+        if at_peak:
+            fitted = parallel_map(partial(refine_rough_fit, posterior, without), at_peak)
+        else:
+            rivals = [c.effect for c in linear if c.key not in excluded][:_N_ALTERNATIVES]
+            fit_rival = partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence)
+            fitted = parallel_map(fit_rival, rivals)
         best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
         if best is not None and best.log_evidence > min_log_evidence:
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
@@ -141,7 +144,7 @@ def eliminate_backward(
     return posterior, fit, tuple(kept)
 
 
-def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float) -> tuple[bool, list[Effect]]:
+def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float) -> tuple[bool, list[Candidate]]:
     """Test a mode that the model lacks by rough fits, since such modes may be many and most are beyond doubt.
 
     Parameters
@@ -153,17 +156,19 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
     -------
     certain : bool
         Whether the mode is needed beyond doubt and no other cause of its peak comes near it.
-    rivals : list of Effect
+    rivals : list of Candidate
         The best other cause of the peak, roughly fitted; empty where none comes near the mode.
     """
     rest = (*fit.effects[:i], *fit.effects[i + 1 :])
     x = join_coordinates(fit.x[posterior.layout.nuisances], rest)
-    without = maximize_posterior(posterior, x, rest, iterations=ROUGHLY)
+    # The slopes by all else hardly depend on the mode.  Steps that need no new slopes cost next to nothing.
+    others = np.delete(np.arange(fit.x.size), fit.coordinates_of(i))
+    without = maximize_posterior(posterior, x, rest, iterations=FAR, frozen=fit.slopes.by(others))
     gain = score_candidate(posterior, without, fit, i).log_evidence
     (peak,) = find_excess_peaks(posterior, without, 1)
     starts = [effect for effect in effects_at_peak(posterior, without, peak) if not effect.repeatable]
     rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), starts))
-    near = [c.effect for c in rough[:1] if c.may_reach(gain)]
+    near = [c for c in rough[:1] if c.may_reach(gain)]
     return gain > _CERTAIN * margin and not near, near
 
 

@@ -166,7 +166,7 @@ def find_missing_mode(
     if not rough or not (rough[0].effect.repeatable or lacks_modes(posterior, fit)):
         return []
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]
-    fitted = parallel_map(lambda c: refine_rough_fit(posterior, fit, c.effect), near)
+    fitted = parallel_map(lambda c: refine_rough_fit(posterior, fit, c), near)
     found = best_first(with_tone_evidence(posterior, c) for c in fitted)
     if not any(c.effect.repeatable for c in found):
         return []

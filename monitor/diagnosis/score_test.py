@@ -296,7 +296,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
         posterior, prior=replace(known, precision=known.precision + np.diag(_HELD_STRUCTURE_PRECISION / known.units**2))
     )
     x = posterior.layout.with_structure(null_fit.x, known.mean)
-    unused = null_fit.slopes.first(posterior.layout.structure.stop)  # of what does not move
+    unused = null_fit.slopes.by(np.arange(posterior.layout.structure.stop))  # of what does not move
     return held, maximize_posterior(held, x, (*null_fit.effects, *more), iterations=_MAX_STEPS_HELD, frozen=unused)
 
 
@@ -383,7 +383,7 @@ def fit_candidate(
     """
     driven = posterior.observed.drive is not None
     # Driven motion is so informative that a cause changes the other slopes at once.
-    frozen = null_fit.slopes.first(null_fit.x.size) if quick and not driven else None
+    frozen = null_fit.slopes if quick and not driven else None
     few, many = (ROUGHLY, FAR) if driven else (_MAX_STEPS_ROUGH, LONG)
     fitted = partial(
         maximize_posterior,
@@ -394,7 +394,10 @@ def fit_candidate(
     )
     if driven and effect.nonlinear:
         return _fit_driven_law(posterior, null_fit, effect, None if rough is None else rough.fit, quick=quick)
-    found = score_candidate(posterior, null_fit, fitted(null_fit.x, (*null_fit.effects, effect), frozen=frozen))
+    start = null_fit.x, (*null_fit.effects, effect)
+    if rough is not None and not driven and rough.delta_log_posterior > 0.0:
+        start = rough.fit.x, rough.fit.effects
+    found = score_candidate(posterior, null_fit, fitted(*start, frozen=frozen))
     if not quick and _far_from_prior(posterior, null_fit):
         near = _fit_at_prior(posterior, null_fit, effect)[1]
         promising = (
@@ -457,9 +460,9 @@ def start_beside(posterior: Posterior, x: Array, effect: Effect) -> Array:
     return out
 
 
-def refine_rough_fit(posterior: Posterior, null_fit: MapEstimate, effect: Effect) -> Candidate:
+def refine_rough_fit(posterior: Posterior, null_fit: MapEstimate, rough: Candidate) -> Candidate:
     """Fit an effect that a rough fit brought near its size, together with the nuisances."""
-    fitted = maximize_posterior(posterior, null_fit.x, (*null_fit.effects, effect), iterations=LONG)
+    fitted = maximize_posterior(posterior, rough.fit.x, rough.fit.effects, iterations=LONG)
     return score_candidate(posterior, null_fit, fitted)
 
 

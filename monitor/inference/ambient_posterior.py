@@ -83,9 +83,7 @@ class AmbientPosterior(Posterior):
         own = x[self.layout.forces]
         return np.full(own.size, own.mean()), difference_operator(own.size)
 
-    def linearized(
-        self, x: Array, effects: tuple[Effect, ...], prediction: Prediction
-    ) -> tuple[Slopes, Array, Array]:
+    def linearized(self, x: Array, effects: tuple[Effect, ...], prediction: Prediction) -> tuple[Slopes, Array, Array]:
         """See `Posterior.linearized`."""
         parts = self._slope_parts(x, effects, prediction.spectra, 0)
         slopes = SpectralSlopes.at(*parts, prediction.spectra, self.root_information())
@@ -117,7 +115,8 @@ class AmbientPosterior(Posterior):
         moving = [i for i in range(begin, x.size) if i not in {*noises, *levels, *apart}]
         level = self.relative_levels(x)
         shared = np.zeros((len(moving) + len(noises), *shape))
-        shared[: len(moving)] = self._slopes_of_middle(x, effects, spectra[self.n_classes // 2], moving)
+        if moving:
+            shared[: len(moving)] = self._slopes_of_middle(x, effects, moving)
         for by_noise, i in zip(shared[len(moving) :], noises, strict=True):
             channels = np.arange(noise.size) if i == layout.noise else np.array([i - layout.channel_noise.start])
             by_noise[(channels + 1) ** 2 - 1] = noise[channels, None]
@@ -152,26 +151,16 @@ class AmbientPosterior(Posterior):
             if not (e.extra_modes(self.context) or (alike and e.scales_with_level))
         ]
 
-    def _slopes_of_middle(
-        self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, wanted: Sequence[int]
-    ) -> Array:
-        """Differentiate the (smoothed) spectra of the middle class, shape (n_wanted, c * c, bins).
-
-        Parameters
-        ----------
-        spectra : ndarray, shape (bins, c, c)
-            The prediction in this class.
-        """
+    def _slopes_of_middle(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> Array:
+        """Differentiate the (smoothed) spectra of the middle class, shape (n_wanted, c * c, bins)."""
         middle = self.n_classes // 2
-        if not wanted:
-            return np.zeros((0, *packed(spectra).shape))
         by_mode = self.slopes_by_mode(x, effects, wanted)
         systemic = self._systemic(x, effects, [i for i in wanted if i not in by_mode])
         steps = np.array([self.nudged(x, i, effects)[0] for i in wanted])
-        out = np.zeros((len(wanted), *packed(spectra).shape[:1], self.observed.band.n_bins))
+        out = np.zeros((len(wanted), len(self.context.channels) ** 2, self.observed.band.n_bins))
         if systemic:
             out[[wanted.index(i) for i in systemic]] = self._slopes_by_system(x, effects, systemic)
-        linear = self.linear_spectra(x, self.effects(x, effects), [middle]) 
+        linear = self.linear_spectra(x, self.effects(x, effects), [middle])
         for j, i in enumerate(wanted):
             if i in by_mode:
                 out[j] = packed(by_mode[i])
@@ -179,14 +168,13 @@ class AmbientPosterior(Posterior):
                 h, moved = self.nudged(x, i, effects)
                 everything = self.effects(moved, with_coordinates(effects, moved[self.layout.effects]))
                 out[j] = packed((self.linear_spectra(moved, everything, [middle])[0] - linear[0]) / h)
-        if self.error is None and self.offset is None:
-            return out if self.smoothing is None else out @ self.smoothing.T
-        whole = [self.smooth(self.complete(linear + h * unpacked(d), x, effects, [middle]))[0] for h, d in zip(steps, out, strict=True)]
-        return packed((np.array(whole) - spectra) / steps[:, None, None, None])
+        if self.error is not None or self.offset is not None:
+            complete = self.complete(linear, x, effects, [middle])[0]
+            for d, h in zip(out, steps, strict=True):
+                d[:] = packed((self.complete(linear + h * unpacked(d), x, effects, [middle])[0] - complete) / h)
+        return out if self.smoothing is None else out @ self.smoothing.T
 
-    def slopes_by_mode(
-        self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]
-    ) -> dict[int, ComplexArray]:
+    def slopes_by_mode(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> dict[int, ComplexArray]:
         """Differentiate the linearized spectra of the middle class by those wanted coordinates that only change extra modes.
 
         Returns

@@ -91,7 +91,14 @@ def modally_damped(mass: Array, stiffness: Array, ratios: Array) -> System:
     ----------
     mass, stiffness : ndarray, shape (n, n), kg and N/m
     ratios : ndarray, shape (n,)
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the mass matrix is not positive definite, or an entry is not finite.
     """
+    if not (np.isfinite(mass).all() and np.isfinite(stiffness).all()):
+        raise np.linalg.LinAlgError("a mass or a stiffness is not finite")
     eigenvalues, shapes = eigh(stiffness, mass)
     carried = mass @ shapes
     return System(mass, (carried * (2.0 * ratios * np.sqrt(np.maximum(eigenvalues, 0.0)))) @ carried.T, stiffness)

@@ -100,7 +100,10 @@ def maximize_posterior(
 
     def move(at: _Point, step: Array) -> _Point:
         moved = _take_bounded_step(posterior, at.x, step, at.effects)
-        return _evaluate(posterior, moved, with_coordinates(at.effects, moved[posterior.layout.effects]))
+        try:
+            return _evaluate(posterior, moved, with_coordinates(at.effects, moved[posterior.layout.effects]))
+        except np.linalg.LinAlgError:  # too long a step has led to no structure
+            return replace(at, log_likelihood=-np.inf)
 
     search = levenberg_marquardt(
         start,
@@ -109,6 +112,7 @@ def maximize_posterior(
         iterations=iterations,
         tolerance=tolerance,
         fixed_slopes_gain=_FIXED_SLOPES_GAIN,
+        slopes_are_costly=frozen is None and start.prediction.left is None,
     )
     found = search.point
     last = search.linearization or _no_slopes(start.x.size)

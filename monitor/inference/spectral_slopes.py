@@ -8,10 +8,11 @@ all classes.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.wishart import cholesky, invert_lower
@@ -31,8 +32,8 @@ class Slopes(ABC):
         """Multiply the slopes' transpose by whitened rows, shape (rows,) or (rows, k); shape (p,) or (p, k)."""
 
     @abstractmethod
-    def first(self, n: int) -> Slopes:
-        """Return the slopes by the first n parameters."""
+    def by(self, chosen: NDArray[np.intp]) -> Slopes:
+        """Return the slopes by some of the parameters, whose indices are `chosen`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +52,9 @@ class RowSlopes(Slopes):
         """See `Slopes.along`."""
         return np.asarray(self.rows.T @ rows)
 
-    def first(self, n: int) -> RowSlopes:
-        """See `Slopes.first`."""
-        return RowSlopes(np.ascontiguousarray(self.rows[:, :n]))
+    def by(self, chosen: NDArray[np.intp]) -> RowSlopes:
+        """See `Slopes.by`."""
+        return RowSlopes(np.ascontiguousarray(self.rows[:, chosen]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +76,10 @@ class JoinedSlopes(Slopes):
         """See `Slopes.along`."""
         return np.concatenate([self.frozen.along(rows), self.others.along(rows)])
 
-    def first(self, n: int) -> Slopes:
-        """See `Slopes.first`."""
-        m = len(self.frozen.information)
-        return self.frozen.first(n) if n <= m else JoinedSlopes.of(self.frozen, self.others.first(n - m))
+    def by(self, chosen: NDArray[np.intp]) -> Slopes:
+        """See `Slopes.by`.  Those of the frozen ones must come first."""
+        n = len(self.frozen.information)
+        return JoinedSlopes.of(self.frozen.by(chosen[chosen < n]), self.others.by(chosen[chosen >= n] - n))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,7 @@ class SpectralSlopes(Slopes):
     """Factor from these to the slopes of every class, shape (classes, n_shared)."""
     own: Array
     """Slopes by coordinates that change the classes in different ways, shape (n_own, classes, c * c, n_bins)."""
-    order: Array
+    order: NDArray[np.intp]
     """Where each parameter stands among the shared and then the own ones, shape (p,)."""
     root: ComplexArray
     """Lower triangular matrices that whiten the spectra of a class and bin and weight them by the root of their information,
@@ -100,7 +101,9 @@ class SpectralSlopes(Slopes):
     """See `Slopes.information`."""
 
     @classmethod
-    def at(cls, shared: Array, scale: Array, own: Array, order: Array, spectra: ComplexArray, root: Array) -> SpectralSlopes:
+    def at(
+        cls, shared: Array, scale: Array, own: Array, order: Array, spectra: ComplexArray, root: Array
+    ) -> SpectralSlopes:
         """Whiten slopes by predicted spectra.
 
         Parameters
@@ -115,18 +118,20 @@ class SpectralSlopes(Slopes):
 
     def along(self, rows: Array) -> Array:
         """See `Slopes.along`."""
-        if rows.ndim == 2:
-            return np.stack([self.along(column) for column in rows.T], axis=1)
-        changes = _unwhitened(self.root, rows).reshape(len(self.root), -1)
-        shared = self.shared.reshape(len(self.shared), -1) @ changes.T
-        own = self.own.reshape(len(self.own), changes.size) @ changes.ravel()
-        return np.asarray(np.concatenate([(shared * self.scale.T).sum(axis=1), own])[self.order])
+        columns = rows[:, None] if rows.ndim == 1 else rows
+        changes = np.empty((columns.shape[1], len(self.root), *self.shared.shape[1:]))
+        for change, column in zip(changes, columns.T, strict=True):
+            change[:] = _unwhitened(self.root, np.ascontiguousarray(column))
+        (k, classes), n = changes.shape[:2], self.shared[0].size
+        shared = self.shared.reshape(-1, n) @ changes.reshape(k * classes, n).T
+        shared = np.einsum("pkc,cp->pk", shared.reshape(len(shared), k, classes), self.scale)
+        own = self.own.reshape(-1, classes * n) @ changes.reshape(k, classes * n).T
+        out = np.concatenate([shared, own])[self.order]
+        return out[:, 0] if rows.ndim == 1 else out
 
-    def first(self, n: int) -> SpectralSlopes:
-        """See `Slopes.first`."""
-        return SpectralSlopes(
-            self.shared, self.scale, self.own, self.order[:n], self.root, np.ascontiguousarray(self.information[:n, :n])
-        )
+    def by(self, chosen: NDArray[np.intp]) -> SpectralSlopes:
+        """See `Slopes.by`."""
+        return replace(self, order=self.order[chosen], information=self.information[np.ix_(chosen, chosen)])
 
 
 def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) -> Array:

@@ -87,19 +87,21 @@ def system_slopes(
     """
     clock = clock_ratio(effects)
     hz, size, n = clock * band.fine_hz, system.mass.shape[0], force.size
-    omega = 2.0 * np.pi * hz
-    of_all = accelerance(system.mass, system.damping, system.stiffness, omega, np.eye(size))
-    c = len(context.channels)
-    through = recorded(np.eye(c, dtype=complex)[None], effects, hz, context, condition)
-    left = through @ system.sensors(context.sensors) @ of_all
+    omega, sensors, c = 2.0 * np.pi * hz, system.sensors(context.sensors), len(context.channels)
     forced = [*range(n), *(mode.index for mode in system.coupled)]
+    # The matrices are symmetric, so the channels' responses to forces on all degrees of freedom are those to forces of the
+    # channels' directions.  Degrees of freedom with next to no mass have no response of their own that is a number.
+    columns = np.hstack([sensors.T, np.eye(size)[:, forced]])
+    response = accelerance(system.mass, system.damping, system.stiffness, omega, columns)
+    through = recorded(np.eye(c, dtype=complex)[None], effects, hz, context, condition)
+    left = through @ response[:, :, :c].swapaxes(1, 2)
     modes = [mode for effect in effects for mode in effect.extra_modes(context)]
     answer = left[:, :, forced]
     if modes:
         answer = np.concatenate([answer, through @ extra_mode_response(modes, hz, context)], axis=2)
     adjoint = answer.conj().swapaxes(1, 2) * force_colour(effects, hz)[:, None, None]
     driven = force_matrix(system, effects, force, len(modes)) @ adjoint
-    right = of_all[:, :, forced] @ driven[:, : len(forced)]
+    right = response[:, :, c:] @ driven[:, : len(forced)]
     everything = np.concatenate([left, np.broadcast_to(through, (hz.size, c, c)), answer], axis=2)
     acting = np.concatenate([right, 0.5 * adjoint], axis=1)
     start, at, of_matrices = _entries(changes, size, c)
@@ -233,6 +235,8 @@ def unpacked(rows: Array) -> ComplexArray:
     c = round(np.sqrt(rows.shape[-2]))
     out = np.empty((*rows.shape[:-2], rows.shape[-1], c, c), dtype=complex)
     for i in range(c):
-        below = np.moveaxis(rows[..., i * i : i * i + 2 * i : 2, :] + 1j * rows[..., i * i + 1 : i * i + 2 * i : 2, :], -2, -1)
+        below = np.moveaxis(
+            rows[..., i * i : i * i + 2 * i : 2, :] + 1j * rows[..., i * i + 1 : i * i + 2 * i : 2, :], -2, -1
+        )
         out[..., i, :i], out[..., :i, i], out[..., i, i] = below, below.conj(), rows[..., i * i + 2 * i, :]
     return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf, pi
 from typing import ClassVar, Literal, Self
 
@@ -57,14 +57,11 @@ class AttachedOscillator(Effect):
         link[self.index], link[size] = -1.0, 1.0
         joint = np.outer(link, link)
         omega = 2.0 * pi * self.frequency_hz
-        mass, damping, stiffness = (np.pad(m, (0, 1)) for m in (system.mass, system.damping, system.stiffness))
-        mass[size, size] = self.mass_kg
-        return replace(
-            system,
-            mass=mass,
-            damping=np.asarray(damping + 2.0 * self.damping_ratio * omega * self.mass_kg * joint),
-            stiffness=np.asarray(stiffness + omega**2 * self.mass_kg * joint),
-        )
+        larger = system.enlarged()
+        larger.mass[size, size] = self.mass_kg
+        larger.damping[:] += 2.0 * self.damping_ratio * omega * self.mass_kg * joint
+        larger.stiffness[:] += omega**2 * self.mass_kg * joint
+        return larger
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
         """See `Effect.known`.  The damping ratio is a few percent, within a factor of two."""

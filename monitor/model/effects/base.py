@@ -130,6 +130,13 @@ class System:
             out[:, mode.index] = mode.shape
         return out
 
+    def enlarged(self) -> System:
+        """Append a degree of freedom, as yet without mass, damping and stiffness."""
+        size = self.mass.shape[0]
+        larger = np.zeros((3, size + 1, size + 1))
+        larger[:, :size, :size] = self.mass, self.damping, self.stiffness
+        return replace(self, mass=larger[0], damping=larger[1], stiffness=larger[2])
+
     def plus(self, *, damping: Array | float = 0.0, stiffness: Array | float = 0.0) -> System:
         """Add terms to the matrices of the structure's degrees of freedom.
 

@@ -50,7 +50,7 @@ class Parameter:
         low, high = self.low, self.high - 1e-9 * abs(self.high) if self.high < inf else 1e300
         if not self.closed and low > -inf:
             low = low + 1e-9 * abs(low) if low != 0.0 else 1e-300
-        return float(np.clip(coordinate, low, high))
+        return min(max(float(coordinate), low), high)
 
     def allows(self, value: float) -> bool:
         """Check that a value is finite and within the bounds."""

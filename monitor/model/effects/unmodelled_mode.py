@@ -192,12 +192,13 @@ class UnmodelledMode(Effect):
             return system
         mean, size = float(context.structure.masses_kg.mean()), system.mass.shape[0]
         own, link = self._springs(context.structure)
-        mass, damping, stiffness = (np.pad(m, (0, 1)) for m in (system.mass, system.damping, system.stiffness))
+        larger = system.enlarged()
+        mass, damping, stiffness = larger.mass, larger.damping, larger.stiffness
         mass[size, size], damping[size, size] = mean, 2.0 * self.damping_ratio * np.sqrt(own * mean)
         stiffness[size, size] = own
         stiffness[: link.size, size] = stiffness[size, : link.size] = link
         mode = CoupledMode(size, mean * np.array(self.shape), self.force_ratio)
-        return replace(system, mass=mass, damping=damping, stiffness=stiffness, coupled=(*system.coupled, mode))
+        return replace(larger, coupled=(*system.coupled, mode))
 
     def _springs(self, structure: Structure) -> tuple[float, Array]:
         """Return the stiffness of a coupled mode's degree of freedom, N/m, and that between it and every floor, shape (n,)."""

@@ -1,0 +1,69 @@
+"""Slopes of the spectra by one solution of the linear system, and their products, against finite differences and whole rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monitor.inference import Posterior, with_coordinates
+from monitor.model.effects import Effect, parse_effect
+from tests.diagnosis.test_modal_start import TORSION, posterior
+
+COUPLED = parse_effect(
+    "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.02,shape_1=1.0,shape_2=0.8,shape_3=0.45,"
+    "force_ratio=0.6,coupling_1=0.1,coupling_2=0.12,coupling_3=0.08"
+)
+EFFECTS = (
+    COUPLED,
+    *TORSION,
+    parse_effect("attached_oscillator:floor 1:mass_kg=0.05,frequency_hz=7.0,damping_ratio=0.03"),
+    parse_effect("stiffness_change:story 2:relative=-0.05"),
+    parse_effect("added_mass:floor 3:mass_kg=0.1"),
+    parse_effect("sensor_gain:channel a2:gain=1.05"),
+    parse_effect("time_offset:channel a1:seconds=0.003"),
+    parse_effect("coloured_excitation:frame:corner_hz=20.0"),
+)
+TONE = parse_effect("harmonic_excitation:floor 2:frequency_hz=12.3,force_n=0.01")
+
+
+@pytest.fixture(scope="module")
+def at() -> Posterior:
+    return posterior(np.ones(3))
+
+
+def point(at: Posterior, effects: tuple[Effect, ...]) -> np.ndarray:
+    x = np.concatenate([at.prior.mean, np.zeros(at.layout.n_nuisance - at.prior.mean.size)])
+    x[at.layout.levels] = np.linspace(-0.5, 0.5, at.n_classes)
+    x[at.layout.noise] = -4.0
+    return np.concatenate([x, *[e.coordinates for e in effects]])
+
+
+@pytest.mark.parametrize("effects", [EFFECTS, (COUPLED, TONE)], ids=["many effects", "a tone"])
+def test_slopes_are_those_of_finite_differences(at: Posterior, effects: tuple[Effect, ...]) -> None:
+    x, middle = point(at, effects), at.n_classes // 2
+    slopes = at.slopes(x, effects, at.scatter(x, effects))
+    for i in range(x.size):
+        step = 1e-6 * np.eye(x.size)[i] * max(abs(x[i]), 1.0)
+        ends = [(x + d, with_coordinates(effects, (x + d)[at.layout.effects])) for d in (step, -step)]
+        above, below = (at.scatter(moved, e, classes=[middle])[0] for moved, e in ends)
+        expected = (above - below) / (2.0 * step[i])
+        if i in range(x.size)[at.layout.levels] and i != at.layout.levels.start + middle:
+            continue  # it moves another class
+        # The slopes by noise leave out the gain of the lowpass, which is one but for the band's end.
+        is_noise = i == at.layout.noise or i in range(x.size)[at.layout.channel_noise]
+        assert np.abs(slopes[i, middle] - expected).max() < (2e-2 if is_noise else 5e-3) * np.abs(expected).max(), i
+
+
+def test_information_and_products_are_those_of_the_whitened_rows(at: Posterior) -> None:
+    x = point(at, EFFECTS)
+    prediction = at.predict(x, EFFECTS)
+    found, residual, _ = at.linearized(x, EFFECTS, prediction)
+    rows = at.whitened(prediction.spectra, at.slopes(x, EFFECTS, prediction.spectra), prediction.data)[0]
+    size = np.linalg.norm(rows, axis=0)
+    assert np.abs((found.information - rows.T @ rows) / np.outer(size, size)).max() < 1e-10
+    assert np.abs((found.along(residual) - rows.T @ residual) / size).max() < 1e-8 * np.linalg.norm(residual)
+    both = np.stack([residual, rows[:, 3]], axis=1)
+    assert found.along(both)[:, 0] == pytest.approx(found.along(residual))
+    some = np.array([2, 5, 30])
+    assert found.by(some).along(residual) == pytest.approx(found.along(residual)[some])
+    assert found.by(some).information == pytest.approx(found.information[np.ix_(some, some)])
