@@ -85,8 +85,8 @@ class AmbientPosterior(Posterior):
 
     def linearized(self, x: Array, effects: tuple[Effect, ...], prediction: Prediction) -> tuple[Slopes, Array, Array]:
         """See `Posterior.linearized`."""
-        parts = self._slope_parts(x, effects, prediction.spectra, 0)
-        slopes = SpectralSlopes.at(*parts, prediction.spectra, self.root_information())
+        shared, scale, own, order = self._slope_parts(x, effects, prediction.spectra, 0)
+        slopes = SpectralSlopes.at(shared, scale, own, order, prediction.spectra, self.root_information())
         return slopes, self.whitened(prediction.spectra, prediction.spectra[None][:0], prediction.data)[1], np.zeros(0)
 
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:

@@ -19,6 +19,8 @@ from monitor.inference.wishart import cholesky, invert_lower
 
 _BINS = 32
 """Bins that are whitened together. [count; cost: their rows stay in the processor's cache]"""
+_JOINT = 1e-7
+"""Share of the diagonal up to which what stands beside it is zero. [ratio; rounding]"""
 
 
 class Slopes(ABC):
@@ -102,7 +104,7 @@ class SpectralSlopes(Slopes):
 
     @classmethod
     def at(
-        cls, shared: Array, scale: Array, own: Array, order: Array, spectra: ComplexArray, root: Array
+        cls, shared: Array, scale: Array, own: Array, order: NDArray[np.intp], spectra: ComplexArray, root: Array
     ) -> SpectralSlopes:
         """Whiten slopes by predicted spectra.
 
@@ -136,6 +138,9 @@ class SpectralSlopes(Slopes):
 
 def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) -> Array:
     """Compute the information on the shared, then on the own parameters, shape (p, p)."""
+    joint = _joint_directions(root)
+    if joint is not None:
+        return _joint_information(shared, scale, own, *joint)
     n, p, (classes, c, _, bins) = len(shared), len(shared) + len(own), root.shape
     out = np.zeros((p, p))
     re, im = np.ascontiguousarray(root.real), np.ascontiguousarray(root.imag)
@@ -148,6 +153,126 @@ def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) ->
             flat = rows.reshape(p, -1)
             out += flat @ flat.T
     return out
+
+
+def _joint_directions(root: ComplexArray) -> tuple[ComplexArray, Array] | None:
+    """Find directions in which the spectra of all classes are diagonal, as those of one model at several levels are.
+
+    Returns
+    -------
+    directions : ndarray, shape (c, c, n_bins)
+        T, with ``root_k^H root_k = T^H diag(weight_k) T``.
+    weight : ndarray, shape (classes, c, n_bins)
+        None instead of both where there are no such directions.
+    """
+    roots = np.moveaxis(root, -1, 1)
+    compared = np.abs(roots).max(axis=(0, 2, 3)) > 0.0
+    roots = roots[:, compared]
+    try:
+        inverse = np.linalg.inv(roots[0])
+    except np.linalg.LinAlgError:  # a bin of one class alone is left out
+        return None
+    over_first = roots @ inverse
+    relative = over_first.conj().swapaxes(-1, -2) @ over_first
+    vectors = np.linalg.eigh(relative[-1])[1]
+    diagonal = vectors.conj().swapaxes(-1, -2) @ relative @ vectors
+    weight = np.einsum("kfaa->kaf", diagonal).real
+    apart = np.abs(diagonal - np.einsum("kaf,ab->kfab", weight, np.eye(weight.shape[1]))).max(initial=0.0, axis=(2, 3))
+    if not (apart <= _JOINT * weight.max(axis=1)).all():
+        return None
+    c, bins = root.shape[1], root.shape[-1]
+    directions, weights = np.zeros((c, c, bins), dtype=complex), np.zeros((len(root), c, bins))
+    directions[..., compared] = np.moveaxis(vectors.conj().swapaxes(-1, -2) @ roots[0], 0, -1)
+    weights[..., compared] = weight
+    return directions, weights
+
+
+def _joint_information(shared: Array, scale: Array, own: Array, directions: ComplexArray, weight: Array) -> Array:
+    """Compute as `_information` with slopes that are turned once for all classes, see `_joint_directions`."""
+    c, bins = directions.shape[1:]
+    main = (scale == scale[:, :1]).all(axis=0)
+    first, others = np.flatnonzero(main), np.flatnonzero(~main)
+    level, classes = scale[:, first[0]], range(len(scale))
+    order = np.concatenate([first, others, np.arange(len(shared), len(shared) + len(own))])
+    n, p = first.size, order.size
+    re, im = np.ascontiguousarray(directions.real), np.ascontiguousarray(directions.imag)
+    rows, columns = np.tril_indices(c)
+    twice = np.repeat([(i, j) for i, j in zip(rows, columns, strict=True)], np.where(rows == columns, 1, 2), axis=0)
+    factor = np.where(twice[:, 0] == twice[:, 1], 1.0, 2.0)[:, None]
+    ordered = np.zeros((p, p))
+    for at in range(0, bins, _BINS):
+        m = min(_BINS, bins - at)
+
+        def turned(slopes: Array, at: int = at, m: int = m) -> Array:
+            out = np.empty((len(slopes), c * c, m))
+            _turn(re, im, slopes, at, out)
+            return out
+
+        weights = factor * weight[:, twice[:, 0], at : at + m] * weight[:, twice[:, 1], at : at + m]
+        of_first, of_others = turned(shared[first]), turned(shared[others])
+        of_class = [np.concatenate([of_others * scale[k, others, None, None], turned(own[:, k])]) for k in classes]
+        alike = (of_first * np.sqrt(np.tensordot(level**2, weights, axes=1))).reshape(n, -1)
+        ordered[:n, :n] += alike @ alike.T
+        across = sum(level[k] * weights[k] * of_class[k] for k in classes)
+        ordered[:n, n:] += of_first.reshape(n, -1) @ across.reshape(p - n, -1).T
+        for k in classes:
+            ordered[n:, n:] += (of_class[k] * weights[k]).reshape(p - n, -1) @ of_class[k].reshape(p - n, -1).T
+    ordered[n:, :n] = ordered[:n, n:].T
+    out = np.empty((p, p))
+    out[np.ix_(order, order)] = ordered
+    return out
+
+
+@compiled(error_model="numpy")
+def _turn(re: Array, im: Array, slopes: Array, first: int, out: Array) -> None:
+    """Compute ``T dS T^H`` of packed slopes of some bins, packed.
+
+    Parameters
+    ----------
+    re, im : ndarray, shape (c, c, n_bins)
+        T.
+    slopes : ndarray, shape (p, c * c, n_bins)
+    first : int
+        First bin.
+    out : ndarray, shape (p, c * c, m)
+    """
+    p, _, m = out.shape
+    c = re.shape[0]
+    half_re, half_im = np.empty((2, c, m))
+    t_re, t_im = np.empty(m), np.empty(m)
+    for q in range(p):
+        for i in range(c):
+            for b in range(c):
+                for k in range(m):
+                    half_re[b, k], half_im[b, k] = 0.0, 0.0
+                for a in range(c):
+                    if a == b:
+                        at = b * b + 2 * b
+                        for k in range(m):
+                            s = slopes[q, at, first + k]
+                            half_re[b, k] += re[i, a, first + k] * s
+                            half_im[b, k] += im[i, a, first + k] * s
+                    else:
+                        at = max(a, b) * max(a, b) + 2 * min(a, b)
+                        sign = 1.0 if a > b else -1.0
+                        for k in range(m):
+                            x, y = slopes[q, at, first + k], sign * slopes[q, at + 1, first + k]
+                            half_re[b, k] += re[i, a, first + k] * x - im[i, a, first + k] * y
+                            half_im[b, k] += re[i, a, first + k] * y + im[i, a, first + k] * x
+            for j in range(i + 1):
+                for k in range(m):
+                    t_re[k], t_im[k] = 0.0, 0.0
+                for b in range(c):
+                    for k in range(m):
+                        x, y = re[j, b, first + k], -im[j, b, first + k]
+                        t_re[k] += half_re[b, k] * x - half_im[b, k] * y
+                        t_im[k] += half_re[b, k] * y + half_im[b, k] * x
+                at = i * i + 2 * j
+                for k in range(m):
+                    out[q, at, k] = t_re[k]
+                if i > j:
+                    for k in range(m):
+                        out[q, at + 1, k] = t_im[k]
 
 
 @compiled(error_model="numpy")

@@ -105,8 +105,10 @@ def system_slopes(
     everything = np.concatenate([left, np.broadcast_to(through, (hz.size, c, c)), answer], axis=2)
     acting = np.concatenate([right, 0.5 * adjoint], axis=1)
     start, at, of_matrices = _entries(changes, size, c)
-    parts = [np.ascontiguousarray(a.transpose(1, 2, 0)) for m in (everything, acting) for a in (m.real, m.imag)]
-    return np.asarray(_sum_changes(*parts, 1.0 / omega, start, at, of_matrices, _TAPS, band.gain))
+    left_re, left_im, right_re, right_im = (
+        np.ascontiguousarray(a.transpose(1, 2, 0)) for m in (everything, acting) for a in (m.real, m.imag)
+    )
+    return _sum_changes(left_re, left_im, right_re, right_im, 1.0 / omega, start, at, of_matrices, _TAPS, band.gain)
 
 
 def _entries(changes: Sequence[SystemChange], size: int, c: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
