@@ -90,7 +90,8 @@ def levenberg_marquardt(
     fixed_slopes_gain : float
         Gain of a step up to which slopes may serve once more, nats.
     slopes_are_costly : bool
-        Whether slopes also serve after longer steps, as long as they gain much.  Such steps do not count as iterations.
+        Whether slopes also serve after longer steps, as long as they gain much.  Such steps do not count as iterations;
+        none follows the last one.
 
     References
     ----------
@@ -118,7 +119,7 @@ def levenberg_marquardt(
         scaled, identity = normal * scale[:, None] * scale, np.eye(scale.size)
         return np.asarray(scale * np.linalg.solve(scaled + (damping + 1e-12) * identity, scale * at.gradient))
 
-    for _ in range(iterations if np.isfinite(start.value) else 0):
+    for i in range(iterations if np.isfinite(start.value) else 0):
         linearization = linearize(point, None if gain > fixed_slopes_gain else linearization)
         for _ in range(_MAX_REFUSED):
             step = step_with(linearization)
@@ -135,7 +136,7 @@ def levenberg_marquardt(
         if gain < tolerance:
             return Maximum(point, linearization, True)
         further = gain
-        while slopes_are_costly and further > max(fixed_slopes_gain, _WORTHWHILE * gain):
+        while slopes_are_costly and i + 1 < iterations and further > max(fixed_slopes_gain, _WORTHWHILE * gain):
             again = linearize(point, linearization)
             step = step_with(again)
             if not np.isfinite(step).all():

@@ -126,11 +126,9 @@ def test_what_dissipates_may_stay_where_a_structure_changed(loaded: tuple[Poster
     assert np.abs(ratios.damping - built.damping).max() > 0.05 * built.damping.max()
 
 
-def test_a_fit_that_runs_away_begins_again_from_the_rough_one() -> None:
+def test_a_fit_beside_a_rough_one_is_no_worse_from_a_bad_start() -> None:
     problem, null = prepared("coloured_excitation:frame:corner_hz=4.2")
     start = parse_effect("coloured_excitation:frame:corner_hz=3.0")
     rough = fit_candidate(problem, null, parse_effect("coloured_excitation:frame:corner_hz=16"), quick=True)
-    alone = fit_candidate(problem, null, start)
     found = fit_candidate(problem, null, start, rough=rough)
-    assert alone.log_evidence < 0.0
     assert found.log_evidence >= rough.log_evidence > 1000.0
