@@ -20,8 +20,6 @@ _MAX_REFUSED = 6
 """Steps refused in a row after which the search ends. [count; damping has grown a millionfold]"""
 _ROUNDING_NATS = 1e-9
 """Loss that counts as rounding. [nats; rounding]"""
-_WORTHWHILE = 0.1
-"""Gain of a step with slopes that served before, over that of the step before, from which they serve once more. [ratio; cost]"""
 _NO_INFORMATION = 1e-200
 """Information on a coordinate below which the coordinate stays where it is. [1; rounding: its square is next to no number]"""
 _STALLED_FACTOR = 10.0
@@ -70,7 +68,6 @@ def levenberg_marquardt(
     iterations: int,
     tolerance: float,
     fixed_slopes_gain: float,
-    slopes_are_costly: bool = False,
 ) -> Maximum[P, L]:
     """Maximize an objective by Levenberg-Marquardt steps.
 
@@ -89,10 +86,6 @@ def levenberg_marquardt(
         Gain of a step at which the search has converged, nats.
     fixed_slopes_gain : float
         Gain of a step up to which slopes may serve once more, nats.
-    slopes_are_costly : bool
-        Whether slopes also serve after longer steps, as long as they gain much.  Such steps do not count as iterations;
-        none follows the last one.
-
     References
     ----------
     D. W. Marquardt, J. SIAM 11 (1963) 431-441.
@@ -119,7 +112,7 @@ def levenberg_marquardt(
         scaled, identity = normal * scale[:, None] * scale, np.eye(scale.size)
         return np.asarray(scale * np.linalg.solve(scaled + (damping + 1e-12) * identity, scale * at.gradient))
 
-    for i in range(iterations if np.isfinite(start.value) else 0):
+    for _ in range(iterations if np.isfinite(start.value) else 0):
         linearization = linearize(point, None if gain > fixed_slopes_gain else linearization)
         for _ in range(_MAX_REFUSED):
             step = step_with(linearization)
@@ -135,14 +128,4 @@ def levenberg_marquardt(
         damping /= _DAMPING_FACTOR
         if gain < tolerance:
             return Maximum(point, linearization, True)
-        further = gain
-        while slopes_are_costly and i + 1 < iterations and further > max(fixed_slopes_gain, _WORTHWHILE * gain):
-            again = linearize(point, linearization)
-            step = step_with(again)
-            if not np.isfinite(step).all():
-                break
-            moved = move(point, step)
-            further = moved.value - point.value
-            if further > 0.0:
-                linearization, point = again, moved
     return Maximum(point, linearization, False)

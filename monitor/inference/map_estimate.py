@@ -112,7 +112,6 @@ def maximize_posterior(
         iterations=iterations,
         tolerance=tolerance,
         fixed_slopes_gain=_FIXED_SLOPES_GAIN,
-        slopes_are_costly=frozen is None and start.prediction.left is None,
     )
     found = search.point
     last = search.linearization or _no_slopes(start.x.size)
