@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 
-from monitor.core import Array, parallel_map
+from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.initial_fit import FAR
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
@@ -18,6 +18,7 @@ from monitor.diagnosis.score_test import (
     find_excess_peaks,
     fit_candidate,
     log_evidence,
+    parameter_cost,
     refine_rough_fit,
     with_tone_evidence,
 )
@@ -130,13 +131,32 @@ def _scaled_to_peak(posterior: Posterior, fit: MapEstimate, effect: Effect, peak
     modes = effect.extra_modes(posterior.context)
     if not modes:
         return effect
-    context, middle = posterior.context_at(fit.x), posterior.n_classes // 2
-    everything, band, counts = posterior.effects(fit.x, fit.effects), posterior.observed.band, posterior.observed.counts
+    counts, nearest = posterior.observed.counts, int(np.abs(posterior.observed.band.hz - peak.hz).argmin())
     level = float(counts @ posterior.forces(fit.x).mean(axis=1) / counts.sum())
-    spectra = extra_mode_spectra(modes, everything, level, band, context, posterior.conditions[middle])
-    own = float(np.einsum("aa->", spectra[int(np.abs(band.hz - peak.hz).argmin())]).real)
+    own = float(np.einsum("aa->", _spectra_of(posterior, fit, modes, level)[nearest]).real)
     factor = np.sqrt(float(peak.amplitude @ peak.amplitude) / _PEAK_BINS / own)
     return effect.at(np.r_[effect.coordinates[:2], factor * effect.coordinates[2:]]) if factor > 0.0 else effect
+
+
+def _spectra_of(posterior: Posterior, fit: MapEstimate, modes: Sequence[ExtraMode], force: float) -> ComplexArray:
+    """Compute the cross-spectra of modes under forces of a density, N^2/Hz, in the middle class, shape (n_bins, c, c)."""
+    everything, band = posterior.effects(fit.x, fit.effects), posterior.observed.band
+    condition = posterior.conditions[posterior.n_classes // 2]
+    return extra_mode_spectra(modes, everything, force, band, posterior.context_at(fit.x), condition)
+
+
+def _has_peak(posterior: Posterior, fit: MapEstimate, mode: ExtraMode) -> bool:
+    """Decide if a recording of a fitted model shows the peak of a mode: if the peak is worth its own parameters.
+
+    Half the squared norm of the whitened peak is the gain of log likelihood that the peak alone brings.
+    """
+    middle = posterior.n_classes // 2
+    force = float(posterior.forces(fit.x)[middle].mean())
+    peak = posterior.smooth(_spectra_of(posterior, fit, [mode], force))
+    of_class = posterior.relative_levels(fit.x)[:, None, None, None] * peak
+    prediction = posterior.predict(fit.x, fit.effects)
+    whitened, _ = posterior.whitened(prediction.spectra, of_class[None], prediction.data)
+    return 0.5 * float(np.sum(whitened**2)) > parameter_cost(posterior, 2 + mode.shape.size)
 
 
 def find_missing_mode(
@@ -195,6 +215,7 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
 
     Two modes whose half-power bands overlap are one peak.  Much else distorts a peak of the model: forces that are not white,
     laws that depend on the level, crosstalk between channels.  Nor is a mode of the model exchanged for one that it lacks.
+    A coupled mode whose own peak no channel shows is a force on the floors.
     """
     i = range(len(fit.effects))[i]
     if not fit.effects[i].repeatable:
@@ -204,7 +225,10 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     found = resonances(posterior, fit.x, fit.effects)
     own, others = [r.mode for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
     resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
-    return not any(_overlap(one, other, resolution_hz) for one in own for other in others)
+    if any(_overlap(one, other, resolution_hz) for one in own for other in others):
+        return False
+    seen = fit.effects[i].uncoupled
+    return all(_has_peak(posterior, fit, mode) for one in own for mode in seen(one).extra_modes(posterior.context))
 
 
 def is_credible(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:

@@ -182,9 +182,8 @@ class UnmodelledMode(Effect):
 
     def uncoupled(self, resonance: ExtraMode) -> Self:
         """See `Effect.uncoupled`."""
-        return type(self)(
-            self.location, resonance.frequency_hz, resonance.damping_ratio, tuple(resonance.shape.tolist())
-        )
+        shape = np.sqrt(self.force_ratio) * resonance.shape
+        return type(self)(self.location, resonance.frequency_hz, resonance.damping_ratio, tuple(shape.tolist()))
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
         """See `Effect.extend`.  Only a coupled mode is a degree of freedom of the system."""
