@@ -2,27 +2,109 @@
 
 from __future__ import annotations
 
+import logging
 import re
+import threading
+import time
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
-from monitor.core import Gap, WindowResult
+from monitor.core import Busy, Gap, WindowResult
 from monitor.damage import Assessment, modal_parts
 from monitor.events import Event
 from monitor.publish import alarm_line, to_json
 from monitor.service.outlets.base import Outlet
+from monitor.service.threads import background
+
+_log = logging.getLogger(__name__)
+_RETRY_S = (0.5, 30.0)
+"""Pause before joining a network again: the first, and the longest, which each failure doubles up to. [s; cost]"""
 
 
 class Messages(Outlet):
-    """Publish results as JSON texts under the names results, alarm, state, event, gap, health and finding."""
+    """Publish results as JSON texts under the names results, alarm, state, event, gap, health and finding.
 
-    def __init__(self) -> None:
+    No method but `close` waits, and none raises.  A class of one network says how texts are sent (`_publish`); a thread does so.
+
+    Parameters
+    ----------
+    prefix : str
+        Common prefix of the names on the network.
+    queue_size : int
+        Largest number of messages that wait while there is no network; beyond it the oldest are discarded and counted in
+        `dropped`.
+
+    Notes
+    -----
+    While the network fails, `failed` gives the reason, which is logged once; joining is tried again without end.
+    """
+
+    network: ClassVar[str]
+    """Name of the network in messages."""
+    dropped: int = 0
+
+    def __init__(self, prefix: str, queue_size: int) -> None:
+        self.prefix = prefix
         self._alarm: tuple[Any, ...] = ()
+        self._waiting: deque[tuple[str, str]] = deque(maxlen=queue_size)
+        self._changed = threading.Condition()
+        self._ends_s: float | None = None
+        """When the outlet must have ended, by a clock that nobody sets; None while it is open."""
+        self._failure: str | None = None
+        self._busy = Busy()
+        self._thread = background(self._run, f"{self.network.lower()}-out")
 
     @abstractmethod
+    def _publish(self) -> None:
+        """Join the network and publish the queued messages until the outlet is closed; raise where the network fails."""
+
+    @property
+    def failed(self) -> str | None:
+        """Reason for which nothing can be published at present; None if everything is published."""
+        return self._busy.overdue or self._failure
+
+    def close(self, timeout_s: float = 5.0) -> None:
+        """Publish the messages that wait and leave the network, for at most `timeout_s`."""
+        with self._changed:
+            self._ends_s = time.monotonic() + timeout_s
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+
+    @property
+    def _is_closed(self) -> bool:
+        return self._ends_s is not None
+
     def _put(self, name: str, text: str) -> None:
         """Queue a text to be published under a name; never wait."""
+        with self._changed:
+            self.dropped += len(self._waiting) == self._waiting.maxlen
+            self._waiting.append((name, text))
+            self._changed.notify_all()
+
+    def _take(self) -> tuple[Any, str] | None:
+        """Wait for what is to be sent next: name and text; None if the outlet is closed and nothing waits."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._is_closed)
+            return self._waiting.popleft() if self._waiting else None
+
+    def _run(self) -> None:
+        """Publish until closed; join the network again after a failure (the thread's work)."""
+        pause = _RETRY_S[0]
+        while True:
+            begun = time.monotonic()
+            try:
+                self._publish()
+            except Exception as error:  # noqa: BLE001 - no failure of the network may reach the monitor
+                if self._failure is None:
+                    _log.error("nothing is published over %s for now: %s", self.network, error)
+                self._failure = f"{type(error).__name__}: {error}"
+            if self._is_closed:
+                return
+            pause = _RETRY_S[0] if time.monotonic() - begun > _RETRY_S[1] else min(2 * pause, _RETRY_S[1])
+            with self._changed:
+                self._changed.wait_for(lambda: self._is_closed, pause)
 
     def window(self, result: WindowResult, line: str) -> None:
         """Publish a window's line of results.jsonl, and its alarm if that changed."""

@@ -8,27 +8,24 @@ from __future__ import annotations
 
 import json
 import logging
-import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import zenoh
 from pydantic import Field, ValidationError
 from zenoh import ext
 
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
-from monitor.core import Busy, settings_problems
+from monitor.core import settings_problems
 from monitor.publish import to_json
 from monitor.service.outlets.messages import Messages, site_prefix
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Request
-from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
-_RETRY_S = (0.5, 30.0)
 _CACHES = {"results": 64, "alarm": 64, "health": 1, "gap": 64, "finding": 64, "event": 64}
 """Key below the prefix -> number of values kept for subscribers that join late; `state` answers with the latest of each."""
 _STATE_CACHE = {"state": 64}
@@ -45,7 +42,7 @@ class ZenohOutSettings(SessionSettings):
 
 
 class ZenohOut(Messages):
-    """Publish results over Zenoh and collect operators' requests; no method but `close` waits, and none raises.
+    """Publish results over Zenoh and collect operators' requests.
 
     Parameters
     ----------
@@ -56,21 +53,14 @@ class ZenohOut(Messages):
     folder : Path
         Folder to which relative paths of the settings refer.
     queue_size : int
-        Largest number of messages that wait while there is no network; beyond it the oldest are discarded and counted in
-        `dropped`.
-
-    Notes
-    -----
-    While the network fails, `failed` gives the reason, which is logged once; joining is tried again without end.
+        See `Messages`.
     """
 
-    dropped: int = 0
+    network: ClassVar[str] = "Zenoh"
 
     def __init__(self, site: str, settings: ZenohOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
-        super().__init__()
-        self.prefix = key_prefix(site, settings)
+        super().__init__(key_prefix(site, settings), queue_size)
         self._settings, self._folder = settings, folder
-        self._waiting: deque[tuple[str, str]] = deque(maxlen=queue_size)
         self._requests: deque[tuple[Request, zenoh.Query]] = deque()
         self._taken: list[zenoh.Query] = []
         self._answers: deque[tuple[zenoh.Query, str | None]] = deque()
@@ -78,17 +68,7 @@ class ZenohOut(Messages):
         self._latest: dict[str, str] = {}
         self._heard_s: float | None = None
         """When the latest line of health came, by a clock that nobody sets."""
-        self._changed = threading.Condition()
-        self._closed = False
-        self._failure: str | None = None
-        self._busy = Busy()
-        self._thread = background(self._run, "zenoh-out")
         self._thread.start()
-
-    @property
-    def failed(self) -> str | None:
-        """Reason for which nothing can be published at present; None if everything is published."""
-        return self._busy.overdue or self._failure
 
     def known_event(self, line: str) -> None:
         """Answer queries of the state with an event of an earlier run, until there is another."""
@@ -119,36 +99,10 @@ class ZenohOut(Messages):
         """Refuse the requests that wait."""
         self.answer_requests([Answer(reason)] * len(self.take_requests()))
 
-    def close(self, timeout_s: float = 5.0) -> None:
-        """Publish the messages that wait and leave the network, for at most `timeout_s`."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        self._thread.join(timeout_s)
-
     def _put(self, name: str, text: str) -> None:
         with self._changed:
             self._latest[name] = text
-            self.dropped += len(self._waiting) == self._waiting.maxlen
-            self._waiting.append((name, text))
-            self._changed.notify_all()
-
-    def _run(self) -> None:
-        """Join the network and publish until closed; join again after a failure (the thread's work)."""
-        pause = _RETRY_S[0]
-        while True:
-            begun = time.monotonic()
-            try:
-                self._publish()
-            except Exception as error:  # noqa: BLE001 - no failure of the network may reach the monitor
-                if self._failure is None:
-                    _log.error("nothing is published over Zenoh for now: %s", error)
-                self._failure = f"{type(error).__name__}: {error}"
-            if self._closed:
-                return
-            pause = _RETRY_S[0] if time.monotonic() - begun > _RETRY_S[1] else min(2 * pause, _RETRY_S[1])
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed, pause)
+        super()._put(name, text)
 
     def _publish(self) -> None:
         """Open a session and publish the queued messages until the outlet is closed."""
@@ -194,11 +148,11 @@ class ZenohOut(Messages):
     def _take(self) -> tuple[str | zenoh.Query, str] | None:
         """Wait for what is to be sent next: key or query, and text; None if the outlet is closed and nothing waits."""
         with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._answers or self._closed)
+            self._changed.wait_for(lambda: self._waiting or self._answers or self._is_closed)
             if self._answers:
                 query, refusal = self._answers.popleft()
                 return query, _answer_text(refusal)
-            return self._waiting.popleft() if self._waiting else None
+        return super()._take()
 
     def answer(self) -> str:
         """Write the answer to a query of the state: the state of the structure, and the latest of every other key.
