@@ -15,6 +15,8 @@ from .settings import DiagnosisSettings
 from .stepwise_selection import Diagnosis, diagnose
 from .story_forces import StoryLaw, story_laws
 from .trigger import Request, WatchSettings
+from .witness import hear_witnesses
+from .witness_record import WitnessRecord, WitnessSensor
 from .wording import contradicted, csd_error_in_words, in_words
 
 __all__ = [
@@ -27,6 +29,8 @@ __all__ = [
     "Score",
     "StoryLaw",
     "WatchSettings",
+    "WitnessRecord",
+    "WitnessSensor",
     "add_observed_causes",
     "clock_drift_in_words",
     "content",
@@ -39,6 +43,7 @@ __all__ = [
     "effects_text",
     "fitted_model",
     "healthy_prior",
+    "hear_witnesses",
     "heldout_gain",
     "in_words",
     "is_significant",
