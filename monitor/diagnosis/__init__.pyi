@@ -15,7 +15,7 @@ from .settings import DiagnosisSettings
 from .stepwise_selection import Diagnosis, diagnose
 from .story_forces import StoryLaw, story_laws
 from .trigger import Request, WatchSettings
-from .witness import hear_witnesses
+from .witness import compare_witnesses
 from .witness_record import WitnessRecord, WitnessSensor
 from .wording import contradicted, csd_error_in_words, in_words
 
@@ -33,6 +33,7 @@ __all__ = [
     "WitnessSensor",
     "add_observed_causes",
     "clock_drift_in_words",
+    "compare_witnesses",
     "content",
     "contradicted",
     "correct_clock_drifts",
@@ -43,7 +44,6 @@ __all__ = [
     "effects_text",
     "fitted_model",
     "healthy_prior",
-    "hear_witnesses",
     "heldout_gain",
     "in_words",
     "is_significant",

@@ -85,7 +85,7 @@ class Witness:
         }
 
 
-def hear_witnesses(
+def compare_witnesses(
     record: WitnessRecord,
     sensors: Sequence[WitnessSensor],
     before: Model,
@@ -115,24 +115,25 @@ def hear_witnesses(
     if data is None or len(data.floors) < _FEWEST_SEGMENTS:
         why = "too few segments of the recording hold the floors and the witnesses at one rate"
         return [Witness(s, "cannot say", f"{s.channel} cannot say: {why}") for s in sensors]
-    bench = _Bench(data, before, extended, context, condition)
-    return [bench.hear(sensor) for sensor in sensors]
+    comparison = _Comparison(data, before, extended, context, condition)
+    return [comparison.judge(sensor) for sensor in sensors]
 
 
-class _Bench:
-    """Floors' motion and models, before which every witness is heard."""
+class _Comparison:
+    """Comparison of witnesses with the floors' motion and the models."""
 
     def __init__(
         self, data: WitnessTransforms, before: Model, extended: Model, context: Context, condition: Condition
     ) -> None:
         self.data, self.before, self.extended, self.context = data, before, extended, context
-        self.floors = _true_motion(data, extended.effects, context, condition)
+        self.floors = _relative_motion(data, extended.effects, context, condition)
         self.modes, self.structure = extended.modes(), extended.structure
         last_hz = float(data.hz[-1 - _HALF_WIDTH])
         self.numbers = [k for k, hz in enumerate(self.modes.frequencies_hz.tolist()) if hz < last_hz]
-        self.others = [e for e in extended.effects if _own_frequency(e) is not None and _own_frequency(e) < last_hz]
+        own = [(e.name, _own_frequency(e)) for e in extended.effects]
+        self.others = [(name, hz) for name, hz in own if hz is not None and hz < last_hz]
 
-    def hear(self, sensor: WitnessSensor) -> Witness:
+    def judge(self, sensor: WitnessSensor) -> Witness:
         """Compare one witness with the models."""
         if sensor.channel not in self.data.witnesses:
             why = "the recording does not hold it at the rate of the floors"
@@ -144,10 +145,10 @@ class _Bench:
             if is_frame and self.structure.story_heights_m is None:
                 why = "angles of joints and columns need story_heights_m in the structure file"
                 return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: {why}")
-            return self._hear_rotation(sensor)
-        return self._hear_other_motion(sensor)
+            return self._judge_rotation_in_modes(sensor)
+        return self._judge_motion_in_modes(sensor)
 
-    def _hear_rotation(self, sensor: WitnessSensor) -> Witness:
+    def _judge_rotation_in_modes(self, sensor: WitnessSensor) -> Witness:
         """Judge a rotation that the model predicts: of a joint, of the ground or of a degree of freedom."""
         measured, chord = [], []
         for k in self.numbers:
@@ -155,7 +156,7 @@ class _Bench:
             if moved == 0.0:
                 continue
             hz = float(self.modes.frequencies_hz[k])
-            reference = self.floors @ weights / -self._omega**2
+            reference = self.floors @ weights / -(self._omega**2)
             ratio, std, coherence = _transfer(self._motion(sensor), reference, self._bins(hz), signed=True)
             by_model = [self._predicted(model, sensor, hz, weights) for model in (self.extended, self.before)]
             measured.append(WitnessedMode(f"mode {k + 1}", hz, ratio, std, coherence, *by_model))
@@ -214,26 +215,26 @@ class _Bench:
             return (-0.5 if sensor.mounted == "midspan" else 1.0) * turned / moved
         return float(shape[sensor.floor - 1]) / moved
 
-    def _hear_other_motion(self, sensor: WitnessSensor) -> Witness:
+    def _judge_motion_in_modes(self, sensor: WitnessSensor) -> Witness:
         """Judge a motion that the model does not describe: which modes are of the sensor's axis."""
-        on_floor = np.flatnonzero(self.context.sensors[:, sensor.floor - 1]) if sensor.floor else []
-        own = self.floors[:, :, int(on_floor[0])] if len(on_floor) else None
+        on_floor = np.flatnonzero(self.context.sensors[:, sensor.floor - 1]) if sensor.floor else np.zeros(0)
+        own = self.floors[:, :, int(on_floor[0])] if on_floor.size else None
         rows = [(f"mode {k + 1}", float(self.modes.frequencies_hz[k])) for k in self.numbers]
-        rows += [(e.name, _own_frequency(e) or 0.0) for e in self.others]
+        rows += self.others
         found = []
         for name, hz in rows:
             bins = self._bins(hz)
             largest = int((np.abs(self.floors[:, bins]) ** 2).sum(axis=(0, 1)).argmax())
             moved = self.floors[:, :, largest] if own is None else own
             found.append(
-                WitnessedMode(name, hz, *_transfer(self._motion(sensor), moved / -self._omega**2, bins, signed=False))
+                WitnessedMode(name, hz, *_transfer(self._motion(sensor), moved / -(self._omega**2), bins, signed=False))
             )
         verdict, words = _judge_other_motion(sensor, found, 3.0 * float(self.data.hz[1]))
         return Witness(sensor, verdict, words, tuple(found))
 
     @property
     def _omega(self) -> Array:
-        """Circular frequencies of the bins, rad/s, shape (n_bins, 1) or (n_bins,) by broadcasting; that of 0 Hz as of the next."""
+        """Circular frequencies of the bins, rad/s, shape (n_bins,); that of 0 Hz as of the next."""
         return np.asarray(2.0 * np.pi * np.maximum(self.data.hz, self.data.hz[1]))
 
     def _motion(self, sensor: WitnessSensor) -> ComplexArray:
@@ -254,21 +255,24 @@ def _own_frequency(effect: Effect) -> float | None:
     return effect.values()["frequency_hz"]
 
 
-def _true_motion(
+def _relative_motion(
     data: WitnessTransforms, effects: Sequence[Effect], context: Context, condition: Condition
 ) -> ComplexArray:
-    """Correct the floors' transforms for the effects of their sensors, shape (n_segments, n_bins, c)."""
+    """Correct the floors' transforms for the effects of their sensors, and subtract the ground's where it was measured.
+
+    Returns
+    -------
+    ndarray, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)
+    """
     true = np.asarray(data.floors, dtype=np.complex128)
     for effect in reversed(effects):
         response = effect.response(data.hz, context, condition)
         if response is not None:
             true = np.asarray(np.linalg.solve(response, true[..., None])[..., 0], dtype=np.complex128)
-    return true
+    return true if data.ground is None else true - data.ground[:, :, None]
 
 
-def _transfer(
-    turned: ComplexArray, moved: ComplexArray, bins: slice, *, signed: bool
-) -> tuple[float, float, float]:
+def _transfer(turned: ComplexArray, moved: ComplexArray, bins: slice, *, signed: bool) -> tuple[float, float, float]:
     """Estimate the ratio of two motions in a mode's bins, shape (n_segments, n_bins) each.
 
     Returns
@@ -320,6 +324,8 @@ def _judge_rotation(sensor: WitnessSensor, mode: WitnessedMode, chord: float | N
     cause = "the model's joints" if chord is not None else "the model's shape"
     before = "" if mode.predicted_before is None else f", {mode.predicted_before:.2g} without the causes"
     says = f"{measured}; {cause} predict {predicted:.2g}{place}{before}: {sensor.channel} {verdict}"
+    if verdict == "contradicts" and chord is not None and abs(mode.ratio) < abs(predicted):
+        says += ": what turns is not the floor, but its columns in their connections, or another cause looks alike"
     return verdict, says.replace("shape predict", "shape predicts")
 
 
@@ -342,7 +348,10 @@ def _judge_other_motion(
     largest = max(own, key=lambda m: m.ratio, default=None)
     usual = "" if largest is None else f"in the model's modes by at most {largest.ratio:.2g} {unit} ({largest.of})"
     if not others:
-        return None, f"{what} {usual or 'in no mode of the band'}; the model has no mode besides for {sensor.channel} to see"
+        return (
+            None,
+            f"{what} {usual or 'in no mode of the band'}; the model has no mode besides for {sensor.channel} to see",
+        )
     # A mode of the other direction moves more that way than this; what a twist is, only the model's own modes tell.
     least = 1.0 if sensor.quantity == "acceleration" else _FACTOR * (largest.ratio if largest else 0.0)
     told: list[tuple[Verdict, str]] = []
@@ -384,4 +393,3 @@ def _kind(sensor: WitnessSensor) -> str:
     if sensor.quantity == "acceleration":
         return {"x": "a mode along x", "y": "a mode of the other direction", "z": "a vertical mode"}[sensor.axis]
     return {"x": "a mode that rocks across", "y": "a mode that rocks", "z": "a mode of torsion"}[sensor.axis]
-

@@ -39,7 +39,9 @@ class WitnessTransforms:
     hz: Array
     """Shape (n_bins,), Hz."""
     floors: ComplexArray
-    """Accelerations of the floors, relative to the ground's where that was measured, shape (n_segments, n_bins, c)."""
+    """Accelerations of the floors, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)."""
+    ground: ComplexArray | None
+    """The ground's, shape (n_segments, n_bins); None where it was not measured."""
     witnesses: dict[str, ComplexArray]
     """Of each witness in the recording, in m/s^2 or rad/s, over the same segments, shape (n_segments, n_bins)."""
     still: frozenset[str]
@@ -118,13 +120,10 @@ class WitnessRecord:
             return None
         moved, *rest = (np.stack(parts) for parts in zip(*rows, strict=True))
         found = dict(zip(map(id, used), rest, strict=True))
-        if ground is not None:
-            moved = moved - found[id(ground)]
-        witnesses = {
-            name: found[id(s)][:, :, k] for s in others if id(s) in found for k, name in enumerate(s.channels)
-        }
+        table = None if ground is None else found[id(ground)][:, :, 0]
+        witnesses = {name: found[id(s)][:, :, k] for s in others if id(s) in found for k, name in enumerate(s.channels)}
         still = frozenset(name for s in others for name, moves in zip(s.channels, s.moves, strict=True) if not moves)
-        return WitnessTransforms(hz, moved, witnesses, still)
+        return WitnessTransforms(hz, moved, table, witnesses, still)
 
 
 class _Stream:

@@ -23,13 +23,13 @@ from monitor.diagnosis import (
     WitnessRecord,
     WitnessSensor,
     add_observed_causes,
+    compare_witnesses,
     content,
     correct_clock_drifts,
     ddi_effect,
     detectable_losses,
     fitted_model,
     healthy_prior,
-    hear_witnesses,
     heldout_gain,
     is_significant,
     model_to_plain,
@@ -107,7 +107,7 @@ def diagnose_gathered(
     Parameters
     ----------
     record : WitnessRecord, optional
-        What the witnesses of the structure file recorded beside; none are heard without it.
+        What the witnesses of the structure file recorded beside; none are compared without it.
 
     Raises
     ------
@@ -132,12 +132,12 @@ def diagnose_gathered(
     optima = other_optima(confirmed, config.story_names) if baseline is None else []
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
-    heard = []
+    compared = []
     if record is not None:
         posterior = confirmed.posterior
         context, condition = posterior.context, posterior.conditions[0]
-        heard = hear_witnesses(record, _witnesses(config), updated, extended, context, condition)
-    plain |= {"witness": [witness.to_plain() for witness in heard]}
+        compared = compare_witnesses(record, _witnesses(config), updated, extended, context, condition)
+    plain |= {"witness": [witness.to_plain() for witness in compared]}
     plain = name_stories_in(plain, config.story_names)
     segments = confirmed.posterior.observed.segments
     return Finding(confirmed, gain, plain, segments, updated, extended, degc)

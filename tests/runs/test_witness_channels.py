@@ -127,7 +127,11 @@ def test_a_diagnosis_gives_the_same_numbers_and_hears_the_witnesses(sites: Sites
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('axis = "y"\n\n[[sensors]]\nchannel = "rg"', '\n[[sensors]]\nchannel = "rg"', "sensors.1.axis: Field required"),
+        (
+            'axis = "y"\n\n[[sensors]]\nchannel = "rg"',
+            '\n[[sensors]]\nchannel = "rg"',
+            "sensors.1.axis: Field required",
+        ),
         ('axis = "y"', 'axis = "w"', "sensors.0.axis"),
         ('channel = "across"\nfloor = 1', 'channel = "across"\nfloor = 3', "'across' is on floor 3 of 2"),
         ('channel = "a1"\nfloor = 1', 'channel = "a1"\nfloor = 0', "'a1' is on floor 0 of 2"),

@@ -244,16 +244,16 @@ def _story_laws(laws: Sequence[StoryLaw], *, extended: bool) -> str:
     return f"<h2>Story forces, from the data</h2>{''.join(out)}{table(head, rows)}<p class='muted'>{note}</p>"
 
 
-def _witnesses(heard: Sequence[Content]) -> str:
+def _witnesses(compared: Sequence[Content]) -> str:
     """Tabulate what sensors of other quantities and axes say of the model, and their motion in each mode."""
-    if not heard:
+    if not compared:
         return ""
-    said = [(w["channel"], w["verdict"] or "nothing to judge", w["says"]) for w in heard]
+    said = [(w["channel"], w["verdict"] or "nothing to judge", w["says"]) for w in compared]
     rows = [
         (w["channel"], m["of"].replace("_", " "), f"{m['frequency_hz']:.2f}",
          interval({"value": m["ratio"], "std": m["std"]}, 1.0, w["unit"]), f"{m['coherence']:.2f}",
          *("" if m[key] is None else f"{m[key]:.3g}" for key in ("predicted_before", "predicted")))
-        for w in heard for m in w["modes"]
+        for w in compared for m in w["modes"]
     ]  # fmt: skip
     head = ["channel", "mode", "#Hz", "measured", "#coherence", "#predicted before", "#predicted"]
     note = (

@@ -184,9 +184,7 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     if any(units[at] for at in kept):
         # Trust the units that a file states: columns such as strains and forces are no accelerations.
         default = tuple(names[at] for at in kept if unit_factor(units[at]) is not None) or columns
-        others = [
-            names[at] for at in kept if names[at] not in default and rotation_factor(units[at]) is None
-        ]
+        others = [names[at] for at in kept if names[at] not in default and rotation_factor(units[at]) is None]
         if others:
             on_warning(f"{cells.path}: left out, since they have no unit of acceleration: {', '.join(others)}")
     return Table(
