@@ -17,12 +17,12 @@ from monitor.core import Array, ComplexArray
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
 from monitor.model import Condition, Context, Effect, Model, ShearFrame, interval
 
-_PERIODS = 20.0
+_SEGMENT_PERIODS = 20.0
 """Length of a segment, in periods of the lowest mode. [1; judgement: modes a tenth apart are told apart, and short segments
 give many]"""
 _HALF_WIDTH = 2
 """Bins on either side of a mode that belong to it. [bins; the Hann taper, whose main lobe is that wide]"""
-_FEWEST_SEGMENTS = 6
+_LEAST_JACKKNIFE = 6
 """Fewest segments that tell a standard deviation. [segments; judgement]"""
 _FACTOR = 2.0
 """Factor within which a rotation is as the model says. [ratio; judgement: where on a joint a sensor sits, and how wide joints
@@ -111,8 +111,8 @@ def compare_witnesses(
     if not sensors:
         return []
     modes = extended.modes()
-    data = record.transforms(_PERIODS / float(modes.frequencies_hz[0]))
-    if data is None or len(data.floors) < _FEWEST_SEGMENTS:
+    data = record.transforms(_SEGMENT_PERIODS / float(modes.frequencies_hz[0]))
+    if data is None or len(data.floors) < _LEAST_JACKKNIFE:
         why = "too few segments of the recording hold the floors and the witnesses at one rate"
         return [Witness(s, "cannot say", f"{s.channel} cannot say: {why}") for s in sensors]
     comparison = _Comparison(data, before, extended, context, condition)
@@ -250,9 +250,7 @@ class _Comparison:
 
 def _own_frequency(effect: Effect) -> float | None:
     """Return the frequency of a mode or an oscillator that an effect adds, Hz; None for other effects."""
-    if effect.name not in ("unmodelled_mode", "attached_oscillator"):
-        return None
-    return effect.values()["frequency_hz"]
+    return effect.values().get("frequency_hz") if effect.family == "structure" else None
 
 
 def _relative_motion(
