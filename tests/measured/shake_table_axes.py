@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import find_peaks, welch
+from scipy.signal import csd, find_peaks, welch
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, GROUND, ROTATION_RATE
@@ -26,7 +26,7 @@ from drivers.mcap_file import read_recordings
 from monitor.config import Configuration, configuration
 from monitor.diagnosis.witness import Witness, compare_witnesses
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor
-from monitor.model import Condition, Model
+from monitor.model import Condition, Model, ShearFrame
 from monitor.runs import diagnose
 from monitor.runs.importers import import_files
 from monitor.signals import SegmentDesign, transform
@@ -47,6 +47,8 @@ AXES = {
 }
 """Letter of a channel -> column of the source, quantity and axis; the number behind it is the floor's."""
 FIRST_HZ = {"flexible": 3.69, "stiff": 7.8}
+OSCILLATOR_HZ = 11.0
+"""Where earlier versions named an oscillator on floor 2 of the flexible frame."""
 CLAMPED = 0.6
 """Shortening of a wall clamped at both ends, over d^2 / h."""
 SEGMENT_N = 600
@@ -160,6 +162,22 @@ def tell_peaks(channels: dict[str, Array]) -> None:
             print(f"  {x}{n} {column}: {', '.join(told)}")
 
 
+def tell_oscillator(channels: dict[str, Array], hz: float) -> None:
+    """Print how much every axis of each floor moves at a frequency for its motion 0.2 Hz beside, over the lowest floor's sway.
+
+    An oscillator of 1 % damping would stand out by a factor of two or more where it is.
+    """
+    n = 4 * SEGMENT_N
+    at, power = welch(channels["a3"], RATE_HZ, nperseg=n)
+    middle, *beside = (int(np.abs(at - f).argmin()) for f in (hz, hz - 0.2, hz + 0.2))
+    for floor in (1, 2, 3):
+        told = []
+        for x in ("a", *AXES):
+            transfer = np.abs(csd(channels["a3"], channels[f"{x}{floor}"], RATE_HZ, nperseg=n)[1] / power)
+            told.append(f"{x}{floor} {transfer[middle] / transfer[beside].mean():.2f}")
+        print(f"  at {hz} Hz over 0.2 Hz beside: {', '.join(told)}")
+
+
 def tell_turns(channels: dict[str, Array]) -> None:
     """Print how fast the walls' chords turn and the floors, deg/s RMS."""
     for n, drift in enumerate(drifts(channels), 1):
@@ -168,14 +186,32 @@ def tell_turns(channels: dict[str, Array]) -> None:
         print(f"  story {n}: chord {chord:.1f} deg/s, floor {n} {floor:.2f} deg/s")
 
 
+def shortening(model: Model) -> Array:
+    """Predict how far each floor comes down in mode 1, over the sum of d^2 / h of the stories below, shape (n,).
+
+    A wall whose ends turn by the shares a and b of its chord's turn shortens by (3/5 - (a + b)/10 + (a^2 + b^2 - a b/2)/15)
+    d^2 / h: the geometric stiffness of a beam in cubic bending.
+    """
+    frame = model.altered_structure()
+    assert isinstance(frame, ShearFrame)
+    assert frame.story_heights_m is not None
+    shape = model.modes().shapes[:, 0]
+    turned, drift = frame.joint_rotations() @ shape, frame.drift_matrix() @ shape
+    upper, lower = (x * frame.story_heights_m / drift for x in (turned, np.append(turned[1:], 0.0)))
+    each = CLAMPED - (upper + lower) / 10.0 + (upper**2 + lower**2 - upper * lower / 2.0) / 15.0
+    below = np.cumsum((drift**2)[::-1])[::-1]
+    return np.asarray(np.cumsum((each * drift**2)[::-1])[::-1] / below)
+
+
 def tell_witnesses(recording: Path, structure: Path, extended: Path | None) -> None:
-    """Print what the witnesses say of the model that a diagnosis gave."""
+    """Print what the witnesses say of the model that a diagnosis gave, and how its walls shorten."""
     config = configuration.load(structure)
     if extended is None:
         found = diagnose.diagnose([recording], config, None, print)
         print(found.content["says"])
         for told in found.content["witness"]:
             print(f"  {told['verdict']}: {told['says']}")
+        print(f"  floors come down by {shortening(found.extended).round(3)} d^2/h of the stories below by the model")
         return
     model = configuration.load(extended).model()
     sensors = tuple(
@@ -183,6 +219,7 @@ def tell_witnesses(recording: Path, structure: Path, extended: Path | None) -> N
     )
     for told in compare(recording, config, sensors, model):
         print(f"  {told.verdict}: {told.says}")
+    print(f"  floors come down by {shortening(model).round(3)} d^2/h of the stories below by the model")
 
 
 def compare(recording: Path, config: Configuration, sensors: tuple[WitnessSensor, ...], model: Model) -> list[Witness]:
@@ -213,6 +250,8 @@ def main() -> None:
             tell_turns(channels)
             tell_harmonics(channels, FIRST_HZ[kind])
             tell_peaks(channels)
+            if kind == "flexible":
+                tell_oscillator(channels, OSCILLATOR_HZ)
             tell_witnesses(recording, structure, options.extended)
 
 

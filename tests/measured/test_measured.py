@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.linalg import eigh
 
 from monitor.config import configuration
 from monitor.config.configuration import Configuration
+from monitor.model import Model, ShearFrame
 from tests.measured import f16, sensor_faults, shake_table_axes
 from tests.measured.sensor_faults import Fault, cause_text, delayed, fast_clock, faults, outcome, unchanged
 
@@ -92,6 +94,17 @@ def test_a_wall_that_shortens_by_its_drift_squared_is_recognized() -> None:
     assert shake_table_axes.unexplained(up, [by]) < 0.01
     other = shake_table_axes.in_band(rng.standard_normal(t.size), 7.38, 0.5)
     assert shake_table_axes.unexplained(up, [other]) > 0.9
+
+
+def test_walls_whose_ends_turn_shorten_less() -> None:
+    frame = ShearFrame(np.ones(1), np.full(1, 1000.0), 0.01, np.full(1, 2.0))
+    assert shake_table_axes.shortening(Model(frame)) == pytest.approx([0.6])
+    # A free end: the wall bends as a cantilever by 3/2 s^2 - s^3/2, of which half the integral of the slope squared is 0.6 too;
+    # in between it is less.
+    ends = [shake_table_axes.shortening(Model(replace(frame, column_to_girder=c)))[0] for c in (1.0, 1e9)]
+    assert ends[0] < 0.6 - 0.02
+    slope = 3.0 * np.linspace(0.0, 1.0, 10001) - 1.5 * np.linspace(0.0, 1.0, 10001) ** 2
+    assert ends[1] == pytest.approx(0.5 * np.trapezoid(slope**2, dx=1e-4), rel=1e-4)
 
 
 def test_all_axes_of_a_frame_become_sensors_of_its_structure_file(tmp_path: Path) -> None:
