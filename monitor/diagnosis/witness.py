@@ -339,29 +339,31 @@ def _judge_other_motion(
     sensor: WitnessSensor, found: Sequence[WitnessedMode], apart_hz: float
 ) -> tuple[Verdict | None, str]:
     """Say which modes move in the sensor's axis, and whether those do that the model does not have."""
-    what = f"{_where(sensor)} {_verb(sensor)}"
+    what = f"{_motion_in_words(sensor)} of {f'floor {sensor.floor}' if sensor.floor else 'the ground'}"
     own = [m for m in found if m.of.startswith("mode ")]
     others = [m for m in found if m not in own]
     unit = "rad per m" if sensor.quantity == "rotation_rate" else "m per m"
     largest = max(own, key=lambda m: m.ratio, default=None)
-    usual = "" if largest is None else f"in the model's modes by at most {largest.ratio:.2g} {unit} ({largest.of})"
+    usual = "" if largest is None else f"in the model's modes at most {largest.ratio:.2g} {unit} ({largest.of})"
     if not others:
-        return (
-            None,
-            f"{what} {usual or 'in no mode of the band'}; the model has no mode besides for {sensor.channel} to see",
-        )
-    # A mode of the other direction moves more that way than this; what a twist is, only the model's own modes tell.
-    least = 1.0 if sensor.quantity == "acceleration" else _FACTOR * (largest.ratio if largest else 0.0)
+        rest = f"the model has no mode besides that {sensor.channel} could see"
+        return None, f"{what}: {usual or 'no mode lies in the band'}; {rest}"
+    # A mode of the other direction moves more that way than this.  What a twist is, only the model's own modes tell, and of
+    # them what is certain: where the structure moves little, noise makes any ratio.
+    certain = max((m.ratio - _CONTRADICTS_STDS * m.std for m in own), default=0.0)
+    least = 1.0 if sensor.quantity == "acceleration" else _FACTOR * max(certain, 0.0)
     told: list[tuple[Verdict, str]] = []
     for mode in others:
         near = next((m for m in own if abs(m.frequency_hz - mode.frequency_hz) < apart_hz), None)
         name = f"the {mode.of.replace('_', ' ')} at {mode.frequency_hz:.2f} Hz"
         if near is not None:
-            told.append(("cannot say", f"{name} is too near to {near.of}"))
+            told.append(("cannot say", f"{name} is too near to {near.of} to be told from it"))
             continue
         verdict = _placed(mode.ratio, mode.std, least, np.inf)
+        if verdict == "agrees" and mode.ratio - _CONTRADICTS_STDS * mode.std < least:  # a magnitude of noise is never 0
+            verdict = "cannot say"
         ratio = interval({"value": mode.ratio, "std": mode.std}, 1.0, unit)
-        size = f"by {ratio} (coherence {mode.coherence:.2f})"
+        size = f"{ratio} (coherence {mode.coherence:.2f})"
         kind = _kind(sensor)
         words = {
             "agrees": f"in {name} {size}: it is {kind}",
@@ -371,19 +373,14 @@ def _judge_other_motion(
         told.append((verdict, words))
     verdicts = [v for v, _ in told]
     whole: Verdict = next((v for v in ("agrees", "contradicts") if v in verdicts), "cannot say")
-    return whole, f"{what} {'; '.join(w for _, w in told)}" + (f"; {usual}" if usual else "")
+    return whole, f"{what}: {'; '.join(w for _, w in told)}" + (f"; {usual}" if usual else "")
 
 
-def _where(sensor: WitnessSensor) -> str:
-    """Name the place of a sensor."""
-    return f"floor {sensor.floor}" if sensor.floor else "the ground"
-
-
-def _verb(sensor: WitnessSensor) -> str:
-    """Say what moves in the sensor's axis."""
+def _motion_in_words(sensor: WitnessSensor) -> str:
+    """Name the motion in a sensor's axis."""
     if sensor.quantity == "acceleration":
-        return {"x": "moves along x", "y": "moves across (y)", "z": "moves up and down"}[sensor.axis]
-    return {"x": "rocks across (about x)", "y": "rocks (about y)", "z": "twists"}[sensor.axis]
+        return {"x": "motion along x", "y": "motion across (y)", "z": "motion up and down"}[sensor.axis]
+    return {"x": "rocking across (about x)", "y": "rocking (about y)", "z": "twist"}[sensor.axis]
 
 
 def _kind(sensor: WitnessSensor) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from drivers.base import ACCELERATION, GROUND, ROTATION_RATE, SampleBlock
 from monitor.diagnosis.witness import Witness, compare_witnesses
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor
-from monitor.model import FORMS, Condition, Context, Model, ShearFrame, simulate
+from monitor.model import FORMS, Condition, Context, MatrixStructure, Model, ShearFrame, simulate
 from monitor.signals import FrontEnd, ProcessingSettings
 
 Array = NDArray[np.float64]
@@ -203,3 +203,36 @@ def test_an_accelerometer_across_tells_a_mode_of_the_other_direction() -> None:
         (told,) = judge(streams, sensor, extended=extended)
         assert told.verdict == verdict, told.says
         assert told.to_plain()["unit"] == "m/m"
+
+
+def test_noise_or_a_mode_too_near_does_not_tell_what_kind_of_mode_it_is() -> None:
+    own, moved = beside(7.5)
+    sensor = WitnessSensor("t1", "rotation_rate", "z", 1)
+    noise = 1e3 * RNG(2).standard_normal((len(own), 1))
+    streams = {ACCELERATION: (FRONT_END.channels, moved, "m/s^2"), ROTATION_RATE: (("t1",), noise, "rad/s")}
+    second = float(TRUTH.modes().frequencies_hz[1])
+    for hz, words in (
+        (7.5, "which does not tell whether it is a mode of torsion"),
+        (second, "is too near to mode 2 to be told from it"),
+    ):
+        mode = FORMS["unmodelled_mode"].create("frame", {"frequency_hz": hz, "damping_ratio": 0.01})
+        (told,) = judge(streams, sensor, extended=Model(FRAME, (JOINTS, mode)))
+        assert told.verdict == "cannot say" and words in told.says
+
+
+def test_a_rotation_that_is_a_degree_of_freedom_of_the_matrices_is_predicted_by_the_modes() -> None:
+    # A cantilever of one element with a heavy head: sway and rotation.
+    bending = 500.0 * np.array([[12.0, -6.0], [-6.0, 4.0]])
+    head = MatrixStructure.create(np.diag([2.0, 0.1]), bending, bending[None] / 500.0, np.array([500.0]), 0.01)
+    model = Model(head)
+    moved = simulate(model, duration_s=90.0, rate_hz=RATE, seed=4).floors
+    context = Context(head, ("a1",), np.array([[1.0, 0.0]]), RATE)
+    sensor = WitnessSensor("r1", "rotation_rate", "y", 2)
+    for factor, verdict in ((1.0, "agrees"), (0.1, "contradicts")):
+        turned = (("r1",), factor * integrated(moved[:, [1]]), "rad/s")
+        record = WitnessRecord(replace(FRONT_END, channels=("a1",)), [sensor])
+        for block in blocks({ACCELERATION: (("a1",), moved[:, [0]], "m/s^2"), ROTATION_RATE: turned}):
+            record.add(block)
+        (told,) = compare_witnesses(record, [sensor], model, model, context, Condition(*np.zeros((4, 1))))
+        assert told.verdict == verdict, told.says
+        assert told.modes[0].ratio == pytest.approx(factor * (told.modes[0].predicted or 0.0), rel=0.05)

@@ -112,7 +112,7 @@ def test_a_calibration_gives_the_same_baseline(sites: Sites) -> None:
 
 
 @pytest.mark.engine
-def test_a_diagnosis_gives_the_same_numbers_and_hears_the_witnesses(sites: Sites) -> None:
+def test_a_diagnosis_gives_the_same_numbers_and_compares_the_witnesses(sites: Sites) -> None:
     outs = sites.both("diagnose", out="diagnose")
     bare, full = (json.loads((out / "diagnosis.json").read_text()) for out in outs)
     assert bare.pop("witness") == []
@@ -122,6 +122,12 @@ def test_a_diagnosis_gives_the_same_numbers_and_hears_the_witnesses(sites: Sites
     assert "<h2>Witnesses</h2>" not in (outs[0] / "report.html").read_text()
     extended = configuration.load(outs[1] / "structure.extended.toml")
     assert [s.channel for s in extended.witnesses] == ["across", "r1", "rg"]
+
+
+def test_check_tells_which_sensors_are_witnesses(sites: Sites) -> None:
+    done = sites.main("check", sites.more)
+    assert "channels a1, a2; witnesses across, r1, rg" in done.stdout
+    assert "witnesses" not in sites.main("check", sites.plain).stdout
 
 
 @pytest.mark.parametrize(
