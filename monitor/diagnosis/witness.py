@@ -320,8 +320,8 @@ def _judge_rotation(sensor: WitnessSensor, mode: WitnessedMode, chord: float | N
     verdict = _placed(mode.ratio / predicted, mode.std / abs(predicted), 1.0 / _FACTOR, _FACTOR)
     place = " in the middle of a girder" if sensor.mounted == "midspan" else ""
     cause = "the model's joints" if chord is not None else "the model's shape"
-    before = "" if mode.predicted_before is None else f", {mode.predicted_before:.2g} without the causes"
-    says = f"{measured}; {cause} predict {predicted:.2g}{place}{before}: {sensor.channel} {verdict}"
+    before = "" if mode.predicted_before is None else f", {mode.predicted_before:.3g} without the causes"
+    says = f"{measured}; {cause} predict {predicted:.3g}{place}{before}: {sensor.channel} {verdict}"
     if verdict == "contradicts" and chord is not None and abs(mode.ratio) < abs(predicted):
         says += ": what turns is not the floor, but its columns in their connections, or another cause looks alike"
     return verdict, says.replace("shape predict", "shape predicts")
