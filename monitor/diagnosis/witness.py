@@ -112,8 +112,9 @@ def compare_witnesses(
         return []
     modes = extended.modes()
     data = record.transforms(_SEGMENT_PERIODS / float(modes.frequencies_hz[0]))
-    if data is None or len(data.floors) < _LEAST_JACKKNIFE:
-        why = "too few segments of the recording hold the floors and the witnesses at one rate"
+    # Where the rate is so low that no mode lies in the band, there are hardly any bins.
+    if data is None or len(data.floors) < _LEAST_JACKKNIFE or len(data.hz) <= 2 * _HALF_WIDTH:
+        why = "too few segments of the recording hold the floors, the witnesses and a mode at one rate"
         return [Witness(s, "cannot say", f"{s.channel} cannot say: {why}") for s in sensors]
     comparison = _Comparison(data, before, extended, context, condition)
     return [comparison.judge(sensor) for sensor in sensors]

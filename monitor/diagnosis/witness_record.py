@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.base import ACCELERATION, GROUND, ROTATION_RATE, SampleBlock
-from monitor.core import Array, ComplexArray
+from monitor.core import Array, BadInputError, ComplexArray
 from monitor.signals import Conditioner, ConditionState, FrontEnd, SegmentDesign, alignment, transform
 
 
@@ -62,6 +62,8 @@ class WitnessRecord:
     def __init__(self, front_end: FrontEnd, sensors: Sequence[WitnessSensor]) -> None:
         self._front_end, self._sensors = front_end, tuple(sensors)
         self._streams: dict[tuple[str, bool], _Stream | None] = {}
+        self._unusable: set[str] = set()
+        """Topics with blocks of a rate that cannot be conditioned."""
 
     def add(self, block: SampleBlock) -> None:
         """Take a block of any topic.
@@ -81,6 +83,11 @@ class WitnessRecord:
 
     def _push(self, block: SampleBlock, channels: tuple[str, ...], *, is_witness: bool) -> None:
         """Condition those of the channels that the stream's first block holds."""
+        try:
+            self._front_end.check_rate(block.sample_rate_hz)
+        except BadInputError:  # no reason to end a diagnosis, in which a witness has no part
+            self._unusable.add(block.topic)
+            return
         key = (block.topic, is_witness)
         if key not in self._streams:
             held = tuple(name for name in channels if not is_witness or name in block.channels)
@@ -96,7 +103,7 @@ class WitnessRecord:
         Streams of another sample rate than the floors' are left out, since the lowpass would delay them differently.
         """
         floors = self._streams.get((ACCELERATION, False))
-        if floors is None or floors.design is None:
+        if floors is None or floors.design is None or GROUND in self._unusable:
             return None
         ground = self._streams.get((GROUND, False))
         others = [s for (_, is_witness), s in self._streams.items() if is_witness and s is not None]

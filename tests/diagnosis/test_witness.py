@@ -155,6 +155,15 @@ def test_what_the_recording_does_not_hold_cannot_say() -> None:
     assert "too few segments" in judge(short, GYRO)[0].says
 
 
+@pytest.mark.parametrize("rate_hz", [0.001, 50.0, 9e5])
+def test_a_witness_of_another_rate_cannot_say_and_does_no_harm(rate_hz: float) -> None:
+    record = WitnessRecord(FRONT_END, [GYRO])
+    for block in blocks(shaken(1.0)):
+        record.add(replace(block, sample_rate_hz=rate_hz) if block.topic == ROTATION_RATE else block)
+    (told,) = compare_witnesses(record, [GYRO], Model(FRAME), TRUTH, CONTEXT, STILL)
+    assert told.verdict == "cannot say" and "at the rate of the floors" in told.says
+
+
 def test_a_ground_that_rocks_contradicts_the_model_and_one_that_does_not_agrees() -> None:
     moved, _ = floors(3)
     top = integrated(moved[:, [0]])
