@@ -19,7 +19,9 @@ FORCE = "/force"
 """Topic of measured forces on the structure; channel names as in ``[[inputs]]`` of the structure file."""
 TEMPERATURE = "/temperature"
 """Topic of the temperature channels."""
-UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", FORCE: "N", TEMPERATURE: "degC"}
+ROTATION_RATE = "/rotation_rate"
+"""Topic of measured rates of rotation, as of gyroscopes; channel names as in ``[[sensors]]`` of the structure file."""
+UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", FORCE: "N", TEMPERATURE: "degC", ROTATION_RATE: "rad/s"}
 """Unit of each topic."""
 UNITS = tuple(dict.fromkeys(UNIT_OF.values()))
 """Units that a block may carry."""

@@ -18,6 +18,7 @@ from drivers.base import (
     ACCELERATION,
     FORCE,
     GROUND,
+    ROTATION_RATE,
     TEMPERATURE,
     EndOfStream,
     SampleBlock,
@@ -52,6 +53,8 @@ class StreamSettings(SessionSettings):
     """Key of the measured base motion."""
     force_key: Key | None = None
     """Key of the measured forces, N."""
+    rotation_rate_key: Key | None = None
+    """Key of the measured rates of rotation, rad/s."""
 
     @property
     def topics(self) -> dict[str, str]:
@@ -61,6 +64,7 @@ class StreamSettings(SessionSettings):
             GROUND: self.ground_key,
             FORCE: self.force_key,
             TEMPERATURE: self.temperature_key,
+            ROTATION_RATE: self.rotation_rate_key,
         }
         return {topic: key for topic, key in keys.items() if key is not None}
 

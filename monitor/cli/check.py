@@ -43,7 +43,9 @@ def check(
     for warning in security_check.warnings(file, settings):
         warn(warning)
     head = f"{file}: no problems; {settings.size_words}; channels {', '.join(settings.channels)}"
-    content = {"file": str(file), "channels": list(settings.channels)}
+    witnesses = [sensor.channel for sensor in settings.witnesses]
+    head += f"; witnesses {', '.join(witnesses)}" if witnesses else ""
+    content = {"file": str(file), "channels": list(settings.channels), "witnesses": witnesses}
     if not settings.has_model:
         say(head, {**content, "frequencies_hz": []}, as_json)
         return

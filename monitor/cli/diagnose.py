@@ -58,6 +58,7 @@ def diagnose(
     lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]
     lines += [f"  {100 * a['probability']:.0f} %: {a['says']}" for a in found.content["alternatives"]]
     lines += [f"refitted: {row['says']}" for row in found.content["refit"]]
+    lines += [f"witness: {item['says']}" for item in found.content["witness"] if item["verdict"]]
     lines += [f"left out: {item['says']}" for item in found.content["left_out"]]
     at_calibration = [*found.content["standing"], *filter(None, [found.content["standing_misfit"]])]
     lines += [f"already so at calibration: {cause['says']}" for cause in at_calibration]

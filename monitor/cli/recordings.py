@@ -121,6 +121,7 @@ def import_(
 
     Prints what was taken: start, rate, unit and level.
     """
+    from drivers.base import UNIT_OF
     from monitor.runs import ImportedChannel, import_files
 
     spare_inputs([out], [*files, dbc, inventory])
@@ -147,7 +148,7 @@ def import_(
     text = [f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz from {start_text} in {out}: {names}"]
     for one in taken:
         origin = "stated in the file" if one.stated else "taken"
-        level = f"mean {one.mean:.4g}, RMS about it {one.rms:.4g} {'N' if one.topic == '/force' else 'm/s^2'}"
+        level = f"mean {one.mean:.4g}, RMS about it {one.rms:.4g} {UNIT_OF[one.topic]}"
         text.append(f"  {one.name}: {one.source}, unit {one.unit} ({origin}), {level}")
     content = {
         "recording": str(out),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
@@ -47,14 +47,28 @@ NO_MODEL = (
 
 
 class SensorTable(Settings):
-    """``[[sensors]]``: one accelerometer."""
+    """``[[sensors]]``: one channel of an accelerometer or a gyroscope."""
 
     channel: str = Field(min_length=1)
     """Name of the channel in the data."""
-    floor: int | None = Field(default=None, ge=1)
-    """Floor (degree of freedom) on which the sensor is mounted; 1 is the top floor.  Needed unless the structure is ``modal``."""
+    floor: int | None = Field(default=None, ge=0)
+    """Floor (degree of freedom) on which the sensor is mounted; 1 is the top floor.  Needed unless the structure is ``modal``.
+    0 is the ground, for a witness."""
     label: str = ""
     """Where the sensor is, for people, as ``mid-span, north``."""
+    quantity: Literal["acceleration", "rotation_rate"] = "acceleration"
+    """What is measured: an acceleration, on the topic ``/acceleration``, or a rate of rotation, on ``/rotation_rate``."""
+    axis: Literal["x", "y", "z"] | None = None
+    """Axis along which, or about which, it is measured: ``x`` is the direction in which the floors move in the model, ``z`` is
+    up.  ``x`` by default for an acceleration; needed for a rate of rotation.  What is no acceleration along ``x`` is a witness:
+    it enters no estimate, and a diagnosis says whether it agrees."""
+    mounted: Literal["joint", "midspan"] = "joint"
+    """Where on the floor a gyroscope is: at a joint of column and girder, or in the middle of a girder."""
+
+    @property
+    def is_witness(self) -> bool:
+        """Whether this is another quantity than the motion that the model describes."""
+        return self.quantity != "acceleration" or self.axis not in (None, "x")
 
 
 class InputTable(Settings):
@@ -201,11 +215,18 @@ class Configuration(Settings):
     @model_validator(mode="after")
     def _consistent(self) -> Configuration:
         names = [s.channel for s in self.sensors]
-        problems = [f"sensors: channel {c!r} stands twice" for c in sorted({c for c in names if names.count(c) > 1})]
+        if not self.floor_sensors:
+            raise ValueError("sensors: none of them is an accelerometer along x, by which the structure is judged")
+        problems = [
+            f"sensors.{i}.axis: Field required: about which axis is the rotation?"
+            for i, s in enumerate(self.sensors)
+            if s.quantity == "rotation_rate" and s.axis is None
+        ]
+        problems += [f"sensors: channel {c!r} stands twice" for c in sorted({c for c in names if names.count(c) > 1})]
         problems += self._modal_problems() if isinstance(self.structure, ModalTable) else self._drawn_problems()
         problems += self._covariate_problems()
         references = self.identification.reference_channels
-        problems += [f"identification: no channel {c!r}" for c in references if c not in names]
+        problems += [f"identification: no channel {c!r}" for c in references if c not in self.channels]
         p, lags, step_s = self.processing, self.front_end().n_lags, self.front_end().step_s
         if step_s * p.rate_hz < lags:
             problems.append(
@@ -224,7 +245,11 @@ class Configuration(Settings):
         """Check that the tables fit the floors and stories of the drawing."""
         n, stories = len(self.drawn.masses_kg), len(self.drawn.stiffness_n_per_m)
         problems = [f"sensors.{i}.floor: Field required" for i, s in enumerate(self.sensors) if s.floor is None]
-        problems += [f"sensors: {s.channel!r} is on floor {s.floor} of {n}" for s in self.sensors if (s.floor or 0) > n]
+        problems += [
+            f"sensors.{i}.floor: {s.channel!r} is on floor {s.floor} of {n}"
+            for i, s in enumerate(self.sensors)
+            if s.floor is not None and not int(not s.is_witness) <= s.floor <= n
+        ]
         forced = [i.channel for i in self.inputs]
         problems += [f"inputs: channel {c!r} stands twice" for c in sorted({c for c in forced if forced.count(c) > 1})]
         problems += [f"inputs: {i.channel!r} acts on floor {i.floor} of {n}" for i in self.inputs if i.floor > n]
@@ -246,7 +271,7 @@ class Configuration(Settings):
         problems += [f"alarm.unwatched: there is no story {j}" for j in self.alarm.unwatched]
         problems += [f"events.limits: {x.says!r}: there are no stories to judge" for x in self.events.limits]
         problems = [f'{problem} with [structure] kind = "modal"' for problem in problems]
-        return problems + drawing_problems(self.nodes, self.lines, len(self.sensors), 0)
+        return problems + drawing_problems(self.nodes, self.lines, len(self.floor_sensors), 0)
 
     def _covariate_problems(self) -> list[str]:
         """Check the names and topics of the covariates."""
@@ -276,9 +301,21 @@ class Configuration(Settings):
         return effect
 
     @property
+    def floor_sensors(self) -> tuple[SensorTable, ...]:
+        """Sensors by which the structure is judged: accelerometers along the model's direction; without a model, all of them."""
+        if self.has_model:
+            return tuple(s for s in self.sensors if not s.is_witness)
+        return tuple(s for s in self.sensors if s.quantity == "acceleration")
+
+    @property
+    def witnesses(self) -> tuple[SensorTable, ...]:
+        """Sensors that enter no estimate: of another quantity or axis than the model's."""
+        return tuple(s for s in self.sensors if s not in self.floor_sensors)
+
+    @property
     def channels(self) -> tuple[str, ...]:
-        """Channel names in the structure file's order."""
-        return tuple(s.channel for s in self.sensors)
+        """Channel names of the sensors by which the structure is judged, in the structure file's order."""
+        return tuple(s.channel for s in self.floor_sensors)
 
     @property
     def site_name(self) -> str:
@@ -329,7 +366,7 @@ class Configuration(Settings):
         return (
             self.drawn.drawing()
             if self.has_model
-            else Drawing.of_channels([s.label or s.channel for s in self.sensors])
+            else Drawing.of_channels([s.label or s.channel for s in self.floor_sensors])
         )
 
     @property
@@ -356,7 +393,7 @@ class Configuration(Settings):
     def instrumented(self) -> InstrumentedModel:
         """Build the nominal model with its sensors and the prior standard deviations of its parameters."""
         drawn, samples = self.drawn, self.processing
-        floors = tuple(s.floor for s in self.sensors if s.floor is not None)
+        floors = tuple(s.floor for s in self.floor_sensors if s.floor is not None)
         return InstrumentedModel(
             self.model(),
             self.channels,

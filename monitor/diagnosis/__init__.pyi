@@ -15,6 +15,8 @@ from .settings import DiagnosisSettings
 from .stepwise_selection import Diagnosis, diagnose
 from .story_forces import StoryLaw, story_laws
 from .trigger import Request, WatchSettings
+from .witness import compare_witnesses
+from .witness_record import WitnessRecord, WitnessSensor
 from .wording import contradicted, csd_error_in_words, in_words
 
 __all__ = [
@@ -27,8 +29,11 @@ __all__ = [
     "Score",
     "StoryLaw",
     "WatchSettings",
+    "WitnessRecord",
+    "WitnessSensor",
     "add_observed_causes",
     "clock_drift_in_words",
+    "compare_witnesses",
     "content",
     "contradicted",
     "correct_clock_drifts",

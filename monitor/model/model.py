@@ -62,6 +62,14 @@ class Model:
         """Return the model with other floor masses, shape (n,), kg."""
         return replace(self, structure=self.structure.with_masses(masses_kg))
 
+    def altered_structure(self) -> Structure:
+        """Return the structure with the effects that change its members and joints."""
+        structure = self.structure
+        # Changes of members come first, since joints and a base act on the members after all changes.
+        for effect in self.effects:
+            structure = effect.altered(structure)
+        return structure
+
     def structural_matrices(self) -> tuple[Array, Array]:
         """Assemble the mass and stiffness matrices, with the effects that are linear at every level of vibration.
 
@@ -70,10 +78,7 @@ class Model:
         mass : ndarray, shape (n, n), kg
         stiffness : ndarray, shape (n, n), N/m
         """
-        structure = self.structure
-        # Changes of members come first, since joints and a base act on the members after all changes.
-        for effect in self.effects:
-            structure = effect.altered(structure)
+        structure = self.altered_structure()
         mass, stiffness = structure.mass_matrix(), structure.stiffness_matrix()
         for effect in self.effects:
             mass, stiffness = effect.structural(mass, stiffness, structure)

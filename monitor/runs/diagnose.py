@@ -20,7 +20,10 @@ from monitor.diagnosis import (
     Diagnosis,
     HeldOutGain,
     Score,
+    WitnessRecord,
+    WitnessSensor,
     add_observed_causes,
+    compare_witnesses,
     content,
     correct_clock_drifts,
     ddi_effect,
@@ -90,12 +93,21 @@ def diagnose(
     MissingInputError, BadInputError
         If a recording cannot be used, or the baseline has no reference for a diagnosis.
     """
-    return diagnose_gathered(_read(paths, config, on_warning, on_progress), config, baseline)
+    record = WitnessRecord(config.front_end(), _witnesses(config))
+    segments = _read(paths, config, on_warning, on_progress, record)
+    return diagnose_gathered(segments, config, baseline, record)
 
 
 @_IGNORE_OVERFLOW
-def diagnose_gathered(segments: Segments, config: Configuration, baseline: Baseline | None) -> Finding:
+def diagnose_gathered(
+    segments: Segments, config: Configuration, baseline: Baseline | None, record: WitnessRecord | None = None
+) -> Finding:
     """Diagnose segments of a recording against the baseline, or against the structure file without one.
+
+    Parameters
+    ----------
+    record : WitnessRecord, optional
+        What the witnesses of the structure file recorded beside; none are compared without it.
 
     Raises
     ------
@@ -120,6 +132,12 @@ def diagnose_gathered(segments: Segments, config: Configuration, baseline: Basel
     optima = other_optima(confirmed, config.story_names) if baseline is None else []
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
+    compared = []
+    if record is not None:
+        posterior = confirmed.posterior
+        context, condition = posterior.context, posterior.conditions[0]
+        compared = compare_witnesses(record, _witnesses(config), updated, extended, context, condition)
+    plain |= {"witness": [witness.to_plain() for witness in compared]}
     plain = name_stories_in(plain, config.story_names)
     segments = confirmed.posterior.observed.segments
     return Finding(confirmed, gain, plain, segments, updated, extended, degc)
@@ -233,13 +251,33 @@ def evaluate(
     return score(segments, config.model(), _context(segments, config), degc)
 
 
-def _read(paths: list[Path], config: Configuration, on_warning: OnWarning, on_progress: OnProgress) -> Segments:
-    """Read the recordings, and gather their data in segments; errors name the recordings."""
+def _witnesses(config: Configuration) -> tuple[WitnessSensor, ...]:
+    """List the witnesses of the structure file."""
+    return tuple(
+        WitnessSensor(s.channel, s.quantity, s.axis, s.floor, s.mounted)
+        for s in config.witnesses
+        if s.axis is not None and s.floor is not None
+    )
+
+
+def _read(
+    paths: list[Path],
+    config: Configuration,
+    on_warning: OnWarning,
+    on_progress: OnProgress,
+    record: WitnessRecord | None = None,
+) -> Segments:
+    """Read the recordings, and gather their data in segments; errors name the recordings.
+
+    What the witnesses recorded is added to `record`, if there is one.
+    """
     progress = Progress(on_progress)
 
     def count_blocks() -> Iterator[SampleBlock]:
         for block in read_blocks(paths, config, on_warning):
             progress.add(block)
+            if record is not None:
+                record.add(block)
             yield block
 
     try:

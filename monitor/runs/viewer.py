@@ -59,7 +59,7 @@ def open_viewer(
         config.site.name or config.structure.name or "structure",
         config.drawing,
         config.story_names,
-        {sensor.channel: sensor.floor for sensor in config.sensors if sensor.floor is not None},
+        {sensor.channel: sensor.floor for sensor in config.floor_sensors if sensor.floor is not None},
         config.model(),
         baseline,
         alarm_loss=config.alarm.alarm_loss,

@@ -36,7 +36,7 @@ def _model(config: Configuration, baseline: AnyBaseline | None) -> Model:
         return baseline.model
     if config.has_model:
         return config.model()
-    n = len(config.sensors)
+    n = len(config.floor_sensors)
     # The lowest frequency of a shear frame is near that of a single floor over its number.
     stiffness = (2.0 * np.pi * _FRAME_HZ * n) ** 2
     return Model(ShearFrame(np.ones(n), np.full(n, stiffness), 0.01))

@@ -111,8 +111,9 @@ class Checkpointer:
         self, out: Path, config: Configuration, healthy: Path | None, recording: Recording, lines: AppendedLines
     ) -> None:
         self._out, self._config, self._recording, self._lines = out, config, recording, lines
-        named_only = {"sensors": {"__all__": {"label"}}}  # changes no number
-        tables = config.model_dump(mode="json", include={*_KEYED}, exclude=named_only)
+        tables = config.model_dump(mode="json", include={*_KEYED})
+        # Labels and witnesses change no number.
+        tables["sensors"] = [s.model_dump(mode="json", include={"channel", "floor"}) for s in config.floor_sensors]
         structure = config.structure.model_dump(mode="json", exclude={"name"})
         baseline = None if healthy is None else sha256(healthy)
         self._key = serialization.fingerprint({"tables": tables, "structure": structure, "baseline": baseline})

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
 
+from monitor.config import configuration
 from monitor.config.configuration import Configuration
-from tests.measured import f16, sensor_faults
+from monitor.model import Model, ShearFrame
+from tests.measured import f16, sensor_faults, shake_table_axes
 from tests.measured.sensor_faults import Fault, cause_text, delayed, fast_clock, faults, outcome, unchanged
 
 RATE_HZ = 120.0
@@ -75,3 +80,38 @@ def test_the_model_of_the_wing_has_the_modes_of_its_frequency_responses() -> Non
     np.testing.assert_allclose(np.sqrt(values) / (2.0 * np.pi), found, rtol=1e-6)
     sign = np.sign(vectors[1] * modes[1])
     np.testing.assert_allclose(vectors[:3] * sign, modes, atol=1e-6)
+
+
+def test_a_wall_that_shortens_by_its_drift_squared_is_recognized() -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(7200) / shake_table_axes.RATE_HZ
+    drift = 0.01 * np.interp(t, t[::600], rng.standard_normal(12)) * np.cos(2.0 * np.pi * 3.69 * t)
+    shortened = shake_table_axes.integrated(drift**2, -2) / shake_table_axes.HEIGHT_M
+    up = shake_table_axes.in_band(-0.6 * shortened + 1e-3 * rng.standard_normal(t.size), 7.38, 0.5)
+    by = shake_table_axes.in_band(shortened, 7.38, 0.5)
+    k, std = shake_table_axes.factor(up, by)
+    assert k == pytest.approx(-0.6, abs=4.0 * std) and std < 0.01
+    assert shake_table_axes.unexplained(up, [by]) < 0.01
+    other = shake_table_axes.in_band(rng.standard_normal(t.size), 7.38, 0.5)
+    assert shake_table_axes.unexplained(up, [other]) > 0.9
+
+
+def test_walls_whose_ends_turn_shorten_less() -> None:
+    frame = ShearFrame(np.ones(1), np.full(1, 1000.0), 0.01, np.full(1, 2.0))
+    assert shake_table_axes.shortening(Model(frame)) == pytest.approx([0.6])
+    # A free end: the wall bends as a cantilever by 3/2 s^2 - s^3/2, of which half the integral of the slope squared is 0.6 too;
+    # in between it is less.
+    ends = [shake_table_axes.shortening(Model(replace(frame, column_to_girder=c)))[0] for c in (1.0, 1e9)]
+    assert ends[0] < 0.6 - 0.02
+    slope = 3.0 * np.linspace(0.0, 1.0, 10001) - 1.5 * np.linspace(0.0, 1.0, 10001) ** 2
+    assert ends[1] == pytest.approx(0.5 * np.trapezoid(slope**2, dx=1e-4), rel=1e-4)
+
+
+def test_all_axes_of_a_frame_become_sensors_of_its_structure_file(tmp_path: Path) -> None:
+    path = tmp_path / "frame.toml"
+    path.write_text(shake_table_axes.site("stiff"))
+    config = configuration.load(path)
+    assert config.channels == ("a1", "a2", "a3") and len(config.witnesses) == 20
+    assert {(s.quantity, s.axis) for s in config.witnesses if s.floor == 0} == {
+        (quantity, axis) for _, quantity, axis in shake_table_axes.AXES.values()
+    }

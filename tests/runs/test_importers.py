@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.base import ACCELERATION, FORCE, GROUND
+from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE
 from drivers.mcap_file import RecordingInfo, read_recordings
 from monitor.core.errors import BadInputError, MissingInputError
 from monitor.runs.importers import csv_table, import_files
@@ -233,6 +233,28 @@ def test_xsens_counts_packets_and_begins_at_its_local_start_time(tmp_path: Path)
         (271, 28),
     ]
     assert values[0, 0] == pytest.approx(0.01) and values[-1, 0] == pytest.approx(2.99)
+
+
+def test_columns_with_a_unit_of_a_rate_of_rotation_have_a_topic_of_their_own(tmp_path: Path) -> None:
+    content = "t,a1 [g],r1 [deg/s],r2 [rad/s],strain [um/m]\n" + rows("{t},{a},{k},{b},{k}\n")
+    info, values, warnings = convert(tmp_path / "a.csv", content, unit=None)
+    assert dict(info.channels) == {ACCELERATION: ("a1",), ROTATION_RATE: ("r1", "r2")}
+    np.testing.assert_allclose(values[:, 0], 9.80665 * RAMP, rtol=1e-6)
+    turned = samples(tmp_path / "a.mcap", ROTATION_RATE)
+    np.testing.assert_allclose(turned, np.column_stack([np.radians(1000.0 * RAMP), -RAMP]), rtol=1e-6)
+    assert warnings == [f"{tmp_path / 'a.csv'}: left out, since they have no unit of acceleration: strain"]
+    chosen, _, _ = convert(tmp_path / "a.csv", content, channels={"top": "a1", "turn": "r2"})
+    assert dict(chosen.channels) == {ACCELERATION: ("top",), ROTATION_RATE: ("turn",)}
+    with pytest.raises(BadInputError, match="only rates of rotation are chosen"):
+        convert(tmp_path / "a.csv", content, channels={"turn": "r2"})
+
+
+def test_xsens_gives_its_gyroscope_where_that_is_named(tmp_path: Path) -> None:
+    content = dot(0).replace("Acc_Y", "Gyr_Z")
+    named = {"a1": "Acc_X", "r1": "Gyr_Z"}
+    info, _, _ = convert(tmp_path / "top.csv", content, start_ns=None, channels=named)
+    assert dict(info.channels) == {ACCELERATION: ("a1",), ROTATION_RATE: ("r1",)}
+    np.testing.assert_allclose(samples(tmp_path / "top.mcap", ROTATION_RATE), np.radians(-1.0), rtol=1e-6)
 
 
 def test_a_zero_shift_of_summer_time(tmp_path: Path) -> None:

@@ -88,8 +88,42 @@ class ShearFrame:
         rigid = np.asarray(drift.T @ (self.stiffness_n_per_m[:, None] * drift))
         return rigid if self.column_to_girder == 0.0 else rigid - self._stiffness_lost_by_rotation()
 
+    def joint_rotations(self) -> Array:
+        """Compute how the joints of every floor rotate with the floors' displacements relative to the ground.
+
+        Returns
+        -------
+        ndarray, shape (n, n), rad/m
+            Positive where a joint turns as the chord of a column does when its upper end moves ahead; zero with rigid girders.
+
+        Raises
+        ------
+        ValueError
+            If the stories' heights are not known: without them there are stiffnesses and no angles.
+
+        Examples
+        --------
+        A portal with a girder that is as stiff as a column: the joint turns by 6/10 of the chord's rotation.
+
+        >>> import numpy as np
+        >>> one = np.ones(1)
+        >>> ShearFrame(one, 1000.0 * one, 0.01, story_heights_m=2.0 * one, column_to_girder=1.0).joint_rotations().round(3)
+        array([[0.3]])
+        """
+        if self.story_heights_m is None:
+            raise ValueError("joints turn by angles that depend on the heights of the stories: state story_heights_m")
+        if self.column_to_girder == 0.0:
+            return np.zeros((self.n_stories, self.n_stories))
+        coupling, k_theta = self._rotation_terms()
+        return np.asarray(-np.linalg.solve(k_theta, coupling.T))
+
     def _stiffness_lost_by_rotation(self) -> Array:
-        """Compute the stiffness that the joints' rotation takes away, by static condensation, shape (n, n), N/m.
+        """Compute the stiffness that the joints' rotation takes away, by static condensation, shape (n, n), N/m."""
+        coupling, k_theta = self._rotation_terms()
+        return np.asarray(coupling @ np.linalg.solve(k_theta, coupling.T))
+
+    def _rotation_terms(self) -> tuple[Array, Array]:
+        """Assemble the stiffness between floors and rotations, N, and that of the rotations, N m, shape (n, n) each.
 
         All joints of a floor rotate alike.  Heights are taken as equal where none are given.
 
@@ -110,7 +144,7 @@ class ShearFrame:
                 for b in ends:
                     k_theta[a, b] += column[j] * (8.0 if a == b else 4.0)
         coupling = -(self.drift_matrix().T * (12.0 * column / heights)) @ rotation_sum
-        return np.asarray(coupling @ np.linalg.solve(k_theta, coupling.T))
+        return coupling, k_theta
 
     def mass_derivatives(self) -> Array:
         """Differentiate the mass matrix: dM / dm_i, shape (n, n, n), first axis the floor."""

@@ -55,6 +55,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
         _misfit(compared, diagnosis),
         "" if by_level is None else _modes_by_class(by_level),
         _story_laws(story_laws(diagnosis), extended=compared.extended),
+        _witnesses(content.get("witness", ())),
         _ranking(diagnosis, content),
         _parameters(diagnosis, content, compared.hz),
         _data(diagnosis, content, segments, compared),
@@ -241,6 +242,28 @@ def _story_laws(laws: Sequence[StoryLaw], *, extended: bool) -> str:
         "above. The table compares the third of the segments with the smallest drifts with that with the largest."
     )
     return f"<h2>Story forces, from the data</h2>{''.join(out)}{table(head, rows)}<p class='muted'>{note}</p>"
+
+
+def _witnesses(compared: Sequence[Content]) -> str:
+    """Tabulate what sensors of other quantities and axes say of the model, and their motion in each mode."""
+    if not compared:
+        return ""
+    said = [(w["channel"], w["verdict"] or "nothing to judge", w["says"]) for w in compared]
+    rows = [
+        (w["channel"], m["of"].replace("_", " "), f"{m['frequency_hz']:.2f}",
+         interval({"value": m["ratio"], "std": m["std"]}, 1.0, w["unit"]), f"{m['coherence']:.2f}",
+         *("" if m[key] is None else f"{m[key]:.3g}" for key in ("predicted_before", "predicted")))
+        for w in compared for m in w["modes"]
+    ]  # fmt: skip
+    head = ["channel", "mode", "#Hz", "measured", "#coherence", "#predicted before", "#predicted"]
+    note = (
+        "They entered no fit. Measured: the channel's rotation or motion over the motion of the structure in the mode, "
+        "that of a joint over the drift of the story below its floor."
+    )
+    return (
+        f"<h2>Witnesses</h2>{table(['channel', 'verdict', 'in words'], said)}{table(head, rows) if rows else ''}"
+        f"<p class='muted'>{note}</p>"
+    )
 
 
 def _ranking(diagnosis: Diagnosis, content: Content) -> str:

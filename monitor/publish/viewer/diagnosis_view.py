@@ -98,6 +98,8 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
     for c in content["standing"]:
         words = in_words(c["effect"], c["location"], c["parameters"], diagnosis.posterior.prior)
         lines += [f"Already so at calibration: {words}.", ""]
+    for item in content.get("witness", ()):
+        lines += [f"Witness: {item['says']}.", ""]
     for item in content["left_out"]:
         lines += [f"Left out: {item['says']}.", ""]
     if content["standing_misfit"] is not None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.base import ACCELERATION, FORCE, GROUND, UNIT_OF, RecordingError, SampleBlock
+from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError, MissingInputError
@@ -88,7 +88,8 @@ def import_files(
         with a warning.
     channels
         Channel name -> "FILE" or "FILE:COLUMN", with FILE by name or stem.  By default the channels are the columns of a
-        single file, or the stems of several files.
+        single file, or the stems of several files.  Columns with a unit of a rate of rotation go to the topic
+        ``/rotation_rate``.
     ground
         "FILE" or "FILE:COLUMN" of the base motion.
     forces
@@ -147,10 +148,17 @@ def import_files(
         tables = [_load_table(path, on_warning, scale, inventory) for path in files]
         if align:
             leading = {name: _find_column(tables, place) for name, place in (channels or {}).items()}
-            tables = clocks.align(tables, list(leading.values()), on_warning)
+            moving = [(table, column) for table, column in leading.values() if not table.turns(column)]
+            tables = clocks.align(tables, moving, on_warning)
         tables, clock = clocks.join(tables, on_warning)
         pushed = {name: _find_column(tables, reference) for name, reference in (forces or {}).items()}
         chosen, base = _choose_columns(tables, channels, ground, list(pushed.values()))
+        turning = {name: pair for name, pair in chosen.items() if pair[0].turns(pair[1])}
+        chosen = {name: pair for name, pair in chosen.items() if name not in turning}
+        if not chosen:
+            raise BadInputError(
+                f"{files[0]}: only rates of rotation are chosen; name a column of acceleration too, with --channel"
+            )
         rate, numbers = _timing(tables, clock, rate_hz, on_warning)
         start_ns = _start_ns(tables, on_warning) if start_ns is None else start_ns
         # The time of the last sample must fit 64-bit nanoseconds, which a damaged counter violates.
@@ -167,9 +175,15 @@ def import_files(
                 tuple(pushed),
                 np.column_stack([table.force(column) for table, column in pushed.values()]),
             )
+        if turning:
+            streams[ROTATION_RATE] = (
+                tuple(turning),
+                np.column_stack([table.rotation_rate(column) for table, column in turning.values()]),
+            )
         _write(out, streams, rate, numbers, start_ns)
         grounds = {} if base is None else {"ground": base}
-        for topic, columns_of in ((ACCELERATION, chosen), (GROUND, grounds), (FORCE, pushed)):
+        topics = ((ACCELERATION, chosen), (GROUND, grounds), (FORCE, pushed), (ROTATION_RATE, turning))
+        for topic, columns_of in topics:
             for at, (name, (table, column)) in enumerate(columns_of.items()):
                 readings = streams[topic][1][:, at]
                 stated = table.unit(column)
@@ -313,6 +327,8 @@ def _choose_columns(
     if channels:
         return {name: _find_column(tables, reference) for name, reference in channels.items()}, base
     rest = [(table, column) for table in tables for column in table.default]
+    if len(tables) == 1:
+        rest += [(tables[0], c) for c in tables[0].columns if c not in tables[0].default and tables[0].turns(c)]
     inputs = forces if base is None else [base, *forces]
     rest = [pair for pair in rest if pair not in inputs]
     if len(tables) > 1:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from monitor.core import BadInputError, utc_ns
-from monitor.runs.importers.table import Array, OnWarning, Table, Ticks, unit_factor
+from monitor.runs.importers.table import Array, OnWarning, Table, Ticks, rotation_factor, unit_factor
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([ T_]\d{1,2}:\d{2}.*)?")
@@ -184,9 +184,9 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     if any(units[at] for at in kept):
         # Trust the units that a file states: columns such as strains and forces are no accelerations.
         default = tuple(names[at] for at in kept if unit_factor(units[at]) is not None) or columns
-        if len(default) < len(columns):
-            others = ", ".join(name for name in columns if name not in default)
-            on_warning(f"{cells.path}: left out, since they have no unit of acceleration: {others}")
+        others = [names[at] for at in kept if names[at] not in default and rotation_factor(units[at]) is None]
+        if others:
+            on_warning(f"{cells.path}: left out, since they have no unit of acceleration: {', '.join(others)}")
     return Table(
         path=cells.path,
         columns=columns,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ OnWarning = Callable[[str], None]
 
 UNITS = {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s/s": 1.0, "ms-2": 1.0, "ms^-2": 1.0, "g": 9.80665}
 FORCE_UNITS = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605}
+ROTATION_UNITS = {"rad/s": 1.0, "rad/sec": 1.0, "mrad/s": 1e-3, "deg/s": radians(1.0), "°/s": radians(1.0)}
+ROTATION_UNITS |= {"deg/sec": radians(1.0), "dps": radians(1.0), "mdeg/s": radians(1e-3)}
 UNITS |= {"mg": 9.80665e-3, "gal": 1e-2, "cm/s^2": 1e-2, "cm/s2": 1e-2, "mm/s^2": 1e-3, "mm/s2": 1e-3}
 
 
@@ -86,6 +89,20 @@ class Table:
         """
         return self._converted(column, "N", lambda unit: FORCE_UNITS.get(unit.strip().casefold()), "force", FORCE_UNITS)
 
+    def rotation_rate(self, column: str) -> Array:
+        """Convert a column to rad/s, shape (n_samples,).
+
+        Raises
+        ------
+        BadInputError
+            If there is no such column, or its unit is no unit of a rate of rotation.
+        """
+        return self._converted(column, "", rotation_factor, "a rate of rotation", ROTATION_UNITS)
+
+    def turns(self, column: str) -> bool:
+        """Return whether the file states a unit of a rate of rotation for a column (errors as `unit`)."""
+        return rotation_factor(self.unit(column)) is not None
+
     def _converted(
         self, column: str, unit: str, factor_of: Callable[[str], float | None], quantity: str, known: Iterable[str]
     ) -> Array:
@@ -109,6 +126,17 @@ def unit_factor(unit: str) -> float | None:
     (0.00980665, None)
     """
     return UNITS.get(unit.strip().casefold().replace(" ", "").replace("**", "^"))
+
+
+def rotation_factor(unit: str) -> float | None:
+    """Return the factor from `unit` to rad/s; None if `unit` is no unit of a rate of rotation.
+
+    Examples
+    --------
+    >>> rotation_factor("mrad/s"), rotation_factor("g")
+    (0.001, None)
+    """
+    return ROTATION_UNITS.get(unit.strip().casefold().replace(" ", ""))
 
 
 def sample_numbers(path: Path, time_ns: Ticks) -> tuple[float, Ticks]:

@@ -22,16 +22,19 @@ def is_xsens(cells: Cells) -> bool:
 
 
 def to_table(cells: Cells, on_warning: OnWarning) -> Table:
-    """Convert cells to a table of accelerations (m/s^2) on the sensor's own clock; the default column is Acc_X.
+    """Convert cells to a table of accelerations (m/s^2) and rates of rotation (deg/s) on the sensor's own clock.
+
+    The default column is Acc_X.
 
     Raises
     ------
     BadInputError
         If a cell is no number or there is no acceleration.
     """
-    columns = tuple(name for name in cells.header if name.startswith("Acc_"))
-    if not columns:
+    moved = tuple(name for name in cells.header if name.startswith("Acc_"))
+    if not moved:
         raise BadInputError(f"{cells.path}: no Acc_ column; export the free or calibrated acceleration")
+    columns = (*moved, *(name for name in cells.header if name.startswith("Gyr_")))
     values = cells.table([cells.header.index(name) for name in columns])
     micros = cells.numbers(cells.header.index("SampleTimeFine"))
     counter = cells.numbers(cells.header.index("PacketCounter"))
@@ -41,15 +44,15 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     clock[1:] += _WRAP * np.cumsum(np.diff(clock) < -_WRAP // 2)
     start_ns = _start_ns(cells, on_warning)
     # The device writes the orientation before its first acceleration is available: that row is all zeros, even gravity.
-    first = int(len(values) > 1 and not values[0].any())
+    first = int(len(values) > 1 and not values[0, : len(moved)].any())
     if start_ns is not None:
         start_ns += 1000 * int(clock[first] - clock[0])
     return Table(
         path=cells.path,
         columns=columns,
-        units=("m/s^2",) * len(columns),
+        units=("m/s^2",) * len(moved) + ("deg/s",) * (len(columns) - len(moved)),
         values=values[first:],
-        default=("Acc_X",) if "Acc_X" in columns else columns[:1],
+        default=("Acc_X",) if "Acc_X" in columns else moved[:1],
         time_ns=1000 * clock[first:],
         index=counter[first:].astype(np.int64),
         start_ns=start_ns,

@@ -1,0 +1,391 @@
+"""Witnesses of a diagnosis: what sensors of another quantity or axis say about the model that the floors' accelerations gave.
+
+They enter no likelihood.  A gyroscope about the horizontal axis across the motion (y) sees whether joints turn as the model's
+joints do, and whether the ground rocks; one about the vertical axis, whether a mode twists a floor; an accelerometer of another
+axis, whether a mode moves that way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from monitor.core import Array, ComplexArray
+from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
+from monitor.model import Condition, Context, Effect, Model, ShearFrame, interval
+
+_SEGMENT_PERIODS = 20.0
+"""Length of a segment, in periods of the lowest mode. [1; judgement: modes a tenth apart are told apart, and short segments
+give many]"""
+_HALF_WIDTH = 2
+"""Bins on either side of a mode that belong to it. [bins; the Hann taper, whose main lobe is that wide]"""
+_LEAST_JACKKNIFE = 6
+"""Fewest segments that tell a standard deviation. [segments; judgement]"""
+_FACTOR = 2.0
+"""Factor within which a rotation is as the model says. [ratio; judgement: where on a joint a sensor sits, and how wide joints
+are, changes it by some ten percent, and without flexible joints it would be nothing]"""
+_RIGID = 0.05
+"""Rotation over that of the chord of the columns, up to which joints count as rigid. [ratio; judgement: joints that turn so
+much take about as large a share of a story's stiffness]"""
+_AGREES_STDS = 2.0
+"""Half width of the intervals that are stated, and within which a witness agrees. [standard deviations; convention: 95 %]"""
+_CONTRADICTS_STDS = 3.0
+"""Distance from which on a witness contradicts. [standard deviations; convention: three sigma]"""
+
+NOT_DETERMINED = 1e300
+"""Standard deviation where none can be told. [1; definition: JSON has no infinity]"""
+
+Verdict = Literal["agrees", "contradicts", "cannot say"]
+
+
+@dataclass(frozen=True, slots=True)
+class WitnessedMode:
+    """Motion of a witness over the motion of the structure in one mode."""
+
+    of: str
+    """``mode 1``, or the effect that has a frequency of its own, as ``unmodelled_mode``."""
+    frequency_hz: float
+    ratio: float
+    """rad/m for a rotation, m/m for an acceleration.  With a sign where the model predicts it, else the magnitude."""
+    std: float
+    coherence: float
+    """Coherent share of the witness's power in the mode's bins, 0 to 1."""
+    predicted: float | None = None
+    """The ratio by the extended model; None where a model says nothing."""
+    predicted_before: float | None = None
+    """The ratio by the model without the causes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Witness:
+    """What one sensor says."""
+
+    sensor: WitnessSensor
+    verdict: Verdict | None
+    """None where the model claims nothing that the sensor could see."""
+    says: str
+    modes: tuple[WitnessedMode, ...] = ()
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return the entry of diagnosis.json."""
+        unit = "rad/m" if self.sensor.quantity == "rotation_rate" else "m/m"
+        keys = ("of", "frequency_hz", "ratio", "std", "coherence", "predicted", "predicted_before")
+        return {
+            "channel": self.sensor.channel,
+            "quantity": self.sensor.quantity,
+            "axis": self.sensor.axis,
+            "floor": self.sensor.floor,
+            "verdict": self.verdict,
+            "says": self.says,
+            "unit": unit,
+            "modes": [{key: getattr(mode, key) for key in keys} for mode in self.modes],
+        }
+
+
+def compare_witnesses(
+    record: WitnessRecord,
+    sensors: Sequence[WitnessSensor],
+    before: Model,
+    extended: Model,
+    context: Context,
+    condition: Condition,
+) -> list[Witness]:
+    """Compare what every witness measured with what the models say of it.
+
+    Parameters
+    ----------
+    record : WitnessRecord
+        The recording.
+    sensors : sequence of WitnessSensor
+        Witnesses of the structure file.
+    before, extended : Model
+        The refitted model without the causes and with them.
+    context : Context
+        Channels and sensors of the floors.
+    condition : Condition
+        Motion and temperature at which effects of sensors act.
+    """
+    if not sensors:
+        return []
+    modes = extended.modes()
+    data = record.transforms(_SEGMENT_PERIODS / float(modes.frequencies_hz[0]))
+    # Where the rate is so low that no mode lies in the band, there are hardly any bins.
+    if data is None or len(data.floors) < _LEAST_JACKKNIFE or len(data.hz) <= 2 * _HALF_WIDTH:
+        why = "too few segments of the recording hold the floors, the witnesses and a mode at one rate"
+        return [Witness(s, "cannot say", f"{s.channel} cannot say: {why}") for s in sensors]
+    comparison = _Comparison(data, before, extended, context, condition)
+    return [comparison.judge(sensor) for sensor in sensors]
+
+
+class _Comparison:
+    """Comparison of witnesses with the floors' motion and the models."""
+
+    def __init__(
+        self, data: WitnessTransforms, before: Model, extended: Model, context: Context, condition: Condition
+    ) -> None:
+        self.data, self.before, self.extended, self.context = data, before, extended, context
+        self.floors = _relative_motion(data, extended.effects, context, condition)
+        self.modes, self.structure = extended.modes(), extended.structure
+        last_hz = float(data.hz[-1 - _HALF_WIDTH])
+        self.numbers = [k for k, hz in enumerate(self.modes.frequencies_hz.tolist()) if hz < last_hz]
+        own = [(e.name, _own_frequency(e)) for e in extended.effects]
+        self.others = [(name, hz) for name, hz in own if hz is not None and hz < last_hz]
+
+    def judge(self, sensor: WitnessSensor) -> Witness:
+        """Compare one witness with the models."""
+        if sensor.channel not in self.data.witnesses:
+            why = "the recording does not hold it at the rate of the floors"
+            return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: {why}")
+        if sensor.channel in self.data.still:
+            return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: it does not move")
+        is_frame = isinstance(self.structure, ShearFrame)
+        if sensor.quantity == "rotation_rate" and (sensor.axis == "y" if is_frame else sensor.floor > 0):
+            if is_frame and self.structure.story_heights_m is None:
+                why = "angles of joints and columns need story_heights_m in the structure file"
+                return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: {why}")
+            return self._judge_rotation_in_modes(sensor)
+        return self._judge_motion_in_modes(sensor)
+
+    def _judge_rotation_in_modes(self, sensor: WitnessSensor) -> Witness:
+        """Judge a rotation that the model predicts: of a joint, of the ground or of a degree of freedom."""
+        measured, chord = [], []
+        for k in self.numbers:
+            weights, moved, one_chord = self._reference(sensor, k)
+            if moved == 0.0:
+                continue
+            hz = float(self.modes.frequencies_hz[k])
+            reference = self.floors @ weights / -(self._omega**2)
+            ratio, std, coherence = _transfer(self._motion(sensor), reference, self._bins(hz), signed=True)
+            by_model = [self._predicted(model, sensor, hz, weights) for model in (self.extended, self.before)]
+            measured.append(WitnessedMode(f"mode {k + 1}", hz, ratio, std, coherence, *by_model))
+            chord.append(one_chord)
+        if not measured:
+            return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: no mode lies in the band")
+        # Of modes in which the structure moves little there, hardly anything is told.
+        scales = [max(c or 0.0, abs(m.predicted or 0.0)) or 1.0 for m, c in zip(measured, chord, strict=True)]
+        best = int(np.argmin([m.std / scale for m, scale in zip(measured, scales, strict=True)]))
+        verdict, words = _judge_rotation(sensor, measured[best], chord[best])
+        return Witness(sensor, verdict, words, tuple(measured))
+
+    def _reference(self, sensor: WitnessSensor, k: int) -> tuple[Array, float, float | None]:
+        """Choose the motion over which the rotation in mode k is stated.
+
+        Returns
+        -------
+        weights : ndarray, shape (c,)
+            Of the channels; exact where they tell the motion, else by the mode's shape.
+        moved : float
+            The motion in the model's mode of unit modal mass, m.
+        chord : float or None
+            Rotation of the chord of the columns, rad per m of the motion; None where there are no columns.
+        """
+        shape, sensors = self.modes.shapes[:, k], self.context.sensors
+        if not isinstance(self.structure, ShearFrame):
+            seen = sensors @ shape
+            weights = np.zeros(len(sensors))
+            weights[int(np.abs(seen).argmax())] = 1.0
+            return weights, float(np.abs(seen).max()), None
+        heights = self.structure.story_heights_m
+        assert heights is not None, "refused before"
+        row = self.structure.drift_matrix()[sensor.floor - 1] if sensor.floor else np.eye(len(shape))[0]
+        chord = 1.0 / float(heights[sensor.floor - 1] if sensor.floor else heights.sum())
+        weights, *_ = np.linalg.lstsq(sensors.T, row, rcond=None)
+        if not np.allclose(sensors.T @ weights, row, atol=1e-9):
+            seen = sensors @ shape
+            weights = float(row @ shape) * seen / float(seen @ seen)
+        return weights, float(row @ shape), chord
+
+    def _predicted(self, model: Model, sensor: WitnessSensor, hz: float, weights: Array) -> float | None:
+        """Predict the rotation over the reference motion in the model's mode nearest to a frequency, rad/m."""
+        modes = model.modes()
+        shape = modes.shapes[:, int(np.abs(np.log(modes.frequencies_hz / hz)).argmin())]
+        moved = float(weights @ self.context.sensors @ shape)
+        structure = model.altered_structure()
+        if sensor.floor == 0:
+            return 0.0  # no effect of the catalogue lets the ground turn
+        if moved == 0.0:
+            return None
+        if isinstance(structure, ShearFrame):
+            turned = float(structure.joint_rotations()[sensor.floor - 1] @ shape)
+            if turned == 0.0:
+                return 0.0
+            # A girder in double curvature turns in its middle by half as much as at its ends, the other way.
+            return (-0.5 if sensor.mounted == "midspan" else 1.0) * turned / moved
+        return float(shape[sensor.floor - 1]) / moved
+
+    def _judge_motion_in_modes(self, sensor: WitnessSensor) -> Witness:
+        """Judge a motion that the model does not describe: which modes are of the sensor's axis."""
+        on_floor = np.flatnonzero(self.context.sensors[:, sensor.floor - 1]) if sensor.floor else np.zeros(0)
+        own = self.floors[:, :, int(on_floor[0])] if on_floor.size else None
+        rows = [(f"mode {k + 1}", float(self.modes.frequencies_hz[k])) for k in self.numbers]
+        rows += self.others
+        found = []
+        for name, hz in rows:
+            bins = self._bins(hz)
+            largest = int((np.abs(self.floors[:, bins]) ** 2).sum(axis=(0, 1)).argmax())
+            moved = self.floors[:, :, largest] if own is None else own
+            found.append(
+                WitnessedMode(name, hz, *_transfer(self._motion(sensor), moved / -(self._omega**2), bins, signed=False))
+            )
+        verdict, words = _judge_other_motion(sensor, found, 3.0 * float(self.data.hz[1]))
+        return Witness(sensor, verdict, words, tuple(found))
+
+    @property
+    def _omega(self) -> Array:
+        """Circular frequencies of the bins, rad/s, shape (n_bins,); that of 0 Hz as of the next."""
+        return np.asarray(2.0 * np.pi * np.maximum(self.data.hz, self.data.hz[1]))
+
+    def _motion(self, sensor: WitnessSensor) -> ComplexArray:
+        """Integrate a witness's readings to rad or m, shape (n_segments, n_bins)."""
+        readings, omega = self.data.witnesses[sensor.channel], self._omega
+        return np.asarray(readings / (1j * omega) if sensor.quantity == "rotation_rate" else readings / -(omega**2))
+
+    def _bins(self, hz: float) -> slice:
+        """Return the bins that belong to a mode."""
+        at = round(hz / float(self.data.hz[1]))
+        return slice(max(1, at - _HALF_WIDTH), at + _HALF_WIDTH + 1)
+
+
+def _own_frequency(effect: Effect) -> float | None:
+    """Return the frequency of a mode or an oscillator that an effect adds, Hz; None for other effects."""
+    return effect.values().get("frequency_hz") if effect.family == "structure" else None
+
+
+def _relative_motion(
+    data: WitnessTransforms, effects: Sequence[Effect], context: Context, condition: Condition
+) -> ComplexArray:
+    """Correct the floors' transforms for the effects of their sensors, and subtract the ground's where it was measured.
+
+    Returns
+    -------
+    ndarray, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)
+    """
+    true = np.asarray(data.floors, dtype=np.complex128)
+    for effect in reversed(effects):
+        response = effect.response(data.hz, context, condition)
+        if response is not None:
+            true = np.asarray(np.linalg.solve(response, true[..., None])[..., 0], dtype=np.complex128)
+    return true if data.ground is None else true - data.ground[:, :, None]
+
+
+def _transfer(turned: ComplexArray, moved: ComplexArray, bins: slice, *, signed: bool) -> tuple[float, float, float]:
+    """Estimate the ratio of two motions in a mode's bins, shape (n_segments, n_bins) each.
+
+    Returns
+    -------
+    ratio, std : float
+        The part in phase where `signed`, else the magnitude; the standard deviation is by the jackknife over the segments.
+    coherence : float
+        Coherent share of the first motion's power.
+
+    References
+    ----------
+    J. S. Bendat, A. G. Piersol, Random Data, 4th edition, section 6.2 (frequency response and coherence).
+    """
+    a, b = turned[:, bins], moved[:, bins]
+    cross = (a * b.conj()).sum(axis=1)
+    power, own = (np.abs(b) ** 2).sum(axis=1), (np.abs(a) ** 2).sum(axis=1)
+    if not (power.sum() > power.max() and own.any()):  # nothing moves, or in one segment alone
+        return 0.0, NOT_DETERMINED, 0.0
+    whole = complex(cross.sum() / power.sum())
+    left_out = (cross.sum() - cross) / (power.sum() - power)
+    n = len(cross)
+    parts = left_out.real if signed else np.abs(left_out)
+    coherence = float(np.abs(cross.sum()) ** 2 / (power.sum() * own.sum()))
+    return whole.real if signed else abs(whole), float(np.sqrt(n - 1.0) * parts.std()), coherence
+
+
+def _judge_rotation(sensor: WitnessSensor, mode: WitnessedMode, chord: float | None) -> tuple[Verdict, str]:
+    """Compare a measured rotation with the predicted one, and with that of rigid joints."""
+    predicted, floor = mode.predicted or 0.0, sensor.floor
+    seen = f"in {mode.of} ({mode.frequency_hz:.2f} Hz, coherence {mode.coherence:.2f})"
+    if floor == 0:
+        subject, over = "the ground rocks", "of the top floor's motion"
+    elif chord is None:
+        subject, over = f"degree of freedom {floor} turns", "of the channel that moves most"
+    else:
+        subject, over = f"floor {floor} turns", f"of story {floor}'s drift"
+    size = interval({"value": mode.ratio, "std": mode.std}, 1.0, "rad per m")
+    measured = f"{subject} by {size} {over} {seen}"
+    if chord is not None and abs(predicted) <= _RIGID * chord:
+        share = abs(mode.ratio) / chord
+        verdict = _placed(share, mode.std / chord, -np.inf, _RIGID)
+        whole = f"{100.0 * share:.1f} % of the turn of {'the frame' if floor == 0 else 'its columns'}"
+        model = "a ground that does not turn" if floor == 0 else "rigid joints"
+        return verdict, f"{measured}, {whole}; the model has {model}: {sensor.channel} {verdict}"
+    if predicted == 0.0:
+        return "cannot say", f"{measured}; the model says nothing of it: {sensor.channel} cannot say"
+    verdict = _placed(mode.ratio / predicted, mode.std / abs(predicted), 1.0 / _FACTOR, _FACTOR)
+    place = " in the middle of a girder" if sensor.mounted == "midspan" else ""
+    cause = "the model's joints" if chord is not None else "the model's shape"
+    before = "" if mode.predicted_before is None else f", {mode.predicted_before:.3g} without the causes"
+    says = f"{measured}; {cause} predict {predicted:.3g}{place}{before}: {sensor.channel} {verdict}"
+    if verdict == "contradicts" and chord is not None and abs(mode.ratio) < abs(predicted):
+        says += ": what turns is not the floor, but its columns in their connections, or another cause looks alike"
+    return verdict, says.replace("shape predict", "shape predicts")
+
+
+def _placed(value: float, std: float, low: float, high: float) -> Verdict:
+    """Say whether a value lies within bounds, or outside them; to contradict takes more certainty than to agree."""
+    if low < value - _AGREES_STDS * std and value + _AGREES_STDS * std < high:
+        return "agrees"
+    outside = value + _CONTRADICTS_STDS * std < low or value - _CONTRADICTS_STDS * std > high
+    return "contradicts" if outside else "cannot say"
+
+
+def _judge_other_motion(
+    sensor: WitnessSensor, found: Sequence[WitnessedMode], apart_hz: float
+) -> tuple[Verdict | None, str]:
+    """Say which modes move in the sensor's axis, and whether those do that the model does not have."""
+    what = f"{_motion_in_words(sensor)} of {f'floor {sensor.floor}' if sensor.floor else 'the ground'}"
+    own = [m for m in found if m.of.startswith("mode ")]
+    others = [m for m in found if m not in own]
+    unit = "rad per m" if sensor.quantity == "rotation_rate" else "m per m"
+    largest = max(own, key=lambda m: m.ratio, default=None)
+    usual = "" if largest is None else f"in the model's modes at most {largest.ratio:.2g} {unit} ({largest.of})"
+    if not others:
+        rest = f"the model has no mode besides that {sensor.channel} could see"
+        return None, f"{what}: {usual or 'no mode lies in the band'}; {rest}"
+    # A mode of the other direction moves more that way than this.  What a twist is, only the model's own modes tell, and of
+    # them what is certain: where the structure moves little, noise makes any ratio.
+    certain = max((m.ratio - _CONTRADICTS_STDS * m.std for m in own), default=0.0)
+    least = 1.0 if sensor.quantity == "acceleration" else _FACTOR * max(certain, 0.0)
+    told: list[tuple[Verdict, str]] = []
+    for mode in others:
+        near = next((m for m in own if abs(m.frequency_hz - mode.frequency_hz) < apart_hz), None)
+        name = f"the {mode.of.replace('_', ' ')} at {mode.frequency_hz:.2f} Hz"
+        if near is not None:
+            told.append(("cannot say", f"{name} is too near to {near.of} to be told from it"))
+            continue
+        verdict = _placed(mode.ratio, mode.std, least, np.inf)
+        if verdict == "agrees" and mode.ratio - _CONTRADICTS_STDS * mode.std < least:  # a magnitude of noise is never 0
+            verdict = "cannot say"
+        ratio = interval({"value": mode.ratio, "std": mode.std}, 1.0, unit)
+        size = f"{ratio} (coherence {mode.coherence:.2f})"
+        kind = _kind(sensor)
+        words = {
+            "agrees": f"in {name} {size}: it is {kind}",
+            "contradicts": f"in {name} {size}: it is not {kind}",
+            "cannot say": f"in {name} {size}, which does not tell whether it is {kind}",
+        }[verdict]
+        told.append((verdict, words))
+    verdicts = [v for v, _ in told]
+    whole: Verdict = next((v for v in ("agrees", "contradicts") if v in verdicts), "cannot say")
+    return whole, f"{what}: {'; '.join(w for _, w in told)}" + (f"; {usual}" if usual else "")
+
+
+def _motion_in_words(sensor: WitnessSensor) -> str:
+    """Name the motion in a sensor's axis."""
+    if sensor.quantity == "acceleration":
+        return {"x": "motion along x", "y": "motion across (y)", "z": "motion up and down"}[sensor.axis]
+    return {"x": "rocking across (about x)", "y": "rocking (about y)", "z": "twist"}[sensor.axis]
+
+
+def _kind(sensor: WitnessSensor) -> str:
+    """Name the kind of mode that the sensor's axis shows."""
+    if sensor.quantity == "acceleration":
+        return {"x": "a mode along x", "y": "a mode of the other direction", "z": "a vertical mode"}[sensor.axis]
+    return {"x": "a mode that rocks across", "y": "a mode that rocks", "z": "a mode of torsion"}[sensor.axis]

@@ -1,0 +1,193 @@
+"""Record of a recording's witnesses beside its floors: conditioned alike, and transformed over the same segments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.base import ACCELERATION, GROUND, ROTATION_RATE, SampleBlock
+from monitor.core import Array, BadInputError, ComplexArray
+from monitor.signals import Conditioner, ConditionState, FrontEnd, SegmentDesign, alignment, transform
+
+
+@dataclass(frozen=True, slots=True)
+class WitnessSensor:
+    """Sensor of another quantity or axis than the motion that the model describes."""
+
+    channel: str
+    quantity: str
+    """``acceleration`` or ``rotation_rate``."""
+    axis: str
+    """``x`` (the direction of the model's motion), ``y`` or ``z`` (up)."""
+    floor: int
+    """Floor, from 1 (top), or degree of freedom; 0 for the ground."""
+    mounted: str = "joint"
+    """``joint``, or ``midspan`` of a girder."""
+
+    @property
+    def topic(self) -> str:
+        """Topic of its samples."""
+        return ROTATION_RATE if self.quantity == "rotation_rate" else ACCELERATION
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WitnessTransforms:
+    """Tapered transforms of half-overlapping segments that the floors and the witnesses cover together."""
+
+    hz: Array
+    """Shape (n_bins,), Hz."""
+    floors: ComplexArray
+    """Accelerations of the floors, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)."""
+    ground: ComplexArray | None
+    """The ground's, shape (n_segments, n_bins); None where it was not measured."""
+    witnesses: dict[str, ComplexArray]
+    """Of each witness in the recording, in m/s^2 or rad/s, over the same segments, shape (n_segments, n_bins)."""
+    still: frozenset[str]
+    """Witnesses that read one value throughout."""
+
+
+class WitnessRecord:
+    """Record of the floors, the ground and the witnesses of a recording, block by block.
+
+    Parameters
+    ----------
+    front_end : FrontEnd
+        Conditioning of the floors, which the witnesses get too.
+    sensors : sequence of WitnessSensor
+        Witnesses; those that the recording does not hold are left out.
+    """
+
+    def __init__(self, front_end: FrontEnd, sensors: Sequence[WitnessSensor]) -> None:
+        self._front_end, self._sensors = front_end, tuple(sensors)
+        self._streams: dict[tuple[str, bool], _Stream | None] = {}
+        self._unusable: set[str] = set()
+        """Topics with blocks of a rate that cannot be conditioned."""
+
+    def add(self, block: SampleBlock) -> None:
+        """Take a block of any topic.
+
+        Raises
+        ------
+        BadInputError
+            If the block's unit is not that of its topic, or a channel of the floors is missing.
+        """
+        if not self._sensors:
+            return
+        if block.topic == ACCELERATION:
+            self._push(block, self._front_end.channels, is_witness=False)
+        elif block.topic == GROUND:
+            self._push(block, block.channels[:1], is_witness=False)
+        self._push(block, tuple(s.channel for s in self._sensors if s.topic == block.topic), is_witness=True)
+
+    def _push(self, block: SampleBlock, channels: tuple[str, ...], *, is_witness: bool) -> None:
+        """Condition those of the channels that the stream's first block holds."""
+        try:
+            self._front_end.check_rate(block.sample_rate_hz)
+        except BadInputError:  # no reason to end a diagnosis, in which a witness has no part
+            self._unusable.add(block.topic)
+            return
+        key = (block.topic, is_witness)
+        if key not in self._streams:
+            held = tuple(name for name in channels if not is_witness or name in block.channels)
+            self._streams[key] = _Stream(self._front_end, held) if held else None
+        stream = self._streams[key]
+        # A channel that a later block no longer holds has ended; of the floors' channels all are needed.
+        if stream is not None and (not is_witness or set(stream.channels) <= set(block.channels)):
+            stream.push(block)
+
+    def transforms(self, segment_s: float) -> WitnessTransforms | None:
+        """Transform the segments that all streams cover; None where there is no such segment.
+
+        Streams of another sample rate than the floors' are left out, since the lowpass would delay them differently.
+        """
+        floors = self._streams.get((ACCELERATION, False))
+        if floors is None or floors.design is None or GROUND in self._unusable:
+            return None
+        ground = self._streams.get((GROUND, False))
+        others = [s for (_, is_witness), s in self._streams.items() if is_witness and s is not None]
+        used = [s for s in (ground, *others) if s is not None and s.rate_hz == floors.rate_hz]
+        if ground is not None and ground not in used:
+            return None
+        rate_hz = floors.design.rate_hz
+        n = max(2, round(segment_s * rate_hz))
+        design = SegmentDesign(rate_hz, n, min(n // 2 + 1, int(floors.design.cutoff_hz * n / rate_hz) + 1))
+        hz = np.asarray(np.arange(design.n_bins) * design.step_hz)
+        rows = []
+        for t_ns, samples in floors.runs():
+            # The first half segment holds the filter's transient.
+            for first in range(n // 2, len(samples) - n + 1, n // 2):
+                begin_ns = t_ns + round(first / rate_hz * 1e9)
+                parts = [stream.cut(begin_ns, design, hz) for stream in used]
+                whole = [part for part in parts if part is not None]
+                if len(whole) == len(used):
+                    rows.append([_transform(design, samples[first : first + n]), *whole])
+        if not rows:
+            return None
+        moved, *rest = (np.stack(parts) for parts in zip(*rows, strict=True))
+        found = dict(zip(map(id, used), rest, strict=True))
+        table = None if ground is None else found[id(ground)][:, :, 0]
+        witnesses = {name: found[id(s)][:, :, k] for s in others if id(s) in found for k, name in enumerate(s.channels)}
+        still = frozenset(name for s in others for name, moves in zip(s.channels, s.moves, strict=True) if not moves)
+        return WitnessTransforms(hz, moved, table, witnesses, still)
+
+
+class _Stream:
+    """Conditioned samples of some channels of one topic, in runs without a gap."""
+
+    def __init__(self, front_end: FrontEnd, channels: tuple[str, ...]) -> None:
+        self.channels = channels
+        self._front_end = replace(front_end, channels=channels)
+        self._align = alignment.start()
+        self._state: ConditionState
+        self.design: Conditioner | None = None
+        """Conditioner of the latest run."""
+        self._runs: list[tuple[int, list[Array]]] = []
+        self._first: Array | None = None
+        self.moves = np.zeros(len(channels), dtype=bool)
+        """Whether a channel ever read another value than its first, shape (k,)."""
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Rate of the source's samples; None before the first."""
+        return None if self.design is None else self.design.rate_in_hz
+
+    def push(self, block: SampleBlock) -> None:
+        """Condition a block's samples."""
+        self._align, pieces = self._front_end.align(self._align, block)
+        for piece in pieces:
+            if self.design is None or piece.gap is not None:
+                design = self._front_end.conditioner(piece.rate_hz)
+                if piece.rate_hz != self.rate_hz:
+                    self._runs.clear()  # samples of another rate do not go together with those that follow
+                self.design, self._state = design, design.start(len(self.channels))
+                self._runs.append((piece.t_ns, []))
+            if self._first is None and len(piece.values):
+                self._first = piece.values[0]
+            self.moves |= (piece.values != self._first).any(axis=0)
+            self._state, values = self.design.step_block(self._state, piece.values)
+            self._runs[-1][1].append(values.astype(np.float32))
+
+    def runs(self) -> list[tuple[int, Array]]:
+        """Join the samples of every run, with the time of the run's first sample, UTC ns."""
+        self._runs = [(t_ns, [np.concatenate(parts)]) for t_ns, parts in self._runs if parts]
+        return [(t_ns, parts[0]) for t_ns, parts in self._runs]
+
+    def cut(self, begin_ns: int, design: SegmentDesign, hz: Array) -> ComplexArray | None:
+        """Transform the segment that begins at a time, UTC ns; None where the samples do not cover it.
+
+        The segment begins at the nearest sample, and the rest of the time is put into the phase.
+        """
+        for t_ns, samples in self.runs():
+            first = round((begin_ns - t_ns) * 1e-9 * design.rate_hz)
+            if first >= design.n // 2 and first + design.n <= len(samples):
+                late_s = first / design.rate_hz - (begin_ns - t_ns) * 1e-9
+                turned = np.exp(-2j * np.pi * hz * late_s)
+                return np.asarray(turned[:, None] * _transform(design, samples[first : first + design.n]))
+        return None
+
+
+def _transform(design: SegmentDesign, samples: Array) -> ComplexArray:
+    """Transform a segment of samples less their mean, shape (n, k)."""
+    return transform(design, samples - samples.mean(axis=0, dtype=np.float64))
