@@ -15,7 +15,7 @@ from .settings import DiagnosisSettings
 from .stepwise_selection import Diagnosis, diagnose
 from .story_forces import StoryLaw, story_laws
 from .trigger import Request, WatchSettings
-from .witness import compare_witnesses
+from .witness import compare_witnesses, contradictions
 from .witness_record import WitnessRecord, WitnessSensor
 from .wording import contradicted, csd_error_in_words, in_words
 
@@ -36,6 +36,7 @@ __all__ = [
     "compare_witnesses",
     "content",
     "contradicted",
+    "contradictions",
     "correct_clock_drifts",
     "csd_error_in_words",
     "ddi_effect",

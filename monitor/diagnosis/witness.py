@@ -389,3 +389,12 @@ def _kind(sensor: WitnessSensor) -> str:
     if sensor.quantity == "acceleration":
         return {"x": "a mode along x", "y": "a mode of the other direction", "z": "a vertical mode"}[sensor.axis]
     return {"x": "a mode that rocks across", "y": "a mode that rocks", "z": "a mode of torsion"}[sensor.axis]
+
+
+def contradictions(witnesses: Sequence[Witness]) -> str:
+    """State which witness contradicts the model, as a sentence to go on with; empty if none does."""
+    against = [witness.says for witness in witnesses if witness.verdict == "contradicts"]
+    if not against:
+        return ""
+    others = f" (and {len(against) - 1} more)" if len(against) > 1 else ""
+    return f" A sensor that entered no fit contradicts this: {against[0]}{others}."

@@ -25,6 +25,7 @@ from monitor.diagnosis import (
     add_observed_causes,
     compare_witnesses,
     content,
+    contradictions,
     correct_clock_drifts,
     ddi_effect,
     detectable_losses,
@@ -138,6 +139,7 @@ def diagnose_gathered(
         context, condition = posterior.context, posterior.conditions[0]
         compared = compare_witnesses(record, _witnesses(config), updated, extended, context, condition)
     plain |= {"witness": [witness.to_plain() for witness in compared]}
+    plain["says"] += contradictions(compared)
     plain = name_stories_in(plain, config.story_names)
     segments = confirmed.posterior.observed.segments
     return Finding(confirmed, gain, plain, segments, updated, extended, degc)

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.base import ACCELERATION, GROUND, ROTATION_RATE, SampleBlock
-from monitor.diagnosis.witness import Witness, compare_witnesses
+from monitor.diagnosis.witness import Witness, compare_witnesses, contradictions
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor
 from monitor.model import FORMS, Condition, Context, MatrixStructure, Model, ShearFrame, simulate
 from monitor.signals import FrontEnd, ProcessingSettings
@@ -89,6 +89,9 @@ def test_joints_that_turn_ten_times_less_contradict_what_is_named() -> None:
     (told,) = judge(shaken(0.1, 0.1), GYRO)
     assert told.verdict == "contradicts"
     assert told.modes[0].ratio == pytest.approx(0.1 * (told.modes[0].predicted or 0.0), rel=0.2)
+    said = contradictions([replace(told, verdict="agrees"), told, told])
+    assert said == f" A sensor that entered no fit contradicts this: {told.says} (and 1 more)."
+    assert contradictions([replace(told, verdict="agrees")]) == ""
 
 
 def test_noise_alone_cannot_say() -> None:
