@@ -1,13 +1,14 @@
 """Diagnosis of the Silverbox, a measured circuit that behaves as a mass on a hardening spring.
 
-    .venv/bin/python -m tests.measured.silverbox SNLS80mV.mat [--part multisine|arrow|all] [--cutoff 40 15] [--input]
+    .venv/bin/python -m tests.measured.silverbox SNLS80mV.mat [--part multisine|arrow|all] [--input] [--twin SEED]
 
 The user's own download of the data (nonlinearbenchmark.org) is read; it is no part of the repository.  The output voltage is
 taken for a displacement in m, differentiated twice in the frequency domain and stretched in time ten times, so that the
 circuit is a structure of 1 kg at 6.83 Hz.  Its forces end at 20 Hz (multisine) or fall from 18 Hz on (arrow).  Input and output
 together give k3 / k = 3.98 per square meter.  With ``--input`` the input voltage is the measured force, in N by the static
 compliance of the quietest samples; then the output of the arrow is predicted from its input and the structure file that
-``diagnose`` writes.
+``diagnose`` writes.  With ``--twin`` a simulation of that law, under random noise of the input's spectrum and level, takes the
+place of the measurement: what an estimate from these data can be at best.
 
 References
 ----------
@@ -23,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import resample_poly
 from threadpoolctl import threadpool_limits
 
@@ -43,6 +45,8 @@ RATIO = 3.98
 DRAWN_HZ = 6.8
 FINER = 16
 """Steps of the integration for a sample."""
+LEVEL_S = 20.0
+"""Of the moving average that tells the input's level."""
 QUIET = slice(4_000, 12_000)
 """Samples of the arrow at a low level."""
 
@@ -90,15 +94,26 @@ def acceleration(y: np.ndarray) -> np.ndarray:
     return np.fft.irfft(-(omega**2) * np.fft.rfft(y), n=y.size)
 
 
-def newton_per_volt(u: np.ndarray, y: np.ndarray) -> float:
-    """Fit 1 kg y'' + c y' + k y = a u to quiet samples below 10 Hz; return a."""
+def linear_fit(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
+    """Fit 1 kg y'' + c y' + k y = a u to quiet samples below 10 Hz; return a (N/V), k and c."""
     hz = np.fft.rfftfreq(y[QUIET].size, 1.0 / RATE_HZ)
     taper = np.hanning(y[QUIET].size)
     low = (hz > 1.0) & (hz < 10.0)
     forced, moved, pulled = (np.fft.rfft(taper * x[QUIET])[low] for x in (u, y, acceleration(y)))
     a = np.column_stack([forced, -moved, -2j * np.pi * hz[low] * moved])
     x, *_ = np.linalg.lstsq(np.concatenate([a.real, a.imag]), np.r_[pulled.real, pulled.imag], rcond=None)
-    return float(x[0])
+    a, k, c = map(float, x)
+    return a, k, c
+
+
+def surrogate(u: np.ndarray, seed: int) -> np.ndarray:
+    """Draw random noise with the spectrum and the level of the input over time, shape (n_samples,), V."""
+    n = round(LEVEL_S * RATE_HZ)
+    level = np.sqrt(np.maximum(uniform_filter1d(u**2, n), 1e-12))
+    density = uniform_filter1d(np.abs(np.fft.rfft(u / level)) ** 2, round(u.size / (10.0 * RATE_HZ)))
+    noise = np.fft.rfft(np.random.default_rng(seed).standard_normal(u.size))
+    shaped = np.fft.irfft(noise * np.sqrt(density), n=u.size)
+    return level * shaped / shaped.std()
 
 
 def predicted(force: np.ndarray, model: Model) -> np.ndarray:
@@ -108,6 +123,11 @@ def predicted(force: np.ndarray, model: Model) -> np.ndarray:
     k3 = sum(e.values().get("k3_n_per_m3", 0.0) for e in model.effects)
     c = 2.0 * float(model.modal_damping[0]) * np.sqrt(k * mass)
     c += sum(e.values().get("damping_n_s_per_m", 0.0) for e in model.effects)
+    return integrated(force, mass, c, k, k3)
+
+
+def integrated(force: np.ndarray, mass: float, c: float, k: float, k3: float) -> np.ndarray:
+    """Integrate the displacement of a mass on a cubic spring under a force, shape (n_samples,), m."""
     fine = resample_poly(force, FINER, 1)
     h, x, v = 1.0 / (FINER * RATE_HZ), 0.0, 0.0
     out = np.empty(fine.size)
@@ -125,9 +145,14 @@ def main() -> None:
     parser.add_argument("--part", choices=PARTS, default="multisine")
     parser.add_argument("--cutoff", type=float, nargs="+", default=[40.0, 15.0], help="[processing] cutoff_hz")
     parser.add_argument("--input", action="store_true", help="use the input as a measured force")
+    parser.add_argument("--twin", type=int, metavar="SEED", help="simulate the known law under a random input instead")
     options = parser.parse_args()
     u, y = voltages(options.file)
-    part, force = PARTS[options.part], newton_per_volt(u, y) * u
+    newton, k, c = linear_fit(u, y)
+    if options.twin is not None:
+        u = surrogate(u, options.twin)
+        y = integrated(newton * u, 1.0, c, k, RATIO * k)
+    part, force = PARTS[options.part], newton * u
     for cutoff_hz in options.cutoff:
         drawn = drawing(cutoff_hz, with_input=options.input)
         config = read_back(drawn)
