@@ -1,4 +1,5 @@
-from . import ground, stage
+from . import alarm, ground, stage
+from .alarm import EventAlarm
 from .event import Event, FloorMotion, Spectrum
 from .ground import GroundState
 from .review import FirstMode, Review, review_event
@@ -8,6 +9,7 @@ from .stage import EventState
 
 __all__ = [
     "Event",
+    "EventAlarm",
     "EventSettings",
     "EventState",
     "FirstMode",
@@ -17,6 +19,7 @@ __all__ = [
     "Review",
     "Site",
     "Spectrum",
+    "alarm",
     "ground",
     "review_event",
     "stage",

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.events.event import Event
+from monitor.events.limits import judge
 from monitor.events.motion import (
     floor_motion,
     instrumental_intensity,
@@ -22,7 +21,6 @@ from monitor.events.site import Site
 
 _UNRELATED = 1e-9
 """Share of a drift that a sensor must see to tell of it. [ratio; rounding]"""
-NO_LIMIT = "no limit exceeded"
 
 
 def describe(
@@ -150,25 +148,3 @@ def inertia_above(record: Record, site: Site) -> Array:
 def _drifts_by_inertia(record: Record, site: Site) -> Array:
     """Compute the largest drift of each story as the inertia of all floors above over its stiffness, shape (n,), m."""
     return np.asarray(np.abs(inertia_above(record, site)[record.strong]).max(axis=0) / site.stiffness_n_per_m)
-
-
-def judge(event: Event, site: Site) -> Event:
-    """Compare an event with the site's limits; the verdict is None where a limit cannot be judged."""
-    limits = site.settings.limits
-    words, exceeded, known, n_judged = list[str](), list[str](), True, 0
-    for limit in limits:
-        values, most, what = (
-            (event.drift_ratio, limit.drift_ratio, "drift ratio")
-            if limit.drift_ratio is not None
-            else (event.loss, limit.residual_loss, "lasting loss")
-        )
-        assert most is not None
-        judged = np.isfinite(values)
-        n_judged += bool(judged.all())
-        # A lasting loss is only known from the revision on; until then the drifts decide.
-        known = known and bool(judged.all() or (limit.residual_loss is not None and event.revision != 1))
-        for j in np.flatnonzero(judged & (np.nan_to_num(values) > most)):
-            words.append(limit.says)
-            exceeded.append(f"{limit.says} ({site.names[j]}: {what} {values[j]:.2g}, limit {most:.2g})")
-    verdict = words[0] if words else NO_LIMIT if known and n_judged else None
-    return replace(event, verdict=verdict, exceeded=tuple(exceeded))
