@@ -2,6 +2,7 @@ from . import alarm, ground, stage
 from .alarm import EventAlarm
 from .event import Event, FloorMotion, Spectrum
 from .ground import GroundState
+from .limits import compared
 from .review import FirstMode, Review, review_event
 from .settings import EventSettings, LimitTable
 from .site import Site
@@ -20,6 +21,7 @@ __all__ = [
     "Site",
     "Spectrum",
     "alarm",
+    "compared",
     "ground",
     "review_event",
     "stage",

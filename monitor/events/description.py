@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
+from monitor.events.early_loss import early_loss
 from monitor.events.event import Event
 from monitor.events.limits import judge
 from monitor.events.motion import (
@@ -50,6 +51,9 @@ def describe(
     after = np.full(site.modes_hz.size, np.nan)
     if revision is not None and len(record.floors) - strong.stop > rate_hz / site.lowest_hz:
         after = modal_frequencies(record.floors[strong.stop :, live], site.shapes[:, live], near_hz, rate_hz)
+    loss, loss_std, early = np.full(site.n_stories, np.nan), np.full(site.n_stories, np.nan), ""
+    if revision is not None:
+        loss, loss_std, early = early_loss(record, site, near_hz)
     relative = record.floors if record.ground is None else record.floors - record.ground[:, None] * site.rides
     return judge(
         Event(
@@ -70,10 +74,10 @@ def describe(
             before_hz=before_hz,
             during_hz=modal_frequencies(relative[strong][:, live], site.shapes[:, live], near_hz, rate_hz),
             after_hz=after,
-            loss=np.full(site.n_stories, np.nan),
-            loss_std=np.full(site.n_stories, np.nan),
+            loss=loss,
+            loss_std=loss_std,
             verdict=None,
-            note="; ".join(filter(None, (note, gone, limits))),
+            note="; ".join(filter(None, (note, gone, limits, early))),
         ),
         site,
     )

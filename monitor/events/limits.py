@@ -18,8 +18,8 @@ def exceedances(event: Event, site: Site) -> tuple[tuple[int, int], ...]:
     """List every limit exceeded, by its number in the site file, and the story, both from 0."""
     found = []
     for i, limit in enumerate(site.settings.limits):
-        values, most, _ = _compared(event, limit)
-        found += [(i, j) for j in np.flatnonzero(np.nan_to_num(values) > most).tolist()]
+        least, _, most, _ = compared(event, limit)
+        found += [(i, j) for j in np.flatnonzero(np.nan_to_num(least) > most).tolist()]
     return tuple(found)
 
 
@@ -27,9 +27,10 @@ def judge(event: Event, site: Site) -> Event:
     """Compare an event with the site's limits; the verdict is None where a limit cannot be judged."""
     limits, known, n_judged = site.settings.limits, True, 0
     for limit in limits:
-        judged = np.isfinite(_compared(event, limit)[0])
+        least, largest, most, _ = compared(event, limit)
+        judged = (least > most) | (largest <= most)  # neither where it is not known, or its interval holds the limit
         n_judged += bool(judged.all())
-        # A lasting loss is only known from the revision on; until then the drifts decide.
+        # A lasting loss is known to a few percent until the revision; where that decides nothing, the drifts decide.
         known = known and bool(judged.all() or (limit.residual_loss is not None and event.revision != 1))
     exceeded = exceedances(event, site)
     words = tuple(_words(event, limits[i], site.names[j], j) for i, j in exceeded)
@@ -39,13 +40,17 @@ def judge(event: Event, site: Site) -> Event:
 
 def _words(event: Event, limit: LimitTable, name: str, j: int) -> str:
     """Say which limit is exceeded in story `j`, from 0."""
-    values, most, what = _compared(event, limit)
-    return f"{limit.says} ({name}: {what} {values[j]:.2g}, limit {most:.2g})"
+    least, largest, most, what = compared(event, limit)
+    return f"{limit.says} ({name}: {what} {0.5 * (least[j] + largest[j]):.2g}, limit {most:.2g})"
 
 
-def _compared(event: Event, limit: LimitTable) -> tuple[Array, float, str]:
-    """Return the values of the stories that a limit is about, the limit, and the name of the quantity."""
+def compared(event: Event, limit: LimitTable) -> tuple[Array, Array, float, str]:
+    """Return the interval of what a limit is about in each story, both ends of shape (n,), the limit, and the quantity's name.
+
+    A drift is compared as it is, a lasting loss with its interval of two standard deviations.
+    """
     if limit.drift_ratio is not None:
-        return event.drift_ratio, limit.drift_ratio, "drift ratio"
+        return event.drift_ratio, event.drift_ratio, limit.drift_ratio, "drift ratio"
     assert limit.residual_loss is not None
-    return event.loss, limit.residual_loss, "lasting loss"
+    half = 2.0 * event.loss_std
+    return event.loss - half, event.loss + half, limit.residual_loss, "lasting loss"

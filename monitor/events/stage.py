@@ -343,6 +343,8 @@ def _joined(readings: tuple[AmbientReading, ...], new: AmbientReading, length_s:
 def _revised(item: Awaiting, site: Site) -> Event:
     """Tell the lasting loss of an event, by ambient motion after and before it."""
     loss, std, note = lasting_loss(item.before, item.after, site.n_stories)
+    if np.isnan(loss).all() and np.isfinite(item.event.loss).any():
+        loss, std, note = item.event.loss, item.event.loss_std, f"{note}: it is that of the final line"
     after = mean_frequencies(item.after, site.modes_hz.size)
     notes = "; ".join(filter(None, (item.event.note, note)))
     revised = replace(item.event, revision=1, after_hz=after, loss=loss, loss_std=std, note=notes)

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from monitor.core import Array
-from monitor.events import Event, FirstMode, LimitTable, Review, Spectrum
+from monitor.events import Event, FirstMode, LimitTable, Review, Spectrum, compared
 from monitor.publish.reports.charts import WIDTH, Axes
 from monitor.publish.results.event_lines import with_interval
 
@@ -94,17 +94,12 @@ def story_map(event: Event, names: Sequence[str], limits: Sequence[LimitTable]) 
 
 def _state(event: Event, j: int, limits: Sequence[LimitTable]) -> str:
     """Say how a story stands against the limits: beyond one, within all that can be judged, or unknown."""
-    pairs = [
-        (event.drift_ratio[j], limit.drift_ratio)
-        if limit.drift_ratio is not None
-        else (event.loss[j], limit.residual_loss)
-        for limit in limits
-    ]
-    known = [(value, most) for value, most in pairs if most is not None and np.isfinite(value)]
-    if any(value > most for value, most in known):
+    intervals = [compared(event, limit)[:3] for limit in limits]
+    if any(least[j] > most for least, _, most in intervals):
         return "beyond"
+    within = any(largest[j] <= most for _, largest, most in intervals)
     drifts_known = np.isfinite(event.drift_ratio[j]) or all(limit.drift_ratio is None for limit in limits)
-    return "within" if known and drifts_known else "unknown"
+    return "within" if within and drifts_known else "unknown"
 
 
 def drift_profile(event: Event, names: Sequence[str], heights_m: Array | None, limits: Sequence[float]) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from monitor.core import write_atomically
-from monitor.events import Event, FloorMotion, Review, Site
+from monitor.events import Event, FloorMotion, Review, Site, compared
 from monitor.publish.reports import event_charts as charts
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import utc
@@ -111,18 +111,15 @@ def _limits(page: EventPage) -> str:
         return title + (said or "<p>The limits are not in this folder: the event has no recording.</p>")
     rows = []
     for limit in page.site.settings.limits:
-        of_drift = limit.drift_ratio is not None
-        values, most = (
-            (page.event.drift_ratio, limit.drift_ratio) if of_drift else (page.event.loss, limit.residual_loss)
-        )
-        assert most is not None
-        known = np.isfinite(values)
+        low, high, most, _ = compared(page.event, limit)
         largest, where = _UNKNOWN, _UNKNOWN
-        if known.any():
-            j = int(np.nanargmax(values))
-            largest, where = f"{100 * values[j]:.3g} %", page.names[j]
-        outcome = "EXCEEDED" if (values[known] > most).any() else "not exceeded" if known.all() else "not judged"
-        what = "drift ratio" if of_drift else "lasting loss of stiffness"
+        if np.isfinite(low).any():
+            j = int(np.nanargmax(low))
+            middle, half = 50.0 * (high[j] + low[j]), 50.0 * (high[j] - low[j])
+            largest, where = f"{with_interval(middle, half)} %", page.names[j]
+        undecided = "the interval holds it" if np.isfinite(low).all() else "not judged"
+        outcome = "EXCEEDED" if (low > most).any() else "not exceeded" if (high <= most).all() else undecided
+        what = "drift ratio" if limit.drift_ratio is not None else "lasting loss of stiffness"
         rows.append((what, f"{100 * most:.3g} %", largest, where, outcome, limit.says))
     if not rows:
         return f"{title}<p>The site file states none ([[events.limits]]), so nothing is judged.</p>"
@@ -215,6 +212,11 @@ def _loss(page: EventPage) -> str:
         (name, _with_std(100 * loss, 100 * std)) for name, loss, std in zip(page.names, e.loss, e.loss_std, strict=True)
     ]
     note = "Stiffness of ambient motion after the event against that before it; with two standard deviations."
+    if e.revision != _REVISED:
+        note = (
+            "By the frequencies of the quiet motion just before the event and just after it, with two standard deviations; the "
+            "revision after ambient motion tells it far more closely."
+        )
     return f"{title}{table(['story', '#lost, %'], rows)}<p class='muted'>{note}</p>"
 
 
