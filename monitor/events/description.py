@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.events.early_loss import early_loss
 from monitor.events.event import Event
+from monitor.events.expansion import expanded_drifts
 from monitor.events.limits import judge
 from monitor.events.motion import (
     floor_motion,
@@ -88,7 +89,8 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
 
     Where sensors move as both floors of a story, their accelerations are integrated.  For a story that they do not enclose, as
     the lowest one without a measured ground, the drift follows from the inertia of the floors above over the story's stiffness,
-    if every floor has a sensor; its standard deviation is the most by which the same estimate is wrong in another story.
+    if every floor has a sensor; its standard deviation is the most by which the same estimate is wrong in another story.  Where a
+    floor has no sensor and the ground is measured, model and ground tell what the sensors do not (`expansion`).
     """
     live = ~record.still
     n, sensors = site.n_stories, site.sensors[live]
@@ -102,13 +104,22 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
     if told.any():
         drift[told], std[told], corner_hz = peak_drifts(accelerations, record.rate_hz, record.corners_hz, record.strong)
     note = f"drifts are dynamic, above {corner_hz:.2g} Hz: a permanent one is not seen"
-    if told.all() or np.linalg.matrix_rank(sensors) < sensors.shape[1]:
+    if told.all():
+        return drift, std, corner_hz, note
+    if record.ground is not None and live.all() and site.damping.size:
+        # The file states the sensors; one that fails in the motion may do so where the structure does.
+        by_model = expanded_drifts(record, site)
+        drift[~told], std[~told] = by_model[0][~told], by_model[1][~told]
+        gone = ", ".join(name for name, known in zip(site.names, told, strict=True) if not known)
         return (
             drift,
             std,
             corner_hz,
-            note if told.all() else f"{note}; without a sensor on every floor some are not known",
+            f"{note}; without a sensor on every floor the model and the ground tell those of {gone}",
         )
+    if np.linalg.matrix_rank(sensors) < sensors.shape[1]:
+        why = "without a sensor on every floor, or without a measured ground, some are not known"
+        return drift, std, corner_hz, f"{note}; {why}"
     by_inertia = _drifts_by_inertia(record, site)
     if not told.any():
         return drift, std, corner_hz, f"{note}; without a measured ground the drift of the one story is not known"

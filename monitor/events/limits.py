@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,12 +14,39 @@ from monitor.events.site import Site
 NO_LIMIT = "no limit exceeded"
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Compared:
+    """What a limit is compared with, in each story, shape (n,); NaN where it is not known."""
+
+    what: str
+    """Name of the quantity."""
+    limit: float
+    value: Array
+    least: Array
+    """Beyond the limit, it is exceeded: the drift itself, and the lower end of the loss's interval."""
+    largest: Array
+    """Within the limit, it is not exceeded: the upper end of the interval of two standard deviations."""
+
+
+def compared(event: Event, limit: LimitTable) -> Compared:
+    """Return what a limit is compared with."""
+    if limit.drift_ratio is not None:
+        shares = np.divide(
+            event.drift_std_m, event.drift_m, out=np.zeros_like(event.drift_m), where=event.drift_m > 0.0
+        )
+        largest = event.drift_ratio * (1.0 + 2.0 * shares)
+        return Compared("drift ratio", limit.drift_ratio, event.drift_ratio, event.drift_ratio, largest)
+    assert limit.residual_loss is not None
+    half = 2.0 * event.loss_std
+    return Compared("lasting loss", limit.residual_loss, event.loss, event.loss - half, event.loss + half)
+
+
 def exceedances(event: Event, site: Site) -> tuple[tuple[int, int], ...]:
     """List every limit exceeded, by its number in the site file, and the story, both from 0."""
     found = []
     for i, limit in enumerate(site.settings.limits):
-        least, _, most, _ = compared(event, limit)
-        found += [(i, j) for j in np.flatnonzero(np.nan_to_num(least) > most).tolist()]
+        c = compared(event, limit)
+        found += [(i, j) for j in np.flatnonzero(np.nan_to_num(c.least) > c.limit).tolist()]
     return tuple(found)
 
 
@@ -27,8 +54,8 @@ def judge(event: Event, site: Site) -> Event:
     """Compare an event with the site's limits; the verdict is None where a limit cannot be judged."""
     limits, known, n_judged = site.settings.limits, True, 0
     for limit in limits:
-        least, largest, most, _ = compared(event, limit)
-        judged = (least > most) | (largest <= most)  # neither where it is not known, or its interval holds the limit
+        c = compared(event, limit)
+        judged = (c.least > c.limit) | (c.largest <= c.limit)  # neither where it is not known, or its interval holds it
         n_judged += bool(judged.all())
         # A lasting loss is known to a few percent until the revision; where that decides nothing, the drifts decide.
         known = known and bool(judged.all() or (limit.residual_loss is not None and event.revision != 1))
@@ -40,17 +67,5 @@ def judge(event: Event, site: Site) -> Event:
 
 def _words(event: Event, limit: LimitTable, name: str, j: int) -> str:
     """Say which limit is exceeded in story `j`, from 0."""
-    least, largest, most, what = compared(event, limit)
-    return f"{limit.says} ({name}: {what} {0.5 * (least[j] + largest[j]):.2g}, limit {most:.2g})"
-
-
-def compared(event: Event, limit: LimitTable) -> tuple[Array, Array, float, str]:
-    """Return the interval of what a limit is about in each story, both ends of shape (n,), the limit, and the quantity's name.
-
-    A drift is compared as it is, a lasting loss with its interval of two standard deviations.
-    """
-    if limit.drift_ratio is not None:
-        return event.drift_ratio, event.drift_ratio, limit.drift_ratio, "drift ratio"
-    assert limit.residual_loss is not None
-    half = 2.0 * event.loss_std
-    return event.loss - half, event.loss + half, limit.residual_loss, "lasting loss"
+    c = compared(event, limit)
+    return f"{limit.says} ({name}: {c.what} {c.value[j]:.2g}, limit {c.limit:.2g})"

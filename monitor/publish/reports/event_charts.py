@@ -94,12 +94,12 @@ def story_map(event: Event, names: Sequence[str], limits: Sequence[LimitTable]) 
 
 def _state(event: Event, j: int, limits: Sequence[LimitTable]) -> str:
     """Say how a story stands against the limits: beyond one, within all that can be judged, or unknown."""
-    intervals = [compared(event, limit)[:3] for limit in limits]
-    if any(least[j] > most for least, _, most in intervals):
+    compare = [compared(event, limit) for limit in limits]
+    if any(c.least[j] > c.limit for c in compare):
         return "beyond"
-    within = any(largest[j] <= most for _, largest, most in intervals)
-    drifts_known = np.isfinite(event.drift_ratio[j]) or all(limit.drift_ratio is None for limit in limits)
-    return "within" if within and drifts_known else "unknown"
+    within = any(c.largest[j] <= c.limit for c in compare)
+    of_drift = (c for c, limit in zip(compare, limits, strict=True) if limit.drift_ratio is not None)
+    return "within" if within and all(c.largest[j] <= c.limit for c in of_drift) else "unknown"
 
 
 def drift_profile(event: Event, names: Sequence[str], heights_m: Array | None, limits: Sequence[float]) -> str:

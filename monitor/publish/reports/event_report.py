@@ -111,16 +111,16 @@ def _limits(page: EventPage) -> str:
         return title + (said or "<p>The limits are not in this folder: the event has no recording.</p>")
     rows = []
     for limit in page.site.settings.limits:
-        low, high, most, _ = compared(page.event, limit)
+        c = compared(page.event, limit)
         largest, where = _UNKNOWN, _UNKNOWN
-        if np.isfinite(low).any():
-            j = int(np.nanargmax(low))
-            middle, half = 50.0 * (high[j] + low[j]), 50.0 * (high[j] - low[j])
-            largest, where = f"{with_interval(middle, half)} %", page.names[j]
-        undecided = "the interval holds it" if np.isfinite(low).all() else "not judged"
-        outcome = "EXCEEDED" if (low > most).any() else "not exceeded" if (high <= most).all() else undecided
+        if np.isfinite(c.value).any():
+            j = int(np.nanargmax(c.largest))
+            largest, where = f"{with_interval(100 * c.value[j], 100 * (c.largest[j] - c.value[j]))} %", page.names[j]
+        undecided = "the interval holds it" if np.isfinite(c.value).all() else "not judged"
+        exceeded, within = (c.least > c.limit).any(), (c.largest <= c.limit).all()
+        outcome = "EXCEEDED" if exceeded else "not exceeded" if within else undecided
         what = "drift ratio" if limit.drift_ratio is not None else "lasting loss of stiffness"
-        rows.append((what, f"{100 * most:.3g} %", largest, where, outcome, limit.says))
+        rows.append((what, f"{100 * c.limit:.3g} %", largest, where, outcome, limit.says))
     if not rows:
         return f"{title}<p>The site file states none ([[events.limits]]), so nothing is judged.</p>"
     head = ["quantity", "#limit", "#largest", "where", "outcome", "beyond it"]
