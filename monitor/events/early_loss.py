@@ -61,7 +61,7 @@ def early_loss(record: Record, site: Site, near_hz: Array) -> tuple[Array, Array
         return (
             nothing,
             nothing,
-            f"the motion beside it shows {told.sum()} modes, too few to tell a loss of {n} stories yet",
+            f"the motion beside it shows {told.sum()} of the modes, too few to tell a loss of {n} stories yet",
         )
     return *_losses(ratio[told], variance[told], told, site), ""
 

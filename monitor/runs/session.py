@@ -92,6 +92,8 @@ class Session:
         self._model_hz = config.model().modes().frequencies_hz.tolist() if config.has_model else []
         self._baseline, self._whole = baseline, whole
         self._assessment: Assessment | None = None
+        self.events = 0
+        """Number of times that something was told of an event."""
         self.stated: dict[int, WindowFacts] = {}
         """What an earlier run wrote of windows that are still to come again, by their indices; the summary counts it."""
 
@@ -290,6 +292,7 @@ class Session:
             for publisher in self._publishers:
                 publisher.health(result)
         elif isinstance(result, Event):
+            self.events += 1
             recording = None if self._recordings is None else self._recordings.save(result, self._about)
             if self._recordings is not None and recording is None and result.revision is not None:
                 full = "its samples are not kept: [events] keep_gb is full"
