@@ -77,7 +77,7 @@ def replay(
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Any]:
-    """Run recordings through the pipeline, write `RESULT_FILES` and return the content of summary.json.
+    """Run recordings through the pipeline, write `RESULT_FILES` and return the content of summary.json, and the events.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def replay(
     session = Session(config, baseline, publishers, files, out / "findings", whole=True, recordings=recordings)
     try:
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress, event_suffices=True)
-        content = session.content(factor) | {"events": list(written.told.values())}
+        content = session.content(factor)
         written.close(content, session.online_diagnosis.findings)
         if view is not None:
             view.close(timeout_s=120.0)
@@ -124,7 +124,7 @@ def replay(
     finally:
         session.online_diagnosis.close()
     _warn_of_losses(session, view, out, on_warning)
-    return content
+    return content | {"events": list(written.told.values())}
 
 
 def with_first_block_read(source: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
