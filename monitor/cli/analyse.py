@@ -49,7 +49,8 @@ def replay(
     )
     summary_text = replay_text(summary)
     look = f"; look at them with: shm-monitor view {out}" if (out / "live.rrd").exists() else ""
-    text = f"{summary_text}\nresults in {out}{look}"
+    page = f"\npage of the last event: shm-monitor report {out} --event last" if summary["events"] else ""
+    text = f"{summary_text}\nresults in {out}{look}{page}"
     say(text, {**summary, "out": str(out)}, as_json)
 
 

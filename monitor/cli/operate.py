@@ -45,8 +45,13 @@ def status(
 
 def ack(
     file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file of the running daemon.")],
-    story: Annotated[int, typer.Option(min=0, metavar="N", help="Story; 0: the structure as a whole.")],
     who: Annotated[str, typer.Option(metavar="NAME", help="Name of who decides; recorded in the ledger.")],
+    story: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Story; 0: the structure as a whole.", show_default=False)
+    ] = None,
+    event: Annotated[
+        str | None, typer.Option(metavar="ID", help="Event that exceeded a limit, in place of a story.")
+    ] = None,
     note: Annotated[str, typer.Option(help="Reason; shelving needs one.")] = "",
     shelve: Annotated[
         float | None, typer.Option(min=0.0, max=720.0, metavar="HOURS", help="Do not announce the alarm for this time.")
@@ -57,7 +62,7 @@ def ack(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Acknowledge the alarm of a story, or shelve or reset it.
+    """Acknowledge the alarm of a story or event, shelve or reset it.
 
     The request goes over Zenoh if the site file has [output.zenoh] and the daemon answers there.  Otherwise it goes through
     the daemon's folder, to which the user needs write access.
@@ -70,12 +75,21 @@ def ack(
 
     settings = configuration.load(file)
     stories = len(settings.story_names)
-    if settings.has_model and story > stories:
+    if (story is None) == (event is None):
+        raise WrongUsageError("give --story N or --event ID, as 'status' lists them")
+    if settings.has_model and story is not None and story > stories:
         raise WrongUsageError(f"--story {story}: {file} has {stories}, and 0 for the whole")
     if sum((shelve is not None, unshelve, reset)) > 1:
         raise WrongUsageError("--shelve, --unshelve and --reset exclude each other")
     action = "shelve" if shelve is not None else "unshelve" if unshelve else "reset" if reset else "acknowledge"
-    fields = {"action": action, "story": story, "who": who, "note": note, "seconds": 3600.0 * (shelve or 0.0)}
+    fields = {
+        "action": action,
+        "story": story,
+        "event": event,
+        "who": who,
+        "note": note,
+        "seconds": 3600.0 * (shelve or 0.0),
+    }
     try:
         request = Request.model_validate(fields)
     except ValidationError as error:

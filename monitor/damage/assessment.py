@@ -382,6 +382,7 @@ def assess(
     findings: Sequence[Mapping[str, Any]] = (),
     *,
     standing: Mapping[int, Level] | None = None,
+    exceeded: Sequence[str] = (),
     whole: bool = False,
 ) -> Assessment:
     """Decide the state.
@@ -396,6 +397,8 @@ def assess(
         Results of diagnoses: `verdict`, `says`, `causes`, `alternatives`, `ddi_effect`, `from_ns`, `t_ns`.
     standing : mapping, optional
         Announced level by story before the first window: of alarms that a restart kept.
+    exceeded : sequence of str
+        What alarms of events say that nobody has acknowledged, oldest first.
     whole : bool
         State of a whole recording, alarms that ended and misfits that passed included, in place of the present state.
 
@@ -407,6 +410,7 @@ def assess(
     facts = [
         *_alarms(course, known, findings, whole),
         *_kept(course, known, standing or {}),
+        *((State.ALARM, _sentence(says)) for says in reversed(exceeded)),
         *_doubts(course, known, findings, whole),
         *_silent(course, known),
         *_alike(course, known),

@@ -1,6 +1,8 @@
-from . import ground, stage
+from . import alarm, ground, stage
+from .alarm import EventAlarm
 from .event import Event, FloorMotion, Spectrum
 from .ground import GroundState
+from .limits import compared
 from .review import FirstMode, Review, review_event
 from .settings import EventSettings, LimitTable
 from .site import Site
@@ -8,6 +10,7 @@ from .stage import EventState
 
 __all__ = [
     "Event",
+    "EventAlarm",
     "EventSettings",
     "EventState",
     "FirstMode",
@@ -17,6 +20,8 @@ __all__ = [
     "Review",
     "Site",
     "Spectrum",
+    "alarm",
+    "compared",
     "ground",
     "review_event",
     "stage",

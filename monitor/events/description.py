@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
+from monitor.events.early_loss import early_loss
 from monitor.events.event import Event
+from monitor.events.expansion import expanded_drifts
+from monitor.events.limits import judge
 from monitor.events.motion import (
     floor_motion,
     instrumental_intensity,
@@ -22,7 +23,6 @@ from monitor.events.site import Site
 
 _UNRELATED = 1e-9
 """Share of a drift that a sensor must see to tell of it. [ratio; rounding]"""
-NO_LIMIT = "no limit exceeded"
 
 
 def describe(
@@ -52,6 +52,9 @@ def describe(
     after = np.full(site.modes_hz.size, np.nan)
     if revision is not None and len(record.floors) - strong.stop > rate_hz / site.lowest_hz:
         after = modal_frequencies(record.floors[strong.stop :, live], site.shapes[:, live], near_hz, rate_hz)
+    loss, loss_std, early = np.full(site.n_stories, np.nan), np.full(site.n_stories, np.nan), ""
+    if revision is not None:
+        loss, loss_std, early = early_loss(record, site, near_hz)
     relative = record.floors if record.ground is None else record.floors - record.ground[:, None] * site.rides
     return judge(
         Event(
@@ -72,10 +75,10 @@ def describe(
             before_hz=before_hz,
             during_hz=modal_frequencies(relative[strong][:, live], site.shapes[:, live], near_hz, rate_hz),
             after_hz=after,
-            loss=np.full(site.n_stories, np.nan),
-            loss_std=np.full(site.n_stories, np.nan),
+            loss=loss,
+            loss_std=loss_std,
             verdict=None,
-            note="; ".join(filter(None, (note, gone, limits))),
+            note="; ".join(filter(None, (note, gone, limits, early))),
         ),
         site,
     )
@@ -86,7 +89,8 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
 
     Where sensors move as both floors of a story, their accelerations are integrated.  For a story that they do not enclose, as
     the lowest one without a measured ground, the drift follows from the inertia of the floors above over the story's stiffness,
-    if every floor has a sensor; its standard deviation is the most by which the same estimate is wrong in another story.
+    if every floor has a sensor; its standard deviation is the most by which the same estimate is wrong in another story.  Where a
+    floor has no sensor and the ground is measured, model and ground tell what the sensors do not (`expansion`).
     """
     live = ~record.still
     n, sensors = site.n_stories, site.sensors[live]
@@ -100,13 +104,22 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
     if told.any():
         drift[told], std[told], corner_hz = peak_drifts(accelerations, record.rate_hz, record.corners_hz, record.strong)
     note = f"drifts are dynamic, above {corner_hz:.2g} Hz: a permanent one is not seen"
-    if told.all() or np.linalg.matrix_rank(sensors) < sensors.shape[1]:
+    if told.all():
+        return drift, std, corner_hz, note
+    if record.ground is not None and live.all() and site.damping.size:
+        # The file states the sensors; one that fails in the motion may do so where the structure does.
+        by_model = expanded_drifts(record, site)
+        drift[~told], std[~told] = by_model[0][~told], by_model[1][~told]
+        gone = ", ".join(name for name, known in zip(site.names, told, strict=True) if not known)
         return (
             drift,
             std,
             corner_hz,
-            note if told.all() else f"{note}; without a sensor on every floor some are not known",
+            f"{note}; without a sensor on every floor the model and the ground tell those of {gone}",
         )
+    if np.linalg.matrix_rank(sensors) < sensors.shape[1]:
+        why = "without a sensor on every floor, or without a measured ground, some are not known"
+        return drift, std, corner_hz, f"{note}; {why}"
     by_inertia = _drifts_by_inertia(record, site)
     if not told.any():
         return drift, std, corner_hz, f"{note}; without a measured ground the drift of the one story is not known"
@@ -150,25 +163,3 @@ def inertia_above(record: Record, site: Site) -> Array:
 def _drifts_by_inertia(record: Record, site: Site) -> Array:
     """Compute the largest drift of each story as the inertia of all floors above over its stiffness, shape (n,), m."""
     return np.asarray(np.abs(inertia_above(record, site)[record.strong]).max(axis=0) / site.stiffness_n_per_m)
-
-
-def judge(event: Event, site: Site) -> Event:
-    """Compare an event with the site's limits; the verdict is None where a limit cannot be judged."""
-    limits = site.settings.limits
-    words, exceeded, known, n_judged = list[str](), list[str](), True, 0
-    for limit in limits:
-        values, most, what = (
-            (event.drift_ratio, limit.drift_ratio, "drift ratio")
-            if limit.drift_ratio is not None
-            else (event.loss, limit.residual_loss, "lasting loss")
-        )
-        assert most is not None
-        judged = np.isfinite(values)
-        n_judged += bool(judged.all())
-        # A lasting loss is only known from the revision on; until then the drifts decide.
-        known = known and bool(judged.all() or (limit.residual_loss is not None and event.revision != 1))
-        for j in np.flatnonzero(judged & (np.nan_to_num(values) > most)):
-            words.append(limit.says)
-            exceeded.append(f"{limit.says} ({site.names[j]}: {what} {values[j]:.2g}, limit {most:.2g})")
-    verdict = words[0] if words else NO_LIMIT if known and n_judged else None
-    return replace(event, verdict=verdict, exceeded=tuple(exceeded))

@@ -28,7 +28,7 @@ _PERIODS = 50
 """Periods of a response spectrum. [count; cost]"""
 _PERIOD_RANGE_S = (0.05, 4.0)
 """Shortest and longest period of a response spectrum. [s; two samples at the usual cutoff of 40 Hz, and tall frames]"""
-_SEARCHED = (0.6, 1.25)
+SEARCHED = (0.6, 1.25)
 """Range about a mode's frequency in which its frequency is looked for. [ratio; a frequency falls by a quarter where half of the
 stiffness gives]"""
 _PADDING = 8
@@ -254,7 +254,7 @@ def modal_frequencies(motion: Array, shapes: Array, near_hz: Array, rate_hz: flo
     hz = np.fft.rfftfreq(_PADDING * n, 1.0 / rate_hz)
     found = np.full(near_hz.size, np.nan)
     for k in range(len(used)):
-        inside = np.flatnonzero((hz > _SEARCHED[0] * near_hz[k]) & (hz < _SEARCHED[1] * near_hz[k]))
+        inside = np.flatnonzero((hz > SEARCHED[0] * near_hz[k]) & (hz < SEARCHED[1] * near_hz[k]))
         if inside.size < 3:
             continue
         own = power[inside, k]

@@ -49,7 +49,7 @@ class EventSettings(Settings):
     revision_s: float = Field(default=3600.0, ge=60)
     """Length of ambient motion before, and after, from which the lasting loss is told."""
     keep_gb: float = Field(default=1.0, gt=0)
-    """Greatest disk space of the events' own recordings, in GiB; beyond it new ones keep their line alone."""
+    """Greatest disk space of the events' own recordings and pages, in GiB; beyond it new events have no recording."""
     limits: tuple[LimitTable, ...] = ()
     """Limits of the site; there is no default."""
 

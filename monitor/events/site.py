@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,10 @@ class Site:
     settings: EventSettings
     lowest_hz: float
     """Lowest frequency of the structure."""
+    floor_shapes: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Shape (N, m): the model's shapes at the floors, with unit modal mass; empty where they are not known."""
+    damping: Array = field(default_factory=lambda: np.zeros(0))
+    """Shape (m,): the model's damping ratios."""
 
     @classmethod
     def of(cls, site: InstrumentedModel, names: tuple[str, ...], window_s: float, settings: EventSettings) -> Site:
@@ -60,6 +64,8 @@ class Site:
             window_s,
             settings,
             float(modes.frequencies_hz[0]),
+            modes.shapes,
+            site.model.damping_ratios(),
         )
 
     def content(self) -> dict[str, Any]:
@@ -76,6 +82,9 @@ class Site:
         known = dict(content)
         for name in ("sensors", "drifts", "stiffness_n_per_m", "masses_kg", "heights_m", "modes_hz", "shapes"):
             known[name] = None if known[name] is None else np.array(known[name], dtype=float)
+        for name in ("floor_shapes", "damping"):
+            if name in known:  # recordings of earlier versions have none
+                known[name] = np.array(known[name], dtype=float)
         names = {name: tuple(known[name]) for name in ("channels", "names")}
         return cls(**known | names | {"settings": EventSettings.model_validate(known["settings"])})
 

@@ -13,10 +13,12 @@ from datetime import UTC, datetime
 import numpy as np
 
 from monitor.core import Array, Skipped, WindowResult
-from monitor.events import recognition
+from monitor.events import alarm, recognition
+from monitor.events.alarm import EventAlarm
 from monitor.events.ambient import AmbientReading, lasting_loss, mean_frequencies, reading_of
 from monitor.events.event import Event
 from monitor.events.ground import Ground
+from monitor.events.limits import exceedances, judge
 from monitor.events.settings import EventSettings
 from monitor.events.site import Site
 from monitor.signals import Conditioner
@@ -84,6 +86,8 @@ class EventState:
     recent: tuple[AmbientReading, ...] = ()
     """What the latest windows told, which do not overlap."""
     awaiting: tuple[Awaiting, ...] = ()
+    alarms: tuple[EventAlarm, ...] = ()
+    """Alarms of events that exceeded a limit, oldest first."""
 
     @property
     def rate_hz(self) -> float:
@@ -144,12 +148,13 @@ def step(
     while state.judged + n <= end:
         state, new = _judge_step(state, conditioner.cutoff_hz, site)
         told += new
-    return _forget(state, site), told
+    return _forget(_with_alarms(state, told, site), site), told
 
 
 def finish(state: EventState, site: Site) -> tuple[EventState, list[Event]]:
     """Tell what is known of events whose final line is still to come where the data end."""
-    return _break_off(state, site, "the data end in it")
+    state, told = _break_off(state, site, "the data end in it")
+    return _with_alarms(state, told, site), told
 
 
 def window(state: EventState, result: WindowResult, site: Site) -> tuple[EventState, list[Event]]:
@@ -166,7 +171,7 @@ def window(state: EventState, result: WindowResult, site: Site) -> tuple[EventSt
             told.append(_revised(item, site))
         else:
             awaiting.append(item)
-    return replace(state, awaiting=tuple(awaiting)), told
+    return _with_alarms(replace(state, awaiting=tuple(awaiting)), told, site), told
 
 
 def skipped(state: EventState, end_ns: int, window_s: float, settings: EventSettings) -> Skipped | None:
@@ -179,6 +184,14 @@ def skipped(state: EventState, end_ns: int, window_s: float, settings: EventSett
     return (
         Skipped("strong motion, which is told as an event or was a short disturbance of all floors") if held else None
     )
+
+
+def _with_alarms(state: EventState, told: list[Event], site: Site) -> EventState:
+    """Raise the alarms of what is told of events."""
+    alarms = state.alarms
+    for event in told:
+        alarms = alarm.follow(alarms, event, exceedances(event, site))
+    return replace(state, alarms=alarms) if told else state
 
 
 def _begin(state: EventState, first: int, conditioner: Conditioner, n_channels: int) -> EventState:
@@ -329,9 +342,9 @@ def _joined(readings: tuple[AmbientReading, ...], new: AmbientReading, length_s:
 
 def _revised(item: Awaiting, site: Site) -> Event:
     """Tell the lasting loss of an event, by ambient motion after and before it."""
-    from monitor.events.description import judge
-
     loss, std, note = lasting_loss(item.before, item.after, site.n_stories)
+    if np.isnan(loss).all() and np.isfinite(item.event.loss).any():
+        loss, std, note = item.event.loss, item.event.loss_std, f"{note}: it is that of the final line"
     after = mean_frequencies(item.after, site.modes_hz.size)
     notes = "; ".join(filter(None, (item.event.note, note)))
     revised = replace(item.event, revision=1, after_hz=after, loss=loss, loss_std=std, note=notes)

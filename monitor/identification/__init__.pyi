@@ -1,7 +1,7 @@
 from . import stabilization, tracking
 from .free_decay import with_decay_deviations
 from .model_free import identify_modes
-from .single_modes import SingleMode, fit_single_modes
+from .single_modes import SingleMode, fit_bell, fit_single_modes
 from .ssi import SsiSettings
 from .stabilization import SelectionSettings, expected_modes, identify
 from .sub_array import SubArray
@@ -16,6 +16,7 @@ __all__ = [
     "SubArray",
     "TrackSettings",
     "expected_modes",
+    "fit_bell",
     "fit_single_modes",
     "identify",
     "identify_modes",

@@ -105,7 +105,7 @@ def _fit(
         return Skipped("no bell of one shape about the peak")
     power = np.abs(part[:, begin : end + 1] @ vector.conj()) ** 2
     bins = np.arange(low + begin, low + end + 1, dtype=float)
-    fitted = _scoring(power.mean(axis=0), bins, bin_hz, np.log([hz, damping]), len(power))
+    fitted = fit_bell(power.mean(axis=0), bins, bin_hz, np.log([hz, damping]), len(power))
     if fitted is None:
         return Skipped("the fit of the peak does not converge")
     (ln_f, ln_damping), (f_std, damping_std) = fitted
@@ -113,8 +113,21 @@ def _fit(
     return SingleMode(f, f * f_std, d, d * damping_std, float(macs.max()))
 
 
-def _scoring(power: Array, bins: Array, bin_hz: float, start: Array, n_segments: int) -> tuple[Array, Array] | None:
-    """Fit ln f, ln damping, ln of the bell's size and ln noise to a spectrum, shape (k,), by Fisher scoring.
+def fit_bell(power: Array, bins: Array, bin_hz: float, start: Array, n_segments: int) -> tuple[Array, Array] | None:
+    """Fit ln f, ln damping, ln of the bell's size and ln noise to a spectrum by Fisher scoring.
+
+    Parameters
+    ----------
+    power : ndarray, shape (k,)
+        Mean power of half-overlapping segments with a Hann taper, in any unit.
+    bins : ndarray, shape (k,)
+        Numbers of the bins.
+    bin_hz : float
+        Spacing of the bins.
+    start : ndarray, shape (2,)
+        Logarithms of frequency, in Hz, and damping ratio from which the search begins.
+    n_segments : int
+        Number of segments.
 
     Returns
     -------

@@ -55,7 +55,7 @@ class EventRecordings:
         self._out, self._settings, self._run = out, settings, run
         self.failed: str | None = None
         self._blocks: deque[SampleBlock] = deque()
-        self._bytes = sum(path.stat().st_size for path in (out / FOLDER).glob("*.mcap"))
+        self._bytes = _used(out / FOLDER)
         self._refused: set[str] = set()
 
     @property
@@ -103,8 +103,13 @@ class EventRecordings:
             with McapWriter(path, {ABOUT: about}) as file:
                 for block in sorted(blocks, key=lambda b: b.t_ns):
                     file.write(block)
-            self._bytes += path.stat().st_size
+            self._bytes = _used(path.parent)
             self.failed = None
         except OSError as error:
             self.failed = f"{path}: {error.strerror}"
             _log.error("events: %s cannot be written: %s", path, error.strerror)
+
+
+def _used(folder: Path) -> int:
+    """Return the size of the recordings and the pages in a folder, bytes; a page counts from the next recording on."""
+    return sum(path.stat().st_size for path in folder.glob("*") if path.suffix in (".mcap", ".html"))

@@ -14,7 +14,7 @@ from monitor.config import Configuration
 from monitor.core import MissingInputError, WindowResult, demand_place, write_atomically
 from monitor.damage import AnyBaseline
 from monitor.events import Event
-from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, RerunPublisher, to_json
+from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, RerunPublisher, event_text, to_json
 from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, duration_s, push_block, read_blocks
 from monitor.runs.session import Session
@@ -36,6 +36,8 @@ class _ResultFiles(Publisher):
         self._lines = LinesFile(out / "results.jsonl")
         self._events = LinesFile(out / EVENTS)
         self._results = McapWriter(out / "results.mcap")
+        self.told: dict[str, dict[str, str]] = {}
+        """What was told last of each event, by its id."""
 
     def window(self, result: WindowResult, line: str) -> None:
         self._lines.write(line)
@@ -44,6 +46,7 @@ class _ResultFiles(Publisher):
     def event(self, event: Event, line: str) -> None:
         if event.revision is not None:
             self._events.write(line)
+            self.told[event.id] = {"id": event.id, "says": event_text(event)}
 
     def close(self, summary: dict[str, Any], findings: Iterable[dict[str, Any]]) -> None:
         try:
@@ -74,7 +77,7 @@ def replay(
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Any]:
-    """Run recordings through the pipeline, write `RESULT_FILES` and return the content of summary.json.
+    """Run recordings through the pipeline, write `RESULT_FILES` and return the content of summary.json, and the events.
 
     Parameters
     ----------
@@ -96,7 +99,7 @@ def replay(
     Raises
     ------
     MissingInputError, BadInputError
-        If the recordings are too short for one window, lack channels, or cannot be read.
+        If the recordings are too short for one window and hold no event, lack channels, or cannot be read.
     """
     pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
     source = with_first_block_read(
@@ -108,7 +111,7 @@ def replay(
     publishers = (written,) if view is None else (written, view)
     session = Session(config, baseline, publishers, files, out / "findings", whole=True, recordings=recordings)
     try:
-        factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress)
+        factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress, event_suffices=True)
         content = session.content(factor)
         written.close(content, session.online_diagnosis.findings)
         if view is not None:
@@ -121,7 +124,7 @@ def replay(
     finally:
         session.online_diagnosis.close()
     _warn_of_losses(session, view, out, on_warning)
-    return content
+    return content | {"events": list(written.told.values())}
 
 
 def with_first_block_read(source: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
@@ -136,6 +139,7 @@ def pass_through(
     *,
     speed: float | None = None,
     on_progress: OnProgress = lambda _: None,
+    event_suffices: bool = False,
 ) -> float:
     """Push all blocks through a session and wait for the findings; return the real-time factor.
 
@@ -149,6 +153,8 @@ def pass_through(
         Recordings of the blocks, for messages.
     speed : float, optional
         Speed as a multiple of real time; as fast as possible by default.
+    event_suffices : bool
+        Whether recordings shorter than a window are welcome where they hold an event, as those of earthquakes do.
 
     Returns
     -------
@@ -158,7 +164,7 @@ def pass_through(
     Raises
     ------
     BadInputError
-        If the recordings are too short for one window, or the pipeline refuses them.
+        If the recordings are too short for one window and no event suffices, or the pipeline refuses them.
     """
     progress, started = Progress(on_progress), time.monotonic()
     for block in source:
@@ -166,9 +172,10 @@ def pass_through(
         if speed is not None:
             _sleep_until_due(started, duration_s(progress.first, block) / speed)
         push_block(session, block, paths)
-    progress.require_window(session.pipeline, session.windows, paths)
     factor = duration_s(progress.first, progress.last) / max(time.monotonic() - started, 1e-9)
     session.finish()
+    if not (event_suffices and session.events):
+        progress.require_window(session.pipeline, session.windows, paths)
     return factor
 
 

@@ -30,7 +30,7 @@ from monitor.damage import (
     learned_ranges,
     modal_parts,
 )
-from monitor.events import Event
+from monitor.events import Event, EventAlarm
 from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish import Publisher, Quality, Summary, event_line, to_json, window_line
 from monitor.runs.event_recordings import EventRecordings
@@ -92,6 +92,8 @@ class Session:
         self._model_hz = config.model().modes().frequencies_hz.tolist() if config.has_model else []
         self._baseline, self._whole = baseline, whole
         self._assessment: Assessment | None = None
+        self.events = 0
+        """Number of times that something was told of an event."""
         self.stated: dict[int, WindowFacts] = {}
         """What an earlier run wrote of windows that are still to come again, by their indices; the summary counts it."""
 
@@ -190,6 +192,11 @@ class Session:
         state = self.pipeline.state
         self.pipeline.state = replace(state, alarm=change(state.alarm))
 
+    def alter_events(self, change: Callable[[tuple[EventAlarm, ...]], tuple[EventAlarm, ...]]) -> None:
+        """Apply an operator's request to the alarms of events (`monitor.events.alarm`: acknowledge)."""
+        state = self.pipeline.state
+        self.pipeline.state = replace(state, events=replace(state.events, alarms=change(state.events.alarms)))
+
     def reconfigure(self, config: Configuration) -> None:
         """Continue with other thresholds; the rest of the configuration must be equal (`monitor.service.reload`)."""
         self.config = self.pipeline.config = config
@@ -217,6 +224,10 @@ class Session:
                 name: learned._asdict()
                 for name, learned in learned_ranges(None if self._baseline is None else self._baseline.law).items()
             },
+            "event_alarms": [
+                {"id": a.id, "condition": a.condition.value, "exceeded": list(a.exceeded), "by": a.acknowledged_by}
+                for a in self.pipeline.state.events.alarms
+            ],
             "findings": [{key: f.get(key) for key in FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),
@@ -225,7 +236,10 @@ class Session:
     def _assess(self, whole: bool) -> Assessment:
         _, present = hold(self.pipeline.state.alarm, 0)
         findings = self.online_diagnosis.findings
-        return assess(self._summary.course, self._known, findings, standing=present.active, whole=whole)
+        exceeded = [a.says for a in self.pipeline.state.events.alarms if a.unacknowledged]
+        return assess(
+            self._summary.course, self._known, findings, standing=present.active, exceeded=exceeded, whole=whole
+        )
 
     @cached_property
     def _about(self) -> dict[str, str]:
@@ -278,11 +292,13 @@ class Session:
             for publisher in self._publishers:
                 publisher.health(result)
         elif isinstance(result, Event):
+            self.events += 1
             recording = None if self._recordings is None else self._recordings.save(result, self._about)
             if self._recordings is not None and recording is None and result.revision is not None:
                 full = "its samples are not kept: [events] keep_gb is full"
                 result = replace(result, note="; ".join(filter(None, (result.note, full))))
             line = to_json(event_line(result, recording))
+            self._publish_state()
             for publisher in self._publishers:
                 publisher.event(result, line)
         else:

@@ -132,7 +132,10 @@ class History:
 
     def request(self, t_ns: int, request: Mapping[str, Any]) -> None:
         """Store a request of an operator, applied at `t_ns` (UTC, ns since 1970)."""
-        self._put("requests", {"t_ns": t_ns, **request})
+        row = dict(request)
+        if (event := row.pop("event")) is not None:  # the table has a column for the story alone
+            row["note"] = f"event {event}: {row['note']}"
+        self._put("requests", {"t_ns": t_ns, **row})
 
     def finding(self, finding: Mapping[str, Any]) -> None:
         """Store the finding of a diagnosis."""

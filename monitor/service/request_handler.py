@@ -19,7 +19,7 @@ from monitor.core import MissingInputError, name_stories
 from monitor.runs import Session, ledger, ledger_chain
 from monitor.service.history import History
 from monitor.service.outlets import Outlet
-from monitor.service.requests import Answer, Request, apply
+from monitor.service.requests import Answer, Request, apply, apply_to_events
 from monitor.service.threads import Chores
 
 _log = logging.getLogger(__name__)
@@ -131,18 +131,20 @@ class RequestHandler:
 
     def _begin(self, session: Session) -> None:
         """Take the requests that wait, and have those that change something written into the ledger."""
-        state, items = session.pipeline.state.alarm, []
+        now, items = session.pipeline.state, []
+        state, events = now.alarm, now.events.alarms
         for outlet in self._outlets:
             for request in outlet.take_requests():
                 item = _Item(outlet, request)
                 items.append(item)
                 try:
-                    new = apply(state, request, session.now_ns)
+                    new, new_events = apply(state, request, session.now_ns), apply_to_events(events, request)
                 except ValueError as error:
                     _log.warning("request of %s: %s", request.who, error)
                     item.answer = Answer(str(error))
                 else:
-                    item.changes, state = new.stories != state.stories, new
+                    item.changes = new.stories != state.stories or new_events != events
+                    state, events = new, new_events
         batch = _Batch(items, self._clock())
         if any(item.changes for item in items):
             self._batch = batch
@@ -184,6 +186,7 @@ class RequestHandler:
                 item.answer = Answer(f"nothing was changed: {batch.error}", again=True)
             elif item.changes:
                 session.alter_alarm(partial(apply, request=item.request, t_ns=session.now_ns))
+                session.alter_events(partial(apply_to_events, request=item.request))
                 self._history.request(session.now_ns, item.request.model_dump())
 
     def _answer(self, batch: _Batch) -> None:
@@ -222,6 +225,6 @@ class _Batch:
 
 def _entry(request: Request, story_names: Sequence[str]) -> dict[str, Any]:
     """Build the ledger line of a request."""
-    place = name_stories(f"story {request.story}", story_names)
+    place = f"event {request.event}" if request.story is None else name_stories(f"story {request.story}", story_names)
     says = f"{request.action} alarm of {place}: {request.note}"
     return ledger.entry({"says": says, "causes": []}, {}, request.who)

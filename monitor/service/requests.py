@@ -11,6 +11,8 @@ from pydantic import Field, model_validator
 
 from monitor.core import Settings
 from monitor.damage import alarm
+from monitor.events import EventAlarm
+from monitor.events import alarm as event_alarm
 
 MAX_REQUEST_BYTES = 4096
 _BURST = 10.0
@@ -22,7 +24,7 @@ _MOST_ASKERS = 8
 
 
 class Request(Settings):
-    """Request of an operator on the alarm of one story; ``story`` 0 is the structure as a whole.
+    """Request of an operator on the alarm of one story, or of one event; ``story`` 0 is the structure as a whole.
 
     Text is for people: it is stored and shown, never interpreted.
 
@@ -34,7 +36,9 @@ class Request(Settings):
     """
 
     action: Literal["acknowledge", "reset", "shelve", "unshelve"]
-    story: int = Field(ge=0, le=1000)
+    story: int | None = Field(default=None, ge=0, le=1000)
+    event: str | None = Field(default=None, min_length=1, max_length=64, pattern=r"^[0-9A-Za-z.:_-]+$")
+    """Id of the event, in place of a story; its alarm can be acknowledged and nothing else."""
     who: str = Field(min_length=1, max_length=100)
     note: str = Field(default="", max_length=1000)
     """Reason; shelving needs one."""
@@ -43,6 +47,10 @@ class Request(Settings):
 
     @model_validator(mode="after")
     def _complete(self) -> Request:
+        if (self.story is None) == (self.event is None):
+            raise ValueError("a request names either a story or an event")
+        if self.event is not None and self.action != "acknowledge":
+            raise ValueError("the alarm of an event can only be acknowledged: the motion is over")
         if self.action == "shelve" and not (self.note.strip() and self.seconds > 0):
             raise ValueError("shelving needs a note and seconds")
         return self
@@ -112,6 +120,8 @@ def apply(state: alarm.AlarmState, request: Request, t_ns: int) -> alarm.AlarmSt
     ValueError
         There is no such story.
     """
+    if request.story is None:
+        return state
     match request.action:
         case "acknowledge":
             return alarm.acknowledge(state, request.story, request.who)
@@ -122,3 +132,14 @@ def apply(state: alarm.AlarmState, request: Request, t_ns: int) -> alarm.AlarmSt
         case "shelve":
             reason = f"{request.note} ({request.who})"
             return alarm.shelve(state, request.story, t_ns + round(request.seconds * 1e9), reason)
+
+
+def apply_to_events(alarms: tuple[EventAlarm, ...], request: Request) -> tuple[EventAlarm, ...]:
+    """Apply a request to the alarms of events and return the new ones.
+
+    Raises
+    ------
+    ValueError
+        The event has no alarm.
+    """
+    return alarms if request.event is None else event_alarm.acknowledge(alarms, request.event, request.who)

@@ -27,6 +27,8 @@ from monitor.core import (
     write_atomically,
 )
 from monitor.damage import StoryState, WindowFacts
+from monitor.events import EventAlarm
+from monitor.pipeline import PipelineState
 from monitor.publish import facts_of_line, read_line
 from monitor.runs import Session, SessionState, ledger
 from monitor.service import serialization
@@ -74,6 +76,12 @@ class KeptAlarms:
     """States of the alarms, stored separately from the checkpoint because they survive a change of the configuration."""
 
     stories: tuple[StoryState, ...]
+    events: tuple[EventAlarm, ...] = ()
+
+
+def _alarms_of(state: PipelineState) -> KeptAlarms:
+    """Return the states of all alarms."""
+    return KeptAlarms(state.alarm.stories, state.events.alarms)
 
 
 class Checkpointer:
@@ -120,7 +128,7 @@ class Checkpointer:
         self._alarm_key = ""
         self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
         self._seconds, self._due, self._busy = 0.0, False, False
-        self._stories: tuple[StoryState, ...] | None = None
+        self._last: KeptAlarms | None = None
         self.written: dict[int, WindowFacts] = {}
         self.resuming = False
         self.failed: str | None = None
@@ -170,6 +178,7 @@ class Checkpointer:
         kept = serialization.load(self._alarms, self._alarm_key, KeptAlarms)
         if kept is not None:
             session.alter_alarm(lambda state: replace(state, stories=kept.stories))
+            session.alter_events(lambda _: kept.events)
         self.save(session)  # so that a run that ends before its first regular checkpoint is resumed too
         return 0
 
@@ -182,7 +191,7 @@ class Checkpointer:
         """Count a block whose results were published, and write a checkpoint if one is due."""
         every_s = self._config.state.checkpoint_s
         self._seconds += block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0
-        is_time = self._seconds >= every_s if every_s else self._stories != session.pipeline.state.alarm.stories
+        is_time = self._seconds >= every_s if every_s else self._last != _alarms_of(session.pipeline.state)
         if self._due or is_time:
             self.save(session)
 
@@ -191,7 +200,7 @@ class Checkpointer:
         self._due = bool(self._busy or self._lines.failed)
         if self._due:
             return
-        self._busy, self._seconds, self._stories = True, 0.0, session.pipeline.state.alarm.stories
+        self._busy, self._seconds, self._last = True, 0.0, _alarms_of(session.pipeline.state)
         if not self._recording.then(partial(self._write, session.state, self._lines.position)):
             self._busy, self._due = False, True
 
@@ -209,7 +218,7 @@ class Checkpointer:
             self._lines.sync()
             if self._lines.failed:
                 raise OSError(self._lines.failed)
-            serialization.save(self._alarms, self._alarm_key, KeptAlarms(state.pipeline.alarm.stories))
+            serialization.save(self._alarms, self._alarm_key, _alarms_of(state.pipeline))
             if self._config.state.checkpoint_s:
                 serialization.save(self._place, self._key, Saved(state, stamp_ns, results_bytes))
             self.failed = None

@@ -109,7 +109,16 @@ def _with_modes_alone(tree: Any) -> Any:
     return tree
 
 
-VERSION = 6
+def _with_alarms_of_events(tree: Any) -> Any:
+    """Upgrade from version 6, in which an event that exceeded a limit had no alarm."""
+    if "session" in tree:
+        tree["session"]["pipeline"]["events"]["alarms"] = []
+    elif "stories" in tree:
+        tree["events"] = []
+    return tree
+
+
+VERSION = 7
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
 UPGRADES: dict[int, Callable[[Any], Any]] = {
     1: _without_doubled_sums,
@@ -117,6 +126,7 @@ UPGRADES: dict[int, Callable[[Any], Any]] = {
     3: _with_span_faults,
     4: _with_events_covariates_and_left_out_channels,
     5: _with_modes_alone,
+    6: _with_alarms_of_events,
 }
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")

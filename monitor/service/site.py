@@ -416,8 +416,9 @@ class Site(Publisher):
         """Record an accepted block; a block that changes an alarm is on the disk before the change is announced."""
         self._recording.write(block)
         alarms = [(r.alarm.active, r.alarm.conditions) for r in results if isinstance(r, WindowResult)]
-        if any(alarm != self._alarm for alarm in alarms):
-            self._alarm = alarms[-1]
+        exceeded = any(isinstance(r, Event) and r.exceeded for r in results)
+        if exceeded or any(alarm != self._alarm for alarm in alarms):
+            self._alarm = alarms[-1] if alarms else self._alarm
             self._recording.flush(_DURABLE_S)
 
     def _reread(self) -> None:

@@ -6,13 +6,13 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from monitor.core import MissingInputError, name_stories, parse_json
+from monitor.core import AlarmCondition, MissingInputError, name_stories, parse_json
 from monitor.damage import Assessment, State, outdated, utc
 from monitor.publish import EVENTS, read_line
 from monitor.runs import ledger, ledger_chain
@@ -157,7 +157,7 @@ def tell(status: dict[str, Any]) -> str:
         "alarm": lambda: name_stories(_alarm(summary.get("alarm"), result), _names(summary)) + _reference(result)[1],
         "recorder": lambda: _recorder(recorder, health),
         "findings": lambda: _findings(summary.get("findings") or []),
-        "event": lambda: last_event(status["event"]) or "none",
+        "event": lambda: (last_event(status["event"]) or "none") + _to_acknowledge(summary.get("event_alarms") or []),
         "web": lambda: str(status["web"]),
     }
     rows = [(n, _readable(make)) for n, make in makers.items() if n not in {"doubts", "web"} or status.get(n)]
@@ -230,6 +230,12 @@ def last_event(event: Mapping[str, Any] | None) -> str:
     drifts = [(value, j) for j, value in enumerate(event["drift_peak_m"], 1) if value is not None]
     largest = f"; largest drift {1e3 * max(drifts)[0]:.3g} mm in story {max(drifts)[1]}" if drifts else ""
     return f"{event['id']}: {event['verdict'] or 'no limit was judged'}{largest}"
+
+
+def _to_acknowledge(alarms: Sequence[Mapping[str, Any]]) -> str:
+    """Name the events whose alarm nobody has acknowledged; empty where there is none."""
+    waiting = [str(a["id"]) for a in alarms if a["condition"] != AlarmCondition.NORMAL.value]
+    return f"; to be acknowledged (ack --event): {', '.join(waiting)}" if waiting else ""
 
 
 def _age_s(health: dict[str, Any]) -> float | None:

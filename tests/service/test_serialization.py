@@ -231,6 +231,10 @@ def as_version(data: bytes, version: int) -> bytes:
     """The checkpoint as an older program wrote it: a summary that counts itself, sums in each block that others tell as well."""
     line, _, body = data.partition(b"\n")
     text, _, arrays = body.partition(b"\n")
+    if version < 7:
+        tree = json.loads(text)
+        assert tree["session"]["pipeline"]["events"].pop("alarms") == []
+        text = json.dumps(tree, separators=(",", ":")).encode()
     if version < 5:
         tree = json.loads(text)
         pipeline, course = tree["session"]["pipeline"], tree["session"]["summary"]["course"]
@@ -269,7 +273,7 @@ def as_version(data: bytes, version: int) -> bytes:
     return json.dumps(head).encode() + b"\n" + body
 
 
-@pytest.mark.parametrize("version", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("version", [1, 2, 3, 4, 5, 6])
 @pytest.mark.parametrize("at", [1, 27, 40])
 def test_a_pipeline_goes_on_from_its_state_as_if_nothing_had_been(
     frame_text: str, cut: Cut, tmp_path: Path, at: int, version: int

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from monitor.core import Array
-from monitor.events import Event, FirstMode, LimitTable, Review, Spectrum
+from monitor.events import Event, FirstMode, LimitTable, Review, Spectrum, compared
 from monitor.publish.reports.charts import WIDTH, Axes
 from monitor.publish.results.event_lines import with_interval
 
@@ -94,17 +94,12 @@ def story_map(event: Event, names: Sequence[str], limits: Sequence[LimitTable]) 
 
 def _state(event: Event, j: int, limits: Sequence[LimitTable]) -> str:
     """Say how a story stands against the limits: beyond one, within all that can be judged, or unknown."""
-    pairs = [
-        (event.drift_ratio[j], limit.drift_ratio)
-        if limit.drift_ratio is not None
-        else (event.loss[j], limit.residual_loss)
-        for limit in limits
-    ]
-    known = [(value, most) for value, most in pairs if most is not None and np.isfinite(value)]
-    if any(value > most for value, most in known):
+    compare = [compared(event, limit) for limit in limits]
+    if any(c.least[j] > c.limit for c in compare):
         return "beyond"
-    drifts_known = np.isfinite(event.drift_ratio[j]) or all(limit.drift_ratio is None for limit in limits)
-    return "within" if known and drifts_known else "unknown"
+    within = any(c.largest[j] <= c.limit for c in compare)
+    of_drift = (c for c, limit in zip(compare, limits, strict=True) if limit.drift_ratio is not None)
+    return "within" if within and all(c.largest[j] <= c.limit for c in of_drift) else "unknown"
 
 
 def drift_profile(event: Event, names: Sequence[str], heights_m: Array | None, limits: Sequence[float]) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from monitor.core import write_atomically
-from monitor.events import Event, FloorMotion, Review, Site
+from monitor.events import Event, FloorMotion, Review, Site, compared
 from monitor.publish.reports import event_charts as charts
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import utc
@@ -111,19 +111,16 @@ def _limits(page: EventPage) -> str:
         return title + (said or "<p>The limits are not in this folder: the event has no recording.</p>")
     rows = []
     for limit in page.site.settings.limits:
-        of_drift = limit.drift_ratio is not None
-        values, most = (
-            (page.event.drift_ratio, limit.drift_ratio) if of_drift else (page.event.loss, limit.residual_loss)
-        )
-        assert most is not None
-        known = np.isfinite(values)
+        c = compared(page.event, limit)
         largest, where = _UNKNOWN, _UNKNOWN
-        if known.any():
-            j = int(np.nanargmax(values))
-            largest, where = f"{100 * values[j]:.3g} %", page.names[j]
-        outcome = "EXCEEDED" if (values[known] > most).any() else "not exceeded" if known.all() else "not judged"
-        what = "drift ratio" if of_drift else "lasting loss of stiffness"
-        rows.append((what, f"{100 * most:.3g} %", largest, where, outcome, limit.says))
+        if np.isfinite(c.value).any():
+            j = int(np.nanargmax(c.largest))
+            largest, where = f"{with_interval(100 * c.value[j], 100 * (c.largest[j] - c.value[j]))} %", page.names[j]
+        undecided = "the interval holds it" if np.isfinite(c.value).all() else "not judged"
+        exceeded, within = (c.least > c.limit).any(), (c.largest <= c.limit).all()
+        outcome = "EXCEEDED" if exceeded else "not exceeded" if within else undecided
+        what = "drift ratio" if limit.drift_ratio is not None else "lasting loss of stiffness"
+        rows.append((what, f"{100 * c.limit:.3g} %", largest, where, outcome, limit.says))
     if not rows:
         return f"{title}<p>The site file states none ([[events.limits]]), so nothing is judged.</p>"
     head = ["quantity", "#limit", "#largest", "where", "outcome", "beyond it"]
@@ -215,6 +212,11 @@ def _loss(page: EventPage) -> str:
         (name, _with_std(100 * loss, 100 * std)) for name, loss, std in zip(page.names, e.loss, e.loss_std, strict=True)
     ]
     note = "Stiffness of ambient motion after the event against that before it; with two standard deviations."
+    if e.revision != _REVISED:
+        note = (
+            "By the frequencies of the quiet motion just before the event and just after it, with two standard deviations; the "
+            "revision after ambient motion tells it far more closely."
+        )
     return f"{title}{table(['story', '#lost, %'], rows)}<p class='muted'>{note}</p>"
 
 

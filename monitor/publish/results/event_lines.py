@@ -117,9 +117,9 @@ def event_text(event: Event) -> str:
         drift = with_interval(1e3 * event.drift_m[j], 2e3 * event.drift_std_m[j])
         parts.append(f"largest drift {drift} mm in story {j + 1}")
     if np.isfinite(event.loss).any():
-        j = int(np.nanargmax(event.loss))
+        j = int(np.nanargmax(event.loss / event.loss_std))
         lost = with_interval(100.0 * event.loss[j], 200.0 * event.loss_std[j])
-        parts.append(f"largest lasting loss {lost} % of stiffness in story {j + 1}")
+        parts.append(f"lasting loss {lost} % of stiffness in story {j + 1}")
     text = "; ".join(parts)
     return text[0].upper() + text[1:] + "."
 

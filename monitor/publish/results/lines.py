@@ -346,5 +346,6 @@ def replay_text(summary: Mapping[str, Any]) -> str:
         whose = "the model" if drawn_hz else "the baseline"
         text.append(f"besides: {other['frequency_hz']:.4g} Hz measured {where}, no mode of {whose}")
     text += summary["missing_modes"]
+    text += [f"event {event['id']}: {event['says']}" for event in summary.get("events", ())]
     state = State(summary["state"])
     return "\n".join([*text, f"{state.words}: {summary['headline']}", *(f"  {doubt}" for doubt in summary["doubts"])])

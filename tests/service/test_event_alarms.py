@@ -1,0 +1,139 @@
+"""The alarm of an event in a daemon: listed in the status, acknowledged by an operator's request, kept over a restart."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from monitor.damage import StoryState
+from monitor.events import Event, EventAlarm
+from monitor.service.daemon import Daemon
+from monitor.service.history import open_database
+from monitor.service.requests import Answer, Request
+from monitor.service.restart import KeptAlarms
+from monitor.service.serialization import from_bytes, to_bytes
+from monitor.service.status import look, tell
+from tests.conftest import Cli
+from tests.events.shaken import HEIGHTS, MASSES, STIFFNESS, blocks
+from tests.events.test_events import shaken
+from tests.service.test_daemon import Scripted
+from tests.service.test_requests import Desk, ledger_of
+
+SITE = f"""
+[site]
+name = "bench"
+[output]
+dir = "out"
+[recorder]
+enabled = false
+[watch]
+diagnose = false
+[structure]
+kind = "shear_frame"
+masses_kg = {MASSES.tolist()}
+stiffness_n_per_m = {STIFFNESS.tolist()}
+damping_ratio = 0.02
+story_heights_m = {HEIGHTS.tolist()}
+[[sensors]]
+channel = "a1"
+floor = 1
+[[sensors]]
+channel = "a2"
+floor = 2
+[[sensors]]
+channel = "a3"
+floor = 3
+[[events.limits]]
+drift_ratio = 1e-5
+says = "go and look"
+"""
+
+
+@dataclass
+class Seen:
+    id: str = ""
+    state: str = ""
+
+
+class Operator(Desk):
+    """Acknowledges an event once it is told of it, and of one that there was not, if `acts`."""
+
+    def __init__(self, *, acts: bool) -> None:
+        super().__init__()
+        self.seen, self._acts = Seen(), acts
+
+    def event(self, event: Event, line: str) -> None:
+        if event.revision is None:
+            self.seen = Seen(event.id, self.present.headline)
+            batch = [
+                Request(action="acknowledge", event=id, who="Ada", note="went there") for id in (event.id, "never")
+            ]
+            self._batches += [batch] if self._acts else []
+
+
+class Waiting(Scripted):
+    """Gives what is left when the operator was answered."""
+
+    def __init__(self, script: Sequence[object], desk: Operator) -> None:
+        super().__init__([*script, *[None] * 100])  # type: ignore[list-item]
+        self._desk = desk
+
+    def read(self, timeout_s: float) -> object:  # type: ignore[override]
+        if self._desk.seen.id and self._desk.answers:
+            self._script = iter(())
+        return super().read(timeout_s)
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    path = tmp_path / "site.toml"
+    path.write_text(SITE)
+    return path
+
+
+def run(site: Path, desk: Operator) -> list[Answer]:
+    Daemon(site, Waiting(blocks(shaken(), n=500), desk), [desk]).run()  # type: ignore[arg-type]
+    return desk.answers
+
+
+def test_it_stands_until_an_operator_acknowledges_it(site: Path, main: Cli) -> None:
+    desk, out = Operator(acts=False), site.parent / "out"
+    run(site, desk)
+    status = look(out)
+    assert status["state"] == "alarm" and f"vent {desk.seen.id} exceeded a limit" in desk.seen.state
+    assert f"vent {desk.seen.id} exceeded a limit" in status["headline"]
+    (alarm,) = status["summary"]["event_alarms"]
+    assert alarm["condition"] == "returned to normal, unacknowledged" and "go and look" in alarm["exceeded"][0]
+    assert f"to be acknowledged (ack --event): {desk.seen.id}" in tell(status)
+    for options in ((), ("--story", "1", "--event", desk.seen.id), ("--event", desk.seen.id, "--reset")):
+        assert main("ack", site, "--who", "Ada", *options).returncode == 2
+
+
+def test_it_outlasts_a_change_of_the_settings_and_older_files_are_read() -> None:
+    kept = KeptAlarms((StoryState(),), (EventAlarm("e", ("x",), ((0, 2),)),))
+    data = to_bytes("k", kept)
+    assert from_bytes(data, "k", KeptAlarms) == kept
+    line, _, body = data.partition(b"\n")
+    tree = json.loads(body)
+    del tree["events"]
+    body = json.dumps(tree).encode() + b"\n"
+    head = json.loads(line) | {"version": 6, "sha256": hashlib.sha256(body).hexdigest()}
+    assert from_bytes(json.dumps(head).encode() + b"\n" + body, "k", KeptAlarms) == replace(kept, events=())
+
+
+def test_the_request_is_in_ledger_and_history_and_takes_the_alarm_away(site: Path) -> None:
+    desk, out = Operator(acts=True), site.parent / "out"
+    first, second = run(site, desk)
+    assert first.refusal is None and "event never has no alarm" in str(second.refusal)
+    assert [line["what"] for line in ledger_of(site)] == [f"acknowledge alarm of event {desk.seen.id}: went there"]
+    status = look(out)
+    (alarm,) = status["summary"]["event_alarms"]
+    assert (alarm["condition"], alarm["by"]) == ("normal", "Ada")
+    assert status["state"] != "alarm" and "to be acknowledged" not in tell(status)
+    rows = open_database(out / "state" / "history.db").execute("SELECT story, note FROM requests").fetchall()
+    assert [tuple(row) for row in rows] == [(None, f"event {desk.seen.id}: went there")]
