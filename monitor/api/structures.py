@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from monitor.config import Configuration, configuration
-from monitor.core import Array, BadConfigurationError, WrongUsageError, settings_problems
+from monitor.core import Array, BadConfigurationError, WrongUsageError, read_settings, settings_problems
 from monitor.damage import Baseline, load_baseline
 from monitor.model import InstrumentedModel
 
@@ -151,6 +151,6 @@ def _validated(tables: Mapping[str, Any]) -> Configuration:
         They are invalid; the message lists every problem, one a line.
     """
     try:
-        return Configuration.model_validate(dict(tables))
+        return read_settings(Configuration, tables)
     except ValidationError as error:
         raise BadConfigurationError("\n".join(settings_problems(error))) from error

@@ -38,7 +38,7 @@ from .results import (
     Window,
     WindowResult,
 )
-from .settings import Settings, settings_problems
+from .settings import Settings, read_settings, settings_problems
 
 __all__ = [
     "GAP",
@@ -82,6 +82,7 @@ __all__ = [
     "parse_address",
     "parse_json",
     "partial",
+    "read_settings",
     "require_extra",
     "set_aside",
     "settings_problems",
