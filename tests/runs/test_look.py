@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from xml.dom import minidom
 
@@ -134,6 +135,35 @@ def test_shapes_of_no_frame_become_matrices_with_the_same_frequencies(tmp_path: 
     assert tomllib.loads((tmp_path / "x.toml").read_text())["structure"]["kind"] == "matrices"
     modes = configuration.load(tmp_path / "x.toml").model().modes()
     assert modes.frequencies_hz == pytest.approx([mode.frequency_hz for mode in found.modes], rel=1e-4)
+
+
+def test_matrices_of_fewer_sensors_than_floors_have_the_measured_shapes_whatever_a_stiffness(tmp_path: Path) -> None:
+    """The shapes at two of three floors are not orthogonal: a stiffness must not turn them, or the updating has no solution."""
+    found = look.look([table(tmp_path / "x.csv", samples()[:, 1:])])
+    look.write_structure(found, tmp_path / "x.toml", mass_kg=2.0)
+    config = configuration.load(tmp_path / "x.toml")
+    assert config.structure.kind == "matrices"
+    assert np.array(config.structure.mass_matrix).sum() == pytest.approx(2.0)
+    assert "3 modes for 2 sensors" in (tmp_path / "x.toml").read_text()
+    drawn = config.model()
+    softer = drawn.with_stiffness(drawn.structure.stiffness_n_per_m * [0.81, 1.0])
+    for model, factors in ((drawn, [1.0, 1.0]), (softer, [0.9, 1.0])):
+        modes = model.modes()
+        measured = [mode.frequency_hz * k for mode, k in zip(found.modes, factors, strict=False)]
+        assert modes.frequencies_hz == pytest.approx(measured, rel=1e-6)
+        for shape, mode in zip(modes.shapes.T, found.modes, strict=False):
+            assert shape[1] / shape[0] == pytest.approx(mode.shape[1].real / mode.shape[0].real, rel=1e-6)
+
+
+def test_a_mode_without_second_opinion_and_certain_damping_is_no_part_of_a_structure(
+    found: LookedRecording, tmp_path: Path
+) -> None:
+    first = found.modes[0]
+    doubtful = replace(first, frequency_hz=0.7, damping_std=first.damping_ratio, second=Skipped("no bell"))
+    look.write_structure(replace(found, modes=(doubtful, *found.modes)), tmp_path / "f.toml", mass_kg=None)
+    text = (tmp_path / "f.toml").read_text()
+    assert "Left out: 0.7 Hz" in text
+    assert tomllib.loads(text)["structure"]["kind"] == "shear_frame"
 
 
 def test_what_cannot_be_looked_at_is_refused_with_the_mend(tmp_path: Path) -> None:
