@@ -1,4 +1,4 @@
-"""What `check` finds besides the tables themselves: recordings, sensors on one floor, files with passwords, types of outlets."""
+"""What `check` finds besides the tables themselves (recordings, sensors on one floor, passwords, types), and `host` at once."""
 
 from __future__ import annotations
 
@@ -84,3 +84,14 @@ def test_types_in_a_fleet_file_are_checked(tmp_path: Path, main: Cli) -> None:
     path.write_text('[fleet]\nconnect = ["tcp/127.0.0.1:7447"]\nconnect_timeout_s = "5"\n')
     done = main("check", path)
     assert done.returncode == 78 and 'fleet.connect_timeout_s: must be a number, and is the text "5"' in done.stderr
+
+
+def test_a_host_of_bad_files_alone_ends_with_their_problems(tmp_path: Path, frame_text: str, main: Cli) -> None:
+    one, other = tmp_path / "one.toml", tmp_path / "other.toml"
+    one.write_text(frame_text.replace("window_s = 20.0", 'window_s = "20"'))
+    other.write_text(frame_text + "\n[alarms]\nconfirm_s = 3\n")
+    for files in ((one,), (one, other)):
+        done = main("host", *files)
+        assert done.returncode == 78
+        assert "one.toml: processing.window_s: must be a number" in done.stderr
+    assert "other.toml: alarms" in done.stderr
