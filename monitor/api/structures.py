@@ -92,7 +92,7 @@ def structure(
     Raises
     ------
     UserError
-        The file cannot be read, or its tables contradict themselves; every problem is listed.
+        The file cannot be read, its tables contradict themselves (every problem is listed), or it has no model.
 
     Examples
     --------
@@ -110,6 +110,12 @@ def structure(
     else:
         config = _validated(
             _tables(masses_kg, stiffness_n_per_m, damping_ratio, channels, floors) if file is None else file
+        )
+    if not config.has_model:
+        named = f"{file}: " if isinstance(file, str | Path) else ""
+        raise BadConfigurationError(
+            f'{named}[structure] kind = "modal" has no masses and stiffnesses, which a Structure is made of; identify() takes '
+            "samples without one"
         )
     if baseline is None:
         return Structure(config)

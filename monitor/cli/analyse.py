@@ -9,7 +9,7 @@ import typer
 
 from monitor.cli.common import Json, Recordings, Structure, address, progress, say, warn
 from monitor.cli.emulate import parse_speed
-from monitor.core import demand_place, spare_inputs
+from monitor.core import demand_place, no_empty_folder, spare_inputs
 
 if TYPE_CHECKING:
     from monitor.config import Configuration
@@ -36,17 +36,18 @@ def replay(
     pace, served = parse_speed(speed), address(serve)
     settings = configuration.load(structure)
     healthy = None if baseline is None else load_healthy(baseline, settings)
-    summary = run.replay(
-        recordings,
-        settings,
-        healthy,
-        out,
-        speed=pace,
-        serve=served,
-        files=(structure, baseline),
-        on_warning=warn,
-        on_progress=progress("replay"),
-    )
+    with no_empty_folder(out):
+        summary = run.replay(
+            recordings,
+            settings,
+            healthy,
+            out,
+            speed=pace,
+            serve=served,
+            files=(structure, baseline),
+            on_warning=warn,
+            on_progress=progress("replay"),
+        )
     summary_text = replay_text(summary)
     look = f"; look at them with: shm-monitor view {out}" if (out / "live.rrd").exists() else ""
     text = f"{summary_text}\nresults in {out}{look}"

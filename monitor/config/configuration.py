@@ -395,7 +395,12 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BadConfigurationError(f"{path}: not a TOML file: {error}") from error
+        remedy = (
+            "; it looks like JSON: a structure file is TOML, a baseline belongs to --baseline"
+            if text.lstrip()[:1] == "{"
+            else ""
+        )
+        raise BadConfigurationError(f"{path}: not a TOML file: {error}{remedy}") from error
 
 
 def load_with_model(path: Path) -> Configuration:

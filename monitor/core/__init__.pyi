@@ -10,7 +10,7 @@ from .errors import (
     WrongUsageError,
 )
 from .extras import import_extra, missing_extra, require_extra
-from .files import demand_place, finish, partial, set_aside, sha256, spare_inputs, write_atomically
+from .files import demand_place, finish, no_empty_folder, partial, set_aside, sha256, spare_inputs, write_atomically
 from .memory import keep_freed
 from .naming import name_stories, name_stories_in
 from .optimization import levenberg_marquardt
@@ -78,6 +78,7 @@ __all__ = [
     "missing_extra",
     "name_stories",
     "name_stories_in",
+    "no_empty_folder",
     "parallel_map",
     "parse_address",
     "parse_json",

@@ -123,7 +123,8 @@ def look(
             list(paths),
             recording,
             rate_hz=rate_hz,
-            unit=unit or "m/s^2",
+            unit=unit,
+            ask_unit=lambda _: "m/s^2",  # the note says so
             on_warning=taken.append,
             on_channel=channels.append,
         )
