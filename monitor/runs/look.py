@@ -39,7 +39,7 @@ from monitor.identification import (
 )
 from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, utc, write_look
 from monitor.runs.importers import ImportedChannel, import_files
-from monitor.runs.look_doubts import Facts, find_doubts, remark_modes
+from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
 from monitor.runs.recordings import OnProgress, OnWarning
 from monitor.signals import (
@@ -208,7 +208,7 @@ def _look(
     facts = replace(facts, modes=remark_modes(facts))
     return LookedRecording(
         files=tuple(map(str, paths)),
-        notes=notes,
+        notes=(*notes, *find_remarks(facts)),
         t_start_ns=runs[0].t_ns,
         duration_s=duration_s,
         rate_hz=rate_hz,

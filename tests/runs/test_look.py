@@ -69,8 +69,20 @@ def test_a_table_alone_gives_the_modes_with_intervals(found: LookedRecording) ->
     assert "50 Hz" in found.notes[0]
 
 
-def test_a_sound_recording_is_doubted_for_nothing_but_its_missing_lowpass(found: LookedRecording) -> None:
-    assert all("lowpass" in doubt for doubt in found.doubts), found.doubts
+def test_a_sound_recording_is_doubted_for_nothing_and_its_missing_lowpass_is_a_remark(
+    found: LookedRecording, tmp_path: Path
+) -> None:
+    assert found.doubts == ()
+    assert sum("no lowpass is seen" in note and "little moves there" in note for note in found.notes) == 1
+    look.write_results(found, tmp_path)
+    assert '<span class="verdict normal">looked at</span>' in (tmp_path / "look.html").read_text()
+
+
+def test_a_missing_lowpass_is_a_doubt_where_what_folds_is_as_strong_as_a_mode(tmp_path: Path) -> None:
+    loud = samples() + 0.03 * np.random.default_rng(1).standard_normal((int(RATE_HZ * SECONDS), 3))
+    found = look.look([table(tmp_path / "d.csv", loud)])
+    assert any("no lowpass is seen" in doubt and "folded into the band" in doubt for doubt in found.doubts)
+    assert not any("no lowpass is seen" in note for note in found.notes)
 
 
 def test_what_is_wrong_with_a_channel_is_told(tmp_path: Path) -> None:
