@@ -18,6 +18,7 @@ from .parallel import parallel_map
 from .parse import parse_address, parse_json, utc_ns
 from .results import (
     GAP,
+    STRONG_MOTION,
     WHOLE,
     Alarm,
     AlarmCondition,
@@ -42,6 +43,7 @@ from .settings import Settings, read_settings, settings_problems
 
 __all__ = [
     "GAP",
+    "STRONG_MOTION",
     "WHOLE",
     "Alarm",
     "AlarmCondition",

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from monitor.core import Array, Skipped, WindowResult
+from monitor.core import STRONG_MOTION, Array, Skipped, WindowResult
 from monitor.events import recognition
 from monitor.events.ambient import AmbientReading, lasting_loss, mean_frequencies, reading_of
 from monitor.events.event import Event
@@ -176,9 +176,7 @@ def skipped(state: EventState, end_ns: int, window_s: float, settings: EventSett
     end = round((end_ns - state.t0_ns) * 1e-9 * state.rate_hz)
     begin = end - round(window_s * state.rate_hz)
     held = any(mark[0] < end and mark[1] > begin for mark in state.marks)
-    return (
-        Skipped("strong motion, which is told as an event or was a short disturbance of all floors") if held else None
-    )
+    return Skipped(STRONG_MOTION) if held else None
 
 
 def _begin(state: EventState, first: int, conditioner: Conditioner, n_channels: int) -> EventState:
