@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,7 @@ class Recording:
 
 
 def read(
-    file: str | Path, *, unit: str = "m/s^2", rate_hz: float | None = None, start_ns: int | None = None
+    file: str | Path, *, unit: str | None = None, rate_hz: float | None = None, start_ns: int | None = None
 ) -> Recording:
     """Read a recording (MCAP), or a table (CSV of any delimiter, NPZ, Xsens DOT), as arrays in SI units.
 
@@ -66,12 +67,12 @@ def read(
     ----------
     file : path
         File to read.
-    unit : str
-        Unit of columns of a table whose header states none: m/s^2, g, mg, gal.
+    unit : str, optional
+        Unit of columns of a table whose header states none: m/s^2 (by default), g, mg, gal.
     rate_hz : float, optional
         Rate of a table without a column of time, Hz.
     start_ns : int, optional
-        UTC of the first sample of a table that does not tell it, ns since 1970.
+        UTC of the first sample of a table, ns since 1970; by default what the table tells, or 0 where it tells nothing.
 
     Returns
     -------
@@ -97,21 +98,33 @@ def read(
     >>> record.rate_hz, record.channels, record.samples[1].round(3)
     (100.0, ('top',), array([1.961]))
     """
-    path = Path(file)
+    path, told = Path(file), list[str]()
     try:
         with path.open("rb") as stream:
             is_recording = stream.read(len(MAGIC)) == MAGIC
+        if is_recording:
+            return _gathered(path, told.append)
+        with tempfile.TemporaryDirectory() as folder:
+            imported = Path(folder, "imported.mcap")
+            import_files(
+                [path],
+                imported,
+                rate_hz=rate_hz,
+                unit=unit,
+                ask_unit=lambda _: "m/s^2",
+                start_ns=start_ns,
+                unknown_start_ns=0,
+                on_warning=told.append,
+            )
+            return _gathered(imported, told.append)
     except OSError as error:
         raise MissingInputError(f"{path}: {error.strerror or error}") from error
-    if is_recording:
-        return _gathered(path)
-    with tempfile.TemporaryDirectory() as folder:
-        imported = Path(folder, "imported.mcap")
-        import_files([path], imported, rate_hz=rate_hz, unit=unit, start_ns=start_ns, on_warning=_warn)
-        return _gathered(imported)
+    finally:
+        for message in told:
+            warnings.warn(message, stacklevel=2)  # at the caller's line
 
 
-def _gathered(path: Path) -> Recording:
+def _gathered(path: Path, on_warning: Callable[[str], None]) -> Recording:
     """Read the blocks of a recording and lay them out on one grid.
 
     Raises
@@ -120,7 +133,7 @@ def _gathered(path: Path) -> Recording:
         The recording cannot be read, has no accelerations, or changes its rate or channels.
     """
     try:
-        blocks = list(read_recordings([path], topics=(ACCELERATION, GROUND, FORCE), on_warning=_warn))
+        blocks = list(read_recordings([path], topics=(ACCELERATION, GROUND, FORCE), on_warning=on_warning))
     except RecordingMissingError as error:
         raise MissingInputError(str(error)) from error
     except RecordingError as error:
@@ -156,7 +169,3 @@ def _laid_out(path: Path, blocks: list[SampleBlock], first: SampleBlock, n: int 
         here = slice(max(place, 0), min(place + block.n_samples, end))
         values[here] = block.samples[here.start - place : here.stop - place]
     return values
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, stacklevel=3)

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from monitor.config import Configuration, configuration
-from monitor.core import Array, BadConfigurationError, WrongUsageError, settings_problems
+from monitor.core import Array, BadConfigurationError, WrongUsageError, read_settings, settings_problems
 from monitor.damage import Baseline, load_baseline
 from monitor.model import InstrumentedModel
 
@@ -92,7 +92,7 @@ def structure(
     Raises
     ------
     UserError
-        The file cannot be read, or its tables contradict themselves; every problem is listed.
+        The file cannot be read, its tables contradict themselves (every problem is listed), or it has no model.
 
     Examples
     --------
@@ -110,6 +110,12 @@ def structure(
     else:
         config = _validated(
             _tables(masses_kg, stiffness_n_per_m, damping_ratio, channels, floors) if file is None else file
+        )
+    if not config.has_model:
+        named = f"{file}: " if isinstance(file, str | Path) else ""
+        raise BadConfigurationError(
+            f'{named}[structure] kind = "modal" has no masses and stiffnesses, which a Structure is made of; identify() takes '
+            "samples without one"
         )
     if baseline is None:
         return Structure(config)
@@ -151,6 +157,6 @@ def _validated(tables: Mapping[str, Any]) -> Configuration:
         They are invalid; the message lists every problem, one a line.
     """
     try:
-        return Configuration.model_validate(dict(tables))
+        return read_settings(Configuration, tables)
     except ValidationError as error:
         raise BadConfigurationError("\n".join(settings_problems(error))) from error

@@ -9,7 +9,7 @@ import typer
 
 from monitor.cli.common import Json, Recordings, Structure, address, progress, say, warn
 from monitor.cli.emulate import parse_speed
-from monitor.core import demand_place, spare_inputs
+from monitor.core import demand_place, no_empty_folder, spare_inputs
 
 if TYPE_CHECKING:
     from monitor.config import Configuration
@@ -36,17 +36,18 @@ def replay(
     pace, served = parse_speed(speed), address(serve)
     settings = configuration.load(structure)
     healthy = None if baseline is None else load_healthy(baseline, settings)
-    summary = run.replay(
-        recordings,
-        settings,
-        healthy,
-        out,
-        speed=pace,
-        serve=served,
-        files=(structure, baseline),
-        on_warning=warn,
-        on_progress=progress("replay"),
-    )
+    with no_empty_folder(out):
+        summary = run.replay(
+            recordings,
+            settings,
+            healthy,
+            out,
+            speed=pace,
+            serve=served,
+            files=(structure, baseline),
+            on_warning=warn,
+            on_progress=progress("replay"),
+        )
     summary_text = replay_text(summary)
     look = f"; look at them with: shm-monitor view {out}" if (out / "live.rrd").exists() else ""
     page = f"\npage of the last event: shm-monitor report {out} --event last" if summary["events"] else ""
@@ -71,9 +72,10 @@ def calibrate(
     """Estimate the healthy baseline.  It holds the updated stiffness with its covariance, the modes and the remaining misfit.
 
     With --rebase the healthy modes are those of another baseline of the same structure, and the changed drawing is updated to
-    them.
+    them.  Exit code 65 if the updating did not converge; the baseline is written all the same, to look at.
     """
     from monitor.config import configuration
+    from monitor.core import BadInputError
     from monitor.damage import law_lines, save_baseline
     from monitor.diagnosis import standing_causes
     from monitor.model import interval
@@ -89,13 +91,14 @@ def calibrate(
         _calibrate_modes(recordings, settings, out, as_json)
         return
     if rebase is not None:
-        baseline, says = run.rebase(rebase, settings)
+        baseline, says, converged = run.rebase(rebase, settings)
         lines = [f"{rebase} with the drawing of {structure}:", *says]
-        content: dict[str, Any] = {"rebased": str(rebase), "says": list(says)}
+        content: dict[str, Any] = {"rebased": str(rebase), "says": list(says), "converged": converged}
     else:
         baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
-        lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
-        content = {"converged": bool(fit.converged)}
+        converged = bool(fit.converged)
+        lines = [f"{baseline.windows} windows; the updating {'converged' if converged else 'did NOT converge'}"]
+        content = {"converged": converged}
     save_baseline(baseline, out)
     nominal_hz = settings.model().modes().frequencies_hz
     for k, f, std in zip(baseline.model_mode, baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True):
@@ -121,6 +124,11 @@ def calibrate(
         "structure_file_stiffness_n_per_m": list(settings.drawn.stiffness_n_per_m),
     }
     say("\n".join(lines), content, as_json)
+    if not converged:
+        raise BadInputError(
+            f"{out}: the updating did NOT converge: no stiffnesses of {structure} have the measured modes, so losses against "
+            "this baseline are not to be trusted; check floors and signs of the sensors and the masses, or draw what is missing"
+        )
 
 
 def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path, as_json: bool) -> None:

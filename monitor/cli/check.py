@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from monitor.cli.common import Json, say, warn
+
+if TYPE_CHECKING:
+    from monitor.config import Configuration
 
 
 def check(
@@ -40,6 +44,8 @@ def check(
         else:
             warn(f"{baseline}: there is no such baseline yet; make it with 'calibrate'")
     outlets.make_outlets(file, settings, dry=True)
+    _demand_recordings(file, settings)
+    _warn_of_shared_floors(settings)
     for warning in security_check.warnings(file, settings):
         warn(warning)
     head = f"{file}: no problems; {settings.size_words}; channels {', '.join(settings.channels)}"
@@ -58,3 +64,44 @@ def check(
         warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {p.cutoff_hz:g}")
     if lags := stabilization.advice(modes, p.rate_hz, p.cutoff_hz, settings.identification, settings.selection):
         warn(lags)
+
+
+def _demand_recordings(file: Path, settings: Configuration) -> None:
+    """Check that the recordings of a ``[source]`` exist and can be read.
+
+    Raises
+    ------
+    MissingInputError
+        One is missing or cannot be opened.
+    BadInputError
+        One holds damaged or foreign bytes.
+    """
+    from drivers.base import RecordingError, RecordingMissingError, SourceContext
+    from monitor.config import configuration
+    from monitor.core import BadInputError, MissingInputError
+
+    if settings.source is None or settings.source["kind"] != "mcap":  # the other sources wait for what comes
+        return
+    source = configuration.make_source(settings.source, SourceContext(settings.channels, file.parent))
+    try:
+        source.open()
+    except RecordingMissingError as error:
+        raise MissingInputError(f"{file}: source.files: {error}") from error
+    except RecordingError as error:
+        raise BadInputError(f"{file}: source.files: {error}") from error
+    finally:
+        source.close()
+
+
+def _warn_of_shared_floors(settings: Configuration) -> None:
+    """Warn of sensors on the same floor, of which one may have been meant for another."""
+    on: dict[int, list[str]] = defaultdict(list)
+    for sensor in settings.sensors:
+        if sensor.floor is not None:
+            on[sensor.floor].append(sensor.channel)
+    for floor, channels in sorted(on.items()):
+        if len(channels) > 1:
+            warn(
+                f"sensors: {', '.join(channels)} are on the same floor {floor}: right if they measure its motion twice, in the "
+                "same direction"
+            )

@@ -30,7 +30,7 @@ def host(
 
     Fills each site's [output] dir.  A site that cannot start or fails is told by its name and tried again; the others run on.
     Prints READY on standard error when every site's source is open or it was told why not.  Ends on SIGTERM; or, of files alone,
-    when all sources have ended.
+    when all sources have ended.  Exit code 78 at once if files alone are named and every one of them is bad.
     """
     from monitor.config import LogSettings
     from monitor.core import MissingInputError
@@ -40,9 +40,36 @@ def host(
         if not place.exists():
             raise MissingInputError(f"{place}: there is no such file or folder")
     served = address(metrics, "--metrics", any_port=True)
+    _demand_a_good_file(places)
     logs.begin(LogSettings(), "host")
     service = Host(places, served) if workers == 1 else HostWorkers(places, workers, served)
     service.run()
+
+
+def _demand_a_good_file(places: list[Path]) -> None:
+    """Refuse to start where no site could: files alone are named, and every one of them is a bad configuration.
+
+    Raises
+    ------
+    BadConfigurationError
+        The message lists the problems of all files.
+    """
+    from monitor.config import configuration
+    from monitor.core import BadConfigurationError, UserError
+
+    problems = []
+    for place in places:
+        if place.is_dir():  # good files may come
+            return
+        try:
+            configuration.load(place)
+        except BadConfigurationError as error:
+            problems.append(str(error))
+        except UserError:  # what cannot be read may be readable later; the host tries again
+            return
+        else:
+            return
+    raise BadConfigurationError("\n".join(problems))
 
 
 def dataset(

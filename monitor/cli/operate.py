@@ -190,11 +190,11 @@ def _send_over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
     from pydantic import ValidationError
 
     from drivers.base import SourceError
-    from monitor.core import settings_problems
+    from monitor.core import read_settings, settings_problems
     from monitor.service import ZenohOutSettings, ask, key_prefix
 
     try:
-        joining = ZenohOutSettings.model_validate(settings.output.zenoh)
+        joining = read_settings(ZenohOutSettings, settings.output.zenoh or {})
     except ValidationError as error:
         problems = settings_problems(error, "output", "zenoh")
         raise BadConfigurationError("\n".join(f"{file}: {problem}" for problem in problems)) from error

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, say, time_ns, warn
-from monitor.core import demand_place, spare_inputs
+from monitor.core import MissingInputError, demand_place, spare_inputs
 
 _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "ledger.jsonl")
 
@@ -35,6 +35,10 @@ def report(
     A window belongs to the period in which it ends.  With --event it is the page of one event: motion of the floors, drifts
     against the site's limits, frequencies, loops, and what remains of the stiffness.
     """
+    if not folder.is_dir():
+        raise MissingInputError(
+            f"{folder}: there is no such folder; give the one that 'replay --out' or [output] dir names"
+        )
     if event is not None:
         if start is not None or end is not None:
             raise typer.BadParameter("--event goes without --from and --to")

@@ -17,7 +17,14 @@ from drivers.registry import UnknownSourceError, source_type
 from monitor.config.log_settings import LogSettings
 from monitor.config.matrix_files import read_matrices
 from monitor.config.state_settings import StateSettings
-from monitor.core import BadConfigurationError, MissingInputError, Settings, parse_address, settings_problems
+from monitor.core import (
+    BadConfigurationError,
+    MissingInputError,
+    Settings,
+    parse_address,
+    read_settings,
+    settings_problems,
+)
 from monitor.damage import LEVEL, AlarmSettings, CovariateSettings, UpdatingSettings
 from monitor.diagnosis import DiagnosisSettings, WatchSettings
 from monitor.events import EventSettings
@@ -425,7 +432,12 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BadConfigurationError(f"{path}: not a TOML file: {error}") from error
+        remedy = (
+            "; it looks like JSON: a structure file is TOML, a baseline belongs to --baseline"
+            if text.lstrip()[:1] == "{"
+            else ""
+        )
+        raise BadConfigurationError(f"{path}: not a TOML file: {error}{remedy}") from error
 
 
 def load_with_model(path: Path) -> Configuration:
@@ -457,7 +469,7 @@ def load(path: Path) -> Configuration:
         tables["structure"] = read_matrices(tables["structure"], path.parent)
     problems: list[str] = []
     try:
-        config = Configuration.model_validate(tables)
+        config = read_settings(Configuration, tables)
     except ValidationError as error:
         problems += settings_problems(error)
     if isinstance(tables.get("source"), dict):
@@ -481,7 +493,7 @@ def make_source(table: Mapping[str, Any], context: SourceContext) -> Source:
     """
     try:
         driver = source_type(str(table.get("kind", "")))
-        settings = driver.Settings.model_validate(table)
+        settings = read_settings(driver.Settings, table)
         source: Source = driver(settings, context)
         return source
     except UnknownSourceError as error:
@@ -498,5 +510,5 @@ def make_bounds(table: Mapping[str, Any] | None) -> LiveBounds | None:
     """Create the bounds of a valid ``[source]`` table on its data; None where it sets none, or the source is not live."""
     if table is None or table.keys().isdisjoint(LiveSettings.model_fields):
         return None
-    settings = source_type(str(table["kind"])).Settings.model_validate(table)
+    settings = read_settings(source_type(str(table["kind"])).Settings, table)
     return LiveBounds(settings) if isinstance(settings, LiveSettings) else None

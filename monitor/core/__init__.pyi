@@ -10,7 +10,7 @@ from .errors import (
     WrongUsageError,
 )
 from .extras import import_extra, missing_extra, require_extra
-from .files import demand_place, finish, partial, set_aside, sha256, spare_inputs, write_atomically
+from .files import demand_place, finish, no_empty_folder, partial, set_aside, sha256, spare_inputs, write_atomically
 from .memory import keep_freed
 from .naming import name_stories, name_stories_in
 from .optimization import levenberg_marquardt
@@ -18,6 +18,7 @@ from .parallel import parallel_map
 from .parse import parse_address, parse_json, utc_ns
 from .results import (
     GAP,
+    STRONG_MOTION,
     WHOLE,
     Alarm,
     AlarmCondition,
@@ -38,10 +39,11 @@ from .results import (
     Window,
     WindowResult,
 )
-from .settings import Settings, settings_problems
+from .settings import Settings, read_settings, settings_problems
 
 __all__ = [
     "GAP",
+    "STRONG_MOTION",
     "WHOLE",
     "Alarm",
     "AlarmCondition",
@@ -78,10 +80,12 @@ __all__ = [
     "missing_extra",
     "name_stories",
     "name_stories_in",
+    "no_empty_folder",
     "parallel_map",
     "parse_address",
     "parse_json",
     "partial",
+    "read_settings",
     "require_extra",
     "set_aside",
     "settings_problems",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from errno import EISDIR
 from itertools import count
 from pathlib import Path
@@ -54,6 +55,18 @@ def demand_place(path: Path) -> None:
         partial(path).unlink()
     except OSError as error:
         raise MissingInputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+@contextmanager
+def no_empty_folder(folder: Path) -> Iterator[None]:
+    """Remove a folder that is made within the block, if an error leaves the block before a file is in it."""
+    was_there = folder.exists()
+    try:
+        yield
+    except BaseException:
+        if not was_there and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+        raise
 
 
 def finish(path: Path) -> None:

@@ -50,6 +50,7 @@ class AlarmCondition(StrEnum):
 
 
 GAP = "gap in the data"
+STRONG_MOTION = "strong motion, which is told as an event or was a short disturbance of all floors"
 
 
 @dataclass(frozen=True, slots=True)

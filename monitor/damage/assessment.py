@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, AlarmCondition, DamageReading, Level, ModalReading, Skipped, WindowResult
+from monitor.core import STRONG_MOTION, WHOLE, AlarmCondition, DamageReading, Level, ModalReading, Skipped, WindowResult
 from monitor.damage.detectable_loss import WITHIN_S
 from monitor.damage.modal_alarm import change_words
 from monitor.model import FORMS
@@ -316,7 +316,7 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
         last=window,
         outages=_with_outages(course.outages, window),
     )
-    if window.rms_m_s2 is not None:
+    if window.rms_m_s2 is not None and window.skipped != STRONG_MOTION:
         low, high = course.rms_range or (window.rms_m_s2, window.rms_m_s2)
         course = replace(course, rms_range=(min(low, window.rms_m_s2), max(high, window.rms_m_s2)))
     if window.skipped is not None:
@@ -579,9 +579,12 @@ def _silent(course: Course, known: Known) -> list[Fact]:
 def _levels(course: Course, known: Known, whole: bool) -> list[str]:
     """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration.
 
-    That is the motion of the latest window or, in a whole recording, of any.
+    That is the motion of the latest window or, in a whole recording, of any; that of strong motion is told as an event.
     """
-    latest = None if course.last is None else course.last.rms_m_s2
+    last = course.last
+    if last is not None and last.skipped == STRONG_MOTION:
+        last = course.judged
+    latest = None if last is None else last.rms_m_s2
     seen = course.rms_range if whole or latest is None else (latest, latest)
     if seen is None or known.level_range_m_s2 is None:
         return []

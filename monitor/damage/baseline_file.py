@@ -186,6 +186,10 @@ def read_content(path: Path) -> tuple[str, dict[str, Any]]:
         raise BadInputError(f"{path}: not a baseline file (no UTF-8 text); make one with 'calibrate'") from error
     except OSError as error:
         raise MissingInputError(f"{path}: {error.strerror}") from error
+    if path.suffix.casefold() == ".toml":
+        raise BadInputError(
+            f"{path}: a structure file, and no baseline: a baseline is the JSON file that 'calibrate --out' writes"
+        )
     tree = json.loads(text)
     if not isinstance(tree, dict):
         raise TypeError("it is no JSON object")

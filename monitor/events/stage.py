@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from monitor.core import Array, Skipped, WindowResult
+from monitor.core import STRONG_MOTION, Array, Skipped, WindowResult
 from monitor.events import alarm, recognition
 from monitor.events.alarm import EventAlarm
 from monitor.events.ambient import AmbientReading, lasting_loss, mean_frequencies, reading_of
@@ -181,9 +181,7 @@ def skipped(state: EventState, end_ns: int, window_s: float, settings: EventSett
     end = round((end_ns - state.t0_ns) * 1e-9 * state.rate_hz)
     begin = end - round(window_s * state.rate_hz)
     held = any(mark[0] < end and mark[1] > begin for mark in state.marks)
-    return (
-        Skipped("strong motion, which is told as an event or was a short disturbance of all floors") if held else None
-    )
+    return Skipped(STRONG_MOTION) if held else None
 
 
 def _with_alarms(state: EventState, told: list[Event], site: Site) -> EventState:

@@ -124,7 +124,7 @@ def covariate_units(config: Configuration) -> dict[str, str]:
     return {"level": "dB", "temperature": "degC", **{t.name: t.unit for t in config.covariates}}
 
 
-def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]]:
+def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...], bool]:
     """Update a changed drawing to the healthy modes of a baseline's file, without recordings.
 
     Parameters
@@ -138,6 +138,8 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
         With the changed drawing's updated model.
     tuple of str
         What changed and what is left out.
+    bool
+        Whether the updating converged.
 
     Raises
     ------
@@ -157,7 +159,7 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
             )
         if old.origin.fingerprint == here.fingerprint:
             says.append("masses, stiffnesses and matrices are drawn as before: all else is kept")
-            return replace(old, origin=here, doubts=()), tuple(says)
+            return replace(old, origin=here, doubts=()), tuple(says), True
     new, fit = rebase_baseline(old, instrumented, config.updating)
     says.append(f"the updating to the healthy modes {'converged' if fit.converged else 'did NOT converge'}")
     says.append(
@@ -172,7 +174,7 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
             "left out: what diagnoses start from, which was fitted to spectra with the old drawing; 'diagnose' needs a baseline "
             "calibrated anew from recordings"
         )
-    return new, tuple(says)
+    return new, tuple(says), bool(fit.converged)
 
 
 def _learned_share(paths: list[Path], config: Configuration) -> float:

@@ -87,29 +87,31 @@ def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
     except (KeyError, TypeError, ValueError) as error:
         raise BadInputError(f"{folder / EVENTS}: not as the monitor writes it ({error!r})") from error
     recording, site, seen, why_not = line.get("recording"), None, None, "The event's samples are not kept."
+    name = ""
     path = None if recording is None else folder / str(recording)
     if path is not None:
-        site, found = _read_recording(path, event)
+        name, site, found = _read_recording(path, event)
         seen, why_not = (
             (None, f"{found.reason[:1].upper()}{found.reason[1:]}.") if isinstance(found, Skipped) else (found, "")
         )
     checksum = None if path is None or not path.exists() else sha256(path)
-    write_event(out, EventPage(folder.resolve().name, event, recording, checksum, site, seen, why_not))
+    write_event(out, EventPage(name or folder.resolve().name, event, recording, checksum, site, seen, why_not))
     return event
 
 
-def _read_recording(path: Path, event: Event) -> tuple[Site | None, Review | Skipped]:
-    """Read an event's recording: what the site's files said, and the motion over time."""
+def _read_recording(path: Path, event: Event) -> tuple[str, Site | None, Review | Skipped]:
+    """Read an event's recording: the site's name (empty where it has none), what its files said, and the motion over time."""
     try:
         about = read_metadata(path, ABOUT)
         if about is None:
-            return None, Skipped("the event's recording does not say of which structure it is")
+            return "", None, Skipped("the event's recording does not say of which structure it is")
         site = Site.read(parse_json(about["site"].encode()))
         processing = ProcessingSettings.model_validate_json(about["processing"])
         front_end = FrontEnd(site.channels, processing, segment_s=0.0, n_lags=0)
         blocks = read_recordings([path], (ACCELERATION, GROUND))
-        return site, review_event(blocks, front_end, site, event.begin_ns, event.end_ns, event.corner_hz)
+        seen = review_event(blocks, front_end, site, event.begin_ns, event.end_ns, event.corner_hz)
+        return about.get("name", ""), site, seen
     except RecordingMissingError:
-        return None, Skipped(f"the event's recording {path.name} is not there")
+        return "", None, Skipped(f"the event's recording {path.name} is not there")
     except (RecordingError, KeyError, TypeError, ValueError) as error:
         raise BadInputError(f"{path}: damaged, or not as the monitor writes it ({error})") from error

@@ -39,7 +39,7 @@ from monitor.identification import (
 )
 from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, utc, write_look
 from monitor.runs.importers import ImportedChannel, import_files
-from monitor.runs.look_doubts import Facts, find_doubts, remark_modes
+from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
 from monitor.runs.recordings import OnProgress, OnWarning
 from monitor.signals import (
@@ -123,7 +123,8 @@ def look(
             list(paths),
             recording,
             rate_hz=rate_hz,
-            unit=unit or "m/s^2",
+            unit=unit,
+            ask_unit=lambda _: "m/s^2",  # the note says so
             on_warning=taken.append,
             on_channel=channels.append,
         )
@@ -207,7 +208,7 @@ def _look(
     facts = replace(facts, modes=remark_modes(facts))
     return LookedRecording(
         files=tuple(map(str, paths)),
-        notes=notes,
+        notes=(*notes, *find_remarks(facts)),
         t_start_ns=runs[0].t_ns,
         duration_s=duration_s,
         rate_hz=rate_hz,

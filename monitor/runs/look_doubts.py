@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from math import inf
 
 import numpy as np
 
@@ -20,6 +21,9 @@ _GRAVITY_TOLERANCE = 0.03
 """Distance of a mean from 1, relative, within which it may be gravity. [1; judgement: a sensor's offset and its tilt]"""
 _LEAST_UNFOLDED = 0.5
 """Density just below half the rate, over that of the upper half of the band, from which no lowpass is seen. [1; judgement]"""
+_MOST_FOLDED = 0.1
+"""Density just below half the rate, over that at the weakest mode, up to which what folds is no doubt. [1; judgement: it adds
+to a mode's peak as sensor noise of a third of its amplitude does]"""
 _LEAST_SHARE = 0.001
 """Share of a recording's samples or spans from which a fault is told. [1; judgement]"""
 _OPPOSITE = 0.2
@@ -197,13 +201,47 @@ def _of_spectra(facts: Facts) -> Iterator[str]:
     drifts = sensor_drift.find_drift(facts.transforms, int(0.5 * lowest / facts.step_hz))
     if len(drifts) < len(facts.channels):  # what all do is the motion's
         yield from (f"{facts.channels[one.channel]}: drifts alone, slower than {0.5 * lowest:.3g} Hz" for one in drifts)
-    folded = channel_relations.folded_share((np.abs(facts.transforms) ** 2).mean(axis=0))
-    bare = [k for k, share in enumerate(folded) if share > _LEAST_UNFOLDED and facts.rms[k] > 0.0]
-    if bare:
+    bare, share = _without_lowpass(facts)
+    if bare and share > _MOST_FOLDED:
+        of_modes = (
+            f" (just below it there is {share:.2g} of the power at the weakest mode)" if np.isfinite(share) else ""
+        )
         yield (
             f"{_names(facts, bare)}: no lowpass is seen below half the rate ({facts.rate_hz / 2:g} Hz): motion beyond it, if "
-            "there is any, is folded into the band"
+            f"there is any, is folded into the band{of_modes}"
         )
+
+
+def find_remarks(facts: Facts) -> tuple[str, ...]:
+    """List what is worth knowing and changes no result."""
+    bare, share = _without_lowpass(facts)
+    if not bare or share > _MOST_FOLDED:
+        return ()
+    return (
+        f"{_names(facts, bare)}: no lowpass is seen below half the rate ({facts.rate_hz / 2:g} Hz), but little moves there: "
+        f"{share:.2g} of the power at the weakest mode, so that what may fold into the band is no more than noise",
+    )
+
+
+def _without_lowpass(facts: Facts) -> tuple[list[int], float]:
+    """Find the channels without a lowpass, and what may fold: their density just below half the rate over that at a mode.
+
+    Returns
+    -------
+    list of int
+        Channels.
+    float
+        Ratio at the mode with the least density; infinite where there is no mode.
+    """
+    power = (np.abs(facts.transforms) ** 2).mean(axis=0)
+    folded = channel_relations.folded_share(power)
+    bare = [k for k, share in enumerate(folded) if share > _LEAST_UNFOLDED and facts.rms[k] > 0.0]
+    at = [round(mode.frequency_hz / facts.step_hz) for mode in facts.modes if not mode.remark]
+    if not bare or not at:
+        return bare, inf
+    density = power[:, bare].sum(axis=1)
+    weakest = min(float(density[max(0, k - 1) : k + 2].max()) for k in at)
+    return bare, float(channel_relations.top_density(density[:, None])[0] / max(weakest, 1e-300))
 
 
 def _of_channels(facts: Facts) -> Iterator[str]:

@@ -8,7 +8,7 @@ from math import ceil
 
 import numpy as np
 
-from monitor.core import Array, BadInputError
+from monitor.core import Array, BadInputError, Skipped
 from monitor.identification import SsiSettings
 from monitor.model import Model, ShearFrame
 from monitor.publish import LookedMode, LookedRecording
@@ -44,10 +44,20 @@ def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> s
     BadInputError
         If there is no mode to fit.
     """
-    modes = [mode for mode in found.modes if not mode.remark][: len(found.channels)]
+    sure = [mode for mode in found.modes if not mode.remark and _is_sure(mode)]
+    modes = sure[: len(found.channels)]
     if not modes:
         raise BadInputError(f"{', '.join(found.files)}: no mode to make a structure of; record longer, or more motion")
     doubts = []
+    if unsure := [f"{mode.frequency_hz:.4g}" for mode in found.modes if not mode.remark and not _is_sure(mode)]:
+        doubts.append(
+            f"Left out: {', '.join(unsure)} Hz, whose damping is not told from zero and which has no second opinion."
+        )
+    if beyond := sure[len(modes) :]:
+        doubts.append(
+            f"{len(sure)} modes for {len(modes)} sensors: floors without a sensor, or motion in another direction. Modes from "
+            f"{beyond[0].frequency_hz:.4g} Hz up are not in it: more sensors would tell them."
+        )
     if mass_kg is None:
         doubts.append(
             "The masses are relative, 1 kg in all: modes do not tell masses. Relative stiffness losses are right all the same, "
@@ -90,6 +100,11 @@ def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> s
         lines += ["", "[[sensors]]", f"channel = {json.dumps(found.channels[channel])}", f"floor = {floor}"]
     lines += ["", *processing[0]]
     return "\n".join(lines) + "\n"
+
+
+def _is_sure(mode: LookedMode) -> bool:
+    """Check that a mode has a second opinion, or a damping ratio that is told from zero with a confidence of 95 %."""
+    return not isinstance(mode.second, Skipped) or mode.damping_ratio > 2.0 * mode.damping_std
 
 
 def _fit_frame(modes: Sequence[LookedMode], order: Sequence[int], mass_kg: float) -> ShearFrame:
@@ -135,25 +150,44 @@ def _frame_misfit(frame: ShearFrame, modes: Sequence[LookedMode], order: Sequenc
 
 
 def _matrices(modes: Sequence[LookedMode], mass_kg: float) -> list[str]:
-    """Write matrices with the measured modes: equal masses, shapes made orthogonal, and the rest beyond the band."""
-    n = len(modes[0].shape)
-    shapes = np.array([mode.shape.real / np.linalg.norm(mode.shape.real) for mode in modes]).T
-    u, _, vt = np.linalg.svd(shapes, full_matrices=False)
-    q = u @ vt  # the orthogonal shapes nearest to the measured ones
-    mass = mass_kg / n
-    modal = mass * (2.0 * np.pi * np.array([mode.frequency_hz for mode in modes])) ** 2
-    each = np.einsum("ar,br->rab", q, q)
-    rest = np.eye(n) - each.sum(axis=0)
-    stiffness = np.einsum("r,rab->ab", modal, each) + _BEYOND**2 * modal.max() * rest
-    derivatives = ", ".join(_matrix(one) for one in each)
+    """Write matrices whose modes at the sensors are the measured ones, and what the modes do not tell lies beyond the band.
+
+    The matrices are those of the system equivalent reduction expansion process (SEREP): with the shapes as columns of P,
+    completed to a basis, M = P^-T P^-1 and K = M P diag(omega^2) P^T M.  So each stiffness moves the frequency of its mode and no
+    shape, also where floors have no sensor and the shapes at the others are not orthogonal.
+
+    References
+    ----------
+    O'Callahan, Avitabile, Riemer: System equivalent reduction expansion process, Proc. IMAC VII, 1989.
+    """
+    n, m = len(modes[0].shape), len(modes)
+    basis = _basis(modes)
+    inverse = np.linalg.inv(basis)
+    mass = inverse.T @ inverse
+    mass *= mass_kg / mass.sum()
+    scale = np.einsum("ar,ab,br->r", basis, mass, basis)  # modal masses
+    omega2 = (2.0 * np.pi * np.array([mode.frequency_hz for mode in modes])) ** 2
+    each = np.einsum("ar,br->rab", mass @ basis, mass @ basis) / scale[:, None, None] ** 2
+    modal = scale[:m] * omega2
+    stiffness = np.einsum("r,rab->ab", modal, each[:m])
+    if m < n:
+        stiffness += _BEYOND**2 * omega2.max() * np.einsum("r,rab->ab", scale[m:], each[m:])
+    derivatives = ", ".join(_matrix(one) for one in each[:m])
     return [
         'kind = "matrices"',
-        f"mass_matrix = {_matrix(mass * np.eye(n))}",
+        f"mass_matrix = {_matrix(mass)}",
         f"stiffness_matrix = {_matrix(stiffness)}",
         f"stiffness_n_per_m = {_numbers(modal)}",
         f"stiffness_derivatives = [{derivatives}]",
         f"story_names = {json.dumps([f'mode {k}' for k in range(1, len(modes) + 1)])}",
     ]
+
+
+def _basis(modes: Sequence[LookedMode]) -> Array:
+    """Form the shapes of unit norm as columns, completed to a basis by what is orthogonal to them, shape (n, n)."""
+    shapes = np.array([mode.shape.real / np.linalg.norm(mode.shape.real) for mode in modes]).T
+    u, _, _ = np.linalg.svd(shapes)
+    return np.concatenate([shapes, u[:, len(modes) :]], axis=1)
 
 
 def _processing(found: LookedRecording, modes: Sequence[LookedMode]) -> tuple[list[str], list[str]]:

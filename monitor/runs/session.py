@@ -245,7 +245,8 @@ class Session:
     def _about(self) -> dict[str, str]:
         """Collect what the page of an event needs of the site's files."""
         processing = self.config.processing.model_dump_json()
-        return {"site": to_json(self.pipeline.site.content()), "processing": processing}
+        name = self.config.site.name or self.config.structure.name
+        return {"site": to_json(self.pipeline.site.content()), "processing": processing, "name": name}
 
     @cached_property
     def _known(self) -> Known:

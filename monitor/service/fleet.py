@@ -19,7 +19,7 @@ from pydantic import Field, ValidationError
 from drivers.base import SourceError
 from drivers.zenoh_session import Key, SessionSettings, leave, open_session
 from monitor.config import read_toml
-from monitor.core import BadConfigurationError, MissingInputError, Settings, settings_problems
+from monitor.core import BadConfigurationError, MissingInputError, Settings, read_settings, settings_problems
 from monitor.damage import Assessment, State, outdated
 from monitor.service.status import ALARM, HEALTHY, TROUBLE, exit_code, last_event, read_assessment
 
@@ -98,7 +98,7 @@ def load(path: Path) -> FleetSettings:
         The settings are invalid; the message lists one problem a line.
     """
     try:
-        return _FleetFile.model_validate(read_toml(path)).fleet
+        return read_settings(_FleetFile, read_toml(path)).fleet
     except ValidationError as error:
         raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in settings_problems(error))) from error
 

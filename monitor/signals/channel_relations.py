@@ -146,6 +146,10 @@ def folded_share(power: Array) -> Array:
 
     A lowpass before the samples were taken leaves next to nothing there; about 1 means that none was at work.
     """
+    return np.asarray(top_density(power) / np.maximum(np.median(power[len(power) // 2 :], axis=0), 1e-300))
+
+
+def top_density(power: Array) -> Array:
+    """Average the power density just below half the rate, (n_bins, c) to (c,)."""
     n = len(power)
-    top = power[n - max(1, round(_TOP_SHARE * n)) :].mean(axis=0)
-    return np.asarray(top / np.maximum(np.median(power[n // 2 :], axis=0), 1e-300))
+    return np.asarray(power[n - max(1, round(_TOP_SHARE * n)) :].mean(axis=0))

@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -198,3 +199,21 @@ def test_the_python_of_a_page_runs(
     assert printed.count("Hz") == 3
     for shown in re.findall(r"^```text\n(frequency.*?)^```", text, re.MULTILINE | re.DOTALL):
         assert shown == printed
+
+
+def test_a_structure_of_modes_alone_is_refused_where_it_is_named(tmp_path: Path) -> None:
+    (tmp_path / "modal.toml").write_text('[structure]\nkind = "modal"\n[[sensors]]\nchannel = "a1"\n')
+    with pytest.raises(shm.UserError, match=r'modal\.toml: \[structure\] kind = "modal" has no masses and stiffnesses'):
+        shm.structure(tmp_path / "modal.toml")
+
+
+def test_a_table_that_tells_no_time_is_read_without_a_warning_and_others_point_at_the_caller(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,top\n" + "".join(f"{k / 100:.2f},{k % 7}\n" for k in range(300)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert shm.read(tmp_path / "a.csv").start_ns == 0
+        assert shm.read(tmp_path / "a.csv", start_ns=5).start_ns == 5
+    (tmp_path / "b.csv").write_text("t,top\n" + "".join(f"{k / 100:.2f},{k % 7}\n" for k in range(300) if k != 100))
+    with pytest.warns(UserWarning, match="missing") as told:
+        shm.read(tmp_path / "b.csv")
+    assert {one.filename for one in told} == {__file__}

@@ -9,8 +9,9 @@ import inspect
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from drivers.base import ACCELERATION, GROUND
 from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_messages
 from monitor.cli.app import app
 from monitor.config import configuration
+from monitor.damage import Baseline, Update, learn_baseline
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from tests.conftest import T0_NS, Cli, Cut
@@ -212,6 +214,37 @@ def test_calibrating_twice_gives_the_same_baseline(site: Site, calibrated: Done,
     assert_ok(site.cli("calibrate", site.healthy, "--structure", site.watch, "--out", again))
     assert again.read_bytes() == site.baseline.read_bytes()
     strict(again.read_text())
+
+
+def test_an_updating_that_did_not_converge_is_told_last_and_by_the_exit_code(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The updating of each window converges, that to the mean of their modes does not."""
+
+    def unconverged(*arguments: Any, **named: Any) -> tuple[Baseline, Update]:
+        baseline, fit = learn_baseline(*arguments, **named)
+        return baseline, replace(fit, converged=False)
+
+    monkeypatch.setattr("monitor.runs.calibrate.learn_baseline", unconverged)
+    record, out = site.write("brief.mcap", site.values(60)), tmp_path / "b.json"
+    for more in ([], ["--json"]):
+        done = site.main("calibrate", record, "--structure", site.quick, "--out", out, *more)
+        assert done.returncode == 65
+        last = done.stderr.strip().splitlines()[-1]
+        assert last.startswith(f"error: {out}: the updating did NOT converge") and "quick.toml" in last
+        strict(out.read_text())
+    assert strict(done.stdout)["converged"] is False
+
+
+def test_a_rebase_that_did_not_converge_is_told_by_the_exit_code_too(
+    site: Site, calibrated: Done, tmp_path: Path
+) -> None:
+    assert_ok(calibrated)
+    drawn, out = tmp_path / "drawn.toml", tmp_path / "b.json"
+    drawn.write_text(site.watch.read_text().replace("1514.8507", "1700") + "\n[updating]\nmax_iterations = 1\n")
+    done = site.main("calibrate", "--rebase", site.baseline, "--structure", drawn, "--out", out, "--json")
+    assert done.returncode == 65 and out.exists() and "did NOT converge" in done.stderr
+    assert strict(done.stdout)["converged"] is False
 
 
 @pytest.mark.system

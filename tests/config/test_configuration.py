@@ -89,6 +89,75 @@ def test_every_problem_is_listed_at_once(load: Load, frame_text: str) -> None:
     assert len(lines) == len(places)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            "window_s = 20.0",
+            'window_s = "20.0"',
+            'processing.window_s: must be a number, and is the text "20.0"; leave out the quotation marks',
+        ),
+        ("window_s = 20.0", 'window_s = "s3cret"', "processing.window_s: must be a number, and is text"),
+        ("window_s = 20.0", "window_s = true", "processing.window_s: must be a number, and is true or false"),
+        (
+            "block_rows = 10",
+            "block_rows = 10.0",
+            "identification.block_rows: must be a whole number, and is a number, 10.0",
+        ),
+        (
+            'channel = "a1"',
+            "channel = 1234",
+            "sensors.0.channel: must be text in quotation marks, and is a whole number",
+        ),
+        (
+            'channel = "a1"',
+            "channel = 2026-01-01",
+            "sensors.0.channel: must be text in quotation marks, and is a date or time",
+        ),
+        (
+            "0.3253",
+            '"0.3253"',
+            'structure.masses_kg.0: must be a number, and is the text "0.3253"; leave out the quotation marks',
+        ),
+        ("[0.3253, 0.3514, 0.3129]", "0.3", "structure.masses_kg: must be an array, and is a number"),
+        (
+            "[processing]",
+            "[[processing]]",
+            "processing: must be a table, and is an array; a single table begins with [processing]",
+        ),
+    ],
+)
+def test_a_value_of_another_type_is_refused_with_what_was_given_and_what_is_wanted(
+    load: Load, frame_text: str, old: str, new: str, told: str
+) -> None:
+    assert old in frame_text
+    assert problems(load, frame_text.replace(old, new, 1)) == [told]
+
+
+def test_a_single_table_where_several_may_stand_is_told_the_brackets(load: Load, frame_text: str) -> None:
+    text = frame_text[: frame_text.index("[[sensors]]")] + '[sensors]\nchannel = "a1"\nfloor = 1\n'
+    assert problems(load, text) == [
+        "sensors: must be an array, and is a table; one of several tables begins with [[sensors]]"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ('[source]\nkind = "mcap"\nfiles = "a.mcap"\n', "source.files: must be an array, and is text"),
+        (
+            '[source]\nkind = "mqtt"\nhost = "h"\ntopic = "t"\nport = "1883"\n',
+            'source.port: must be a whole number, and is the text "1883"',
+        ),
+        ("[output]\nkeep_gb = '3'\n", 'output.keep_gb: must be a number, and is the text "3"'),
+        ("[log]\nlevel = 3\n", "log.level: Input should be 'debug'"),
+    ],
+)
+def test_types_are_checked_in_the_tables_of_a_site_too(load: Load, frame_text: str, table: str, told: str) -> None:
+    lines = problems(load, frame_text + "\n" + table)
+    assert any(line.startswith(told) for line in lines), lines
+
+
 def test_problems_between_tables_are_listed_at_once_too(load: Load, frame_text: str) -> None:
     text = frame_text.replace('channel = "a2"', 'channel = "a1"').replace("floor = 3", "floor = 4")
     text = text.replace("hop_s = 5.0", "hop_s = 0.13").replace(

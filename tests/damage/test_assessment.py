@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from monitor.core.results import WHOLE, Level
+from monitor.core.results import STRONG_MOTION, WHOLE, Level
 from monitor.damage.assessment import Assessment, Course, Known, State, WindowFacts, assess, follow
 
 HOP_NS, WINDOW_S, T0 = 10 * 10**9, 400.0, 1_800_000_000 * 10**9
@@ -192,6 +192,14 @@ def test_g_for_m_s2_is_asked_about_while_it_lasts_and_in_a_recording_if_it_ever_
     assert ("is the unit right" in said(WELL, odd).headline) == asks
     assert ("is the unit right" in said(odd, WELL, whole=True).headline) == asks
     assert said(odd, WELL).state is State.NORMAL
+
+
+def test_strong_motion_that_is_told_as_an_event_does_not_ask_for_the_unit() -> None:
+    shaken = WindowFacts(T0, WINDOW_S, STRONG_MOTION, rms_m_s2=100.0)
+    assert not any("is the unit right" in text for text in (said(WELL, shaken).headline, *said(WELL, shaken).doubts))
+    assert said(WELL, shaken, WELL, whole=True).state is State.NORMAL
+    noise = replace(shaken, skipped="pure noise", rms_m_s2=1e-3)
+    assert "is the unit right" in said(WELL, noise).headline
 
 
 def test_the_gravest_is_the_headline_and_the_rest_are_doubts() -> None:

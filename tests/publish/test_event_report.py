@@ -114,6 +114,20 @@ def test_the_page_is_made_of_the_folder_alone(folder: tuple[Path, Event]) -> Non
         assert "story 3: force" in html and "inspect &lt;this&gt; story" in html and "0 s before the event" not in html
 
 
+def test_the_page_is_titled_by_the_structure_not_by_the_folder(tmp_path: Path) -> None:
+    config = configuration(events={"post_s": 15.0, "merge_s": 5.0})
+    named = config.model_copy(update={"site": config.site.model_copy(update={"name": "town hall"})})
+    for name, wanted in ((named, "town hall"), (config, config.structure.name or "plain")):
+        out = tmp_path / wanted.replace("town hall", "a-folder") / "plain"
+        recordings = EventRecordings(out, name.events)
+        (out / "events").mkdir(parents=True)
+        session = Session(name, None, (), None, out / "findings", recordings=recordings)
+        events = [r for b in blocks(shaken()) for r in session.push(b) if isinstance(r, Event) and r.revision == 0]
+        (out / "events.jsonl").write_text(to_json(event_line(events[0], f"events/{events[0].id}.mcap")) + "\n")
+        write_event_page(out, read_event_line(out, "last"), out / "page.html")
+        assert f"<title>{wanted}: event" in (out / "page.html").read_text()
+
+
 def test_the_command_writes_the_page_beside_the_recording(folder: tuple[Path, Event], main: Cli) -> None:
     out, event = folder
     done = main("report", out, "--event", "last", "--json")

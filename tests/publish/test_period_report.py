@@ -7,6 +7,7 @@ import re
 import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pytest
@@ -160,6 +161,32 @@ def test_curves_are_light_and_drawn_where_the_values_are(page: ElementTree.Eleme
     assert not [r for r in chart(page, "story 1").iter("rect") if r.get("class") in ("still", "off")]
     axis = [t.text for t in chart(page, "temperature").iter("text")]
     assert any("2026-01" in (t or "") for t in axis)
+
+
+def test_recordings_a_month_apart_share_the_chart_and_the_gap_is_shortened(tmp_path: Path, page: Element) -> None:
+    """Forty windows, thirty days without, sixty windows: each stretch has its share of the width."""
+    month = 30 * 144
+    json_lines(tmp_path / "results.jsonl", [line_of(k) for k in (*range(40), *range(month, month + 60))])
+    period = read_period(tmp_path, None, None)
+    write_period(tmp_path / "r.html", period)
+    short = parsed(tmp_path / "r.html")
+    svg = chart(short, "mode 1: frequency")
+    first, second = (points(p)[:, 0] / 1000.0 for p in svg.iter("polyline") if p.get("class") == "line after")
+    (cut,) = (r for r in svg.iter("rect") if r.get("class") == "cut")
+    begin, width = float(cut.get("x", "")) / 1000.0, float(cut.get("width", "")) / 1000.0
+    assert first.size >= 40
+    assert second.size >= 60
+    assert first[-1] < begin < begin + width < second[0]
+    assert np.ptp(first) == pytest.approx(0.38, abs=0.03)
+    assert np.ptp(second) == pytest.approx(0.56, abs=0.03)
+    dates = {(t.text or "")[:10] for t in svg.iter("text")}
+    assert {"2026-01-01", "2026-01-31"} <= dates
+    assert "which the charts shorten (2026-01-01 06:40:00 to 2026-01-31 00:00:00)" in words(short)
+    assert "shorten" not in words(page), "five days of ninety stay as they are"
+    grid = period.results.grid
+    for k in (0, 39, month, month + 59):
+        t_ns = T0 + (k + 1) * HOP
+        assert grid.edges_ns[grid.at(t_ns)] < t_ns <= grid.edges_ns[grid.at(t_ns) + 1]
 
 
 def test_modes_are_three_curves_at_their_frequencies(page: ElementTree.Element) -> None:

@@ -40,7 +40,7 @@ def load(path: Path, **options: Any) -> tuple[RecordingInfo, np.ndarray, list[st
     warnings: list[str] = []
     taken: list[ImportedChannel] = []
     out = path.parent / "out.mcap"
-    options = {"unit": "m/s^2", "start_ns": 0} | options
+    options = {"ask_unit": lambda _: "m/s^2", "start_ns": 0} | options
     info = import_files([path], out, on_warning=warnings.append, on_channel=taken.append, **options)
     blocks = [block.samples for block in read_recordings([out]) if block.topic == ACCELERATION]
     return info, np.concatenate(blocks), warnings, taken

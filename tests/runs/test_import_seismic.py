@@ -120,6 +120,21 @@ def test_the_scale_is_for_counts_alone(tmp_path: Path) -> None:
         import_files([tmp_path / "a.csv"], tmp_path / "r.mcap", scale=0.0)
 
 
+def test_the_scale_leaves_other_files_beside_the_counts_alone(tmp_path: Path, counts: np.ndarray) -> None:
+    file = miniseed(tmp_path / "a.mseed", counts[:, :1].repeat(2, axis=1))
+    rows = "".join(f"{1_767_225_600 + k / 100:.2f},{0.5 * (-1) ** k}\n" for k in range(500))
+    (tmp_path / "b.csv").write_text("t,top\n" + rows)
+    chosen = {"low": "a.mseed:XX.ROOF..HNX", "top": "b.csv:top"}
+    told = list[str]()
+    import_files(
+        [file, tmp_path / "b.csv"], tmp_path / "r.mcap", scale=1e-3, unit="g", channels=chosen, on_warning=told.append
+    )
+    samples = read(tmp_path / "r.mcap")
+    assert samples[:, 0] == pytest.approx(1e-3 * counts[:, 0], rel=1e-6)
+    assert np.abs(samples[:, 1]) == pytest.approx(0.5 * 9.80665, rel=1e-6)
+    assert not any("--unit" in text for text in told)
+
+
 def test_other_files_are_told_apart() -> None:
     assert seismic.is_seismic(HEAD) and seismic.is_seismic(b"MS\x03") and seismic.is_seismic(b"Origin Time  2011")
     assert not any(map(seismic.is_seismic, (b"", b"t,a1\n0,1\n", b"123456 1.0\n", io.BytesIO(b"PK\x03\x04").read())))

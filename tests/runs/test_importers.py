@@ -11,7 +11,7 @@ import pytest
 
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE
 from drivers.mcap_file import RecordingInfo, read_recordings
-from monitor.core.errors import BadInputError, MissingInputError
+from monitor.core.errors import BadInputError, MissingInputError, WrongUsageError
 from monitor.runs.importers import csv_table, import_files
 
 DATA = Path(__file__).parents[1] / "data"
@@ -23,7 +23,7 @@ def convert(path: Path, content: str | bytes, **options: object) -> tuple[Record
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     warnings: list[str] = []
     options.setdefault("start_ns", WHEN_NS)
-    options.setdefault("unit", "m/s^2")
+    options.setdefault("ask_unit", lambda _: "m/s^2")
     out = path.with_suffix(".mcap")
     info = import_files([path], out, on_warning=warnings.append, **options)  # type: ignore[arg-type]
     return info, samples(out), warnings
@@ -146,7 +146,6 @@ def test_what_cannot_be_used_is_named_with_file_and_place(tmp_path: Path, conten
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"unit": "furlong"}, r"--unit 'furlong': known.*m/s\^2"),
         ({"dbc": Path("frame.dbc")}, "--dbc is for CAN logs"),
         ({"rate_hz": -1.0}, "--rate"),
         ({"rate_hz": 1e-200}, "absurd"),
@@ -158,6 +157,19 @@ def test_what_cannot_be_used_is_named_with_file_and_place(tmp_path: Path, conten
 def test_options_that_do_not_fit_are_refused(tmp_path: Path, options: dict[str, object], reason: str) -> None:
     with pytest.raises(BadInputError, match=reason):
         convert(tmp_path / "a.csv", "time,a1 [g],a2 [g]\n" + rows("{t},{a},{b}\n"), **options)
+
+
+def test_an_unknown_unit_is_wrong_usage(tmp_path: Path) -> None:
+    with pytest.raises(WrongUsageError, match=r"--unit 'furlong': known.*m/s\^2"):
+        convert(tmp_path / "a.csv", "time,a1\n" + rows("{t},{a}\n"), unit="furlong")
+
+
+def test_a_unit_that_no_column_needs_is_told(tmp_path: Path) -> None:
+    _, values, told = convert(tmp_path / "a.csv", "time,a1 [g]\n" + rows("{t},{a}\n"), unit="mg")
+    _, same, silent = convert(tmp_path / "a.csv", "time,a1 [g]\n" + rows("{t},{a}\n"))
+    assert any(text.startswith("--unit mg is not used") for text in told)
+    assert not any("--unit" in text for text in silent)
+    np.testing.assert_array_equal(values, same)
 
 
 @pytest.mark.parametrize("name", ["a.blf", "a.asc", "a.log"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from xml.dom import minidom
 
@@ -68,8 +69,20 @@ def test_a_table_alone_gives_the_modes_with_intervals(found: LookedRecording) ->
     assert "50 Hz" in found.notes[0]
 
 
-def test_a_sound_recording_is_doubted_for_nothing_but_its_missing_lowpass(found: LookedRecording) -> None:
-    assert all("lowpass" in doubt for doubt in found.doubts), found.doubts
+def test_a_sound_recording_is_doubted_for_nothing_and_its_missing_lowpass_is_a_remark(
+    found: LookedRecording, tmp_path: Path
+) -> None:
+    assert found.doubts == ()
+    assert sum("no lowpass is seen" in note and "little moves there" in note for note in found.notes) == 1
+    look.write_results(found, tmp_path)
+    assert '<span class="verdict normal">looked at</span>' in (tmp_path / "look.html").read_text()
+
+
+def test_a_missing_lowpass_is_a_doubt_where_what_folds_is_as_strong_as_a_mode(tmp_path: Path) -> None:
+    loud = samples() + 0.03 * np.random.default_rng(1).standard_normal((int(RATE_HZ * SECONDS), 3))
+    found = look.look([table(tmp_path / "d.csv", loud)])
+    assert any("no lowpass is seen" in doubt and "folded into the band" in doubt for doubt in found.doubts)
+    assert not any("no lowpass is seen" in note for note in found.notes)
 
 
 def test_what_is_wrong_with_a_channel_is_told(tmp_path: Path) -> None:
@@ -134,6 +147,35 @@ def test_shapes_of_no_frame_become_matrices_with_the_same_frequencies(tmp_path: 
     assert tomllib.loads((tmp_path / "x.toml").read_text())["structure"]["kind"] == "matrices"
     modes = configuration.load(tmp_path / "x.toml").model().modes()
     assert modes.frequencies_hz == pytest.approx([mode.frequency_hz for mode in found.modes], rel=1e-4)
+
+
+def test_matrices_of_fewer_sensors_than_floors_have_the_measured_shapes_whatever_a_stiffness(tmp_path: Path) -> None:
+    """The shapes at two of three floors are not orthogonal: a stiffness must not turn them, or the updating has no solution."""
+    found = look.look([table(tmp_path / "x.csv", samples()[:, 1:])])
+    look.write_structure(found, tmp_path / "x.toml", mass_kg=2.0)
+    config = configuration.load(tmp_path / "x.toml")
+    assert config.structure.kind == "matrices"
+    assert np.array(config.structure.mass_matrix).sum() == pytest.approx(2.0)
+    assert "3 modes for 2 sensors" in (tmp_path / "x.toml").read_text()
+    drawn = config.model()
+    softer = drawn.with_stiffness(drawn.structure.stiffness_n_per_m * [0.81, 1.0])
+    for model, factors in ((drawn, [1.0, 1.0]), (softer, [0.9, 1.0])):
+        modes = model.modes()
+        measured = [mode.frequency_hz * k for mode, k in zip(found.modes, factors, strict=False)]
+        assert modes.frequencies_hz == pytest.approx(measured, rel=1e-6)
+        for shape, mode in zip(modes.shapes.T, found.modes, strict=False):
+            assert shape[1] / shape[0] == pytest.approx(mode.shape[1].real / mode.shape[0].real, rel=1e-6)
+
+
+def test_a_mode_without_second_opinion_and_certain_damping_is_no_part_of_a_structure(
+    found: LookedRecording, tmp_path: Path
+) -> None:
+    first = found.modes[0]
+    doubtful = replace(first, frequency_hz=0.7, damping_std=first.damping_ratio, second=Skipped("no bell"))
+    look.write_structure(replace(found, modes=(doubtful, *found.modes)), tmp_path / "f.toml", mass_kg=None)
+    text = (tmp_path / "f.toml").read_text()
+    assert "Left out: 0.7 Hz" in text
+    assert tomllib.loads(text)["structure"]["kind"] == "shear_frame"
 
 
 def test_what_cannot_be_looked_at_is_refused_with_the_mend(tmp_path: Path) -> None:

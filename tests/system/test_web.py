@@ -143,6 +143,7 @@ def test_a_browser_reads_the_page_with_the_token_at_a_desk_and_on_a_telephone(tm
             assert page.value("document.querySelectorAll('figure [role=img][aria-label]').length") >= 6, (
                 "charts have words"
             )
+            assert page.value("JSON.stringify(lone([1, null, 2, 3, null, 4, null]))") == "[0,5]", "drawn as points"
             drawn = page.value("rows.length")
             wait_for(page, f"rows.length > {drawn}")
             picture = tmp_path / f"{width}.png"

@@ -43,6 +43,7 @@ svg .limit { stroke: var(--bad); }
 svg .used { fill: var(--after); opacity: .6; }
 svg .chance { fill: var(--quiet); opacity: .25; }
 svg .unjudged { fill: var(--muted); opacity: .3; }
+svg .cut { fill: var(--quiet); opacity: .55; }
 svg .known { fill: var(--muted); opacity: .13; }
 .unseen svg svg { opacity: .35; }
 .bars div { display: grid; grid-template-columns: 16rem 1fr; gap: .6rem; padding-right: 4rem; font-size: .8rem; }

@@ -26,7 +26,7 @@ class EventPage:
     """Content of the page."""
 
     name: str
-    """Name of the folder of the results."""
+    """Name of the site or its structure, or of the folder of the results where they have none."""
     event: Event
     recording: str | None
     """File of the event's samples in that folder."""

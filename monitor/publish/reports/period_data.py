@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from heapq import nlargest
 from itertools import pairwise
 from math import inf
 from pathlib import Path
@@ -20,6 +22,12 @@ from monitor.publish.results.lines import facts_of_line, read_line
 
 MAX_BINS = 1000
 """Largest number of bins of a curve, which is drawn as the two sides of its envelope: 2000 points."""
+_GAP_BINS = 3
+"""Empty bins of a gap that charts shorten: curves are interrupted there. [count; definition: `Envelope.pieces`]"""
+_GAP_WIDTH = 0.06
+"""Greatest share of a chart's width that a shortened gap takes. [ratio; judgement: seen, and a label fits]"""
+_MOST_GAPS = 50
+"""Most gaps that are shortened. [count; judgement: as many stretches have no width to show anything]"""
 _MAX_MODES = 8
 """Largest number of modes that are drawn."""
 _SAME_MODE = 0.1
@@ -52,17 +60,70 @@ class Envelope:
         return [slice(a, b) for a, b in pairwise(cuts) if b > a]
 
 
-@dataclass(slots=True)
-class Grid:
-    """Grid of `n` equal bins over ``(from_ns, to_ns]``."""
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Part of a grid: `n` equal bins from bin `first` on, over ``(from_ns, to_ns]``."""
 
     from_ns: int
     to_ns: int
+    first: int
     n: int
+
+
+class Grid:
+    """Grid of bins over ``(from_ns, to_ns]``, equal but for the gaps in which no window ends and which charts shorten.
+
+    Parameters
+    ----------
+    from_ns, to_ns : int
+        Ends of the period, UTC.
+    n : int
+        Number of bins outside the gaps.
+    gaps : sequence of (int, int)
+        Ends of each gap, UTC in ns, in order.
+
+    Examples
+    --------
+    >>> grid = Grid(0, 1000, 4, [(20, 980)])
+    >>> grid.at(10), grid.at(20), grid.at(1000), grid.n
+    (0, 1, 6, 7)
+    """
+
+    def __init__(self, from_ns: int, to_ns: int, n: int, gaps: Sequence[tuple[int, int]] = ()) -> None:
+        self.from_ns, self.to_ns, self.gaps = from_ns, to_ns, tuple(gaps)
+        ends = [from_ns, *(t for gap in gaps for t in gap), to_ns]
+        length = sum(b - a for a, b in zip(ends[::2], ends[1::2], strict=True))
+        parts, first = list[_Part](), 0
+        for k, (a, b) in enumerate(pairwise(ends)):
+            size = _GAP_BINS if k % 2 else max(1, round(n * (b - a) / length))
+            parts.append(_Part(a, b, first, size if gaps else n))
+            first += parts[-1].n
+        self._parts, self._ends = parts, [part.to_ns for part in parts]
+        self.n = first
+        self.edges_ns = np.array(
+            [from_ns, *(p.from_ns + (p.to_ns - p.from_ns) * k // p.n for p in parts for k in range(1, p.n + 1))]
+        )
+        """Ends of the bins, shape (n + 1,), UTC in ns."""
+        share = min(_GAP_WIDTH, 0.5 / max(1, len(gaps)))
+        rest = 1.0 - share * len(gaps)
+        widths = [share if k % 2 else rest * (p.to_ns - p.from_ns) / length for k, p in enumerate(parts)]
+        self._shares = np.concatenate([[0.0], np.cumsum(widths)])
+
+    @property
+    def stretches(self) -> list[tuple[int, int]]:
+        """Ends of what lies outside the gaps, UTC in ns."""
+        return [(part.from_ns, part.to_ns) for part in self._parts[::2]]
 
     def at(self, t_ns: int) -> int:
         """Find the bin of a time; the nearest bin where the time is outside the period."""
-        return min(max((t_ns - self.from_ns - 1) * self.n // (self.to_ns - self.from_ns), 0), self.n - 1)
+        part = self._parts[min(bisect_left(self._ends, t_ns), len(self._parts) - 1)]
+        inside = (t_ns - part.from_ns - 1) * part.n // (part.to_ns - part.from_ns)
+        return part.first + min(max(inside, 0), part.n - 1)
+
+    def share(self, t_ns: Array | float) -> Array:
+        """Return the places of times along a chart, from 0 at its left to 1 at its right, of the shape of `t_ns`."""
+        ends = np.array([self.from_ns, *self._ends]) - self.from_ns
+        return np.asarray(np.interp(np.asarray(t_ns, dtype=float) - self.from_ns, ends, self._shares))
 
 
 class Curve:
@@ -89,9 +150,9 @@ class Curve:
         """Return the envelope of the collected values."""
         count = np.array(self._count)
         use = np.flatnonzero(count)
-        width = (self._grid.to_ns - self._grid.from_ns) / self._grid.n
+        edges = self._grid.edges_ns
         low, total, high = (np.array(v, dtype=np.float64)[use] for v in (self._low, self._total, self._high))
-        middles = np.asarray(self._grid.from_ns + (use + 0.5) * width)
+        middles = np.asarray(0.5 * edges[use] + 0.5 * edges[use + 1])
         return Envelope(middles, use, low, total / count[use], high)
 
 
@@ -219,8 +280,9 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
         begun_ns = first_ns - round(hop_s * 1e9)
         start = begun_ns if from_ns is None else from_ns
         stop = last_ns if to_ns is None else to_ns
-        length_s = (stop - start) * 1e-9
-        grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)))
+        gaps = _shortened_gaps(folder, start, stop, round(hop_s * 1e9))
+        length_s = (stop - start - sum(b - a for a, b in gaps)) * 1e-9
+        grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)), gaps)
         results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, judged=[0] * grid.n, refused=[0] * grid.n)
         for raw in _lines_between(read_all_lines(folder), start, stop):
             try:
@@ -243,6 +305,19 @@ def _lines_between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[by
         found = _T_END.search(raw)
         if raw.endswith(b"\n") and (found is None or start < int(found[1]) <= stop):
             yield raw
+
+
+def _shortened_gaps(folder: Path, start: int, stop: int, hop_ns: int) -> list[tuple[int, int]]:
+    """List the gaps that would leave a chart empty: each is longer than all that lies outside them.  UTC in ns, in order."""
+    lines = _lines_between(read_all_lines(folder), start, stop)
+    ends = (int(found[1]) for raw in lines if (found := _T_END.search(raw)) is not None)
+    steps = ((a, b - hop_ns) for a, b in pairwise(ends) if b - hop_ns > a)
+    longest = nlargest(_MOST_GAPS, steps, key=lambda gap: gap[1] - gap[0])
+    left, cut = stop - start, 0
+    for k, (a, b) in enumerate(longest, start=1):
+        left -= b - a
+        cut = k if b - a > left else cut
+    return sorted(longest[:cut])
 
 
 def _extent(folder: Path) -> tuple[int, int, float]:

@@ -17,7 +17,7 @@ from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
 from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, assess, diagnosis_of, is_seen
 from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
-from monitor.publish.reports.period_data import PeriodResults, read_results, utc
+from monitor.publish.reports.period_data import Grid, PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality
 from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, panel, time_axes
 
@@ -172,8 +172,17 @@ def _head(period: Period) -> str:
         f'<ul class="doubts">{doubts}</ul><p class="muted">{escape(period.name)}, {_span(period)}</p>'
         f'<div class="figures">{boxes}</div>'
         '<p class="muted">Shaded: least to greatest value in each step of time, with two standard deviations; line: '
-        "their mean. Times are those of the windows' ends, by the data.</p>"
+        f"their mean. Times are those of the windows' ends, by the data.{_shortened(r.grid)}</p>"
     )
+
+
+def _shortened(grid: Grid) -> str:
+    """Say which gaps the charts shorten; empty where they shorten none."""
+    if not grid.gaps:
+        return ""
+    said = [f"{utc(a)} to {utc(b)}" for a, b in grid.gaps[:3]]
+    said += [f"{len(grid.gaps) - 3} more"] if len(grid.gaps) > 3 else []
+    return f" Grey: times without data, which the charts shorten ({'; '.join(said)})."
 
 
 def _damage(period: Period) -> str:
@@ -370,14 +379,13 @@ def _coverage_strip(period: Period) -> str:
     """Draw where windows were evaluated, where they were skipped, and where there are none."""
     r = period.results
     axes = time_axes(r.grid, 0.0, 1.0, 26.0)
-    width = (axes.x[1] - axes.x[0]) / r.grid.n
+    edges = r.grid.edges_ns * 1e-9
     kinds = ["used" if j and not s else "off" if s else "" for j, s in zip(r.judged, r.refused, strict=True)]
-    marks, start = [], 0
+    marks, start = axes.gap_marks(), 0
     for kind, run in groupby(kinds):
         stop = start + len(list(run))
         if kind:
-            span = (axes.x[0] + start * width, axes.x[0] + stop * width)
-            marks.append(axes.shade(span, kind))
+            marks.append(axes.shade((float(edges[start]), float(edges[stop])), kind))
         start = stop
     title = "windows: blue evaluated, orange skipped in part or whole, blank none"
     return axes.chart(title, *marks, x_title=TIME)

@@ -15,9 +15,18 @@ import numpy as np
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
-from monitor.core import BadInputError, MissingInputError
+from monitor.core import BadInputError, MissingInputError, WrongUsageError
 from monitor.runs.importers import can_log, clocks, csv_table, hdf5, mat, npz, seismic, uff, xsens_dot
-from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, sample_numbers, unit_factor
+from monitor.runs.importers.table import (
+    UNITS,
+    Array,
+    OnWarning,
+    Table,
+    Ticks,
+    meant_instead,
+    sample_numbers,
+    unit_factor,
+)
 
 __all__ = ["ImportedChannel", "acceleration_unit", "import_files"]
 _UNPACKED_BYTES = 1 << 28
@@ -65,6 +74,7 @@ def import_files(
     ground: str | None = None,
     forces: dict[str, str] | None = None,
     start_ns: int | None = None,
+    unknown_start_ns: int | None = None,
     dbc: Path | None = None,
     scale: float | None = None,
     inventory: Path | None = None,
@@ -84,8 +94,8 @@ def import_files(
     rate_hz
         Sample rate, Hz.  Required if no file states it; overrides the rate of a time column.
     unit
-        Unit of columns whose header states none: m/s^2, g, mg, gal.  Without it `ask_unit` is asked for it, else m/s^2 is taken
-        with a warning.
+        Unit of columns whose header states none, and of no other: m/s^2, g, mg, gal.  Without it `ask_unit` is asked for it,
+        else m/s^2 is taken with a warning.
     channels
         Channel name -> "FILE" or "FILE:COLUMN", with FILE by name or stem.  By default the channels are the columns of a
         single file, or the stems of several files.  Columns with a unit of a rate of rotation go to the topic
@@ -95,13 +105,15 @@ def import_files(
     forces
         Name of a measured force -> "FILE" or "FILE:COLUMN".
     start_ns
-        UTC of the first sample, ns since 1970; by default the time stated in a file, or 1970.
+        UTC of the first sample, ns since 1970; by default the time stated in a file.
+    unknown_start_ns
+        The same where no file states a time; by default 1970, with a warning.
     dbc
         DBC file that describes the frames of CAN logs.
     scale
-        m/s^2 of a count of MiniSEED.
+        m/s^2 of a count of MiniSEED; other files beside it are not scaled.
     inventory
-        StationXML with the sensitivities of MiniSEED.
+        StationXML with the sensitivities of MiniSEED; other files beside it are not scaled.
     align
         Shift the clocks of the files so that their readings fit each other (`clocks.align`).
     ask_unit
@@ -117,6 +129,8 @@ def import_files(
         If the data cannot be used.
     MissingInputError
         If a file cannot be read, or `out` cannot be written.
+    WrongUsageError
+        If `unit` is no unit of acceleration.
 
     Examples
     --------
@@ -131,7 +145,7 @@ def import_files(
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         raise BadInputError(f"--rate {rate_hz}: must be a positive number of Hz")
     if unit is not None and unit_factor(unit) is None:
-        raise BadInputError(f"--unit {unit!r}: known for acceleration: {', '.join(UNITS)}")
+        raise WrongUsageError(f"--unit {unit!r}: known for acceleration: {', '.join(UNITS)}")
     if scale is not None and not (np.isfinite(scale) and scale != 0.0):
         raise BadInputError(f"--scale {scale}: must be a number of m/s^2 a count, not 0")
     try:
@@ -145,7 +159,16 @@ def import_files(
             return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
         if dbc is not None:
             raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
-        tables = [_load_table(path, on_warning, scale, inventory) for path in files]
+        tables, counts = [], False
+        for path in files:
+            raw = _read(path)
+            counts = counts or seismic.holds_counts(raw)
+            tables.append(_to_table(path, raw, on_warning, scale, inventory))
+        if (scale is not None or inventory is not None) and not counts:
+            raise BadInputError(
+                f"{', '.join(map(str, files))}: --scale and --inventory are for MiniSEED, and none is here; "
+                "K-NET states its own scale, and --unit is for the others"
+            )
         if align:
             leading = {name: _find_column(tables, place) for name, place in (channels or {}).items()}
             moving = [(table, column) for table, column in leading.values() if not table.turns(column)]
@@ -160,7 +183,7 @@ def import_files(
                 f"{files[0]}: only rates of rotation are chosen; name a column of acceleration too, with --channel"
             )
         rate, numbers = _timing(tables, clock, rate_hz, on_warning)
-        start_ns = _start_ns(tables, on_warning) if start_ns is None else start_ns
+        start_ns = _start_ns(tables, unknown_start_ns, on_warning) if start_ns is None else start_ns
         # The time of the last sample must fit 64-bit nanoseconds, which a damaged counter violates.
         if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
             raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
@@ -214,6 +237,10 @@ def _unit(
     """Return the unit of the columns whose file states none."""
     columns = [*chosen.values(), *([] if base is None else [base])]
     bare = [f"{table.path.name}:{column}" for table, column in columns if not table.unit(column)]
+    if unit is not None and not bare:
+        on_warning(
+            f"--unit {unit} is not used: the files state the unit of every column, or --scale and --inventory do"
+        )
     if unit is not None or not bare:
         return unit or "m/s^2"
     if ask_unit is not None:
@@ -231,14 +258,18 @@ def _warn_of_missing(samples: Array, numbers: Ticks, rate_hz: float, on_warning:
         on_warning(f"{gaps} {'gap' if gaps == 1 else 'gaps'} between samples: {lost / rate_hz:.6g} s are missing")
 
 
-def _load_table(path: Path, on_warning: OnWarning, scale: float | None, inventory: Path | None) -> Table:
-    """Read a file, detect its format by its content, and convert it to a table."""
+def _read(path: Path) -> bytes:
+    """Read a file; raise MissingInputError if it cannot be read."""
     try:
         if not path.is_file():
             raise MissingInputError(f"{path}: {'is no file' if path.exists() else 'does not exist'}")
-        raw = path.read_bytes()
+        return path.read_bytes()
     except (OSError, ValueError) as error:
         raise MissingInputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _to_table(path: Path, raw: bytes, on_warning: OnWarning, scale: float | None, inventory: Path | None) -> Table:
+    """Detect the format of a file by its content, and convert it to a table."""
     if raw.startswith(b"LOGG"):
         raise BadInputError(f"{path}: is a CAN log; name it with the suffix .blf")
     if raw.startswith(MAGIC):
@@ -246,8 +277,6 @@ def _load_table(path: Path, on_warning: OnWarning, scale: float | None, inventor
     most = _most_unpacked(raw)
     if seismic.is_seismic(raw):
         return _require_samples(seismic.to_table(path, raw, most, scale, inventory))
-    if scale is not None or inventory is not None:
-        raise BadInputError(f"{path}: --scale and --inventory are for MiniSEED; this is none")
     demand_room = partial(_demand_room, path, most=most)
     if hdf5.is_hdf5(raw):
         return _require_samples(hdf5.to_table(path, raw, most, on_warning))
@@ -358,8 +387,9 @@ def _find_column(tables: list[Table], reference: str) -> _Column:
     if len(found) != 1:
         what = "names several files" if found else "names no file"
         files_text = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
+        meant = "" if found else meant_instead(reference, [name for table in tables for name in _references(table)])
         raise BadInputError(
-            f"{reference!r} {what}; the files, with their columns, are {files_text}; "
+            f"{reference!r} {what}{meant}; the files, with their columns, are {files_text}; "
             f"write FILE:COLUMN, as {tables[0].names[0]}:{tables[0].columns[0]}"
         )
     table, column = found[0]
@@ -368,6 +398,11 @@ def _find_column(tables: list[Table], reference: str) -> _Column:
             raise BadInputError(f"{table.path}: name a column: {', '.join(table.columns)}")
         column = table.default[0]
     return table, column
+
+
+def _references(table: Table) -> list[str]:
+    """List what may denote a file or a column of it."""
+    return [*table.names, *table.columns, *(f"{name}:{column}" for name in table.names for column in table.columns)]
 
 
 def _timing(
@@ -397,12 +432,12 @@ def _timing(
     return stated or rate, numbers
 
 
-def _start_ns(tables: list[Table], on_warning: OnWarning) -> int:
-    """Return the time of the first sample as the files state it, UTC in ns since 1970; 0 where no file does."""
+def _start_ns(tables: list[Table], unknown_ns: int | None, on_warning: OnWarning) -> int:
+    """Return the time of the first sample as the files state it, UTC in ns since 1970; `unknown_ns`, or 0, where no file does."""
     known = [table.start_ns for table in tables if table.start_ns is not None and table.start_ns >= 0]
-    if not known:
+    if not known and unknown_ns is None:
         on_warning("no file tells when it was recorded; the recording begins in 1970 (see --start)")
-    return known[0] if known else 0
+    return known[0] if known else unknown_ns or 0
 
 
 def _write(

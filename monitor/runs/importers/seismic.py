@@ -28,10 +28,15 @@ def is_seismic(raw: bytes) -> bool:
     return raw.startswith(_NIED) or _MINISEED.match(raw) is not None
 
 
+def holds_counts(raw: bytes) -> bool:
+    """Return whether the content of a file is MiniSEED, whose readings are counts."""
+    return _MINISEED.match(raw) is not None
+
+
 def to_table(path: Path, raw: bytes, most_bytes: int, scale: float | None, inventory: Path | None) -> Table:
     """Convert the traces of a file to a table of at most `most_bytes`, whose columns are named NETWORK.STATION.LOCATION.CHANNEL.
 
-    K-NET and KiK-net state their scale.  What is missing between records of MiniSEED is NaN.
+    K-NET and KiK-net state their scale, and take no other.  What is missing between records of MiniSEED is NaN.
 
     Parameters
     ----------
@@ -48,8 +53,6 @@ def to_table(path: Path, raw: bytes, most_bytes: int, scale: float | None, inven
         ObsPy is not installed, or the inventory cannot be read.
     """
     obspy, is_nied = import_extra("obspy", f"{path}: MiniSEED or K-NET"), raw.startswith(_NIED)
-    if is_nied and (scale is not None or inventory is not None):
-        raise BadInputError(f"{path}: K-NET states its own scale; give neither --scale nor --inventory")
     if not is_nied and (scale is None) == (inventory is None):
         raise BadInputError(
             f"{path}: MiniSEED holds counts; give --scale M/S^2-A-COUNT or --inventory STATION.xml, one of them"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from math import radians
 from pathlib import Path
 
@@ -59,7 +60,8 @@ class Table:
             If there is no such column.
         """
         if column not in self.columns:
-            raise BadInputError(f"{self.path}: no column {column!r}; it has {', '.join(self.columns)}")
+            meant = meant_instead(column, self.columns)
+            raise BadInputError(f"{self.path}: no column {column!r}{meant}; it has {', '.join(self.columns)}")
         return self.units[self.columns.index(column)]
 
     def acceleration(self, column: str, unit: str) -> Array:
@@ -115,6 +117,18 @@ class Table:
             )
         scaled: Array = self.values[:, self.columns.index(column)] * factor
         return scaled
+
+
+def meant_instead(name: str, known: Iterable[str]) -> str:
+    """Ask whether the known name that is most like an unknown one was meant; empty where none is like it.
+
+    Examples
+    --------
+    >>> meant_instead("rooof", ["roof", "low"]), meant_instead("x", ["roof", "low"])
+    (", did you mean 'roof'?", '')
+    """
+    near = get_close_matches(name, list(known), 1)
+    return f", did you mean {near[0]!r}?" if near else ""
 
 
 def unit_factor(unit: str) -> float | None:

@@ -14,7 +14,7 @@ from typing import Any, Protocol, cast
 from pydantic import BaseModel, ValidationError
 
 from monitor.config import Configuration, security_check
-from monitor.core import BadConfigurationError, missing_extra, settings_problems
+from monitor.core import BadConfigurationError, missing_extra, read_settings, settings_problems
 from monitor.service.outlets.base import Outlet as Outlet
 from monitor.service.outlets.delivery_workers import Trial, send_test
 from monitor.service.outlets.inbox import Inbox
@@ -113,7 +113,7 @@ def send_test_messages(path: Path, config: Configuration) -> list[Trial]:
 def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[NotifySettings, Addresses]:
     """Validate the table ``[notify]`` and resolve its addresses; append what is wrong to `problems`."""
     try:
-        settings = NotifySettings.model_validate(config.notify)
+        settings = read_settings(NotifySettings, config.notify)
         return settings, addresses(settings, folder)
     except ValidationError as error:
         problems += settings_problems(error, "notify")
@@ -175,7 +175,10 @@ def _maker(
         return None
     try:
         kind, settings_type = load()
-        settings = settings_type.model_validate(table)
+        settings = read_settings(settings_type, table)
+        password = getattr(settings, "password_file", None)
+        if password is not None and not (folder / password).is_file():
+            problems.append(f"output.{name}.password_file: {password}: no such file")
     except ImportError as error:
         problems.append(f"output.{name}: cannot be loaded: {error}")
     except ValidationError as error:

@@ -7,6 +7,8 @@ const POINTS = 1000;        // of a chart, at most
 const GAP_STEPS = 5;        // a step in time so many times longer than those about it is a gap
 const SIGMAS = 1.96;        // half width of a 95 % interval
 const RANGES = [["6 hours", 6 * 3600], ["day", 86400], ["week", 7 * 86400], ["all", Infinity]];
+const TIME_STEPS = [[1, [1, 2, 5, 10, 15, 30]], [60, [1, 2, 5, 10, 15, 30]], [3600, [1, 2, 3, 6, 12]], [86400, [1, 2, 4, 7, 14, 30, 60, 90, 180, 365, 730]]]
+  .flatMap(([unit, counts]) => counts.map((count) => unit * count)); // between labels, finer than uPlot's own, for narrow charts
 const SIGNS = { normal: "✓", not_judged: "?", advisory: "!", doubtful: "?!", warning: "!", alarm: "▲" };
 const $ = (id) => document.getElementById(id);
 
@@ -283,9 +285,9 @@ function place(where, list, threshold) {
       cursor: { sync: { key: "time" }, y: false, points: { show: false }, drag: { x: false, y: false } },
       legend: { show: false },
       scales: { x: { time: true }, y: limits ? { range: limits } : {} },
-      axes: [{ ...axis, space: 70, values: timeLabels }, { ...axis, size: 58, values: (_, ticks) => ticks.map((t) => `${+t.toFixed(6)}${unit === "%" ? " %" : ""}`) }],
+      axes: [{ ...axis, space: 60, incrs: TIME_STEPS, values: timeLabels }, { ...axis, size: 58, values: (_, ticks) => ticks.map((t) => `${+t.toFixed(6)}${unit === "%" ? " %" : ""}`) }],
       series: [{}, { stroke: "transparent", points: { show: false } }, { stroke: "transparent", points: { show: false } },
-        { stroke: colour("--mark"), width: 2, points: { show: rows.length < 3, size: 5 } }],
+        { stroke: colour("--mark"), width: 2, points: { show: rows.length < 3, size: 5, filter: (_, series, all) => (all ? null : lone(values)) } }],
       bands: [{ series: [1, 2], fill: colour("--band") }],
       hooks: {
         draw: threshold === null ? [] : [(chart) => dashed(chart, threshold, colour("--limit"))],
@@ -297,6 +299,10 @@ function place(where, list, threshold) {
     };
     charts.push(new uPlot(options, [times, shift(1), shift(-1), values.map((v) => (known(v) ? scale * v : null))], box));
   }
+}
+
+function lone(values) { // where a value stands between two that are missing: a line would not show it
+  return values.flatMap((value, i) => (known(value) && !known(values[i - 1]) && !known(values[i + 1]) ? [i] : []));
 }
 
 function cursorText(i, values, stds, scale, unit) {

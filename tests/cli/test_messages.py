@@ -1,0 +1,68 @@
+"""What a newcomer gets wrong: each slip gives one message with the remedy, the right exit code, and leaves nothing behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import Cli
+
+
+@pytest.fixture
+def folder(tmp_path: Path, frame_text: str) -> Path:
+    (tmp_path / "frame.toml").write_text(frame_text)
+    rows = "".join(f"{k / 100:.2f},{(-1) ** k},{k % 3},{k % 5}\n" for k in range(400))
+    (tmp_path / "d.csv").write_text("t,roof,mid,low\n" + rows)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        ("rooof", "'rooof' names no file, did you mean 'roof'?"),
+        ("d:rooof", "d.csv: no column 'rooof', did you mean 'roof'?"),
+        ("d.cvs:low", "did you mean 'd.csv:low'?"),
+    ],
+)
+def test_a_misspelt_column_is_told_the_name_most_like_it(folder: Path, main: Cli, place: str, told: str) -> None:
+    done = main("import", "d.csv", "--channel", f"a1={place}", "--out", "x.mcap", cwd=folder)
+    assert done.returncode == 65 and told in done.stderr
+    assert "roof, mid, low" in done.stderr
+
+
+@pytest.mark.parametrize("command", [("import", "d.csv", "--out", "x.mcap"), ("look", "d.csv")])
+def test_an_unknown_unit_of_an_option_is_wrong_usage(folder: Path, main: Cli, command: tuple[str, ...]) -> None:
+    done = main(*command, "--unit", "furlong", cwd=folder)
+    assert done.returncode == 2 and "--unit 'furlong': known for acceleration: m/s^2" in done.stderr
+
+
+def test_a_structure_file_in_the_place_of_a_baseline_is_told_so_and_the_reverse(folder: Path, main: Cli) -> None:
+    (folder / "x.mcap").touch()
+    given = ("x.mcap", "--structure", "frame.toml", "--baseline", "frame.toml", "--out", "out")
+    for command in ("replay", "diagnose"):
+        done = main(command, *given, cwd=folder)
+        assert done.returncode == 65 and "frame.toml: a structure file, and no baseline" in done.stderr
+        assert "calibrate" in done.stderr
+    (folder / "b.json").write_text('{"format": 1}')
+    done = main("check", "b.json", cwd=folder)
+    assert done.returncode == 78 and "b.json: not a TOML file" in done.stderr and "--baseline" in done.stderr
+
+
+def test_a_report_of_a_missing_folder_says_so_before_it_asks_for_a_page(folder: Path, main: Cli) -> None:
+    for more in ([], ["--out", "r.html"], ["--event", "last"]):
+        done = main("report", "ABSENT", *more, cwd=folder)
+        assert done.returncode == 66
+        assert "ABSENT: there is no such folder; give the one that 'replay --out'" in done.stderr
+
+
+def test_a_command_that_fails_leaves_no_empty_folder(folder: Path, main: Cli) -> None:
+    channels = [word for name in ("a1=roof", "a2=mid", "a3=low") for word in ("--channel", name)]
+    assert main("import", "d.csv", *channels, "--out", "short.mcap", cwd=folder).returncode == 0
+    for command in ("replay", "diagnose"):
+        done = main(command, "short.mcap", "--structure", "frame.toml", "--out", "out", cwd=folder)
+        assert done.returncode == 65, done.stderr
+        assert not (folder / "out").exists(), command
+    (folder / "out").mkdir()
+    assert main("replay", "short.mcap", "--structure", "frame.toml", "--out", "out", cwd=folder).returncode == 65
+    assert (folder / "out").is_dir(), "it was there before"
