@@ -19,6 +19,7 @@ from .assessment import (
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
+from .common_change import UNMEASURED
 from .covariates import LEVEL, CovariateSettings, LearnedRange, law_lines, learned_ranges
 from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
 from .judge import AnyBaseline, Judge, Memory, View
@@ -33,6 +34,7 @@ from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
     "LEVEL",
+    "UNMEASURED",
     "AlarmSettings",
     "AlarmState",
     "AnyBaseline",

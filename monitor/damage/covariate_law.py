@@ -25,6 +25,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from monitor.core import Array
+from monitor.damage.common_change import CommonChange, Expected
 
 _NO_INFORMATION = 1e3
 """Standard deviation of a change in a direction that no sensor observes. [relative change; rounding: any value far above 1]"""
@@ -97,6 +98,8 @@ class CovariateLaw:
     """Shape (n, n): the matrix A."""
     scatter: float = 1.0
     """Variance of the healthy windows about the law, over the variance that they state."""
+    common: CommonChange | None = None
+    """What the quantities did together without a known cause; None where that is not learned."""
 
     def columns(self) -> dict[str, slice]:
         """Return the columns of each covariate in the basis."""
@@ -128,6 +131,15 @@ class CovariateLaw:
         parts = {name: self.slopes[:, c] @ away[c] for name, c in known.items()}
         variances = {name: float(self._covariance(away, c).diagonal().max()) for name, c in known.items()}
         return Effect(np.expm1(ln), covariance, parts, variances)
+
+    def at(self, values: Array) -> Array:
+        """Evaluate the law at known covariates, each at its lag, shape (w, n_axes), as changes of the logarithm, shape (w, n)."""
+        basis = [a.basis(v) for a, v in zip(self.axes, values.T, strict=True)]
+        return np.asarray((np.column_stack(basis) - self.centre) @ self.slopes.T)
+
+    def together(self) -> Expected | None:
+        """Return how far the quantities change together without a known cause; None where that is not learned."""
+        return None if self.common is None else self.common.learned(self.mixing)
 
     def _covariance(self, away: Array, columns: slice = slice(None)) -> Array:
         """Compute the covariance of the change by a distance in the basis, shape (K,), along some of its columns."""

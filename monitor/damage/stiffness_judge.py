@@ -132,11 +132,14 @@ class StiffnessJudge:
         if self.baseline is None:
             nothing = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
             return memory, Judged(modes, nothing, stiffness, reading)
-        alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm)
-        learning = self._learn(
-            memory, law, reading, covariates, t_end_ns, settings, normal=verdict.level is Level.NORMAL
-        )
-        detectable = smallest_detectable_loss(reading, alarms.history, settings.processing.hop_s, settings.alarm)
+        together = None if law is None else law.together()
+        alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, together)
+        normal = verdict.level is Level.NORMAL
+        learning = self._learn(memory, law, reading, covariates, t_end_ns, settings, normal=normal)
+        history = alarms.history
+        if together is not None:
+            reading, history = together.take_out(reading, history)
+        detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
         judged = Judged(modes, self._named(verdict), stiffness, reading, detectable_loss=detectable)
         return Memory(alarms, learning), judged
 

@@ -109,7 +109,16 @@ def _with_modes_alone(tree: Any) -> Any:
     return tree
 
 
-VERSION = 6
+def _with_common_change(tree: Any) -> Any:
+    """Upgrade from version 6, whose covariates' law did not hold what the stories do together."""
+    learning = tree["session"]["pipeline"]["learning"] if "session" in tree else None
+    if learning is not None:
+        n = len(learning["law"]["mixing"])
+        learning["law"]["common"] = {"square": np.zeros((n, n)), "windows": 0}
+    return tree
+
+
+VERSION = 7
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
 UPGRADES: dict[int, Callable[[Any], Any]] = {
     1: _without_doubled_sums,
@@ -117,6 +126,7 @@ UPGRADES: dict[int, Callable[[Any], Any]] = {
     3: _with_span_faults,
     4: _with_events_covariates_and_left_out_channels,
     5: _with_modes_alone,
+    6: _with_common_change,
 }
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")

@@ -1,0 +1,237 @@
+"""What the watched quantities do together without a known cause, separated from what one of them does alone.
+
+Weather that no channel measures moves all stories, each by a share of its own.  How they move together is learned from healthy
+windows as a covariance, and each story is then compared with what the others let expect of it: the conditional mean of a
+Gaussian distribution, with the variance of a prediction by a regression.  The distribution may have any number of common
+factors.
+
+Each healthy window enters with its distance from the mean of the two days after it.  The distances hold neither the healthy
+stiffness nor a loss that grows over weeks.  Their noise is known from the windows; what exceeds it is the common change.
+
+References
+----------
+K. V. Mardia, J. T. Kent, J. M. Bibby, Multivariate analysis (1979), section 3.2.4 (conditional distributions); N. R. Draper, H.
+Smith, Applied regression analysis (1998), section 5.1 (variance of a prediction); G. Schwarz, Ann. Statist. 6 (1978) 461-464
+(whether anything was learned).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core import Array, DamageReading
+from monitor.damage.sequential_test import LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS, History
+
+EVERY_NS = 3_600_000_000_000
+"""Time between two windows that are learned from: they share no data. [ns; judgement]"""
+WAIT_NS = 48 * EVERY_NS
+"""Time for which nothing must be announced after a window before it is learned from. [ns; judgement: longer than small losses of
+1 percent take to be announced]"""
+UNMEASURED = "unmeasured"
+"""Name, among the covariates, of what all stories do together without a known cause. [name]"""
+_ANY_SIZE = 1.0
+"""Standard deviation of a change of all stories alike, where one is found. [relative change; rounding: any value far above the
+changes of healthy structures]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CommonChange:
+    """Sums of healthy windows from which the covariance of common changes follows."""
+
+    square: Array
+    """Shape (n, n): sum of the squared distances, in the columns of `CovariateLaw.mixing`, where one window's noise is 1."""
+    windows: int
+    """Number of windows in the sum."""
+
+    def add(self, distance: Array) -> CommonChange:
+        """Add the distance of a healthy window, shape (n,)."""
+        return CommonChange(self.square + np.outer(distance, distance), self.windows + 1)
+
+    @property
+    def stretches(self) -> float:
+        """Number of stretches of two days: their windows' weather is taken as one."""
+        return self.windows * EVERY_NS / WAIT_NS
+
+    @property
+    def wanted(self) -> int:
+        """Number of stretches from which a covariance of n quantities can be estimated at all."""
+        return len(self.square) + 1
+
+    def learned(self, mixing: Array) -> Expected | None:
+        """Estimate the covariance of common changes, shape (n, n).
+
+        Returns
+        -------
+        Expected or None
+            None while too few windows are known, or noise alone explains them as well (Bayesian information criterion).
+        """
+        n, count = len(self.square), self.stretches
+        if n < 2 or count < self.wanted:
+            return None
+        size, directions = np.linalg.eigh(self.square / self.windows)
+        excess = np.maximum(size - 1.0, 0.0)
+        gain = 0.5 * count * float((excess - np.log1p(excess)).sum())
+        if gain <= 0.25 * n * (n + 1) * np.log(count):
+            return None
+        root = mixing @ (directions * np.sqrt(excess))
+        return Expected(root @ root.T, count)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Expected:
+    """How far the quantities change together, as learned."""
+
+    covariance: Array
+    """Shape (n, n): of the relative changes, without the noise of windows."""
+    stretches: float
+    """Independent stretches that it was learned from."""
+
+    def beside_others(self, loss: Array, covariance: Array) -> Beside:
+        """Compare the loss of each story with what those others let expect that are not lost themselves.
+
+        Stories are set aside one by one, the most significant loss first; so are, where it explains more, a change of all
+        stories alike, and its size is then taken as unknown.
+
+        Parameters
+        ----------
+        loss : ndarray, shape (n,)
+            Measured loss of each story.
+        covariance : ndarray, shape (n, n)
+            Its covariance, without what is learned here.
+        """
+        n = loss.size
+        total, ones = covariance + self.covariance, np.ones((n, n))
+        kept, alike = list(range(n)), False
+        while True:
+            among_kept = inverse, gap, square, z = self._compare(loss, total, kept)
+            best = int(z.argmax())
+            if not alike:
+                along = float(gap.sum()) / np.sqrt(float(inverse.sum()))
+                along = abs(along) / np.sqrt(1.0 + (square - along**2) / self.stretches)
+                if along > max(z[best] + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS):
+                    total, alike = total + _ANY_SIZE**2 * ones, True
+                    continue
+            if z[best] < SIGNIFICANT_STDS or len(kept) <= 2:
+                break
+            del kept[best]
+        weights, inflation = np.zeros((n, n)), np.ones(n)
+        for j in range(n):
+            chosen = kept if j in kept else [*kept, j]
+            inverse, gap, square, _ = among_kept if j in kept else self._compare(loss, total, chosen)
+            at = chosen.index(j)
+            weights[j, chosen] = inverse[at] / inverse[at, at]
+            inflation[j] += (square - gap[at] ** 2 / inverse[at, at]) / self.stretches
+        std = np.sqrt(inflation * np.einsum("ij,jk,ik->i", weights, total, weights))
+        return Beside(weights @ loss, std, weights, inflation)
+
+    def _compare(self, loss: Array, total: Array, chosen: Sequence[int]) -> tuple[Array, Array, float, Array]:
+        """Compare the chosen stories, each with the other chosen ones.
+
+        Returns
+        -------
+        ndarray, shape (k, k); ndarray, shape (k,)
+            Inverse covariance, and its product with the losses.
+        float
+            Square of the losses over their covariance.
+        ndarray, shape (k,)
+            z-score of each loss beyond what the others let expect.
+        """
+        part = loss[chosen]
+        inverse = np.linalg.inv(total[np.ix_(chosen, chosen)])
+        gap = inverse @ part
+        square, own = float(part @ gap), gap**2 / inverse.diagonal()
+        z = gap / np.sqrt(inverse.diagonal() * (1.0 + (square - own) / self.stretches))
+        return inverse, gap, square, z
+
+    def take_out(self, reading: DamageReading, history: History) -> tuple[DamageReading, History]:
+        """Take out of a window's damage index what the other stories let expect.
+
+        Parameters
+        ----------
+        history : History
+            The alarm's, after the window.
+
+        Returns
+        -------
+        DamageReading
+        History
+            The variances of what is left, for the smallest detectable loss; its readings are unchanged.
+        """
+        beside = self.beside_others(reading.ddi, reading.ddi_covariance)
+        own = reading.ddi_covariance - reading.common_covariance
+        common = beside.left_of(reading.common_covariance + self.covariance)
+        shift = reading.ddi - beside.loss
+        loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
+        smooth = np.exp(0.5 * history.ln_variance) / np.sqrt(own.diagonal())
+        of_history = beside.left_of(history.common.mean(axis=0) + self.covariance)
+        return replace(
+            reading,
+            ddi=beside.loss,
+            ddi_covariance=beside.left_of(own) + common,
+            common_covariance=common,
+            ddi_sequential=reading.ddi_sequential - shift,
+            loss_n_per_m=loss_n_per_m,
+            covariate_effect={**reading.covariate_effect, UNMEASURED: -shift},
+        ), replace(
+            history,
+            ln_variance=np.log(beside.left_of(own * np.outer(smooth, smooth)).diagonal()),
+            common=of_history[None],
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Beside:
+    """Losses of n stories beyond what the others let expect."""
+
+    loss: Array
+    """Shape (n,)."""
+    std: Array
+    """Shape (n,)."""
+    weights: Array
+    """Shape (n, n): `loss` as a combination of the measured losses."""
+    inflation: Array
+    """Shape (n,): factor of the variance, since what was learned holds the less, the further the others are from it."""
+
+    def left_of(self, covariance: Array) -> Array:
+        """Return what is left of a covariance of the measured losses, shape (n, n)."""
+        inflation = np.sqrt(np.outer(self.inflation, self.inflation))
+        return np.asarray(inflation * (self.weights @ covariance @ self.weights.T))
+
+
+def nothing_learned(n: int) -> CommonChange:
+    """Return the sums of n quantities before the first window."""
+    return CommonChange(np.zeros((n, n)), 0)
+
+
+def distance(changes: Array, mixing: Array) -> Array:
+    """Compute the distance of a window from the mean of those after it, shape (n,), scaled to the noise of one window.
+
+    Parameters
+    ----------
+    changes : ndarray, shape (w, n)
+        What the covariates leave of the windows' changes, w > 1; the window is the first.
+    mixing : ndarray, shape (n, n)
+        `CovariateLaw.mixing`.
+    """
+    away = (changes[0] - changes[1:].mean(axis=0)) / np.sqrt(1.0 + 1.0 / (len(changes) - 1))
+    return np.asarray(np.linalg.solve(mixing, away))
+
+
+def learn_common(changes: Array, t_ns: NDArray[np.int64], mixing: Array) -> CommonChange:
+    """Learn from healthy windows at their times (UTC, increasing) what the covariates leave of their changes, shape (w, n)."""
+    hourly: list[int] = []
+    for k, t in enumerate(t_ns.tolist()):
+        if not hourly or t - int(t_ns[hourly[-1]]) >= EVERY_NS:
+            hourly.append(k)
+    t_ns, changes = t_ns[hourly], changes[hourly]
+    learned = nothing_learned(changes.shape[1])
+    for k, end in enumerate(np.searchsorted(t_ns, t_ns + WAIT_NS, side="right")):
+        if int(t_ns[-1]) - int(t_ns[k]) < WAIT_NS:
+            break
+        if end - k > 1:
+            learned = learned.add(distance(changes[k:end], mixing))
+    return learned
