@@ -252,7 +252,9 @@ class Configuration(Settings):
         """Check the names and topics of the covariates."""
         named = [t.name for t in self.covariates]
         problems = [f"covariates: {name!r} stands twice" for name in sorted({n for n in named if named.count(n) > 1})]
-        problems += [f"covariates: {n!r} is one without being named" for n in named if n in (LEVEL, "temperature", UNMEASURED)]
+        problems += [
+            f"covariates: {n!r} is one without being named" for n in named if n in (LEVEL, "temperature", UNMEASURED)
+        ]
         taken = [t for t in self.covariates if t.topic in UNIT_OF]
         return problems + [f"covariates: {t.name!r}: the topic {t.topic} carries {UNIT_OF[t.topic]}" for t in taken]
 

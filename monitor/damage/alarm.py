@@ -134,7 +134,9 @@ def step(
     *before, whole_before = state.stories
     updated = [
         s if j in damage.unidentified else update_alarm(s, float(loss), float(z), float(std), t_ns, settings)
-        for j, (s, loss, z, std) in enumerate(zip(before, evidence.own, evidence.z, evidence.own_std, strict=True), start=1)
+        for j, (s, loss, z, std) in enumerate(
+            zip(before, evidence.own, evidence.z, evidence.own_std, strict=True), start=1
+        )
     ]
     std = float(evidence.std.max())
     whole = update_alarm(whole_before, shared, shared / std, std, t_ns, advisory_only(settings))

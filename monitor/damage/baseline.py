@@ -200,7 +200,9 @@ def learn_baseline(
     if not units or not covariates:
         return baseline, fit
     mean = replace(mean, model_mode=baseline.model_mode)
-    changes = _changes(baseline, mean, windows, covariates, t_ns or [0] * len(windows), instrumented.sensor_matrix, updating)
+    changes = _changes(
+        baseline, mean, windows, covariates, t_ns or [0] * len(windows), instrumented.sensor_matrix, updating
+    )
     degc = [float(c[TEMPERATURE][0]) for c in covariates if TEMPERATURE in c]
     law = learn_law(changes, (span_ns[1] - span_ns[0]) * 1e-9, units, compensation)
     return replace(baseline, reference_temperature_degc=float(np.mean(degc)) if degc else None, law=law), fit

@@ -3,7 +3,7 @@
 Weather that no channel measures moves all stories, each by a share of its own.  How they move together is learned from healthy
 windows as a covariance, and each story is then compared with what the others let expect of it: the conditional mean of a
 Gaussian distribution, with the variance of a prediction by a regression.  The distribution may have any number of common
-factors.
+factors; that of the first may grow beyond anything learned.
 
 Each healthy window enters with its distance from the mean of the two days after it.  The distances hold neither the healthy
 stiffness nor a loss that grows over weeks.  Their noise is known from the windows; what exceeds it is the common change.
@@ -17,8 +17,8 @@ Smith, Applied regression analysis (1998), section 5.1 (variance of a prediction
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,16 +69,15 @@ class CommonChange:
         Expected or None
             None while too few windows are known, or noise alone explains them as well (Bayesian information criterion).
         """
-        n, count = len(self.square), self.stretches
-        if n < 2 or count < self.wanted:
+        n = len(self.square)
+        if n < 2 or self.stretches < self.wanted:
             return None
         size, directions = np.linalg.eigh(self.square / self.windows)
         excess = np.maximum(size - 1.0, 0.0)
-        gain = 0.5 * count * float((excess - np.log1p(excess)).sum())
-        if gain <= 0.25 * n * (n + 1) * np.log(count):
+        if not is_known(float((excess - np.log1p(excess)).sum()), n * (n + 1) // 2, self.stretches):
             return None
         root = mixing @ (directions * np.sqrt(excess))
-        return Expected(root @ root.T, count)
+        return Expected(root @ root.T, root[:, -1] / np.linalg.norm(root[:, -1]), self.stretches)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -87,10 +86,17 @@ class Expected:
 
     covariance: Array
     """Shape (n, n): of the relative changes, without the noise of windows."""
+    leading: Array
+    """Shape (n,): the direction that stands out most from the noise, of length 1.  How far it goes is taken as unknown: seasons
+    go farther than what was learned."""
     stretches: float
     """Independent stretches that it was learned from."""
 
-    def beside_others(self, loss: Array, covariance: Array) -> Beside:
+    def of(self, chosen: NDArray[np.intp]) -> Expected:
+        """Return the same for some of the quantities (0 = first)."""
+        return Expected(self.covariance[np.ix_(chosen, chosen)], self.leading[chosen], self.stretches)
+
+    def beside_others(self, loss: Array, covariance: Array, *, either_side: bool = False) -> Beside:
         """Compare the loss of each story with what those others let expect that are not lost themselves.
 
         Stories are set aside one by one, the most significant loss first; so are, where it explains more, a change of all
@@ -102,50 +108,54 @@ class Expected:
             Measured loss of each story.
         covariance : ndarray, shape (n, n)
             Its covariance, without what is learned here.
+        either_side : bool
+            A gain counts as a loss does.
         """
         n = loss.size
-        total, ones = covariance + self.covariance, np.ones((n, n))
+        learned = covariance + self.covariance
+        total = learned + _ANY_SIZE**2 * np.outer(self.leading, self.leading)
         kept, alike = list(range(n)), False
         while True:
-            among_kept = inverse, gap, square, z = self._compare(loss, total, kept)
+            found = among_kept = self._compare(loss, learned, total, kept)
+            z = np.abs(found.z) if either_side else found.z
             best = int(z.argmax())
-            if not alike:
-                along = float(gap.sum()) / np.sqrt(float(inverse.sum()))
-                along = abs(along) / np.sqrt(1.0 + (square - along**2) / self.stretches)
-                if along > max(z[best] + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS):
-                    total, alike = total + _ANY_SIZE**2 * ones, True
-                    continue
+            if not alike and found.z_alike > max(float(z[best]) + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS):
+                total, alike = total + _ANY_SIZE**2 * np.ones((n, n)), True
+                continue
             if z[best] < SIGNIFICANT_STDS or len(kept) <= 2:
                 break
             del kept[best]
         weights, inflation = np.zeros((n, n)), np.ones(n)
         for j in range(n):
             chosen = kept if j in kept else [*kept, j]
-            inverse, gap, square, _ = among_kept if j in kept else self._compare(loss, total, chosen)
+            found = among_kept if j in kept else self._compare(loss, learned, total, chosen)
             at = chosen.index(j)
-            weights[j, chosen] = inverse[at] / inverse[at, at]
-            inflation[j] += (square - gap[at] ** 2 / inverse[at, at]) / self.stretches
+            weights[j, chosen], inflation[j] = found.weights[at], found.inflation[at]
         std = np.sqrt(inflation * np.einsum("ij,jk,ik->i", weights, total, weights))
         return Beside(weights @ loss, std, weights, inflation)
 
-    def _compare(self, loss: Array, total: Array, chosen: Sequence[int]) -> tuple[Array, Array, float, Array]:
+    def _compare(self, loss: Array, learned: Array, total: Array, chosen: list[int]) -> _Compared:
         """Compare the chosen stories, each with the other chosen ones.
 
-        Returns
-        -------
-        ndarray, shape (k, k); ndarray, shape (k,)
-            Inverse covariance, and its product with the losses.
-        float
-            Square of the losses over their covariance.
-        ndarray, shape (k,)
-            z-score of each loss beyond what the others let expect.
+        Parameters
+        ----------
+        learned, total : ndarray, shape (n, n)
+            Covariance of the losses: as learned, and with what is of any size.
         """
-        part = loss[chosen]
-        inverse = np.linalg.inv(total[np.ix_(chosen, chosen)])
-        gap = inverse @ part
-        square, own = float(part @ gap), gap**2 / inverse.diagonal()
-        z = gap / np.sqrt(inverse.diagonal() * (1.0 + (square - own) / self.stretches))
-        return inverse, gap, square, z
+        part, rows = loss[chosen], np.ix_(chosen, chosen)
+        inverse = np.linalg.inv(total[rows])
+        precision, gap = inverse.diagonal(), inverse @ part
+        of_learned = np.linalg.inv(learned[rows])
+        distances = of_learned @ part
+        square = float(part @ distances)
+        inflation = 1.0 + (square - distances**2 / of_learned.diagonal()) / self.stretches
+        along = abs(float(gap.sum())) / np.sqrt(float(inverse.sum()))
+        return _Compared(
+            gap / np.sqrt(precision * inflation),
+            inverse / precision[:, None],
+            inflation,
+            along / np.sqrt(1.0 + max(square - along**2, 0.0) / self.stretches),
+        )
 
     def take_out(self, reading: DamageReading, history: History) -> tuple[DamageReading, History]:
         """Take out of a window's damage index what the other stories let expect.
@@ -183,6 +193,19 @@ class Expected:
         )
 
 
+class _Compared(NamedTuple):
+    """Comparison of k stories, each with the others."""
+
+    z: Array
+    """Shape (k,): z-score of each loss beyond what the others let expect."""
+    weights: Array
+    """Shape (k, k): that loss as a combination of the measured ones."""
+    inflation: Array
+    """Shape (k,): factor of its variance, as in `Beside`."""
+    z_alike: float
+    """Size of the z-score of a change of all alike."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Beside:
     """Losses of n stories beyond what the others let expect."""
@@ -200,6 +223,21 @@ class Beside:
         """Return what is left of a covariance of the measured losses, shape (n, n)."""
         inflation = np.sqrt(np.outer(self.inflation, self.inflation))
         return np.asarray(inflation * (self.weights @ covariance @ self.weights.T))
+
+
+def is_known(divergence: float, unknowns: int, count: float) -> bool:
+    """Decide by the Bayesian information criterion if data show a covariance that differs from none.
+
+    Parameters
+    ----------
+    divergence : float
+        Twice the gain in ln likelihood of one observation.
+    unknowns : int
+        Number of values that were estimated.
+    count : float
+        Number of independent observations.
+    """
+    return bool(count * divergence > unknowns * np.log(count))
 
 
 def nothing_learned(n: int) -> CommonChange:

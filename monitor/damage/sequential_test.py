@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, DamageReading
 
 if TYPE_CHECKING:
-    from monitor.damage.common_change import Expected
+    from monitor.damage.common_change import Beside, Expected
 
 STRETCHES = (1, 2, 4, 8)
 """Lengths over which windows are averaged. [windows; judgement: powers of two]"""
@@ -173,7 +173,10 @@ def _beside_others(
     means: Array, covariance: Array, model_form: float, expected: Expected
 ) -> tuple[Array, Array, Array]:
     """Compute the z-scores of losses beyond what the other stories let expect, the losses and their deviations, (k, n) each."""
-    found = [expected.beside_others(m, c) for m, c in zip(means, covariance, strict=True)]
+    found: list[Beside] = []
+    for k, (mean, of_mean) in enumerate(zip(means, covariance, strict=True)):
+        again = k > 0 and np.array_equal(mean, means[k - 1]) and np.array_equal(of_mean, covariance[k - 1])
+        found.append(found[-1] if again else expected.beside_others(mean, of_mean))
     losses = np.array([f.loss for f in found])
     sizes = np.abs(losses)
     others = np.array([np.delete(sizes, j, axis=1).max(axis=1) for j in range(sizes.shape[1])]).T

@@ -253,7 +253,9 @@ def main() -> None:
         for case in sys.argv[4:] or CASES:
             for loss in LOSSES:
                 if (year, case, loss) not in done:
-                    rows.append({"year": year, "case": case, "loss": loss, **one(year, seed, CASES[case], LOSSES[loss])})
+                    rows.append(
+                        {"year": year, "case": case, "loss": loss, **one(year, seed, CASES[case], LOSSES[loss])}
+                    )
                     with path.open("a") as file:
                         file.write(json.dumps(rows[-1]) + "\n")
         print(f"{year + 1} years\n{report(rows)}", flush=True)
