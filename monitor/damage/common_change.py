@@ -61,6 +61,14 @@ class CommonChange:
         """Number of stretches from which a covariance of n quantities can be estimated at all."""
         return len(self.square) + 1
 
+    def words(self, mixing: Array) -> str:
+        """Say for people if it is learned."""
+        if self.learned(mixing) is not None:
+            return f"learned from {self.stretches:.3g} stretches of two days"
+        if self.stretches < self.wanted:
+            return f"not learned: {self.stretches:.3g} of {self.wanted} stretches of two days"
+        return f"nothing beyond the noise of the windows, in {self.stretches:.3g} stretches of two days"
+
     def learned(self, mixing: Array) -> Expected | None:
         """Estimate the covariance of common changes, shape (n, n).
 
@@ -122,13 +130,15 @@ class Expected:
             if not alike and found.z_alike > max(float(z[best]) + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS):
                 total, alike = total + _ANY_SIZE**2 * np.ones((n, n)), True
                 continue
-            if z[best] < SIGNIFICANT_STDS or len(kept) <= 2:
+            if z[best] < SIGNIFICANT_STDS or len(kept) < 2:
                 break
             del kept[best]
         weights, inflation = np.zeros((n, n)), np.ones(n)
         for j in range(n):
             chosen = kept if j in kept else [*kept, j]
-            found = among_kept if j in kept else self._compare(loss, learned, total, chosen)
+            if chosen == [j]:  # the only one that is not lost: by the others, for want of better
+                chosen = list(range(n))
+            found = among_kept if chosen is kept else self._compare(loss, learned, total, chosen)
             at = chosen.index(j)
             weights[j, chosen], inflation[j] = found.weights[at], found.inflation[at]
         std = np.sqrt(inflation * np.einsum("ij,jk,ik->i", weights, total, weights))
@@ -149,7 +159,8 @@ class Expected:
         distances = of_learned @ part
         square = float(part @ distances)
         inflation = 1.0 + (square - distances**2 / of_learned.diagonal()) / self.stretches
-        along = abs(float(gap.sum())) / np.sqrt(float(inverse.sum()))
+        together = float(gap.sum()) / float(inverse.sum())  # more than was measured of any story is no explanation
+        along = abs(together) * np.sqrt(float(inverse.sum())) if abs(together) <= np.abs(part).max() else 0.0
         return _Compared(
             gap / np.sqrt(precision * inflation),
             inverse / precision[:, None],

@@ -71,7 +71,7 @@ class Change:
     covariates: Mapping[str, Array]
     """Lagged values of each known covariate, shape (n_lags,) each."""
     t_ns: int = 0
-    """End of the window, UTC."""
+    """End of the window, UTC; 0 where it is not learned what the quantities do together."""
 
 
 class LearnedRange(NamedTuple):
@@ -131,7 +131,7 @@ def learn_law(
     prior = stories_prior(n, settings.unevenness) if alike else np.eye(n)
     lags = [lag_s for lag_s in LAGS_S if lag_s <= span_s / 4.0]
     law = learn(relative, noise, prior, axes, values, overlap, lags)
-    return replace(law, common=_common_change(law, relative, values, changes)) if alike else law
+    return replace(law, common=_common_change(law, relative, values, changes)) if any(c.t_ns for c in changes) else law
 
 
 def _common_change(
@@ -211,7 +211,14 @@ def law_lines(law: CovariateLaw | None, moved: str = "the stiffness of the stori
         low, high = (shown(axis, v) for v in axis.range)
         lag = f", lag {axis.lag_s:.0f} s" if axis.lag else ""
         lines.append(f"{axis.name} from {low:.3g} to {high:.3g} {shown_unit(axis)} changes {moved} by {sizes} %{lag}")
+    if (words := common_words(law)) is not None:
+        lines.append(f"what all do together and no covariate explains: {words}")
     return lines
+
+
+def common_words(law: CovariateLaw | None) -> str | None:
+    """Say for people if it is learned what the stories do together without a known cause; None where nothing is."""
+    return None if law is None or law.common is None else law.common.words(law.mixing)
 
 
 def learned_ranges(law: CovariateLaw | None) -> dict[str, LearnedRange]:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
-from monitor.damage.common_change import EVERY_NS, WAIT_NS, CommonChange, distance, nothing_learned
+from monitor.damage.common_change import EVERY_NS, WAIT_NS, CommonChange, distance
 from monitor.damage.covariate_law import Axis, CovariateLaw, stories_prior
 
 _DRIFT = 0.01 / np.sqrt(30.0 * 86_400.0)
@@ -48,8 +48,6 @@ class LearningState:
 def start(law: CovariateLaw, t_ns: int) -> LearningState:
     """Return the state at the first window, at `t_ns` (UTC): the law as calibrated, and no drift."""
     n, k = law.slopes.shape
-    if law.common is None:  # a baseline of an older version
-        law = replace(law, common=nothing_learned(n))
     joint = np.zeros((n, k + 1, k + 1))
     joint[:, :k, :k] = law.posterior
     none = np.zeros(0, dtype=np.int64)

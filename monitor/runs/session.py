@@ -24,6 +24,7 @@ from monitor.damage import (
     ModalBaseline,
     WindowFacts,
     assess,
+    common_words,
     diagnosis_of,
     follow,
     hold,
@@ -217,6 +218,7 @@ class Session:
                 name: learned._asdict()
                 for name, learned in learned_ranges(None if self._baseline is None else self._baseline.law).items()
             },
+            "common_change": common_words(self.pipeline.law),
             "findings": [{key: f.get(key) for key in FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),

@@ -111,10 +111,10 @@ def _with_modes_alone(tree: Any) -> Any:
 
 def _with_common_change(tree: Any) -> Any:
     """Upgrade from version 6, whose covariates' law did not hold what the stories do together."""
-    learning = tree["session"]["pipeline"]["learning"] if "session" in tree else None
-    if learning is not None:
-        n = len(learning["law"]["mixing"])
-        learning["law"]["common"] = {"square": np.zeros((n, n)), "windows": 0}
+    pipeline = tree["session"]["pipeline"] if "session" in tree else {"learning": None}
+    if (learning := pipeline["learning"]) is not None:
+        n, modes_alone = len(learning["law"]["mixing"]), pipeline["alarm"]["shapes"] is not None
+        learning["law"]["common"] = None if modes_alone else {"square": np.zeros((n, n)), "windows": 0}
     return tree
 
 
