@@ -133,15 +133,17 @@ class Expected:
             if z[best] < SIGNIFICANT_STDS or len(kept) < 2:
                 break
             del kept[best]
-        weights, inflation = np.zeros((n, n)), np.ones(n)
-        for j in range(n):
+        weights, inflation = found.weights, found.inflation
+        if len(kept) < n:
+            weights, inflation = np.zeros((n, n)), np.ones(n)
+        for j in range(n if len(kept) < n else 0):
             chosen = kept if j in kept else [*kept, j]
             if chosen == [j]:  # the only one that is not lost: by the others, for want of better
                 chosen = list(range(n))
             found = among_kept if chosen is kept else self._compare(loss, learned, total, chosen)
             at = chosen.index(j)
             weights[j, chosen], inflation[j] = found.weights[at], found.inflation[at]
-        std = np.sqrt(inflation * np.einsum("ij,jk,ik->i", weights, total, weights))
+        std = np.sqrt(inflation * ((weights @ total) * weights).sum(axis=1))
         return Beside(weights @ loss, std, weights, inflation)
 
     def _compare(self, loss: Array, learned: Array, total: Array, chosen: list[int]) -> _Compared:
@@ -152,15 +154,20 @@ class Expected:
         learned, total : ndarray, shape (n, n)
             Covariance of the losses: as learned, and with what is of any size.
         """
-        part, rows = loss[chosen], np.ix_(chosen, chosen)
-        inverse = np.linalg.inv(total[rows])
+        part = loss
+        if len(chosen) < loss.size or chosen != sorted(chosen):
+            part, rows = loss[chosen], np.ix_(chosen, chosen)
+            learned, total = learned[rows], total[rows]
+        inverse = np.linalg.inv(total)
         precision, gap = inverse.diagonal(), inverse @ part
-        of_learned = np.linalg.inv(learned[rows])
+        of_learned = np.linalg.inv(learned)
         distances = of_learned @ part
         square = float(part @ distances)
         inflation = 1.0 + (square - distances**2 / of_learned.diagonal()) / self.stretches
-        together = float(gap.sum()) / float(inverse.sum())  # more than was measured of any story is no explanation
-        along = abs(together) * np.sqrt(float(inverse.sum())) if abs(together) <= np.abs(part).max() else 0.0
+        evidence, information = float(gap.sum()), float(inverse.sum())
+        # A change alike that is larger than what was measured of any story is no explanation.
+        possible = abs(evidence) <= information * float(np.abs(part).max())
+        along = abs(evidence) / np.sqrt(information) if possible else 0.0
         return _Compared(
             gap / np.sqrt(precision * inflation),
             inverse / precision[:, None],
@@ -187,8 +194,11 @@ class Expected:
         common = beside.left_of(reading.common_covariance + self.covariance)
         shift = reading.ddi - beside.loss
         loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
+        # The smallest detectable loss is of a structure without loss, and its simulation is kept for the next windows: what
+        # changes from window to window by chance stays out of it.
         smooth = np.exp(0.5 * history.ln_variance) / np.sqrt(own.diagonal())
-        of_history = beside.left_of(history.common.mean(axis=0) + self.covariance)
+        intact = self.beside_others(np.zeros_like(reading.ddi), reading.ddi_covariance)
+        of_history = replace(intact, inflation=beside.inflation).left_of(history.common.mean(axis=0) + self.covariance)
         return replace(
             reading,
             ddi=beside.loss,
@@ -199,7 +209,7 @@ class Expected:
             covariate_effect={**reading.covariate_effect, UNMEASURED: -shift},
         ), replace(
             history,
-            ln_variance=np.log(beside.left_of(own * np.outer(smooth, smooth)).diagonal()),
+            ln_variance=np.log(intact.left_of(own * np.outer(smooth, smooth)).diagonal()),
             common=of_history[None],
         )
 

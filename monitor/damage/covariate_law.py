@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -139,7 +140,7 @@ class CovariateLaw:
 
     def together(self) -> Expected | None:
         """Return how far the quantities change together without a known cause; None where that is not learned."""
-        return None if self.common is None else self.common.learned(self.mixing)
+        return _together(self)
 
     def _covariance(self, away: Array, columns: slice = slice(None)) -> Array:
         """Compute the covariance of the change by a distance in the basis, shape (K,), along some of its columns."""
@@ -167,6 +168,12 @@ class CovariateLaw:
         columns, away = self.columns()[name], np.zeros(self.centre.size)
         away[columns] = np.diff(axis.basis(np.array(axis.range)), axis=0)[0]
         return np.expm1(self.slopes @ away), np.sqrt(self._covariance(away).diagonal())
+
+
+@lru_cache(maxsize=16)
+def _together(law: CovariateLaw) -> Expected | None:
+    """Compute `CovariateLaw.together`, cached: one law serves all windows of an hour."""
+    return None if law.common is None else law.common.learned(law.mixing)
 
 
 def stories_prior(n: int, unevenness: float) -> Array:

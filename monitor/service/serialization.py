@@ -111,7 +111,7 @@ def _with_modes_alone(tree: Any) -> Any:
 
 def _with_common_change(tree: Any) -> Any:
     """Upgrade from version 6, whose covariates' law did not hold what the stories do together."""
-    pipeline = tree["session"]["pipeline"] if "session" in tree else {"learning": None}
+    pipeline: dict[str, Any] = tree["session"]["pipeline"] if "session" in tree else {"learning": None}
     if (learning := pipeline["learning"]) is not None:
         n, modes_alone = len(learning["law"]["mixing"]), pipeline["alarm"]["shapes"] is not None
         learning["law"]["common"] = None if modes_alone else {"square": np.zeros((n, n)), "windows": 0}
