@@ -196,9 +196,9 @@ class Expected:
         loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
         # The smallest detectable loss is of a structure without loss, and its simulation is kept for the next windows: what
         # changes from window to window by chance stays out of it.
-        smooth = np.exp(0.5 * history.ln_variance) / np.sqrt(own.diagonal())
-        intact = self.beside_others(np.zeros_like(reading.ddi), reading.ddi_covariance)
-        of_history = replace(intact, inflation=beside.inflation).left_of(history.common.mean(axis=0) + self.covariance)
+        smooth, of_history = np.diag(np.exp(history.ln_variance)), history.common.mean(axis=0)
+        intact = self.beside_others(np.zeros_like(reading.ddi), smooth + of_history)
+        of_history = replace(intact, inflation=beside.inflation).left_of(of_history + self.covariance)
         return replace(
             reading,
             ddi=beside.loss,
@@ -209,7 +209,7 @@ class Expected:
             covariate_effect={**reading.covariate_effect, UNMEASURED: -shift},
         ), replace(
             history,
-            ln_variance=np.log(intact.left_of(own * np.outer(smooth, smooth)).diagonal()),
+            ln_variance=np.log(intact.left_of(smooth).diagonal()),
             common=of_history[None],
         )
 
