@@ -91,7 +91,7 @@ def test_too_few_or_constant_readings_are_refused_by_name() -> None:
 
 
 def unlike(seed: int, loss: float = 0.0, days: int = 120) -> FeatureTable:
-    """Four frequencies, every two hours, that follow one unmeasured temperature by unlike shares; `loss` of the first from day 100."""
+    """Four frequencies, every two hours, that follow an unmeasured temperature by unlike shares; `loss` of f1 from day 100."""
     rng = np.random.default_rng(seed)
     day = np.arange(12 * days) / 12.0
     degc = 6.0 + 14.0 * np.cos(2 * np.pi * day / 60.0) + 3.0 * np.sin(2 * np.pi * day)

@@ -134,7 +134,8 @@ def one(year: int, seed: int, case: Case, loss: Loss) -> dict[str, object]:
     n, names = CALIBRATION_H + YEAR_H, case.names
     degc, level, rain = weather(rng, n, float(rng.integers(365)))
     x = change(degc, level, rain, uneven=case.uneven)
-    y = x + STD * rng.standard_normal((n, 3))
+    noise = STD * rng.standard_normal((n, 3))
+    y = x + noise
     onset, story = CALIBRATION_H + int(rng.integers(24 * 30, YEAR_H - 24 * 30)), int(rng.integers(3))
     lost = tuple((story + k) % 3 for k in range(loss.stories))
     if loss.monthly:
@@ -158,7 +159,8 @@ def one(year: int, seed: int, case: Case, loss: Loss) -> dict[str, object]:
     ]
     units = {"level": "dB", "temperature": "degC"}
     law = learn_law(changes, 0.0, {name: units[name] for name in names}, SETTINGS) if names else None
-    more = STD * np.random.default_rng([seed, year, 1]).standard_normal((n if case.looks > 1 else 0, case.looks - 1, 3))
+    shape = (n if case.looks > 1 else 0, case.looks - 1, 3)
+    more = STD * np.random.default_rng([seed, year, 1]).standard_normal(shape) - noise[: shape[0], None]
     return watch(law, case, degc, level, y, more, onset, lost)
 
 
@@ -172,7 +174,7 @@ def watch(
     onset: int,
     lost: tuple[int, ...],
 ) -> dict[str, object]:
-    """The alarm over a year; `more` is the noise of further windows of each hour, which begin 400 s apart."""
+    """The alarm over a year; `more` is the difference of the noise of further windows of each hour, 400 s apart."""
     state, verdicts = alarm.start(3, 400.0), []
     learning = None if law is None else slow_learning.start(law, CALIBRATION_H * HOUR_NS)
     common = np.diag(STD**2) / case.calibration_h
@@ -193,7 +195,7 @@ def watch(
         told: set[int] = set()
         whole, normal = False, True
         for look in range(case.looks):
-            row = y[k] if look == 0 else y[k] + more[k, look - 1] - more[k].mean(axis=0)
+            row = y[k] if look == 0 else y[k] + more[k, look - 1]
             ddi = 1.0 - np.exp(row) / (1.0 + relative)
             reading = DamageReading(ddi, np.diag(STD**2) + shared, ddi, ddi, common_covariance=shared, beyond=beyond)
             state, verdict = alarm.step(state, reading, t_ns + look * 400_000_000_000, ALARM, together)
