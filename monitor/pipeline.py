@@ -25,6 +25,7 @@ from monitor.damage import (
     LEVEL,
     AnyBaseline,
     Baseline,
+    CovariateLaw,
     Judge,
     Memory,
     ModalBaseline,
@@ -151,6 +152,13 @@ class Pipeline:
     def level_weights(self) -> Array | None:
         """How the level of motion is measured with all channels, shape (c, c) (`View.level_weights`)."""
         return self._view(tuple(range(len(self.config.channels)))).level_weights
+
+    @property
+    def law(self) -> CovariateLaw | None:
+        """The covariates' law: as learned on in service, else as calibrated."""
+        if self.state.learning is not None:
+            return self.state.learning.law
+        return None if self.baseline is None else self.baseline.law
 
     def finish(self) -> list[Event]:
         """Return what is known of events that the end of the data cuts."""

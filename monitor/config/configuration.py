@@ -25,7 +25,7 @@ from monitor.core import (
     read_settings,
     settings_problems,
 )
-from monitor.damage import LEVEL, AlarmSettings, CovariateSettings, UpdatingSettings
+from monitor.damage import LEVEL, UNMEASURED, AlarmSettings, CovariateSettings, UpdatingSettings
 from monitor.diagnosis import DiagnosisSettings, WatchSettings
 from monitor.events import EventSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, TrackSettings
@@ -284,7 +284,9 @@ class Configuration(Settings):
         """Check the names and topics of the covariates."""
         named = [t.name for t in self.covariates]
         problems = [f"covariates: {name!r} stands twice" for name in sorted({n for n in named if named.count(n) > 1})]
-        problems += [f"covariates: {n!r} is one without being named" for n in named if n in (LEVEL, "temperature")]
+        problems += [
+            f"covariates: {n!r} is one without being named" for n in named if n in (LEVEL, "temperature", UNMEASURED)
+        ]
         taken = [t for t in self.covariates if t.topic in UNIT_OF]
         return problems + [f"covariates: {t.name!r}: the topic {t.topic} carries {UNIT_OF[t.topic]}" for t in taken]
 

@@ -19,7 +19,9 @@ from .assessment import (
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
-from .covariates import LEVEL, CovariateSettings, LearnedRange, law_lines, learned_ranges
+from .common_change import UNMEASURED
+from .covariate_law import CovariateLaw
+from .covariates import LEVEL, CovariateSettings, LearnedRange, common_words, law_lines, learned_ranges
 from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
 from .judge import AnyBaseline, Judge, Memory, View
 from .level import drift_m, level_db
@@ -33,12 +35,14 @@ from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
     "LEVEL",
+    "UNMEASURED",
     "AlarmSettings",
     "AlarmState",
     "AnyBaseline",
     "Assessment",
     "Baseline",
     "Course",
+    "CovariateLaw",
     "CovariateSettings",
     "FeatureJudge",
     "FeatureTable",
@@ -62,6 +66,7 @@ __all__ = [
     "WindowFacts",
     "alarm",
     "assess",
+    "common_words",
     "damage_index",
     "diagnosis_of",
     "drift_m",

@@ -20,6 +20,7 @@ from pydantic import Field
 
 from monitor.core import WHOLE, Alarm, AlarmCondition, DamageReading, Level, Settings
 from monitor.damage import sequential_test
+from monitor.damage.common_change import Expected
 from monitor.damage.sequential_test import History
 
 
@@ -118,25 +119,30 @@ def start(n_stories: int, window_s: float = 400.0) -> AlarmState:
     return AlarmState((StoryState(),) * (n_stories + 1), sequential_test.begin(n_stories, window_s))
 
 
-def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSettings) -> tuple[AlarmState, Alarm]:
+def step(
+    state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSettings, expected: Expected | None = None
+) -> tuple[AlarmState, Alarm]:
     """Update the alarms by one window's damage reading; `t_ns` is the UTC of the window's end.
+
+    What the stories do together without a known cause is still in the reading; `expected` takes it out, where it was learned.
 
     A window beyond calibration (`DamageReading.beyond`) may announce a loss and ends no announcement: there a loss becomes
     insignificant because less is known.
     """
-    history, evidence = sequential_test.look(state.history, damage, t_ns, settings.model_form)
+    history, evidence = sequential_test.look(state.history, damage, t_ns, settings.model_form, expected)
     shared = sequential_test.shared_change(evidence.loss, evidence.std)
-    own = evidence.loss - sequential_test.shared_by_others(evidence.loss, evidence.std)
     *before, whole_before = state.stories
     updated = [
         s if j in damage.unidentified else update_alarm(s, float(loss), float(z), float(std), t_ns, settings)
-        for j, (s, loss, z, std) in enumerate(zip(before, own, evidence.z, evidence.std, strict=True), start=1)
+        for j, (s, loss, z, std) in enumerate(
+            zip(before, evidence.own, evidence.z, evidence.own_std, strict=True), start=1
+        )
     ]
     std = float(evidence.std.max())
     whole = update_alarm(whole_before, shared, shared / std, std, t_ns, advisory_only(settings))
     lost = {
         j: f"story {j} lost {100 * d:.1f} ± {200 * s:.1f} % (mean of the latest windows)"
-        for j, (d, s) in enumerate(zip(own, evidence.std, strict=True), start=1)
+        for j, (d, s) in enumerate(zip(evidence.own, evidence.own_std, strict=True), start=1)
     }
     lost[WHOLE] = f"all stories lost {100 * shared:.1f} % alike (weather, mass, clock or stiffness)"
     alike = f"all stories changed alike, stiffness by {-100 * shared:+.1f} % (weather, mass, clock or stiffness)"

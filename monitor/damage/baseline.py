@@ -144,6 +144,7 @@ def learn_baseline(
     *,
     updating: UpdatingSettings,
     compensation: CovariateSettings,
+    t_ns: Sequence[int] = (),
 ) -> tuple[Baseline, Update]:
     """Learn the baseline from the windows of healthy recordings.
 
@@ -159,6 +160,8 @@ def learn_baseline(
         Unit of each covariate, by its name.
     drift_weights : ndarray, shape (c, c), optional
         How the covariate `LEVEL` was measured.
+    t_ns : sequence of int
+        End of each window, UTC.  Without them it is not learned what the stories do together.
 
     Returns
     -------
@@ -197,7 +200,9 @@ def learn_baseline(
     if not units or not covariates:
         return baseline, fit
     mean = replace(mean, model_mode=baseline.model_mode)
-    changes = _changes(baseline, mean, windows, covariates, instrumented.sensor_matrix, updating)
+    changes = _changes(
+        baseline, mean, windows, covariates, t_ns or [0] * len(windows), instrumented.sensor_matrix, updating
+    )
     degc = [float(c[TEMPERATURE][0]) for c in covariates if TEMPERATURE in c]
     law = learn_law(changes, (span_ns[1] - span_ns[0]) * 1e-9, units, compensation)
     return replace(baseline, reference_temperature_degc=float(np.mean(degc)) if degc else None, law=law), fit
@@ -284,6 +289,7 @@ def _changes(
     mean: Observation,
     windows: list[ModalEstimate],
     covariates: Sequence[Mapping[str, Array]],
+    t_ns: Sequence[int],
     sensors: Array,
     updating: UpdatingSettings,
 ) -> list[Change]:
@@ -291,10 +297,10 @@ def _changes(
     fit = update(baseline.model, sensors, baseline.target(mean), updating)
     gain = fit.gain / fit.parameters[:, None]
     changes = []
-    for modes, under in zip(windows, covariates, strict=True):
+    for modes, under, end_ns in zip(windows, covariates, t_ns, strict=True):
         o = observe(modes, updating, mean.gauges if updating.use_shapes else None)
         places = tuple((modes.refined, modes.first + b) for b in range(len(o.deviations)))
-        changes.append(Change(gain @ (o.z - mean.z), o.deviations @ gain.T, places, under))
+        changes.append(Change(gain @ (o.z - mean.z), o.deviations @ gain.T, places, under, end_ns))
     return changes
 
 

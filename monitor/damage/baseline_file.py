@@ -60,6 +60,13 @@ class _Axis(_Strict):
     range: tuple[float, float]
 
 
+class _Common(_Strict):
+    """`CommonChange` in the file."""
+
+    square: Matrix
+    windows: int
+
+
 class Law(_Strict):
     """`CovariateLaw` in the file."""
 
@@ -70,6 +77,7 @@ class Law(_Strict):
     posterior: tuple[Matrix, ...]
     mixing: Matrix
     scatter: float
+    common: _Common | None = None
 
 
 class _Effect(_Strict):

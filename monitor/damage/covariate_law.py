@@ -19,12 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from monitor.core import Array
+from monitor.damage.common_change import CommonChange, Expected
 
 _NO_INFORMATION = 1e3
 """Standard deviation of a change in a direction that no sensor observes. [relative change; rounding: any value far above 1]"""
@@ -97,6 +99,8 @@ class CovariateLaw:
     """Shape (n, n): the matrix A."""
     scatter: float = 1.0
     """Variance of the healthy windows about the law, over the variance that they state."""
+    common: CommonChange | None = None
+    """What the quantities did together without a known cause; None where that is not learned."""
 
     def columns(self) -> dict[str, slice]:
         """Return the columns of each covariate in the basis."""
@@ -129,6 +133,15 @@ class CovariateLaw:
         variances = {name: float(self._covariance(away, c).diagonal().max()) for name, c in known.items()}
         return Effect(np.expm1(ln), covariance, parts, variances)
 
+    def at(self, values: Array) -> Array:
+        """Evaluate the law at known covariates, each at its lag, shape (w, n_axes), as changes of the logarithm, shape (w, n)."""
+        basis = [a.basis(v) for a, v in zip(self.axes, values.T, strict=True)]
+        return np.asarray((np.column_stack(basis) - self.centre) @ self.slopes.T)
+
+    def together(self) -> Expected | None:
+        """Return how far the quantities change together without a known cause; None where that is not learned."""
+        return _together(self)
+
     def _covariance(self, away: Array, columns: slice = slice(None)) -> Array:
         """Compute the covariance of the change by a distance in the basis, shape (K,), along some of its columns."""
         part = away[columns]
@@ -155,6 +168,12 @@ class CovariateLaw:
         columns, away = self.columns()[name], np.zeros(self.centre.size)
         away[columns] = np.diff(axis.basis(np.array(axis.range)), axis=0)[0]
         return np.expm1(self.slopes @ away), np.sqrt(self._covariance(away).diagonal())
+
+
+@lru_cache(maxsize=16)
+def _together(law: CovariateLaw) -> Expected | None:
+    """Compute `CovariateLaw.together`, cached: one law serves all windows of an hour."""
+    return None if law.common is None else law.common.learned(law.mixing)
 
 
 def stories_prior(n: int, unevenness: float) -> Array:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from monitor.core import Array, Settings
+from monitor.damage.common_change import CommonChange, learn_common
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn, stories_prior
 from monitor.damage.level import drift_m
 from monitor.signals import LAGS_S
@@ -69,6 +70,8 @@ class Change:
     """Stretch of data of each row of `deviations`: overlapping windows share stretches."""
     covariates: Mapping[str, Array]
     """Lagged values of each known covariate, shape (n_lags,) each."""
+    t_ns: int = 0
+    """End of the window, UTC; 0 where it is not learned what the quantities do together."""
 
 
 class LearnedRange(NamedTuple):
@@ -127,7 +130,20 @@ def learn_law(
     n = relative.shape[1]
     prior = stories_prior(n, settings.unevenness) if alike else np.eye(n)
     lags = [lag_s for lag_s in LAGS_S if lag_s <= span_s / 4.0]
-    return learn(relative, noise, prior, axes, values, overlap, lags)
+    law = learn(relative, noise, prior, axes, values, overlap, lags)
+    return replace(law, common=_common_change(law, relative, values, changes)) if any(c.t_ns for c in changes) else law
+
+
+def _common_change(
+    law: CovariateLaw, relative: Array, values: Sequence[Array], changes: Sequence[Change]
+) -> CommonChange:
+    """Learn from the healthy windows whose covariates are known what the covariates leave of their changes."""
+    taken = np.column_stack([v[:, axis.lag] for axis, v in zip(law.axes, values, strict=True)])
+    known = np.isfinite(taken).all(axis=1)
+    t_ns = np.array([c.t_ns for c in changes], dtype=np.int64)[known]
+    order = np.argsort(t_ns, kind="stable")
+    left = relative[known] - law.at(taken[known])
+    return learn_common(left[order], t_ns[order], law.mixing)
 
 
 def _overlap(changes: Sequence[Change]) -> float:
@@ -195,7 +211,14 @@ def law_lines(law: CovariateLaw | None, moved: str = "the stiffness of the stori
         low, high = (shown(axis, v) for v in axis.range)
         lag = f", lag {axis.lag_s:.0f} s" if axis.lag else ""
         lines.append(f"{axis.name} from {low:.3g} to {high:.3g} {shown_unit(axis)} changes {moved} by {sizes} %{lag}")
+    if (words := common_words(law)) is not None:
+        lines.append(f"what all do together and no covariate explains: {words}")
     return lines
+
+
+def common_words(law: CovariateLaw | None) -> str | None:
+    """Say for people if it is learned what the stories do together without a known cause; None where nothing is."""
+    return None if law is None or law.common is None else law.common.words(law.mixing)
 
 
 def learned_ranges(law: CovariateLaw | None) -> dict[str, LearnedRange]:
@@ -220,6 +243,8 @@ def to_plain(law: CovariateLaw | None) -> dict[str, Any] | None:
     if law is None:
         return None
     content = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(law).items()}
+    if law.common is not None:
+        content["common"] = {"square": law.common.square.tolist(), "windows": law.common.windows}
     content["axes"] = [
         {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in axis.items()} for axis in content["axes"]
     ]
@@ -247,7 +272,12 @@ def from_plain(content: dict[str, Any] | None, n: int) -> CovariateLaw | None:
         raise ValueError("its dependence on covariates is damaged")
     if any(a.slope_std.size != a.knots.size + 2 or not 0 <= a.lag < len(LAGS_S) for a in axes):
         raise ValueError("its covariates are damaged")
-    return CovariateLaw(axes, **arrays, scatter=float(content["scatter"]))
+    common = content.get("common")
+    if common is not None:
+        common = CommonChange(np.array(common["square"], dtype=float), int(common["windows"]))
+        if common.square.shape != (n, n) or not np.isfinite(common.square).all() or common.windows < 0:
+            raise ValueError("its common change is damaged")
+    return CovariateLaw(axes, **arrays, scatter=float(content["scatter"]), common=common)
 
 
 def from_former(content: dict[str, Any] | None, n: int) -> CovariateLaw | None:

@@ -4,18 +4,21 @@ Features are natural frequencies or any other numbers that a healthy structure k
 learned over a healthy part.  What it leaves there, predicted for stretches of time that were left out of the learning, gives the
 scatter of means over 1, 2, 4 ... readings: it holds the noise, its autocorrelation and the error of the law.  So neither the
 distribution nor the autocorrelation of the noise is assumed.
+
+Where no covariate is given, each feature is compared with what the others let expect of it (`common_change`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc, ndtri, stdtr
 
 from monitor.core import Array, BadInputError, Level, Skipped
+from monitor.damage.common_change import EVERY_NS, WAIT_NS, CommonChange, Expected
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn
 
 _LAGS_H = (0.0, 3.0, 6.0, 12.0, 24.0, 48.0)
@@ -101,6 +104,40 @@ class FeatureModel:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Together:
+    """How the features change together over healthy readings."""
+
+    expected: Expected
+    noise: Array
+    """Shape (k, k): covariance of one reading about what changes slowly."""
+
+    def left_by_others(self, away: Array) -> tuple[Array, Array]:
+        """Compute what the others leave of each feature, and how uncertain that is beyond the healthy scatter.
+
+        A feature that stands alone at its time is compared with nothing: NaN.
+
+        Parameters
+        ----------
+        away : ndarray, shape (w, k)
+            Distances of the features from their healthy centres; NaN where one is missing.
+
+        Returns
+        -------
+        ndarray, shape (w, k); ndarray, shape (w, k)
+        """
+        left, added = np.full(away.shape, np.nan), np.zeros(away.shape)
+        healthy = self.expected.beside_others(np.zeros(away.shape[1]), self.noise).std
+        for row, values in enumerate(away):
+            seen = np.flatnonzero(np.isfinite(values))
+            if seen.size < 2:
+                continue
+            found = self.expected.of(seen).beside_others(values[seen], self.noise[np.ix_(seen, seen)], either_side=True)
+            left[row, seen] = found.loss
+            added[row, seen] = np.sqrt(np.maximum(found.std**2 - healthy[seen] ** 2, 0.0))
+        return left, added
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class FeatureJudge:
     """What was learned from the healthy part: a model for each feature, and how their residuals go together."""
 
@@ -109,6 +146,8 @@ class FeatureJudge:
     """Stretch -> correlation of the features' healthy means, shape (k, k), and its degrees of freedom."""
     spacing_ns: float
     """Median time between readings."""
+    together: Together | None = None
+    """How the features change together, where no covariate was given and it could be learned."""
 
 
 def judge_features(table: FeatureTable, train_until_ns: int) -> tuple[FeatureJudge, list[FeatureVerdict]]:
@@ -133,13 +172,19 @@ def judge_features(table: FeatureTable, train_until_ns: int) -> tuple[FeatureJud
     """
     healthy = int(np.searchsorted(table.t_ns, train_until_ns, side="right"))
     lagged = {name: _lagged(table.t_ns, values) for name, values in table.covariates.items()}
-    models, left = [], {}
+    models: list[FeatureModel] = []
+    left = {}
     for name, values in table.features.items():
         model, residual = _learn_feature(name, values[:healthy], {k: v[:healthy] for k, v in lagged.items()})
         models.append(model)
         left[name] = residual
     spacing_ns = float(np.median(np.diff(table.t_ns))) if table.t_ns.size > 1 else 1.0
-    judge = FeatureJudge(tuple(models), _correlations(models, left), spacing_ns)
+    together = None if lagged else _learn_together(table.t_ns[:healthy], np.column_stack(list(left.values())))
+    if together is not None:
+        away = _cross_validated(together, table.t_ns[:healthy], np.column_stack(list(left.values())))
+        left = {model.name: of for model, of in zip(models, away.T, strict=True)}
+        models = [_beside_others(model, left[model.name]) for model in models]
+    judge = FeatureJudge(tuple(models), _correlations(models, left), spacing_ns, together)
     return judge, _judge(judge, table, lagged, healthy)
 
 
@@ -215,11 +260,72 @@ def _learn_feature(name: str, values: Array, lagged: Mapping[str, Array]) -> tup
     whole = np.full(values.size, np.nan)
     whole[rows] = residual
     good = residual[np.isfinite(residual)]
-    stretches = tuple(
-        (m, _tail_std(_trimmed(good, m)), good.size // m) for m in _stretch_lengths() if good.size // m >= _LEAST_BLOCKS
-    )
+    stretches = _stretches(good)
     explained = 1.0 - float(np.var(np.clip(good, -4 * std, 4 * std)) / np.var(np.clip(y - centre, -4 * size, 4 * size)))
     return FeatureModel(name, log, centre, law, std, explained, int(rows.size), stretches), whole
+
+
+def _stretches(residual: Array) -> tuple[tuple[int, float, int], ...]:
+    """Estimate the scatter of the means over each stretch that enough residuals are there for."""
+    w = residual.size
+    return tuple((m, _tail_std(_trimmed(residual, m)), w // m) for m in _stretch_lengths() if w // m >= _LEAST_BLOCKS)
+
+
+def _learn_together(t_ns: NDArray[np.int64], away: Array) -> Together | None:
+    """Learn from healthy readings how the features change together.
+
+    Parameters
+    ----------
+    away : ndarray, shape (w, k)
+        Distances of the features from their healthy centres; NaN where one is missing.
+
+    Returns
+    -------
+    Together or None
+        None where too few days are known, or nothing is to be seen of it.
+    """
+    known = np.isfinite(away).all(axis=1)
+    t_ns, away = t_ns[known], away[known]
+    k = away.shape[1]
+    if k < 2 or len(away) <= _MIN_READINGS:
+        return None
+    noise = np.array([_robust_std(np.diff(column)) for column in away.T]) / np.sqrt(2.0)
+    if not (noise > 0.0).all():
+        return None
+    ends = np.searchsorted(t_ns, t_ns + WAIT_NS, side="right")
+    rows = [row for row, end in enumerate(ends) if end - row > 2 and int(t_ns[-1] - t_ns[row]) >= WAIT_NS]
+    if not rows:
+        return None
+    distances = np.array([away[row] - np.median(away[row + 1 : ends[row]], axis=0) for row in rows]) / noise
+    size = np.array([_robust_std(column) for column in distances.T])
+    distances = np.clip(distances, -4.0 * size, 4.0 * size)
+    hours = int(min(len(rows) * float(np.median(np.diff(t_ns))), float(t_ns[-1] - t_ns[0])) / EVERY_NS)
+    learned = (
+        CommonChange(distances.T @ distances * (hours / len(rows)), hours).learned(np.diag(noise)) if hours else None
+    )
+    return None if learned is None else Together(learned, np.diag(noise**2))
+
+
+def _cross_validated(together: Together, t_ns: NDArray[np.int64], away: Array) -> Array:
+    """Compute what the others leave of each feature, shape (w, k), each eighth of the time by what the rest learned."""
+    left = np.full(away.shape, np.nan)
+    for part in np.array_split(np.arange(len(away)), _FOLDS):
+        rest = np.setdiff1d(np.arange(len(away)), part)
+        left[part] = (_learn_together(t_ns[rest], away[rest]) or together).left_by_others(away[part])[0]
+    return left
+
+
+def _beside_others(model: FeatureModel, residual: Array) -> FeatureModel:
+    """Set the scatter of a feature to that of what the others leave of it in healthy readings."""
+    good = residual[np.isfinite(residual)]
+    if good.size < _MIN_READINGS:
+        raise BadInputError(
+            f"feature {model.name!r}: {good.size} healthy readings at which another feature is known, at least "
+            f"{_MIN_READINGS} are needed; name a covariate, or judge it alone"
+        )
+    std = _robust_std(good)
+    explained = 1.0 - float(np.var(np.clip(good, -4.0 * std, 4.0 * std))) / model.std**2
+    return replace(model, std=std, explained=explained, stretches=_stretches(good))
 
 
 def _at_rows(law: CovariateLaw, values: Sequence[Array]) -> tuple[Array, Array]:
@@ -312,13 +418,13 @@ def _judge(judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array]
     """Judge the rows from `first` on, in order."""
     recent: list[list[tuple[int, float, float]]] = [[] for _ in judge.models]
     run, quiet, level, verdicts = 0, 0, Level.NORMAL, []
-    predicted = [model.predict(lagged, table.t_ns.size) for model in judge.models]
+    predicted = _predicted(judge, table, lagged)
     for row in range(first, table.t_ns.size):
         t_ns, unknown = int(table.t_ns[row]), []
         sigma: list[float | None] = []
         for model, past, (means, law_stds) in zip(judge.models, recent, predicted, strict=True):
             value = float(table.features[model.name][row])
-            if not np.isfinite(value) or (model.log and value <= 0.0):
+            if not np.isfinite(value + means[row]) or (model.log and value <= 0.0):
                 sigma.append(None)
                 continue
             law_std = float(law_stds[row])
@@ -353,6 +459,21 @@ def _judge(judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array]
     return verdicts
 
 
+def _predicted(judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array]) -> list[tuple[Array, Array]]:
+    """Predict each feature (or its logarithm) at all rows, with the standard deviation of the law, shape (w,) each."""
+    predicted = [model.predict(lagged, table.t_ns.size) for model in judge.models]
+    if judge.together is None:
+        return predicted
+    away = []
+    for model, (means, _) in zip(judge.models, predicted, strict=True):
+        values = table.features[model.name]
+        if model.log:
+            values = np.log(np.where(values > 0.0, values, np.nan))
+        away.append(values - means)
+    left, added = judge.together.left_by_others(np.column_stack(away))
+    return [(means + a - of, add) for (means, _), a, of, add in zip(predicted, away, left.T, added.T, strict=True)]
+
+
 def _beyond(model: FeatureModel, lagged: Mapping[str, Array], row: int) -> str:
     """Say which covariate lies beyond what was learned."""
     for axis in model.law.axes if model.law is not None else ():
@@ -360,6 +481,8 @@ def _beyond(model: FeatureModel, lagged: Mapping[str, Array], row: int) -> str:
         if axis.beyond(value):
             low, high = axis.range
             return f"{axis.name} {value:.3g} is {axis.beyond(value)} anything learned from, {low:.3g} to {high:.3g}"
+    if model.law is None:
+        return "the features lie farther from their healthy values than anything learned from"
     return "what the covariates do here was not learned"
 
 

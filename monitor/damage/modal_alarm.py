@@ -71,10 +71,11 @@ def step(
     seen = sequential_test.lone_statistic(over)
     parts, updated, words = modal_parts(m), list(state.stories), dict[int, str]()
     known = np.flatnonzero(np.isfinite(reading.ln_frequency)).tolist()
-    own = evidence.loss - sequential_test.shared_by_others(evidence.loss, evidence.std)
     for k, j in enumerate(known):
         size, std = float(evidence.loss[k]), float(evidence.std[k])
-        updated[j] = alarm.update_alarm(state.stories[j], abs(float(own[k])), float(evidence.z[k]), std, t_ns, settings)
+        updated[j] = alarm.update_alarm(
+            state.stories[j], abs(float(evidence.own[k])), float(evidence.z[k]), std, t_ns, settings
+        )
         words[j + 1] = change_words(parts[j], -0.5 * size, 0.5 * std)
     for j in known:
         rows = slice(j * len(channels), (j + 1) * len(channels))

@@ -15,11 +15,15 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, DamageReading
+
+if TYPE_CHECKING:
+    from monitor.damage.common_change import Beside, Expected
 
 STRETCHES = (1, 2, 4, 8)
 """Lengths over which windows are averaged. [windows; judgement: powers of two]"""
@@ -35,7 +39,7 @@ deviations; judgement]"""
 _MAX_DISAGREEMENT = 4.0
 """Largest distance of a window from the mean of its stretch at which the windows agree. [standard deviations; not
 recorded]"""
-_SIGNIFICANT_STDS = 3.0
+SIGNIFICANT_STDS = 3.0
 """Size from which a change counts as significant. [standard deviations; convention: three sigma]"""
 
 
@@ -92,6 +96,10 @@ class SequentialStatistic:
     """Shape (n,): mean loss over the longest stretch with which the newest window agrees."""
     std: Array
     """Shape (n,): standard deviation of `loss`."""
+    own: Array
+    """Shape (n,): the part of `loss` beyond what all stories have in common."""
+    own_std: Array
+    """Shape (n,): standard deviation of `own`."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -126,7 +134,9 @@ def begin(n_stories: int, window_s: float, *, variances_only: bool = False) -> H
     return History(round(window_s * 1e9), t_ns, none, none, shared, np.zeros(n_stories), 0.0)
 
 
-def look(history: History, reading: DamageReading, t_ns: int, model_form: float) -> tuple[History, SequentialStatistic]:
+def look(
+    history: History, reading: DamageReading, t_ns: int, model_form: float, expected: Expected | None = None
+) -> tuple[History, SequentialStatistic]:
     """Update the test statistic by one window's reading.
 
     Parameters
@@ -137,16 +147,41 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
         End of the window, UTC.  Missing readings are left out of the means.
     model_form : float
         Share of another story's loss that may appear in a story (one standard deviation).
+    expected : Expected, optional
+        What stories do together without a known cause, where it was learned.  Without it, what they have in common is a change
+        of all alike.
     """
     n = reading.ddi.size
     own = reading.ddi_covariance - reading.common_covariance + (1e-24 - reading.form_variance) * np.eye(n)
     model_form = max(model_form, reading.model_form)
     common = np.broadcast_to(reading.common_covariance, (n, n))
     history, over = average(history, reading.ddi, own.diagonal(), common, reading.channels, t_ns)
-    z, std = statistic(over.means, _covariance_of(over, own), model_form)
+    covariance = _covariance_of(over, own)
+    z, std = statistic(over.means, covariance, model_form)
     longest = over.longest()
+    loss, loss_std = over.means[longest], std[longest]
+    if expected is None:
+        beyond, beyond_std = loss - shared_by_others(loss, loss_std), loss_std
+    else:
+        z, losses, stds = _beside_others(over.means, covariance, model_form, expected)
+        beyond, beyond_std = losses[longest], stds[longest]
     best = np.where(over.agrees, z, -np.inf).max(axis=0)
-    return history, SequentialStatistic(best, over.means[longest], std[longest])
+    return history, SequentialStatistic(best, loss, loss_std, beyond, beyond_std)
+
+
+def _beside_others(
+    means: Array, covariance: Array, model_form: float, expected: Expected
+) -> tuple[Array, Array, Array]:
+    """Compute the z-scores of losses beyond what the other stories let expect, the losses and their deviations, (k, n) each."""
+    found: list[Beside] = []
+    for k, (mean, of_mean) in enumerate(zip(means, covariance, strict=True)):
+        again = k > 0 and np.array_equal(mean, means[k - 1]) and np.array_equal(of_mean, covariance[k - 1])
+        found.append(found[-1] if again else expected.beside_others(mean, of_mean))
+    losses = np.array([f.loss for f in found])
+    sizes = np.abs(losses)
+    others = np.array([np.delete(sizes, j, axis=1).max(axis=1) for j in range(sizes.shape[1])]).T
+    stds = np.hypot(np.array([f.std for f in found]), model_form * others)
+    return losses / stds, losses, stds
 
 
 def average(
@@ -200,7 +235,8 @@ def change_statistic(over: Averages, own: Array, model_form: float) -> Sequentia
     fall, _ = statistic(-over.means, covariance, model_form)
     longest = over.longest()
     z = np.where(over.agrees, np.maximum(rise, fall), -np.inf).max(axis=0)
-    return SequentialStatistic(z, over.means[longest], std[longest])
+    loss, loss_std = over.means[longest], std[longest]
+    return SequentialStatistic(z, loss, loss_std, loss - shared_by_others(loss, loss_std), loss_std)
 
 
 def lone_statistic(over: Averages) -> SequentialStatistic:
@@ -208,7 +244,8 @@ def lone_statistic(over: Averages) -> SequentialStatistic:
     std = np.sqrt(over.variances + over.common)
     z = np.abs(over.means) / np.maximum(std, 1e-12)
     longest = over.longest()
-    return SequentialStatistic(np.where(over.agrees, z, -np.inf).max(axis=0), over.means[longest], std[longest])
+    loss, loss_std = over.means[longest], std[longest]
+    return SequentialStatistic(np.where(over.agrees, z, -np.inf).max(axis=0), loss, loss_std, loss, loss_std)
 
 
 def _of_channels(history: History, channels: tuple[int, ...]) -> History:
@@ -302,7 +339,7 @@ def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array
     """
     from monitor.damage.kernels import evidence_of_loss  # compiled code takes a while to load
 
-    return evidence_of_loss(means, covariance, model_form, _SIGNIFICANT_STDS, LOCAL_LOSS_CREDIT)
+    return evidence_of_loss(means, covariance, model_form, SIGNIFICANT_STDS, LOCAL_LOSS_CREDIT)
 
 
 def shared_change(loss: Array, std: Array) -> float:
@@ -320,13 +357,13 @@ def shared_change(loss: Array, std: Array) -> float:
     >>> shared_change(np.array([0.05, 0.08]), np.array([0.01, 0.01]))
     0.05
     """
-    alike = np.abs(np.sign(loss).sum()) == loss.size and (np.abs(loss) > _SIGNIFICANT_STDS * std).all()
+    alike = np.abs(np.sign(loss).sum()) == loss.size and (np.abs(loss) > SIGNIFICANT_STDS * std).all()
     return float(loss[np.abs(loss).argmin()]) if alike and loss.size else 0.0
 
 
 def shared_by_others(loss: Array, std: Array) -> Array:
     """Return for each story the change common to all other stories (`shared_change`), shape (n,)."""
     n = loss.size
-    if np.count_nonzero(np.abs(loss) > _SIGNIFICANT_STDS * std) < n - 1:
+    if np.count_nonzero(np.abs(loss) > SIGNIFICANT_STDS * std) < n - 1:
         return np.zeros(n)
     return np.array([shared_change(np.delete(loss, j), np.delete(std, j)) for j in range(n)])

@@ -1,4 +1,4 @@
-"""Covariates' law, learned on in healthy service: the slopes alone, never the healthy stiffness.
+"""Covariates' law, learned on in healthy service: slopes and common changes, never the healthy stiffness.
 
 One window an hour waits for two days; if nothing was announced meanwhile, it is learned from.  A change of stiffness that is no
 covariate's, such as a loss that grows slowly, is estimated beside the slopes as a random walk and left out of the law.  So a
@@ -19,13 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
+from monitor.damage.common_change import EVERY_NS, WAIT_NS, CommonChange, distance
 from monitor.damage.covariate_law import Axis, CovariateLaw, stories_prior
 
-_EVERY_NS = 3_600_000_000_000
-"""Time between two windows that are learned from: they share no data. [ns; judgement]"""
-_WAIT_NS = 48 * _EVERY_NS
-"""Time for which nothing must be announced after a window before it is learned from. [ns; judgement: longer than small losses of
-1 percent take to be announced]"""
 _DRIFT = 0.01 / np.sqrt(30.0 * 86_400.0)
 """Random walk of a story's stiffness that is no covariate's. [1/sqrt(s); judgement: one percent in a month]"""
 
@@ -80,14 +76,14 @@ def step(
         return replace(state, t_ns=state.t_ns[:0], values=state.values[:0], changes=state.changes[:0])
     taken = [covariates[a.name][a.lag] if a.name in covariates else np.nan for a in state.law.axes]
     last_ns = int(state.t_ns[-1]) if state.t_ns.size else state.learned_ns
-    if t_ns - last_ns >= _EVERY_NS and np.isfinite(taken).all():
+    if t_ns - last_ns >= EVERY_NS and np.isfinite(taken).all():
         state = replace(
             state,
             t_ns=np.append(state.t_ns, t_ns),
             values=np.vstack([state.values, taken]),
             changes=np.vstack([state.changes, change]),
         )
-    while state.t_ns.size and t_ns - int(state.t_ns[0]) >= _WAIT_NS:
+    while state.t_ns.size and t_ns - int(state.t_ns[0]) >= WAIT_NS:
         state = _learn(state, unevenness)
     return state
 
@@ -110,10 +106,20 @@ def _learn(state: LearningState, unevenness: float) -> LearningState:
     joint = joint - gain[:, :, None] * toward[:, None, :]
     joint = 0.5 * (joint + joint.transpose(0, 2, 1))
     axes = tuple(_wider(a, float(v)) for a, v in zip(law.axes, state.values[0], strict=True))
-    law = replace(law, axes=axes, slopes=law.mixing @ mean[:, :k], posterior=joint[:, :k, :k].copy())
+    law = replace(
+        law, axes=axes, slopes=law.mixing @ mean[:, :k], posterior=joint[:, :k, :k].copy(), common=_common_change(state)
+    )
     return LearningState(
         law, mean[:, k], joint, int(state.t_ns[0]), state.t_ns[1:], state.values[1:], state.changes[1:]
     )
+
+
+def _common_change(state: LearningState) -> CommonChange | None:
+    """Learn from the first window that waits, beside those after it, what the quantities do together."""
+    law = state.law
+    if law.common is None or len(state.changes) < 2:
+        return law.common
+    return law.common.add(distance(state.changes - law.at(state.values), law.mixing))
 
 
 def _wider(axis: Axis, value: float) -> Axis:

@@ -23,6 +23,7 @@ from monitor.core import (
 from monitor.damage import alarm, damage_index, slow_learning
 from monitor.damage.alarm import AlarmState
 from monitor.damage.baseline import Baseline
+from monitor.damage.common_change import nothing_learned
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.detectable_loss import smallest_detectable_loss
 from monitor.damage.judge import LEAST_SHARE, Judged, JudgeSettings, Memory, View, explained, hidden_words
@@ -132,11 +133,14 @@ class StiffnessJudge:
         if self.baseline is None:
             nothing = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
             return memory, Judged(modes, nothing, stiffness, reading)
-        alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm)
-        learning = self._learn(
-            memory, law, reading, covariates, t_end_ns, settings, normal=verdict.level is Level.NORMAL
-        )
-        detectable = smallest_detectable_loss(reading, alarms.history, settings.processing.hop_s, settings.alarm)
+        together = None if law is None else law.together()
+        alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, together)
+        normal = verdict.level is Level.NORMAL
+        learning = self._learn(memory, law, reading, covariates, t_end_ns, settings, normal=normal)
+        history = alarms.history
+        if together is not None:
+            reading, history = together.take_out(reading, history)
+        detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
         judged = Judged(modes, self._named(verdict), stiffness, reading, detectable_loss=detectable)
         return Memory(alarms, learning), judged
 
@@ -169,6 +173,8 @@ class StiffnessJudge:
         """Learn the covariates' law on from healthy service."""
         if law is None or not settings.compensation.learn_in_service:
             return memory.learning
+        if law.common is None:  # of a baseline of an older version
+            law = replace(law, common=nothing_learned(len(law.mixing)))
         state = memory.learning or slow_learning.start(law, t_end_ns)
         # The index has what the law explains taken out; it is put back.
         change = np.log1p(-np.minimum(reading.ddi, 1.0 - 1e-6)) + sum(reading.covariate_effect.values(), np.zeros(1))

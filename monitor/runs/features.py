@@ -189,5 +189,6 @@ def _summary(judge: FeatureJudge, verdicts: list[FeatureVerdict]) -> dict[str, A
         "skipped": sum(v.skipped is not None for v in verdicts),
         "announced": len(announced),
         "alarms": [{"t_ns": v.t_ns, "features": list(v.changed), "reason": v.reason} for v in begun],
+        "together": None if judge.together is None else {"stretches": round(judge.together.expected.stretches, 1)},
         "features": learned,
     }

@@ -24,6 +24,7 @@ from monitor.damage import (
     ModalBaseline,
     WindowFacts,
     assess,
+    common_words,
     diagnosis_of,
     follow,
     hold,
@@ -228,6 +229,7 @@ class Session:
                 {"id": a.id, "condition": a.condition.value, "exceeded": list(a.exceeded), "by": a.acknowledged_by}
                 for a in self.pipeline.state.events.alarms
             ],
+            "common_change": common_words(self.pipeline.law),
             "findings": [{key: f.get(key) for key in FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),

@@ -118,7 +118,16 @@ def _with_alarms_of_events(tree: Any) -> Any:
     return tree
 
 
-VERSION = 7
+def _with_common_change(tree: Any) -> Any:
+    """Upgrade from version 7, whose covariates' law did not hold what the stories do together."""
+    pipeline: dict[str, Any] = tree["session"]["pipeline"] if "session" in tree else {"learning": None}
+    if (learning := pipeline["learning"]) is not None:
+        n, modes_alone = len(learning["law"]["mixing"]), pipeline["alarm"]["shapes"] is not None
+        learning["law"]["common"] = None if modes_alone else {"square": np.zeros((n, n)), "windows": 0}
+    return tree
+
+
+VERSION = 8
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
 UPGRADES: dict[int, Callable[[Any], Any]] = {
     1: _without_doubled_sums,
@@ -127,6 +136,7 @@ UPGRADES: dict[int, Callable[[Any], Any]] = {
     4: _with_events_covariates_and_left_out_channels,
     5: _with_modes_alone,
     6: _with_alarms_of_events,
+    7: _with_common_change,
 }
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")

@@ -1,4 +1,5 @@
-"""Cost of the covariates' law in a hop: the same windows of 400 s every 10 s, with a baseline that has a law and without.
+"""Cost of the covariates' law in a hop: the same windows of 400 s every 10 s, with a baseline that has a law and without, and
+with one that knows besides what the stories do together.
 
 Run: ``python -m tests.benchmarks.covariates [HOURS]``.  CPU time of the process, one thread of linear algebra; the level wanders,
 so that the law's uncertainty changes as it does outdoors.
@@ -15,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION
 from monitor.core.results import WindowResult
+from monitor.damage.common_change import CommonChange
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.synthetic_recording import cut_into_blocks
@@ -34,7 +36,12 @@ def main() -> None:
         config.model(), duration_s=float(seconds), rate_hz=RATE_HZ, noise=0.1, level_spread=0.2, seed=2
     ).floors
     blocks = list(cut_into_blocks(ACCELERATION, floors, config.channels, RATE_HZ, 0, round(10 * RATE_HZ)))
-    pipelines = {"with the law": Pipeline(config, baseline), "without": Pipeline(config, replace(baseline, law=None))}
+    law = baseline.law
+    assert law is not None
+    white = np.linalg.solve(law.mixing, [0.01, 0.015, 0.008])
+    common = CommonChange(1440.0 * (np.eye(3) + np.outer(white, white)), 1440)
+    kinds = {"with the law": law, "with common changes": replace(law, common=common), "without": None}
+    pipelines = {name: Pipeline(config, replace(baseline, law=kind)) for name, kind in kinds.items()}
     spent: dict[str, list[float]] = {name: [] for name in pipelines}
     for block in blocks:
         for name, pipeline in pipelines.items():

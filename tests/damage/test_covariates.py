@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from monitor.config.configuration import Configuration
 from monitor.core.errors import BadConfigurationError, BadInputError
 from monitor.core.results import WindowResult
 from monitor.damage import Baseline, learn_baseline, load_baseline, save_baseline
+from monitor.damage.common_change import UNMEASURED, CommonChange
 from monitor.damage.covariate_law import Axis, learn, stories_prior
 from monitor.damage.level import drift_m, drift_weights, level_db
 from monitor.model.simulation import simulate
@@ -208,3 +210,38 @@ def test_a_restart_goes_on_with_what_was_learned(
     np.testing.assert_array_equal(
         second.state.learning.law.slopes, healthy[1].law.slopes
     )  # nothing has waited for two days yet
+
+
+def test_what_the_stories_do_together_is_taken_out_of_the_index_live_as_in_replay(
+    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
+) -> None:
+    """Simulated samples of a frame that is 2 % softer by the weather in the learned pattern, with 5 % of story 2 lost besides."""
+    law = healthy[1].law
+    assert law is not None
+    follows = np.array([1.0, 1.5, 0.8])
+    white = np.linalg.solve(law.mixing, 0.01 * follows)  # by 1 % in a usual day
+    learned = CommonChange(1440.0 * (np.eye(3) + np.outer(white, white)), 1440)
+    knows = replace(healthy[1], law=replace(law, common=learned))
+    model = site.model()
+    soft = model.with_stiffness(model.structure.stiffness_n_per_m * (1.0 - 0.02 * follows) * np.array([1.0, 0.95, 1.0]))
+    floors = simulate(soft, duration_s=120.0, rate_hz=128.0, noise=0.03, seed=21).floors
+    speed = wind(5.0 + 3.0 * np.sin(np.arange(120) / 20.0))
+
+    def run(baseline: Baseline, lengths: list[int], restart: int | None = None) -> list[WindowResult]:
+        pipeline, results = Pipeline(site, baseline), []
+        for k, block in enumerate([speed, *cut(floors, 128.0, lengths)]):
+            if k == restart:
+                state = from_bytes(to_bytes("k", pipeline.state), "k", PipelineState)
+                pipeline = Pipeline(site, baseline)
+                pipeline.state = state
+            results += [r for r in pipeline.push(block) if isinstance(r, WindowResult)]
+        return results
+
+    whole, blind = run(knows, [128]), run(healthy[1], [128])
+    assert [to_json(window_line(r)) for r in run(knows, [100], 60)] == [to_json(window_line(r)) for r in whole]
+    last, raw = whole[-1].damage, blind[-1].damage
+    assert last is not None and raw is not None
+    assert UNMEASURED in last.covariate_effect and UNMEASURED not in raw.covariate_effect
+    np.testing.assert_allclose(last.ddi - last.covariate_effect[UNMEASURED], raw.ddi, atol=1e-12)
+    assert np.abs(last.ddi[1] - 0.05) < 3.0 * last.ddi_std[1] < 0.15
+    assert last.ddi[1] == max(last.ddi)

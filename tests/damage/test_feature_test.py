@@ -88,3 +88,36 @@ def test_too_few_or_constant_readings_are_refused_by_name() -> None:
     stuck = FeatureTable(table.t_ns, {"f3": np.full(table.t_ns.size, 2.0)}, table.covariates)
     with pytest.raises(BadInputError, match="'f3'"):
         judge_features(stuck, 80 * 24 * HOUR_NS)
+
+
+def unlike(seed: int, loss: float = 0.0, days: int = 120) -> FeatureTable:
+    """Four frequencies, every two hours, that follow an unmeasured temperature by unlike shares; `loss` of f1 from day 100."""
+    rng = np.random.default_rng(seed)
+    day = np.arange(12 * days) / 12.0
+    degc = 6.0 + 14.0 * np.cos(2 * np.pi * day / 60.0) + 3.0 * np.sin(2 * np.pi * day)
+    common = -0.001 * np.maximum(degc, 0.0) - 0.008 * np.minimum(degc, 0.0)
+    hz = {}
+    for name, share, scatter in (("f1", 1.0, 0.003), ("f2", 1.3, 0.008), ("f3", 0.7, 0.003), ("f4", 1.1, 0.004)):
+        lost = loss * (day >= 100.0) if name == "f1" else 0.0
+        values = 5.0 * np.exp(share * common + scatter * rng.standard_normal(day.size) - lost)
+        values[rng.random(day.size) < 0.1] = np.nan
+        hz[name] = values
+    return FeatureTable((day * 24 * HOUR_NS).astype(np.int64), hz, {})
+
+
+def test_without_a_covariate_each_feature_is_compared_with_the_others() -> None:
+    judge, healthy = judge_features(unlike(61), 80 * 24 * HOUR_NS)
+    assert judge.together is not None and judge.together.expected.stretches > 20.0
+    assert share_announced(healthy) == 0.0
+    _, hurt = judge_features(unlike(61, 0.03), 80 * 24 * HOUR_NS)
+    first = next(v for v in hurt if v.level is Level.WARNING)
+    assert 0.0 < first.t_ns / HOUR_NS - 100 * 24 < 72.0
+    assert "f1" in first.changed
+    assert all(v.changed == ("f1",) for v in hurt[-60:])
+
+
+def test_a_feature_alone_is_compared_with_nothing() -> None:
+    table = unlike(62)
+    gone = {name: np.where(np.arange(values.size) > 1300, np.nan, values) for name, values in table.features.items()}
+    _, verdicts = judge_features(FeatureTable(table.t_ns, gone | {"f1": table.features["f1"]}, {}), 80 * 24 * HOUR_NS)
+    assert verdicts[-1].skipped is not None and verdicts[-1].residual_sigma == (None,) * 4

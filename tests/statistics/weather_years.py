@@ -1,12 +1,13 @@
 """Years of weather and storms over a frame, by a twin of its readings: false announcements, delays of losses.
 
-    .venv/bin/python -m tests.statistics.weather_years FILE.jsonl [YEARS] [SEED]
+    .venv/bin/python -m tests.statistics.weather_years FILE.jsonl [YEARS] [SEED] [CASE ...]
 
 A year in hourly windows of 400 s: temperature with seasons, days, spells and ten days of frost (slope four times that above
 0 degC: some 8 %), gales up to five times the day's level (joints that give by up to 2.4, 7.2, 4.8 %, half of it at three
 times), and rain (mass +0.5 %, unmeasured).  The readings scatter as the raw windows of `thirty_days`.  Calibration: the fourteen
-days before.  Each year is run intact, and with 2 and with 5 % of a story lost at a random hour.  Cases: level and temperature,
-level alone, no compensation.  FILE holds one line a run; what it holds is not run again.
+days before.  Each year is run intact, with 2 and with 5 % of a story lost at a random hour, with 5 % of two stories, and with 1 %
+of a story lost in each month from then on.  Cases: what is measured, and what is done with the rest (`CASES`).  FILE holds one
+line a run; what it holds is not run again.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,10 +32,50 @@ SLOPES = np.array([1.0e-3, 1.5e-3, 0.8e-3])
 FROST = 4.0
 SOFT = np.array([0.024, 0.072, 0.048])
 RAIN = 0.005
-UNITS = {"level": ("level",), "level and temperature": ("level", "temperature"), "none": ()}
 SETTINGS, ALARM = CovariateSettings(), AlarmSettings()
-LOSSES = (0.0, 0.02, 0.05)
 _USELESS = 0.5
+
+
+class Case(NamedTuple):
+    """What is measured, what is done with the rest, and what the weather does."""
+
+    names: tuple[str, ...]
+    separated: bool = True
+    """What the stories do together is learned; else only a change of all alike is separated."""
+    uneven: bool = False
+    """The stories follow the air after 0, 0.5 and 2 h, with 4, 2 and 6 times the slope in frost."""
+    looks: int = 1
+    """Windows an hour."""
+    calibration_h: int = CALIBRATION_H
+
+
+class Loss(NamedTuple):
+    """What is lost from a random hour on."""
+
+    size: float
+    stories: int = 1
+    monthly: bool = False
+
+
+CASES = {
+    "level and temperature": Case(("level", "temperature")),
+    "level and temperature, alike": Case(("level", "temperature"), separated=False),
+    "level": Case(("level",)),
+    "level, alike": Case(("level",), separated=False),
+    "level, uneven": Case(("level",), uneven=True),
+    "level, uneven, alike": Case(("level",), separated=False, uneven=True),
+    "level, 8 looks an hour": Case(("level",), looks=8),
+    "level, two days of calibration": Case(("level",), calibration_h=48),
+    "level, two days of calibration, alike": Case(("level",), separated=False, calibration_h=48),
+    "none": Case((), separated=False),
+}
+LOSSES = {
+    "intact": Loss(0.0),
+    "2 %": Loss(0.02),
+    "5 %": Loss(0.05),
+    "5 % of two": Loss(0.05, 2),
+    "1 % a month": Loss(0.01, monthly=True),
+}
 
 
 def smooth(rng: np.random.Generator, n: int, hours: float) -> np.ndarray:
@@ -61,11 +103,23 @@ def weather(rng: np.random.Generator, n: int, begin_day: float) -> tuple[np.ndar
     return degc, level, (smooth(rng, n, 6.0) > 1.6).astype(float)
 
 
-def change(degc: np.ndarray, level: np.ndarray, rain: np.ndarray) -> np.ndarray:
+def change(degc: np.ndarray, level: np.ndarray, rain: np.ndarray, *, uneven: bool) -> np.ndarray:
     """Change of ln stiffness that the weather causes, shape (n, 3)."""
-    warm = np.maximum(degc, 0.0) + FROST * np.minimum(degc, 0.0)
+    frost, lags_h = (np.array([4.0, 2.0, 6.0]), (0.0, 0.5, 2.0)) if uneven else (FROST, (0.0,) * 3)
+    felt = np.column_stack([lagged(degc, hours) for hours in lags_h])
+    warm = np.maximum(felt, 0.0) + frost * np.minimum(felt, 0.0)
     gives = (level**2 / (level**2 + 9.0))[:, None] * SOFT
-    return np.asarray(-warm[:, None] * SLOPES + np.log1p(-gives) - RAIN * rain[:, None])
+    return np.asarray(-warm * SLOPES + np.log1p(-gives) - RAIN * rain[:, None])
+
+
+def lagged(values: np.ndarray, hours: float) -> np.ndarray:
+    """Values behind a first-order lag."""
+    if hours == 0.0:
+        return values
+    out, decay = values.copy(), np.exp(-1.0 / hours)
+    for k in range(1, values.size):
+        out[k] = values[k] + (out[k - 1] - values[k]) * decay
+    return out
 
 
 def under(degc: float, level: float, names: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -74,52 +128,62 @@ def under(degc: float, level: float, names: tuple[str, ...]) -> dict[str, np.nda
     return {name: known[name] for name in names}
 
 
-def one(year: int, seed: int, names: tuple[str, ...], loss: float) -> dict[str, object]:
+def one(year: int, seed: int, case: Case, loss: Loss) -> dict[str, object]:
     """A year of a case: what was announced, and when the loss was."""
     rng = np.random.default_rng([seed, year])
-    n = CALIBRATION_H + YEAR_H
+    n, names = CALIBRATION_H + YEAR_H, case.names
     degc, level, rain = weather(rng, n, float(rng.integers(365)))
-    x = change(degc, level, rain)
-    y = x + STD * rng.standard_normal((n, 3))
+    x = change(degc, level, rain, uneven=case.uneven)
+    noise = STD * rng.standard_normal((n, 3))
+    y = x + noise
     onset, story = CALIBRATION_H + int(rng.integers(24 * 30, YEAR_H - 24 * 30)), int(rng.integers(3))
-    if loss:
-        y[onset:, story] += np.log1p(-loss)
+    lost = tuple((story + k) % 3 for k in range(loss.stories))
+    if loss.monthly:
+        onset = CALIBRATION_H + 30 * 24
+        y[onset:, lost] += np.log1p(-loss.size * np.arange(n - onset) / 720.0)[:, None]
+    elif loss.size:
+        y[onset:, lost] += np.log1p(-loss.size)
     else:
         onset = n
-    mean, healthy = y[:CALIBRATION_H].mean(axis=0), range(CALIBRATION_H)
-    y -= mean
+    healthy = range(CALIBRATION_H - case.calibration_h, CALIBRATION_H)
+    y -= y[healthy].mean(axis=0)
     changes = [
         Change(
             np.expm1(y[k]),
             np.diag(STD),
             tuple((True, 3 * k + j) for j in range(3)),
             under(degc[k], level[k], names),
+            k * HOUR_NS,
         )
         for k in healthy
     ]
     units = {"level": "dB", "temperature": "degC"}
     law = learn_law(changes, 0.0, {name: units[name] for name in names}, SETTINGS) if names else None
-    return {"year": year, "names": names, "loss": loss, **watch(law, names, degc, level, y, onset, story)}
+    shape = (n if case.looks > 1 else 0, case.looks - 1, 3)
+    more = STD * np.random.default_rng([seed, year, 1]).standard_normal(shape) - noise[: shape[0], None]
+    return watch(law, case, degc, level, y, more, onset, lost)
 
 
 def watch(
     law: CovariateLaw | None,
-    names: tuple[str, ...],
+    case: Case,
     degc: np.ndarray,
     level: np.ndarray,
     y: np.ndarray,
+    more: np.ndarray,
     onset: int,
-    story: int,
+    lost: tuple[int, ...],
 ) -> dict[str, object]:
-    """The alarm over a year."""
+    """The alarm over a year; `more` is the difference of the noise of further windows of each hour, 400 s apart."""
     state, verdicts = alarm.start(3, 400.0), []
     learning = None if law is None else slow_learning.start(law, CALIBRATION_H * HOUR_NS)
-    common = np.diag(STD**2) / CALIBRATION_H
+    common = np.diag(STD**2) / case.calibration_h
     skipped = 0
     for k in range(CALIBRATION_H, len(y)):
-        t_ns, seen = k * HOUR_NS, under(degc[k], level[k], names)
-        added, relative, beyond = np.zeros((3, 3)), np.zeros(3), ""
+        t_ns, seen = k * HOUR_NS, under(degc[k], level[k], case.names)
+        added, relative, beyond, together = np.zeros((3, 3)), np.zeros(3), "", None
         if learning is not None:
+            together = learning.law.together() if case.separated else None
             effect = learning.law.expected(seen)
             added, relative = effect.covariance, effect.relative
             hidden = ALARM.significance * float(np.sqrt(added.diagonal().max()))
@@ -127,49 +191,57 @@ def watch(
                 skipped += 1
                 continue
             beyond = "beyond calibration" if hidden > ALARM.alarm_loss else ""
-        ddi = 1.0 - np.exp(y[k]) / (1.0 + relative)
         shared = common + added
-        reading = DamageReading(ddi, np.diag(STD**2) + shared, ddi, ddi, common_covariance=shared, beyond=beyond)
-        state, verdict = alarm.step(state, reading, t_ns, ALARM)
-        told = {s for s, lv in verdict.active.items() if s != WHOLE and lv.rank >= Level.WARNING.rank}
-        verdicts.append((k, told, WHOLE in verdict.active))
+        told: set[int] = set()
+        whole, normal = False, True
+        for look in range(case.looks):
+            row = y[k] if look == 0 else y[k] + more[k, look - 1]
+            ddi = 1.0 - np.exp(row) / (1.0 + relative)
+            reading = DamageReading(ddi, np.diag(STD**2) + shared, ddi, ddi, common_covariance=shared, beyond=beyond)
+            state, verdict = alarm.step(state, reading, t_ns + look * 400_000_000_000, ALARM, together)
+            told |= {s for s, lv in verdict.active.items() if s != WHOLE and lv.rank >= Level.WARNING.rank}
+            whole, normal = whole or WHOLE in verdict.active, normal and verdict.level is Level.NORMAL
+        verdicts.append((k, told, whole))
         if learning is not None:
-            normal = verdict.level is Level.NORMAL
             learning = slow_learning.step(learning, seen, y[k], t_ns, SETTINGS.unevenness, normal=normal)
+    numbers = {story + 1 for story in lost}
     before = [told for k, told, _ in verdicts if k < onset]
     begun = sum(bool(now - was) for was, now in zip([set(), *before], before, strict=False))
-    found = next((k - onset for k, told, _ in verdicts if k >= onset and story + 1 in told), None)
-    already = any(story + 1 in told for k, told, _ in verdicts if onset - 24 <= k < onset)
+    after = [(k - onset, told) for k, told, _ in verdicts if k >= onset]
     return {
         "hours": len(before),
         "false_warnings": begun,
         "false_hours": sum(bool(told) for told in before),
         "whole_hours": sum(whole for k, _, whole in verdicts if k < onset),
         "skipped": skipped,
-        "delay_h": None if already else found,
-        "already": already,
+        "delay_h": next((h for h, told in after if numbers <= told), None),
+        "told_share": float(np.mean([numbers <= told for _, told in after])) if after else None,
+        "wrong_hours": sum(bool(told - numbers) for _, told in after),
+        "already": any(numbers & told for k, told, _ in verdicts if onset - 24 <= k < onset),
     }
 
 
-def report(rows: list[dict[str, object]]) -> str:
+def report(rows: list[dict[str, Any]]) -> str:
     """Figures of each case."""
     lines = []
-    for case, names in UNITS.items():
-        of = [r for r in rows if tuple(r["names"]) == names]  # type: ignore[arg-type]
-        if not of:
+    for case in CASES:
+        intact = [r for r in rows if r["case"] == case and r["loss"] == "intact"]
+        if not intact:
             continue
-        intact = [r for r in of if r["loss"] == 0.0]
         begun, hours, whole, skipped = (
-            sum(int(r[key]) for r in intact)  # type: ignore[call-overload]
-            for key in ("false_warnings", "false_hours", "whole_hours", "skipped")
+            sum(r[key] for r in intact) for key in ("false_warnings", "false_hours", "whole_hours", "skipped")
         )
         line = f"{case}: {len(intact)} healthy years, {begun} false warnings ({hours} h), whole structure {whole} h, "
         line += f"{skipped} h skipped"
-        for loss in LOSSES[1:]:
-            lost = [r for r in of if r["loss"] == loss]
-            delays = sorted(float(r["delay_h"]) for r in lost if r["delay_h"] is not None)  # type: ignore[arg-type]
+        for loss in (name for name in LOSSES if name != "intact"):
+            lost = [r for r in rows if r["case"] == case and r["loss"] == loss]
+            sure = [r for r in lost if not r["already"]]
+            delays = sorted(r["delay_h"] for r in sure if r["delay_h"] is not None)
             middle = f"{np.median(delays):.0f} h, longest {delays[-1]:.0f} h" if delays else "-"
-            line += f"; {100 * loss:.0f} %: {len(delays)} of {len(lost)} found, median {middle}"
+            line += f"; {loss}: {len(delays)} of {len(lost)} found, median {middle}"
+            if lost:
+                told, wrong = np.mean([r["told_share"] for r in lost]), sum(r["wrong_hours"] for r in lost)
+                line += f", told {100 * told:.0f} % of the time, another story {wrong} h"
         lines.append(line)
     return "\n".join(lines)
 
@@ -178,12 +250,14 @@ def main() -> None:
     path = Path(sys.argv[1])
     years, seed = (int(a) for a in (*sys.argv[2:4], *("30", "2026")[len(sys.argv[2:4]) :]))
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {(r["year"], tuple(r["names"]), r["loss"]) for r in rows}
+    done = {(r["year"], r["case"], r["loss"]) for r in rows}
     for year in range(years):
-        for names in UNITS.values():
+        for case in sys.argv[4:] or CASES:
             for loss in LOSSES:
-                if (year, names, loss) not in done:
-                    rows.append(one(year, seed, names, loss))
+                if (year, case, loss) not in done:
+                    rows.append(
+                        {"year": year, "case": case, "loss": loss, **one(year, seed, CASES[case], LOSSES[loss])}
+                    )
                     with path.open("a") as file:
                         file.write(json.dumps(rows[-1]) + "\n")
         print(f"{year + 1} years\n{report(rows)}", flush=True)

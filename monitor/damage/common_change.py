@@ -1,0 +1,296 @@
+"""What the watched quantities do together without a known cause, separated from what one of them does alone.
+
+Weather that no channel measures moves all stories, each by a share of its own.  How they move together is learned from healthy
+windows as a covariance, and each story is then compared with what the others let expect of it: the conditional mean of a
+Gaussian distribution, with the variance of a prediction by a regression.  The distribution may have any number of common
+factors; that of the first may grow beyond anything learned.
+
+Each healthy window enters with its distance from the mean of the two days after it.  The distances hold neither the healthy
+stiffness nor a loss that grows over weeks.  Their noise is known from the windows; what exceeds it is the common change.
+
+References
+----------
+K. V. Mardia, J. T. Kent, J. M. Bibby, Multivariate analysis (1979), section 3.2.4 (conditional distributions); N. R. Draper, H.
+Smith, Applied regression analysis (1998), section 5.1 (variance of a prediction); G. Schwarz, Ann. Statist. 6 (1978) 461-464
+(whether anything was learned).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core import Array, DamageReading
+from monitor.damage.sequential_test import LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS, History
+
+EVERY_NS = 3_600_000_000_000
+"""Time between two windows that are learned from: they share no data. [ns; judgement]"""
+WAIT_NS = 48 * EVERY_NS
+"""Time for which nothing must be announced after a window before it is learned from. [ns; judgement: longer than small losses of
+1 percent take to be announced]"""
+UNMEASURED = "unmeasured"
+"""Name, among the covariates, of what all stories do together without a known cause. [name]"""
+_ANY_SIZE = 1.0
+"""Standard deviation of a change of all stories alike, where one is found. [relative change; rounding: any value far above the
+changes of healthy structures]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CommonChange:
+    """Sums of healthy windows from which the covariance of common changes follows."""
+
+    square: Array
+    """Shape (n, n): sum of the squared distances, in the columns of `CovariateLaw.mixing`, where one window's noise is 1."""
+    windows: int
+    """Number of windows in the sum."""
+
+    def add(self, distance: Array) -> CommonChange:
+        """Add the distance of a healthy window, shape (n,)."""
+        return CommonChange(self.square + np.outer(distance, distance), self.windows + 1)
+
+    @property
+    def stretches(self) -> float:
+        """Number of stretches of two days: their windows' weather is taken as one."""
+        return self.windows * EVERY_NS / WAIT_NS
+
+    @property
+    def wanted(self) -> int:
+        """Number of stretches from which a covariance of n quantities can be estimated at all."""
+        return len(self.square) + 1
+
+    def words(self, mixing: Array) -> str:
+        """Say for people if it is learned."""
+        if self.learned(mixing) is not None:
+            return f"learned from {self.stretches:.3g} stretches of two days"
+        if self.stretches < self.wanted:
+            return f"not learned: {self.stretches:.3g} of {self.wanted} stretches of two days"
+        return f"nothing beyond the noise of the windows, in {self.stretches:.3g} stretches of two days"
+
+    def learned(self, mixing: Array) -> Expected | None:
+        """Estimate the covariance of common changes, shape (n, n).
+
+        Returns
+        -------
+        Expected or None
+            None while too few windows are known, or noise alone explains them as well (Bayesian information criterion).
+        """
+        n = len(self.square)
+        if n < 2 or self.stretches < self.wanted:
+            return None
+        size, directions = np.linalg.eigh(self.square / self.windows)
+        excess = np.maximum(size - 1.0, 0.0)
+        if not is_known(float((excess - np.log1p(excess)).sum()), n * (n + 1) // 2, self.stretches):
+            return None
+        root = mixing @ (directions * np.sqrt(excess))
+        return Expected(root @ root.T, root[:, -1] / np.linalg.norm(root[:, -1]), self.stretches)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Expected:
+    """How far the quantities change together, as learned."""
+
+    covariance: Array
+    """Shape (n, n): of the relative changes, without the noise of windows."""
+    leading: Array
+    """Shape (n,): the direction that stands out most from the noise, of length 1.  How far it goes is taken as unknown: seasons
+    go farther than what was learned."""
+    stretches: float
+    """Independent stretches that it was learned from."""
+
+    def of(self, chosen: NDArray[np.intp]) -> Expected:
+        """Return the same for some of the quantities (0 = first)."""
+        return Expected(self.covariance[np.ix_(chosen, chosen)], self.leading[chosen], self.stretches)
+
+    def beside_others(self, loss: Array, covariance: Array, *, either_side: bool = False) -> Beside:
+        """Compare the loss of each story with what those others let expect that are not lost themselves.
+
+        Stories are set aside one by one, the most significant loss first; so are, where it explains more, a change of all
+        stories alike, and its size is then taken as unknown.
+
+        Parameters
+        ----------
+        loss : ndarray, shape (n,)
+            Measured loss of each story.
+        covariance : ndarray, shape (n, n)
+            Its covariance, without what is learned here.
+        either_side : bool
+            A gain counts as a loss does.
+        """
+        n = loss.size
+        learned = covariance + self.covariance
+        total = learned + _ANY_SIZE**2 * np.outer(self.leading, self.leading)
+        kept, alike = list(range(n)), False
+        while True:
+            found = among_kept = self._compare(loss, learned, total, kept)
+            z = np.abs(found.z) if either_side else found.z
+            best = int(z.argmax())
+            if not alike and found.z_alike > max(float(z[best]) + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS):
+                total, alike = total + _ANY_SIZE**2 * np.ones((n, n)), True
+                continue
+            if z[best] < SIGNIFICANT_STDS or len(kept) < 2:
+                break
+            del kept[best]
+        weights, inflation = found.weights, found.inflation
+        if len(kept) < n:
+            weights, inflation = np.zeros((n, n)), np.ones(n)
+        for j in range(n if len(kept) < n else 0):
+            chosen = kept if j in kept else [*kept, j]
+            if chosen == [j]:  # the only one that is not lost: by the others, for want of better
+                chosen = list(range(n))
+            found = among_kept if chosen is kept else self._compare(loss, learned, total, chosen)
+            at = chosen.index(j)
+            weights[j, chosen], inflation[j] = found.weights[at], found.inflation[at]
+        std = np.sqrt(inflation * ((weights @ total) * weights).sum(axis=1))
+        return Beside(weights @ loss, std, weights, inflation)
+
+    def _compare(self, loss: Array, learned: Array, total: Array, chosen: list[int]) -> _Compared:
+        """Compare the chosen stories, each with the other chosen ones.
+
+        Parameters
+        ----------
+        learned, total : ndarray, shape (n, n)
+            Covariance of the losses: as learned, and with what is of any size.
+        """
+        part = loss
+        if len(chosen) < loss.size or chosen != sorted(chosen):
+            part, rows = loss[chosen], np.ix_(chosen, chosen)
+            learned, total = learned[rows], total[rows]
+        inverse = np.linalg.inv(total)
+        precision, gap = inverse.diagonal(), inverse @ part
+        of_learned = np.linalg.inv(learned)
+        distances = of_learned @ part
+        square = float(part @ distances)
+        inflation = 1.0 + (square - distances**2 / of_learned.diagonal()) / self.stretches
+        evidence, information = float(gap.sum()), float(inverse.sum())
+        # A change alike that is larger than what was measured of any story is no explanation.
+        possible = abs(evidence) <= information * float(np.abs(part).max())
+        along = abs(evidence) / np.sqrt(information) if possible else 0.0
+        return _Compared(
+            gap / np.sqrt(precision * inflation),
+            inverse / precision[:, None],
+            inflation,
+            along / np.sqrt(1.0 + max(square - along**2, 0.0) / self.stretches),
+        )
+
+    def take_out(self, reading: DamageReading, history: History) -> tuple[DamageReading, History]:
+        """Take out of a window's damage index what the other stories let expect.
+
+        Parameters
+        ----------
+        history : History
+            The alarm's, after the window.
+
+        Returns
+        -------
+        DamageReading
+        History
+            The variances of what is left, for the smallest detectable loss; its readings are unchanged.
+        """
+        beside = self.beside_others(reading.ddi, reading.ddi_covariance)
+        own = reading.ddi_covariance - reading.common_covariance
+        common = beside.left_of(reading.common_covariance + self.covariance)
+        shift = reading.ddi - beside.loss
+        loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
+        # The smallest detectable loss is of a structure without loss, and its simulation is kept for the next windows: what
+        # changes from window to window by chance stays out of it.
+        smooth, of_history = np.diag(np.exp(history.ln_variance)), history.common.mean(axis=0)
+        intact = self.beside_others(np.zeros_like(reading.ddi), smooth + of_history)
+        of_history = replace(intact, inflation=beside.inflation).left_of(of_history + self.covariance)
+        return replace(
+            reading,
+            ddi=beside.loss,
+            ddi_covariance=beside.left_of(own) + common,
+            common_covariance=common,
+            ddi_sequential=reading.ddi_sequential - shift,
+            loss_n_per_m=loss_n_per_m,
+            covariate_effect={**reading.covariate_effect, UNMEASURED: -shift},
+        ), replace(
+            history,
+            ln_variance=np.log(intact.left_of(smooth).diagonal()),
+            common=of_history[None],
+        )
+
+
+class _Compared(NamedTuple):
+    """Comparison of k stories, each with the others."""
+
+    z: Array
+    """Shape (k,): z-score of each loss beyond what the others let expect."""
+    weights: Array
+    """Shape (k, k): that loss as a combination of the measured ones."""
+    inflation: Array
+    """Shape (k,): factor of its variance, as in `Beside`."""
+    z_alike: float
+    """Size of the z-score of a change of all alike."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Beside:
+    """Losses of n stories beyond what the others let expect."""
+
+    loss: Array
+    """Shape (n,)."""
+    std: Array
+    """Shape (n,)."""
+    weights: Array
+    """Shape (n, n): `loss` as a combination of the measured losses."""
+    inflation: Array
+    """Shape (n,): factor of the variance, since what was learned holds the less, the further the others are from it."""
+
+    def left_of(self, covariance: Array) -> Array:
+        """Return what is left of a covariance of the measured losses, shape (n, n)."""
+        inflation = np.sqrt(np.outer(self.inflation, self.inflation))
+        return np.asarray(inflation * (self.weights @ covariance @ self.weights.T))
+
+
+def is_known(divergence: float, unknowns: int, count: float) -> bool:
+    """Decide by the Bayesian information criterion if data show a covariance that differs from none.
+
+    Parameters
+    ----------
+    divergence : float
+        Twice the gain in ln likelihood of one observation.
+    unknowns : int
+        Number of values that were estimated.
+    count : float
+        Number of independent observations.
+    """
+    return bool(count * divergence > unknowns * np.log(count))
+
+
+def nothing_learned(n: int) -> CommonChange:
+    """Return the sums of n quantities before the first window."""
+    return CommonChange(np.zeros((n, n)), 0)
+
+
+def distance(changes: Array, mixing: Array) -> Array:
+    """Compute the distance of a window from the mean of those after it, shape (n,), scaled to the noise of one window.
+
+    Parameters
+    ----------
+    changes : ndarray, shape (w, n)
+        What the covariates leave of the windows' changes, w > 1; the window is the first.
+    mixing : ndarray, shape (n, n)
+        `CovariateLaw.mixing`.
+    """
+    away = (changes[0] - changes[1:].mean(axis=0)) / np.sqrt(1.0 + 1.0 / (len(changes) - 1))
+    return np.asarray(np.linalg.solve(mixing, away))
+
+
+def learn_common(changes: Array, t_ns: NDArray[np.int64], mixing: Array) -> CommonChange:
+    """Learn from healthy windows at their times (UTC, increasing) what the covariates leave of their changes, shape (w, n)."""
+    hourly: list[int] = []
+    for k, t in enumerate(t_ns.tolist()):
+        if not hourly or t - int(t_ns[hourly[-1]]) >= EVERY_NS:
+            hourly.append(k)
+    t_ns, changes = t_ns[hourly], changes[hourly]
+    learned = nothing_learned(changes.shape[1])
+    for k, end in enumerate(np.searchsorted(t_ns, t_ns + WAIT_NS, side="right")):
+        if int(t_ns[-1]) - int(t_ns[k]) < WAIT_NS:
+            break
+        if end - k > 1:
+            learned = learned.add(distance(changes[k:end], mixing))
+    return learned

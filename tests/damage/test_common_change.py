@@ -1,0 +1,181 @@
+"""What the stories do together without a channel: learned from healthy weeks, taken out, and no story's own loss hidden by it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from monitor.core.results import WHOLE, DamageReading
+from monitor.damage import AlarmSettings, alarm, slow_learning
+from monitor.damage.common_change import EVERY_NS, UNMEASURED, CommonChange, Expected, learn_common, nothing_learned
+from monitor.damage.covariate_law import CovariateLaw
+from monitor.damage.covariates import Change, CovariateSettings, common_words, from_plain, learn_law, to_plain
+from monitor.damage.sequential_test import begin
+from monitor.service.serialization import UPGRADES
+
+HOUR_NS = 3_600_000_000_000
+STD = np.array([1.0e-3, 1.7e-3, 1.8e-3])
+FOLLOWS = np.array([1.0e-3, 1.5e-3, 0.8e-3])
+"""Relative change of the stories' stiffness a K, which no channel measures."""
+NOISE = np.diag(STD**2)
+
+
+def air(hours: np.ndarray) -> np.ndarray:
+    """Temperature about its mean: days, spells of five days, and a season."""
+    day = hours / 24.0
+    return 4.0 * np.sin(2 * np.pi * day) + 3.0 * np.sin(2 * np.pi * day / 5.3) + 12.0 * np.sin(2 * np.pi * day / 365.0)
+
+
+def changes_of(
+    hours: np.ndarray, seed: int, lost: np.ndarray | float = 0.0, follows: np.ndarray = FOLLOWS
+) -> np.ndarray:
+    noise = STD * np.random.default_rng(seed).standard_normal((hours.size, 3))
+    return np.asarray(-air(hours)[:, None] * follows + noise + np.log1p(-np.asarray(lost)))
+
+
+def law_of(days: int, seed: int = 1, follows: np.ndarray = FOLLOWS) -> CovariateLaw:
+    """Learned at a steady level of motion, in windows of an hour."""
+    hours = np.arange(24.0 * days)
+    x = changes_of(hours, seed, follows=follows)
+    level = {"level": np.array([-120.0])}
+    changes = [
+        Change(np.expm1(row - x.mean(axis=0)), np.diag(STD), tuple((True, 3 * k + j) for j in range(3)), level, t)
+        for k, (row, t) in enumerate(zip(x, (hours * HOUR_NS).astype(int).tolist(), strict=True))
+    ]
+    law = learn_law(changes, 0.0, {"level": "dB"}, CovariateSettings())
+    assert law is not None
+    return law
+
+
+@pytest.fixture(scope="module")
+def expected() -> Expected:
+    learned = law_of(60).together()
+    assert learned is not None
+    return learned
+
+
+def test_what_the_stories_do_together_is_learned(expected: Expected) -> None:
+    assert abs(float(expected.leading @ FOLLOWS) / np.linalg.norm(FOLLOWS)) > 0.999
+    assert expected.stretches == pytest.approx(29.0, abs=0.05)  # of 60 days, the last two wait
+
+
+def test_too_little_and_mere_noise_teach_nothing_and_it_is_said() -> None:
+    short, still = law_of(8), law_of(20, follows=np.zeros(3))
+    assert short.together() is None and still.together() is None
+    assert common_words(short) == "not learned: 3 of 4 stretches of two days"
+    assert "nothing beyond the noise" in str(common_words(still))
+    assert str(common_words(law_of(20))).startswith("learned from 9")
+
+
+@pytest.mark.parametrize("degc", [-40.0, 5.0, 40.0])
+@pytest.mark.parametrize("lost", [(), (0,), (1,), (2,), (0, 1), (1, 2), (0, 2)])
+def test_a_loss_is_seen_where_it_is_in_any_weather(expected: Expected, degc: float, lost: tuple[int, ...]) -> None:
+    """Colder and warmer, too, than anything that was learned, which was for two months."""
+    loss = degc * FOLLOWS
+    loss[list(lost)] += 0.05
+    beside = expected.beside_others(loss, NOISE / 8.0)
+    z = beside.loss / beside.std
+    assert (z[list(lost)] > 6.5).all()
+    np.testing.assert_allclose(beside.loss[list(lost)], 0.05, atol=0.005)
+    assert (np.delete(z, list(lost)) < 3.0).all()
+
+
+def test_a_loss_of_all_as_in_the_weather_is_not_told_from_it(expected: Expected) -> None:
+    beside = expected.beside_others(0.05 * FOLLOWS / FOLLOWS.max(), NOISE)
+    assert (np.abs(beside.loss / beside.std) < 1.0).all()
+
+
+def test_a_change_of_all_alike_is_no_storys() -> None:
+    """Snow on a structure of five stories, whose weather has another pattern."""
+    follows = np.array([1.0, 1.5, 0.8, 0.3, 1.2])
+    learned = Expected(1e-5 * np.outer(follows, follows), follows / np.linalg.norm(follows), 30.0)
+    beside = learned.beside_others(0.004 * follows + 0.03, 1e-6 * np.eye(5))
+    assert (np.abs(beside.loss / beside.std) < 3.0).all()
+
+
+def test_the_uncertainty_grows_with_the_weather_and_less_was_learned(expected: Expected) -> None:
+    def std(degc: float, stretches: float) -> np.ndarray:
+        return replace(expected, stretches=stretches).beside_others(degc * FOLLOWS, NOISE).std
+
+    assert (std(30.0, 10.0) > 1.5 * std(3.0, 10.0)).all()
+    assert (std(30.0, 10.0) > 1.5 * std(30.0, 100.0)).all()
+
+
+def test_the_index_and_its_deviation_are_of_what_is_left(expected: Expected) -> None:
+    rng, common = np.random.default_rng(3), np.diag(STD**2) / 100.0
+    z = []
+    for degc in rng.normal(0.0, 4.0, 300):
+        ddi = degc * FOLLOWS + STD * rng.standard_normal(3)
+        reading, _ = expected.take_out(
+            DamageReading(ddi, NOISE + common, ddi, 1e6 * ddi, common_covariance=common),
+            replace(begin(3, 400.0), ln_variance=np.log(STD**2), common=common[None]),
+        )
+        np.testing.assert_allclose(reading.ddi - reading.covariate_effect[UNMEASURED], ddi)
+        np.testing.assert_allclose(reading.loss_n_per_m, 1e6 * reading.ddi)
+        z.append(reading.ddi / reading.ddi_std)
+    assert 0.8 < np.std(z) < 1.1
+
+
+def test_a_slow_loss_is_not_learned() -> None:
+    """Six weeks of 1 % a month in story 2, never announced, teach the same as without."""
+    law = law_of(20)
+    healthy, hurt = slow_learning.start(law, 480 * HOUR_NS), slow_learning.start(law, 480 * HOUR_NS)
+    hours = np.arange(480.0, 480.0 + 1080.0)
+    lost = np.outer((hours - 480.0) / 720.0, [0.0, 0.01, 0.0])
+    under = {"level": np.array([-120.0])}
+    for t, one, other in zip(hours, changes_of(hours, 2), changes_of(hours, 2, lost), strict=True):
+        t_ns = int(t) * HOUR_NS
+        healthy = slow_learning.step(healthy, under, one, t_ns, 0.5, normal=True)
+        hurt = slow_learning.step(hurt, under, other, t_ns, 0.5, normal=True)
+    one_law, other_law = healthy.law.together(), hurt.law.together()
+    assert one_law is not None and other_law is not None
+    assert one_law.stretches > 29.0
+    assert float(one_law.leading @ other_law.leading) > 0.9999
+    np.testing.assert_allclose(other_law.covariance, one_law.covariance, rtol=0.1, atol=1e-7)
+
+
+def test_the_alarm_is_silent_in_uneven_weather_and_finds_a_loss(expected: Expected) -> None:
+    """In the hottest weeks; without what was learned, the weather itself is announced as a loss."""
+    settings = AlarmSettings()
+
+    def announced(lost: float, learned: Expected | None) -> set[int]:
+        state, told = alarm.start(3, 400.0), set()
+        hours = np.arange(1900.0, 2200.0)
+        for t, row in zip(hours, changes_of(hours, 4) + np.log1p(-lost) * np.array([0.0, 1.0, 0.0]), strict=True):
+            ddi = -np.expm1(row)
+            reading = DamageReading(ddi, 1.01 * NOISE, ddi, ddi, common_covariance=0.01 * NOISE)
+            state, verdict = alarm.step(state, reading, int(t) * HOUR_NS, settings, learned)
+            told |= {story for story in verdict.active if story != WHOLE}
+        return told
+
+    assert announced(0.0, expected) == set()
+    assert announced(0.02, expected) == {2}
+    assert announced(0.0, None)
+
+
+def test_it_survives_the_baselines_file_and_older_files_and_checkpoints_have_none() -> None:
+    law = law_of(20)
+    content = to_plain(law)
+    assert content is not None
+    read = from_plain(content, 3)
+    assert read is not None and read.common is not None and law.common is not None
+    np.testing.assert_array_equal(read.common.square, law.common.square)
+    assert read.common.windows == law.common.windows
+    older = from_plain({k: v for k, v in content.items() if k != "common"}, 3)
+    assert older is not None and older.together() is None
+    with pytest.raises(ValueError, match="common change is damaged"):
+        from_plain({**content, "common": {"square": [[1.0]], "windows": 3}}, 3)
+    tree = {"session": {"pipeline": {"learning": {"law": {"mixing": np.eye(3)}}, "alarm": {"shapes": None}}}}
+    upgraded = UPGRADES[6](tree)["session"]["pipeline"]["learning"]["law"]["common"]
+    assert CommonChange(**upgraded).words(np.eye(3)) == nothing_learned(3).words(np.eye(3))
+
+
+def test_windows_an_hour_apart_are_taken_however_many_there_are() -> None:
+    hours = np.arange(24.0 * 20)
+    x = changes_of(hours, 1)
+    once = learn_common(x, (hours * HOUR_NS).astype(np.int64), np.diag(STD))
+    often = learn_common(np.repeat(x, 4, axis=0), np.repeat((hours * HOUR_NS).astype(np.int64), 4), np.diag(STD))
+    assert once.windows == often.windows == 24 * 18 and EVERY_NS == HOUR_NS
+    np.testing.assert_array_equal(once.square, often.square)
