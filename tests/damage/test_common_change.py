@@ -168,7 +168,7 @@ def test_it_survives_the_baselines_file_and_older_files_and_checkpoints_have_non
     with pytest.raises(ValueError, match="common change is damaged"):
         from_plain({**content, "common": {"square": [[1.0]], "windows": 3}}, 3)
     tree = {"session": {"pipeline": {"learning": {"law": {"mixing": np.eye(3)}}, "alarm": {"shapes": None}}}}
-    upgraded = UPGRADES[6](tree)["session"]["pipeline"]["learning"]["law"]["common"]
+    upgraded = UPGRADES[7](tree)["session"]["pipeline"]["learning"]["law"]["common"]
     assert CommonChange(**upgraded).words(np.eye(3)) == nothing_learned(3).words(np.eye(3))
 
 
