@@ -245,9 +245,10 @@ def _story_laws(laws: Sequence[StoryLaw], *, extended: bool) -> str:
 
 
 def _witnesses(compared: Sequence[Content]) -> str:
-    """Tabulate what sensors of other quantities and axes say of the model, and their motion in each mode."""
+    """Tabulate what sensors of other quantities and axes say of the model and their motion in each mode; those judged first."""
     if not compared:
         return ""
+    compared = sorted(compared, key=lambda w: w["verdict"] is None)
     said = [(w["channel"], w["verdict"] or "nothing to judge", w["says"]) for w in compared]
     rows = [
         (w["channel"], m["of"].replace("_", " "), f"{m['frequency_hz']:.2f}",
