@@ -86,6 +86,7 @@ def levenberg_marquardt(
         Gain of a step at which the search has converged, nats.
     fixed_slopes_gain : float
         Gain of a step up to which slopes may serve once more, nats.
+
     References
     ----------
     D. W. Marquardt, J. SIAM 11 (1963) 431-441.
@@ -103,19 +104,15 @@ def levenberg_marquardt(
     """
     point, damping, gain = start, _FIRST_DAMPING, np.inf
     linearization: L | None = None
-
-    def step_with(at: L) -> Array:
-        normal = at.normal
+    for _ in range(iterations if np.isfinite(start.value) else 0):
+        linearization = linearize(point, None if gain > fixed_slopes_gain else linearization)
+        normal, gradient = linearization.normal, linearization.gradient
         diagonal = np.diag(normal)
         known = diagonal > _NO_INFORMATION
         scale = np.where(known, 1.0 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
         scaled, identity = normal * scale[:, None] * scale, np.eye(scale.size)
-        return np.asarray(scale * np.linalg.solve(scaled + (damping + 1e-12) * identity, scale * at.gradient))
-
-    for _ in range(iterations if np.isfinite(start.value) else 0):
-        linearization = linearize(point, None if gain > fixed_slopes_gain else linearization)
         for _ in range(_MAX_REFUSED):
-            step = step_with(linearization)
+            step = scale * np.linalg.solve(scaled + (damping + 1e-12) * identity, scale * gradient)
             if not np.isfinite(step).all():
                 return Maximum(point, linearization, False)
             moved = move(point, step)
@@ -123,7 +120,7 @@ def levenberg_marquardt(
                 break
             damping = max(_DAMPING_FACTOR * damping, _LEAST_RAISED_DAMPING)
         else:
-            return Maximum(point, linearization, float(linearization.gradient @ step) < _STALLED_FACTOR * tolerance)
+            return Maximum(point, linearization, float(gradient @ step) < _STALLED_FACTOR * tolerance)
         gain, point = moved.value - point.value, moved
         damping /= _DAMPING_FACTOR
         if gain < tolerance:
