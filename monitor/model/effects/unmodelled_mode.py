@@ -32,6 +32,9 @@ _COUPLING_STD = 0.2
 """Prior standard deviation of a coupling with a floor. [1; judgement: eccentricities of up to a tenth of the plan's width]"""
 _LN_FORCE_STD = 2.0
 """Prior standard deviation of the logarithm of the density of the mode's own force, over the floors'. [1; judgement]"""
+_DAILY_FORCE = 4.0
+"""Change of the mode's force from calibration that needs no cause: of the logarithm of its density, and of a shape that the force
+scales. [1; judgement: another direction of the wind, a factor of five to seven in amplitude]"""
 _DAILY_COUPLED_SHAPE = 0.05
 """Relative change of a coupled mode's shape from calibration that needs no cause; its force is a parameter of its own. [ratio;
 judgement: as of the damping of the model's own modes]"""
@@ -89,10 +92,14 @@ class UnmodelledMode(Effect):
         of_channels = tuple(Parameter(f"{_SHAPE}{i + 1}", -inf, inf, absent=nothing) for i in range(len(self.shape)))
         of_floors = tuple(Parameter(f"{_COUPLING}{j + 1}", -inf, inf) for j in range(len(self.coupling)))
         # The forces on the mode change from day to day.  They scale the shape where the mode is not coupled.
-        daily = (_DAILY_FREQUENCY, _DAILY_DAMPING, *(_DAILY_COUPLED_SHAPE if of_floors else 1.0,) * len(self.shape))
+        daily = (
+            _DAILY_FREQUENCY,
+            _DAILY_DAMPING,
+            *(_DAILY_COUPLED_SHAPE if of_floors else _DAILY_FORCE,) * len(self.shape),
+        )
         if of_floors:
             of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
-            daily = (*daily, 1.0, *(_DAILY_COUPLING,) * len(self.coupling))
+            daily = (*daily, _DAILY_FORCE, *(_DAILY_COUPLING,) * len(self.coupling))
         object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels, *of_floors))
         object.__setattr__(self, "daily", daily)
 
