@@ -145,11 +145,22 @@ def fit_from_modes(posterior: Posterior) -> tuple[tuple[MapEstimate, float], ...
 
 
 def _with_evidence(posterior: Posterior, fit: MapEstimate) -> tuple[MapEstimate, float]:
-    """Refit with those modes only that can be told from the model's; return the fit and its log evidence, nats."""
+    """Refit with those modes only that can be told from the model's, unless all of them explain more.
+
+    A structure may turn and sway at nearly the same frequencies, and without its torsion no stiffness explains the spectra.
+
+    Returns
+    -------
+    fit : MapEstimate
+    evidence : float
+        Its log evidence, nats.
+    """
     kept = tuple(e for i, e in enumerate(fit.effects) if is_distinct(posterior, fit, i))
-    if kept != fit.effects:
-        fit = maximize_posterior(posterior, fit.x, kept, iterations=FAR)
-    return fit, log_evidence(posterior, fit)
+    whole = fit, log_evidence(posterior, fit)
+    if kept == fit.effects:
+        return whole
+    fit = maximize_posterior(posterior, fit.x, kept, iterations=FAR)
+    return max((fit, log_evidence(posterior, fit)), whole, key=lambda pair: pair[1])
 
 
 def _scaled_to_power(posterior: Posterior, start: ModalStart) -> tuple[Array, tuple[Effect, ...]]:

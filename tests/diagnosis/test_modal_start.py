@@ -122,3 +122,19 @@ def test_a_drawing_that_is_far_off_is_no_cause() -> None:
     assert fit_linearized(spectra(), drawn(np.ones(3)), CONTEXT)[1].log_likelihood == pytest.approx(
         found.final_fit.log_likelihood, abs=3.0
     )
+
+
+@pytest.mark.engine
+def test_modes_that_all_lie_beside_modes_of_the_model_are_carried_without_being_stated() -> None:
+    """So are those of a symmetrical building that turns and sways at nearly the same frequencies."""
+    beside = tuple(
+        parse_effect(
+            f"unmodelled_mode:frame:frequency_hz={1.02 * f},damping_ratio=0.012,shape_1={a},shape_2={b},shape_3={c}"
+        )
+        for f, (a, b, c) in zip(TRUTH.modes().frequencies_hz[:2], ((1.0, -0.9, 0.5), (0.9, 0.6, -1.0)), strict=True)
+    )
+    found = diagnosed(np.ones(3), *beside)
+    assert found.verdict == "none" and not found.causes
+    assert [c.effect.name for c in found.also_fitted] == ["unmodelled_mode"] * 2
+    assert not find_lack_of_fit(found.posterior, found.final_fit, found.settings)
+    assert relative_stiffness(found.final_fit.x) == pytest.approx(np.ones(3), abs=0.02)
