@@ -72,8 +72,8 @@ def test_the_log_names_a_site_only_while_its_work_is_done() -> None:
     @_named_in_the_log
     def work(_host: object, _place: Place) -> None:
         seen.append(logs.site_name.get())
-        raise OSError
+        raise OSError("no disk")
 
-    with pytest.raises(OSError):
+    with pytest.raises(OSError, match="no disk"):
         work(None, place("tower"))  # type: ignore[arg-type]
     assert seen == ["tower"] and logs.site_name.get() is None
