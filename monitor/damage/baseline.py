@@ -58,8 +58,10 @@ class Baseline:
     """Prior of a diagnosis; None where the healthy data were too short for one, or the drawing was changed since."""
     origin: Origin | None = None
     """Whose the baseline is; None in files of older versions, which did not note it."""
+    converged: bool = True
+    """Whether the updating to the healthy modes converged; True in files of older versions, which did not note it."""
     doubts: tuple[str, ...] = ()
-    """Why it may not be this structure's; not in the file."""
+    """Why losses against it may not be this structure's; not in the file."""
 
     def only(self, model_modes: tuple[int, ...]) -> Baseline:
         """Select some modes of the model (0 = lowest), for a window in which not all of the baseline's were identified."""
@@ -277,6 +279,7 @@ def _fitted(instrumented: InstrumentedModel, healthy: Observation, fit: Update, 
     gain = fit.gain / fit.parameters[:, None]
     return {
         "model": fit.model,
+        "converged": bool(fit.converged),
         "covariance": gain @ z_covariance @ gain.T,
         "misfit": healthy.z - predicted,
         "model_mode": healthy.model_mode,

@@ -152,6 +152,7 @@ class _Content(_Strict):
     stiffness_correction_n_per_m: Matrix | None = None
     reference: _Reference | None = None
     origin: _Origin | None = None
+    converged: bool = True
 
 
 def _plain(value: Any) -> Any:
@@ -217,7 +218,7 @@ def load_baseline(
     Returns
     -------
     Baseline
-        With the reasons in `doubts` why it may not be this structure's.
+        With the reasons in `doubts` why losses against it may not be this structure's.
 
     Raises
     ------
@@ -248,7 +249,13 @@ def load_baseline(
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
     if (problem := _damage(loaded)) is not None:
         raise BadInputError(f"{path}: the baseline's {problem} damaged; calibrate anew")
-    return replace(loaded, doubts=_doubts(path, loaded.origin, Origin.of(instrumented)))
+    doubts = _doubts(path, loaded.origin, Origin.of(instrumented))
+    if not loaded.converged:
+        doubts += (
+            f"the updating of the baseline {path.name} did not converge: losses against it are not to be trusted; see what "
+            "'calibrate' says",
+        )
+    return replace(loaded, doubts=doubts)
 
 
 def _demand_own(
@@ -339,6 +346,7 @@ def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
         span_ns=c.span_ns,
         reference=prior_file.from_plain(reference, model, instrumented.channels),
         origin=None if c.origin is None else Origin(**c.origin.model_dump()),
+        converged=c.converged,
     )
 
 

@@ -160,7 +160,7 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
             )
         if old.origin.fingerprint == here.fingerprint:
             says.append("masses, stiffnesses and matrices are drawn as before: all else is kept")
-            return replace(old, origin=here, doubts=()), tuple(says), True
+            return replace(old, origin=here, doubts=()), tuple(says), old.converged
     new, fit = rebase_baseline(old, instrumented, config.updating)
     says.append(f"the updating to the healthy modes {'converged' if fit.converged else 'did NOT converge'}")
     says.append(

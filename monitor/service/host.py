@@ -19,8 +19,10 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import wraps
 from heapq import heappop, heappush
 from pathlib import Path
+from typing import Concatenate, ParamSpec
 
 from drivers.base import SampleBlock
 from monitor.config import Configuration, configuration
@@ -141,6 +143,24 @@ class Line:
 
     def __len__(self) -> int:
         return len(self._heap)
+
+
+_P = ParamSpec("_P")
+_SiteWork = Callable[Concatenate["Host", Place, _P], None]
+
+
+def _named_in_the_log(work: _SiteWork[_P]) -> _SiteWork[_P]:
+    """Decorate the work for one site: while it lasts, the lines of the log carry the site's name."""
+
+    @wraps(work)
+    def named(host: Host, place: Place, /, *args: _P.args, **kwargs: _P.kwargs) -> None:
+        before = logs.site_name.set(place.name)
+        try:
+            work(host, place, *args, **kwargs)
+        finally:
+            logs.site_name.reset(before)
+
+    return named
 
 
 class Host:
@@ -299,12 +319,12 @@ class Host:
             place.state = State.ENDING
             self._enders.submit(self._end, place, True)
 
+    @_named_in_the_log
     def _evaluate(self, place: Place) -> None:
         """Evaluate the next block of a site."""
         if place.queue is None or place.site is None or (item := place.queue.take(0.0)) is None:
             return
         begun_s = self._clock()
-        logs.site_name.set(place.name)
         try:
             place.site.take(*item)
         except Exception as error:  # noqa: BLE001 - whatever fails of a site may not reach the others
@@ -326,17 +346,21 @@ class Host:
             place = self._rounds.popleft()
             if place.site is None or place.queue is None:
                 continue
-            place.stepped_s = now
-            logs.site_name.set(place.name)
-            try:
-                if place.site.reader.opened and not place.is_opened:
-                    place.is_opened = True
-                    place.site.tell_open()
-                place.site.step(now)
-            except Exception as error:  # noqa: BLE001 - whatever fails of a site may not reach the others
-                self._fail(place, error)
-            else:
-                self._rounds.append(place)
+            self._step_site(place, place.site, now)
+
+    @_named_in_the_log
+    def _step_site(self, place: Place, site: Site, now: float) -> None:
+        """Look after one site."""
+        place.stepped_s = now
+        try:
+            if site.reader.opened and not place.is_opened:
+                place.is_opened = True
+                site.tell_open()
+            site.step(now)
+        except Exception as error:  # noqa: BLE001 - whatever fails of a site may not reach the others
+            self._fail(place, error)
+        else:
+            self._rounds.append(place)
 
     def _fail(self, place: Place, error: Exception) -> None:
         """End a site that failed, without a checkpoint of what it had reached; it is started again after a pause."""
@@ -361,11 +385,11 @@ class Host:
         self._done.append(job)
         self._wake.set()
 
+    @_named_in_the_log
     def _end(self, place: Place, in_order: bool) -> None:
         """Finish and close a site (in a thread that may wait)."""
         site = place.site
         assert site is not None
-        logs.site_name.set(place.name)
         failure = place.failure
         try:
             if self._stopping or place.is_removed:
@@ -403,11 +427,11 @@ class Host:
             place.pause_s = 0.0
         self._wait(place)
 
+    @_named_in_the_log
     def _wait(self, place: Place) -> None:
         """Have a site started again after a pause."""
         place.pause_s = min(max(_RETRY_S[0], 2.0 * place.pause_s), _RETRY_S[1])
         place.due_s, place.state = self._clock() + place.pause_s, State.WAITING
-        logs.site_name.set(place.name)
         _log.warning("%s is started again in %.0f s", place.name, place.pause_s)
 
     def _open_all(self) -> None:
@@ -431,9 +455,9 @@ class Host:
                 if self._clock() - looked_s >= _LOOK_S:
                     break
 
+    @_named_in_the_log
     def _open(self, place: Place) -> None:
         """Start a site."""
-        logs.site_name.set(place.name)
         try:
             settings = configuration.load(place.path)
             self._take_name(place, settings.site_name)
@@ -487,11 +511,11 @@ class Host:
         self._arrived.append(place)
         self._wake.set()
 
+    @_named_in_the_log
     def _opened(self, place: Place, site: Site) -> None:
         """Begin to read the source of a site (in the main thread)."""
         place.site, place.state, place.failure = site, State.RUNNING, ""
         place.begun_s = place.credit_s = self._clock()
-        logs.site_name.set(place.name)
         try:
             site.start()
         except Exception as error:  # noqa: BLE001 - as in `_evaluate`

@@ -224,6 +224,7 @@ def test_a_baseline_without_one_of_its_keys_is_refused_by_name(tmp_path) -> None
         "stiffness_correction_n_per_m",
         "reference",
         "origin",
+        "converged",
     }:
         place.write_text(json.dumps({name: value for name, value in content.items() if name != key}))
         with pytest.raises(BadInputError, match=key):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -88,3 +89,14 @@ def test_masses_drawn_alike_too_light_scale_the_stiffness_and_nothing_else() -> 
     np.testing.assert_allclose(new.model.modes().frequencies_hz, old.model.modes().frequencies_hz, rtol=0.01)
     ratio = new.model.structure.stiffness_n_per_m / old.model.structure.stiffness_n_per_m
     np.testing.assert_allclose(ratio, 1.05 / 0.95, rtol=0.02)
+
+
+def test_a_baseline_whose_updating_did_not_converge_is_doubted(tmp_path: Path) -> None:
+    place, config = tmp_path / "b.json", drawing((1, 1, -1))
+    save_baseline(replace(learned(config), converged=False), place)
+    (doubt,) = load(place, config).doubts
+    assert doubt.startswith("the updating of the baseline b.json did not converge")
+    content = json.loads(place.read_text())
+    del content["converged"]  # older versions did not note it
+    place.write_text(json.dumps(content))
+    assert load(place, config).doubts == ()

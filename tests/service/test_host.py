@@ -6,9 +6,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from drivers.base import ACCELERATION, SampleBlock
-from monitor.service.host import Line, Place
+from monitor.service import logs
+from monitor.service.host import Line, Place, _named_in_the_log
 from monitor.service.threads import BlockQueue
 
 
@@ -62,3 +64,16 @@ def test_blocks_that_cost_much_for_little_data_wait_too() -> None:
         heavy.queue.put(block(0.01))  # type: ignore[union-attr]
     calm.queue.put(block())  # type: ignore[union-attr]
     assert served(Line(), [heavy, calm], cost_s=5.0)[:2] == ["heavy", "calm"]
+
+
+def test_the_log_names_a_site_only_while_its_work_is_done() -> None:
+    seen = []
+
+    @_named_in_the_log
+    def work(_host: object, _place: Place) -> None:
+        seen.append(logs.site_name.get())
+        raise OSError("no disk")
+
+    with pytest.raises(OSError, match="no disk"):
+        work(None, place("tower"))  # type: ignore[arg-type]
+    assert seen == ["tower"] and logs.site_name.get() is None

@@ -383,7 +383,6 @@ def test_what_a_stranger_may_not_read_is_told_and_no_wrong_usage(tmp_path: Path,
 @pytest.mark.parametrize("style", ["text", "json"])
 def test_an_event_is_one_line_whatever_it_holds(style: str) -> None:
     formatter = LineFormatter(style, "bench")  # type: ignore[arg-type]
-    logs.site_name.set(None)  # a host in this process leaves the name of its last site
     text = 'two\nlines\x1b[2J\u2028 "quoted" = ' + "x" * 10_000
     record = logging.LogRecord("a.b", logging.WARNING, "", 0, "%s", (text,), None)
     row = formatter.format(record)
