@@ -260,12 +260,13 @@ def find_changed_effects(
 ) -> tuple[LackOfFit, ...]:
     """List the persistent effects whose size differs from calibration.
 
-    A fit's nuisances include these sizes, so such a change would leave no lack of fit.
+    A fit's nuisances include these sizes, so such a change would leave no lack of fit.  Of a mode that the model lacks the
+    frequency and the damping are compared: its shape and its coupling follow the direction of the forces.
     """
     known, out = posterior.prior, []
     change = known.persistent_parts(np.abs(fitted.x[posterior.layout.structure] - known.mean))
     for effect, far, std in zip(known.effects(fitted.x), change, known.standing_std, strict=True):
-        deviations = far / std
+        deviations = (far / std)[: len(type(effect).parameters)]
         if deviations.max(initial=0.0) > settings.misfit:
             now = ", ".join(f"{name} {value:.4g}" for name, value in effect.values().items())
             where = f"{effect.name.replace('_', ' ')} of {effect.location}"
