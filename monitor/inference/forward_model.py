@@ -207,6 +207,20 @@ class ForwardModel(ABC):
         built = self.model(x, self.prior.effects(x)).structural_matrices()
         return System(mass, modally_damped(*built, ratios).damping, stiffness)
 
+    def is_stable(self, x: Array, effects: Sequence[Effect]) -> bool:
+        """Decide if the mass and the stiffness with the coupled modes are positive definite, as those of any structure are.
+
+        Spectra alone do not tell: outside the measured band a structure without strength may have the same.
+        """
+        everything = (*self.prior.effects(x), *effects)
+        if not any(e.repeatable for e in everything):
+            return True
+        system = self.system(x, everything)
+        for effect in everything:
+            if effect.repeatable:
+                system = effect.extend(system, self.context_at(x), self.conditions[0])
+        return bool(all(np.linalg.eigvalsh(matrix)[0] > 0.0 for matrix in (system.mass, system.stiffness)))
+
     def context_at(self, x: Array) -> Context:
         """Make the context of effects with the structure at a vector of parameters, to which relative sizes refer."""
         layout, drawn = self.layout, self.prior.model.structure

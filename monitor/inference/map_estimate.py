@@ -100,10 +100,12 @@ def maximize_posterior(
 
     def move(at: _Point, step: Array) -> _Point:
         moved = _take_bounded_step(posterior, at.x, step, at.effects)
+        nowhere = replace(at, log_likelihood=-np.inf)
         try:
-            return _evaluate(posterior, moved, with_coordinates(at.effects, moved[posterior.layout.effects]))
+            there = _evaluate(posterior, moved, with_coordinates(at.effects, moved[posterior.layout.effects]))
         except np.linalg.LinAlgError:  # too long a step has led to no structure
-            return replace(at, log_likelihood=-np.inf)
+            return nowhere
+        return there if there.is_stable or not at.is_stable else nowhere
 
     search = levenberg_marquardt(
         start,
@@ -138,6 +140,8 @@ class _Point:
     prediction: Prediction
     log_likelihood: float
     log_prior: float
+    is_stable: bool
+    """See `ForwardModel.is_stable`."""
 
     @property
     def value(self) -> float:
@@ -170,7 +174,8 @@ def _evaluate(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> _P
     prediction = posterior.predict(x, effects)
     mean, precision = posterior.normal_prior(x, effects)
     log_prior = -0.5 * float((x - mean) @ precision @ (x - mean))
-    return _Point(x, effects, prediction, posterior.log_likelihood(prediction.spectra, prediction.data), log_prior)
+    log_likelihood = posterior.log_likelihood(prediction.spectra, prediction.data)
+    return _Point(x, effects, prediction, log_likelihood, log_prior, posterior.is_stable(x, effects))
 
 
 def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: Slopes | None) -> _Slopes:

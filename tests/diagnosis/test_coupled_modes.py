@@ -20,7 +20,8 @@ from tests.diagnosis.test_modal_start import CONTEXT, RATE, TORSION, TRUTH, diag
 
 COUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45,"
-    "force_ratio=0.6,coupling_1=0.1,coupling_2=0.12,coupling_3=0.08"
+    "force_ratio=0.6,coupling_1=0.1,coupling_2=0.12,coupling_3=0.08,"
+    "inertia_1=0.04,inertia_2=-0.02,inertia_3=0.06"
 )
 UNCOUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45"
@@ -133,6 +134,11 @@ def test_a_weak_mode_s_shape_costs_less_than_a_strong_one_s() -> None:
         ("coupling_1=0.1,coupling_2=0.1,coupling_3=0.1", "needs its shape"),
         ("shape_1=1.0,shape_2=1.0,shape_3=1.0,coupling_1=0.1", "1 couplings for 3 floors"),
         ("shape_1=1.0,shape_2=1.0,shape_3=1.0,coupling_1=5.0,coupling_2=5.0,coupling_3=5.0", "unstable"),
+        (
+            "shape_1=1.0,shape_2=1.0,shape_3=1.0,coupling_1=0.1,coupling_2=0.1,coupling_3=0.1,"
+            "inertia_1=0.7,inertia_2=0.7,inertia_3=0.7",
+            "mass is not positive",
+        ),
     ],
 )
 def test_a_coupling_that_no_structure_has_is_refused(parameters: str, says: str) -> None:
@@ -141,12 +147,37 @@ def test_a_coupling_that_no_structure_has_is_refused(parameters: str, says: str)
         effect.check(TRUTH.structure, CONTEXT.channels)
 
 
+def test_inertia_without_a_coupling_is_refused() -> None:
+    with pytest.raises(EffectError, match="need coupling_1"):
+        parse_effect("unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.01,inertia_1=0.1")
+
+
+def test_a_floor_whose_mass_is_off_the_point_where_its_force_acts_is_a_coupling_by_mass() -> None:
+    structure, off_m, gyration_m, lever_m = TRUTH.structure, 0.03, 0.12, 0.05
+    m, mean, k = float(structure.masses_kg[0]), float(structure.masses_kg.mean()), 900.0
+    turning = m * (gyration_m**2 + off_m**2)
+    scale = np.sqrt(mean / turning)  # the degree of freedom is the angle over this
+    of_angle = 400.0 * scale**2  # stiffness against turning, as the degree of freedom has it
+    hz = float(np.sqrt(of_angle / mean)) / (2.0 * np.pi)
+    by_mass, by_stiffness = (value * scale / np.sqrt(m * mean) for value in (-m * off_m, k * lever_m))
+    inertia = f"inertia_1={by_mass},inertia_2=0,inertia_3=0"
+    coupling = f"coupling_1={by_mass - by_stiffness * mean / of_angle},coupling_2=0,coupling_3=0"
+    mode = parse_effect(
+        f"unmodelled_mode:frame:frequency_hz={hz},damping_ratio=0.01,shape_1=1,shape_2=1,shape_3=1,{coupling},{inertia}"
+    )
+    mass, stiffness = TRUTH.structural_matrices()
+    system = extended(System(mass, TRUTH.damping_matrix(), stiffness), (mode,), CONTEXT, REST)
+    assert system.mass[0, 3] == pytest.approx(-m * off_m * scale)
+    assert system.stiffness[0, 3] == pytest.approx(k * lever_m * scale)
+    assert np.all(np.linalg.eigvalsh(system.mass) > 0.0)
+
+
 def test_the_standard_deviation_of_what_is_seen_follows_from_the_coupled_mode_s() -> None:
     at = posterior(np.ones(3))
     fit = maximize_posterior(at, _start(at), (COUPLED,), iterations=0)
     own = fit.coordinates_of(0)
     covariance = np.zeros_like(fit.covariance)
     covariance[own.start, own.start] = 1e-6
-    effect, std = as_seen(at, replace(fit, covariance=covariance), 0, np.zeros(9))
+    effect, std = as_seen(at, replace(fit, covariance=covariance), 0, np.zeros(12))
     assert len(effect.parameters) == 5
     assert 0.0 < std[0] < 1e-3, "part of the motion of the mode that is seen is the frame's"

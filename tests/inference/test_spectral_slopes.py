@@ -12,7 +12,8 @@ from tests.diagnosis.test_modal_start import TORSION, posterior
 
 COUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.02,shape_1=1.0,shape_2=0.8,shape_3=0.45,"
-    "force_ratio=0.6,coupling_1=0.1,coupling_2=0.12,coupling_3=0.08"
+    "force_ratio=0.6,coupling_1=0.1,coupling_2=0.12,coupling_3=0.08,"
+    "inertia_1=0.04,inertia_2=-0.02,inertia_3=0.06"
 )
 EFFECTS = (
     COUPLED,

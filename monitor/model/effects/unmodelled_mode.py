@@ -30,6 +30,8 @@ _DAILY_DAMPING = 0.3
 """The same of its damping ratio. [ratio; judgement]"""
 _COUPLING_STD = 0.2
 """Prior standard deviation of a coupling with a floor. [1; judgement: eccentricities of up to a tenth of the plan's width]"""
+_INERTIA_STD = 1e-4
+"""Prior standard deviation of a coupling with a floor by mass at calibration, where forces from all directions hide it. [1; rounding]"""
 _LN_FORCE_STD = 2.0
 """Prior standard deviation of the logarithm of the density of the mode's own force, over the floors'. [1; judgement]"""
 _DAILY_FORCE = 4.0
@@ -38,9 +40,12 @@ scales. [1; judgement: another direction of the wind, a factor of five to seven 
 _DAILY_COUPLED_SHAPE = 0.05
 """Relative change of a coupled mode's shape from calibration that needs no cause; its force is a parameter of its own. [ratio;
 judgement: as of the damping of the model's own modes]"""
+_DAILY_INERTIA = 0.1
+"""Coupling with a floor by mass that forces of another direction show. [1; judgement: mass that is a tenth of the plan's width off
+the force, over the radius of gyration, shared by the modes of some five floors]"""
 _DAILY_COUPLING = 0.01
 """Change of a coupling from calibration that needs no cause. [1; judgement: a twentieth of the largest usual one]"""
-_SHAPE, _COUPLING = "shape_", "coupling_"
+_SHAPE, _COUPLING, _INERTIA = "shape_", "coupling_", "inertia_"
 _START = 0.1
 """Start of the shape's largest component, over the reciprocal of the mean floor mass. [ratio; judgement]"""
 
@@ -53,8 +58,10 @@ class UnmodelledMode(Effect):
     kilogram and g a random force of the floors' mean force density.
 
     A mode of torsion of an eccentric building is coupled to the floors.  It is a degree of freedom q of the floors' mean mass m,
-    with the stiffness ``-coupling_j w^2 sqrt(m m_j)`` between q and floor j.  The channels move by ``m shape`` times the
-    acceleration of q, and the density of g is `force_ratio` times the floors'.
+    with the mass ``inertia_j sqrt(m m_j)`` and the stiffness ``-(coupling_j - inertia_j) w^2 sqrt(m m_j)`` between q and floor j.
+    So at the mode's own frequency the coupling alone acts.  Forces that act beside the centre of mass turn the floors too; about
+    the point where they act, mass that is off it couples.  The channels move by ``m shape`` times the acceleration of q, and
+    the density of g is `force_ratio` times the floors'.
     """
 
     name: ClassVar[str] = "unmodelled_mode"
@@ -69,7 +76,7 @@ class UnmodelledMode(Effect):
         Parameter("damping_ratio", 0.0, 1.0, "log"),
     )
     """Parameters of the class; an instance adds one for every channel, `shape_1` and so on, and a coupled one `force_ratio` and
-    one for every floor, `coupling_1` and so on."""
+    one for every floor, `coupling_1` and so on, and as many of `inertia_1` and so on."""
     signature: ClassVar[str] = (
         "one peak more, as wide as the structure's own, of another shape, with normal kurtosis; the model's modes stay"
     )
@@ -84,13 +91,18 @@ class UnmodelledMode(Effect):
     force_ratio: float = 1.0
     """Density of the mode's own force over the floors' mean."""
     coupling: tuple[float, ...] = ()
-    """Coupling with every floor; empty for none."""
+    """Coupling with every floor at the mode's own frequency; empty for none."""
+    inertia: tuple[float, ...] = ()
+    """Coupling with every floor by mass; empty where the mode is not coupled."""
 
     def __post_init__(self) -> None:
         """Add the parameters of the shape and of the coupling to those of the class, and their changes from day to day."""
         nothing = None if self.coupling else 0.0  # the size of a coupled mode is in its coupling too
         of_channels = tuple(Parameter(f"{_SHAPE}{i + 1}", -inf, inf, absent=nothing) for i in range(len(self.shape)))
-        of_floors = tuple(Parameter(f"{_COUPLING}{j + 1}", -inf, inf) for j in range(len(self.coupling)))
+        if not self.inertia:
+            object.__setattr__(self, "inertia", (0.0,) * len(self.coupling))
+        names = [f"{prefix}{j + 1}" for prefix in (_COUPLING, _INERTIA) for j in range(len(self.coupling))]
+        of_floors = tuple(Parameter(name, -inf, inf) for name in names)
         # The forces on the mode change from day to day.  They scale the shape where the mode is not coupled.
         daily = (
             _DAILY_FREQUENCY,
@@ -99,15 +111,15 @@ class UnmodelledMode(Effect):
         )
         if of_floors:
             of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
-            daily = (*daily, _DAILY_FORCE, *(_DAILY_COUPLING,) * len(self.coupling))
+            daily = (*daily, _DAILY_FORCE, *(_DAILY_COUPLING,) * len(self.coupling), *(_DAILY_INERTIA,) * len(self.inertia))
         object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels, *of_floors))
         object.__setattr__(self, "daily", daily)
 
     @classmethod
     def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
-        """See `Effect.create`.  The shape, `shape_1` and so on, and the coupling may be left out."""
+        """See `Effect.create`.  The shape, `shape_1` and so on, the coupling and the inertia may be left out."""
         listed = {}
-        for prefix, what in ((_SHAPE, "channel"), (_COUPLING, "floor")):
+        for prefix, what in ((_SHAPE, "channel"), (_COUPLING, "floor"), (_INERTIA, "floor")):
             own = {name: value for name, value in parameters.items() if name.startswith(prefix)}
             wanted = [f"{prefix}{i + 1}" for i in range(len(own))]
             if set(own) != set(wanted):
@@ -116,13 +128,15 @@ class UnmodelledMode(Effect):
                 if not isfinite(value):
                     raise EffectError(f"{cls.name}: {name} = {value:g} must be finite")
             listed[prefix] = tuple(own[name] for name in wanted)
+        if len(listed[_INERTIA]) not in (0, len(listed[_COUPLING])):
+            raise EffectError(f"{cls.name}: {_INERTIA}1 and so on need {_COUPLING}1 and so on, one for every floor")
         force_ratio = parameters.get("force_ratio", 1.0) if listed[_COUPLING] else 1.0
         if not (isfinite(force_ratio) and force_ratio > 0.0):
             raise EffectError(f"{cls.name}: force_ratio = {force_ratio:g} must be finite, above 0")
-        more = (_SHAPE, _COUPLING, *(["force_ratio"] if listed[_COUPLING] else []))
+        more = (_SHAPE, _COUPLING, _INERTIA, *(["force_ratio"] if listed[_COUPLING] else []))
         bare = super().create(location, {n: value for n, value in parameters.items() if not n.startswith(tuple(more))})
         hz, ratio = bare.values().values()
-        return cls(location, hz, ratio, listed[_SHAPE], force_ratio, listed[_COUPLING])
+        return cls(location, hz, ratio, listed[_SHAPE], force_ratio, listed[_COUPLING], listed[_INERTIA])
 
     def values(self) -> dict[str, float]:
         """See `Effect.values`."""
@@ -130,7 +144,8 @@ class UnmodelledMode(Effect):
         own |= {f"{_SHAPE}{i + 1}": component for i, component in enumerate(self.shape)}
         if self.coupling:
             own["force_ratio"] = self.force_ratio
-        return own | {f"{_COUPLING}{j + 1}": component for j, component in enumerate(self.coupling)}
+        own |= {f"{_COUPLING}{j + 1}": component for j, component in enumerate(self.coupling)}
+        return own | {f"{_INERTIA}{j + 1}": component for j, component in enumerate(self.inertia)}
 
     @property
     def units(self) -> Array:
@@ -153,6 +168,7 @@ class UnmodelledMode(Effect):
             out[2 + int(np.abs(self.shape).argmax())] = np.nan
         if self.coupling:
             out[self._of_shape.stop :] = _COUPLING_STD
+            out[out.size - len(self.inertia) :] = _INERTIA_STD
             out[self._of_shape.stop] = _LN_FORCE_STD
         return out
 
@@ -166,14 +182,16 @@ class UnmodelledMode(Effect):
         values = [p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
         hz, ratio, *rest = values
         shape, rest = rest[: len(self.shape)], rest[len(self.shape) :]
-        force_ratio, *coupling = rest or [1.0]
+        force_ratio, *of_floors = rest or [1.0]
+        n_floors = len(self.coupling)
         return replace(
             self,
             frequency_hz=hz,
             damping_ratio=ratio,
             shape=tuple(shape),
             force_ratio=force_ratio,
-            coupling=tuple(coupling),
+            coupling=tuple(of_floors[:n_floors]),
+            inertia=tuple(of_floors[n_floors:]),
         )
 
     def coupled(self, context: Context) -> Self | None:
@@ -185,7 +203,8 @@ class UnmodelledMode(Effect):
 
     def reversed_coupling(self) -> Self:
         """See `Effect.reversed_coupling`."""
-        return replace(self, coupling=tuple(-coupling for coupling in self.coupling))
+        turned = (tuple(-link for link in links) for links in (self.coupling, self.inertia))
+        return replace(self, **dict(zip(("coupling", "inertia"), turned, strict=True)))
 
     def uncoupled(self, resonance: ExtraMode) -> Self:
         """See `Effect.uncoupled`."""
@@ -198,8 +217,10 @@ class UnmodelledMode(Effect):
             return system
         mean, size = float(context.structure.masses_kg.mean()), system.mass.shape[0]
         own, link = self._springs(context.structure)
+        inertia = np.sqrt(mean * context.structure.masses_kg) * self.inertia
         larger = system.enlarged()
         mass, damping, stiffness = larger.mass, larger.damping, larger.stiffness
+        mass[: link.size, size] = mass[size, : link.size] = inertia
         mass[size, size], damping[size, size] = mean, 2.0 * self.damping_ratio * np.sqrt(own * mean)
         stiffness[size, size] = own
         stiffness[: link.size, size] = stiffness[size, : link.size] = link
@@ -211,7 +232,7 @@ class UnmodelledMode(Effect):
         masses = structure.masses_kg
         squared = (2.0 * pi * self.frequency_hz) ** 2
         mean = float(masses.mean())
-        return mean * squared, -squared * np.sqrt(mean * masses) * self.coupling
+        return mean * squared, -squared * np.sqrt(mean * masses) * np.subtract(self.coupling, self.inertia)
 
     def extra_modes(self, context: Context) -> tuple[ExtraMode, ...]:
         """See `Effect.extra_modes`."""
@@ -237,6 +258,8 @@ class UnmodelledMode(Effect):
         if self.coupling and len(self.coupling) != structure.n_dofs:
             raise EffectError(f"{self.name}: {len(self.coupling)} couplings for {structure.n_dofs} floors")
         if self.coupling:
+            if np.sum(np.square(self.inertia)) >= 1.0:
+                raise EffectError(f"{self.name}: the coupling by mass is so strong that the mass is not positive")
             own, link = self._springs(structure)
             if own <= link @ np.linalg.solve(structure.stiffness_matrix(), link):
                 raise EffectError(f"{self.name}: the coupling is so strong that the structure is unstable")
@@ -248,6 +271,7 @@ class UnmodelledMode(Effect):
         if self.coupling:
             first = self._of_shape.stop
             mean[first:], precision[first:] = 0.0, _COUPLING_STD**-2
+            precision[precision.size - len(self.inertia) :] = _INERTIA_STD**-2
             precision[first] = _LN_FORCE_STD**-2
         return mean, precision
 
