@@ -61,7 +61,7 @@ class Baseline:
     converged: bool = True
     """Whether the updating to the healthy modes converged; True in files of older versions, which did not note it."""
     doubts: tuple[str, ...] = ()
-    """Why losses against it may not be this structure's; not in the file."""
+    """Why it may not be this structure's, or why losses against it are not to be trusted; not in the file."""
 
     def only(self, model_modes: tuple[int, ...]) -> Baseline:
         """Select some modes of the model (0 = lowest), for a window in which not all of the baseline's were identified."""

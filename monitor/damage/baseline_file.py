@@ -218,7 +218,7 @@ def load_baseline(
     Returns
     -------
     Baseline
-        With the reasons in `doubts` why losses against it may not be this structure's.
+        With the reasons in `doubts` why it may not be this structure's, or why losses against it are not to be trusted.
 
     Raises
     ------
