@@ -82,16 +82,17 @@ def classify(segments: Segments) -> ObservedSpectra:
     """Average the segments' cross-spectra in classes of level and of temperature, where that was measured and varies."""
     x = segments.values
     level = relative_level(x)
+    logarithm = np.log(np.maximum(level, np.finfo(float).tiny))
     # One class where the ground was measured: the response is not averaged over levels, and quiet segments must not have more
     # weight than the others.
     most = _LEVEL_CLASSES if segments.drive is None else 1
-    label = _classes_by_rank(level, min(most, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
+    label = _natural_classes(logarithm, min(most, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
     degc = _mean_temperature(segments.temperature, segments.t_s, 1.0 / segments.band.bin_hz)
     by_temperature = degc is not None and bool(np.ptp(degc) > _MIN_RANGE_DEGC)
     if degc is not None and by_temperature:
         n_degc = max(1, min(_TEMPERATURE_CLASSES, level.size // (2 * _MIN_SEGMENTS_A_CLASS)))
         n_level = max(1, min(3, level.size // (n_degc * _MIN_SEGMENTS_A_CLASS)))
-        label = n_level * _classes_by_rank(degc, n_degc) + _classes_by_rank(level, n_level)
+        label = n_level * _natural_classes(degc, n_degc) + _natural_classes(logarithm, n_level)
     members = tuple(np.flatnonzero(label == k) for k in np.unique(label))
     spectra = np.stack([np.einsum("ska,skb->kab", x[m], x[m].conj()) / m.size for m in members])
     relative = np.ones(level.size)
@@ -142,10 +143,35 @@ def relative_level(x: ComplexArray) -> Array:
     return np.asarray(level / level.mean())
 
 
-def _classes_by_rank(value: Array, n: int) -> NDArray[np.intp]:
-    """Divide values into n classes of equal size by their rank; return the class of every value."""
-    rank = np.argsort(np.argsort(value, kind="stable"), kind="stable")
-    return np.asarray(rank * n // value.size)
+def _natural_classes(value: Array, n: int) -> NDArray[np.intp]:
+    """Divide values into n classes that are as alike within as they can be; return the class of every value.
+
+    The borders minimize the sum of squares about the means of the classes, by dynamic programming over the sorted values.
+    So classes lie as far apart as the recording allows; classes of equal size would put a short strong part beside weak ones.
+
+    References
+    ----------
+    W. D. Fisher, On grouping for maximum homogeneity, J. Am. Stat. Assoc. 53 (1958) 789.
+    """
+    order = np.argsort(value, kind="stable")
+    at, size = value[order] - value.mean(), value.size
+    total, squares = np.r_[0.0, np.cumsum(at)], np.r_[0.0, np.cumsum(at**2)]
+    least = min(_MIN_SEGMENTS_A_CLASS, size // n)
+    # Least sum of squares of the first values in as many classes as were formed so far.
+    best = np.where(np.arange(size + 1) == 0, 0.0, np.inf)
+    begins = np.zeros((n, size + 1), dtype=np.intp)
+    for k in range(n):
+        before, best = best, np.full(size + 1, np.inf)
+        for end in range((k + 1) * least, size + 1):
+            begin = np.arange(k * least, end - least + 1)
+            sums = before[begin] + (squares[end] - squares[begin]) - (total[end] - total[begin]) ** 2 / (end - begin)
+            begins[k, end] = begin[np.argmin(sums)]
+            best[end] = sums.min()
+    label, end = np.empty(size, dtype=np.intp), size
+    for k in reversed(range(n)):
+        label[order[begins[k, end] : end]] = k
+        end = begins[k, end]
+    return label
 
 
 def _mean_temperature(readings: Array, t_s: Array, length_s: float, lag_s: float = 0.0) -> Array | None:
