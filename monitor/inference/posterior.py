@@ -117,6 +117,8 @@ class Posterior(ForwardModel):
             Whether each class's spectra are first multiplied by the factor with which they fit the data best.
         """
         log_det, trace = log_det_and_trace(spectra, self.data() if data is None else data)
+        if not np.isfinite(log_det).all():
+            return -np.inf
         if levelled:
             c, widths = spectra.shape[-1], self.widths()
             level = (trace @ widths)[:, None] / (c * widths.sum())
