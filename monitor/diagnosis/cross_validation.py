@@ -157,13 +157,14 @@ def _score_fold(
     segments: Segments, diagnosis: Diagnosis, held: NDArray[np.bool_], others: NDArray[np.bool_]
 ) -> list[Score]:
     """Score the old and the extended form on the held-out segments, both fitted to the others."""
-    part = classify(segments.part(others))
+    label = diagnosis.posterior.observed.label[others]
+    part = classify(segments.part(others), label)
     # Weighted as the whole recording, so that the prior affects these fits no more than the published one.
     part = replace(part, counts=part.counts * segments.t_s.size / part.counts.sum())
     context, prior = diagnosis.posterior.context, diagnosis.posterior.prior
     return [
         score(segments, model, context, prior.reference_degc, held, excitation)
-        for model, excitation in refit_forms(part, diagnosis)
+        for model, excitation in refit_forms(part, diagnosis, np.unique(label))
     ]
 
 

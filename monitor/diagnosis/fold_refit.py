@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.diagnosis.initial_fit import fit_exact_slopes
@@ -17,7 +18,6 @@ from monitor.inference import (
     Posterior,
     linearize,
     maximize_posterior,
-    nearest_classes,
 )
 from monitor.model import Effect, Model
 
@@ -30,7 +30,9 @@ _MIN_DAMPING = 1e-9
 """Least damping ratio of a fitted model. [1; rounding]"""
 
 
-def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, ExcitationStart]]:
+def refit_forms(
+    part: ObservedSpectra, whole: Diagnosis, classes: NDArray[np.intp]
+) -> list[tuple[Model, ExcitationStart]]:
     """Fit the old model form and the extended one to a part of a recording.
 
     The fits start from those to the whole recording, which are close: from far away the phases of a response do not lead to the
@@ -44,22 +46,25 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
         Spectra of the part, weighted as the whole recording.
     whole : Diagnosis
         The diagnosis of the whole recording.
+    classes : ndarray, shape (n_classes,)
+        For each class of the part, the same class of the whole recording.
 
     Returns
     -------
     list of (Model, ExcitationStart)
-        The old form, then the extended one, each with its fitted excitation.
+        The old form, then the extended one, each with its fitted excitation in the classes of the whole recording.
     """
     part = replace(part, drive=_with_ground_interpolation(whole, part.drive))
-    n_classes = part.counts.size
-    posterior = whole.posterior.part(part, nearest_classes(whole.posterior.n_classes, n_classes))
+    posterior = whole.posterior.part(part, classes)
+    # A class of the whole recording that the part does not have is taken to be as the nearest one.
+    nearest = np.abs(classes[:, None] - np.arange(whole.posterior.n_classes)).argmin(axis=0)
     layout = whole.posterior.layout
     by_level = not (part.by_temperature or whole.posterior.observed.by_temperature)
     shared = by_level and not any(e.nonlinear for e in posterior.prior.model.effects)
 
     def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, ExcitationStart]:
         x = np.concatenate(
-            [x[layout.structure], ExcitationStart.at(whole.posterior, x).of(n_classes).vector, x[layout.effects]]
+            [x[layout.structure], ExcitationStart.at(whole.posterior, x).select(classes).vector, x[layout.effects]]
         )
         own = posterior
         if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
@@ -69,9 +74,8 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
         )
         if part.drive is not None and any(e.nonlinear for e in effects):
             own, fit = fit_exact_slopes(own, fit)
-        return fitted_model(own, fit), ExcitationStart.at(
-            own, fit.x, own.beyond(fit.x, fit.effects) if shared else None
-        )
+        excitation = ExcitationStart.at(own, fit.x, own.beyond(fit.x, fit.effects) if shared else None)
+        return fitted_model(own, fit), excitation.select(nearest)
 
     return [fitted(whole.null_fit.x, whole.null_fit.effects), fitted(whole.final_fit.x, whole.final_fit.effects)]
 

@@ -2,7 +2,7 @@ from .corrected_posterior import CorrectedPosterior, correct_posterior
 from .cross_spectra import Band, extra_mode_spectra
 from .driven_posterior import DrivenPosterior
 from .exact_simulation import draw_forces, linearization_error, simulate_exact, simulate_spectra
-from .excitation_fit import ExcitationStart, fit_excitation, forces_from_quiet_segments, nearest_classes
+from .excitation_fit import ExcitationStart, fit_excitation, forces_from_quiet_segments
 from .force_levels import fit_levels, spectra_by_force
 from .forward_model import Prediction
 from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments, simulate_moments, tone_log_odds
@@ -48,7 +48,6 @@ __all__ = [
     "make_posterior",
     "maximize_posterior",
     "measure_moments",
-    "nearest_classes",
     "normal_moments",
     "simulate_exact",
     "simulate_moments",

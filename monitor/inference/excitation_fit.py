@@ -63,8 +63,11 @@ class ExcitationStart:
 
     def of(self, n_classes: int) -> ExcitationStart:
         """Convert the excitation to another number of classes of rising level."""
-        nearest = nearest_classes(self.levels.size, n_classes)
-        return replace(self, levels=self.levels[nearest], beyond=None if self.beyond is None else self.beyond[nearest])
+        return self.select(nearest_classes(self.levels.size, n_classes))
+
+    def select(self, classes: NDArray[np.intp]) -> ExcitationStart:
+        """Take the excitation of the given classes, shape (n_classes,)."""
+        return replace(self, levels=self.levels[classes], beyond=None if self.beyond is None else self.beyond[classes])
 
     @property
     def vector(self) -> Array:
@@ -77,7 +80,7 @@ def nearest_classes(n: int, wanted: int) -> NDArray[np.intp]:
 
     Examples
     --------
-    >>> from monitor.inference import nearest_classes
+    >>> from monitor.inference.excitation_fit import nearest_classes
     >>> nearest_classes(5, 3).tolist()
     [0, 2, 4]
     """

@@ -64,6 +64,14 @@ class ObservedSpectra:
     by_temperature: bool = False
     """Whether the classes are of level and temperature, or of level only."""
 
+    @property
+    def label(self) -> NDArray[np.intp]:
+        """Class of every segment, shape (n_segments,)."""
+        out = np.empty(self.t_s.size, dtype=np.intp)
+        for k, m in enumerate(self.members):
+            out[m] = k
+        return out
+
     def pieces(self, n_bins: float) -> float:
         """Count the independent pieces of information of all segments in a number of bins."""
         return float(self.weight * self.counts.sum() * n_bins)
@@ -78,21 +86,29 @@ def information_weight() -> float:
     return 1.0 / ((1.0 + 2.0 * sum(_BIN_CORRELATION)) * (1.0 + 2.0 * overlap_correlation()))
 
 
-def classify(segments: Segments) -> ObservedSpectra:
-    """Average the segments' cross-spectra in classes of level and of temperature, where that was measured and varies."""
+def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> ObservedSpectra:
+    """Average the segments' cross-spectra in classes of level and of temperature, where that was measured and varies.
+
+    Parameters
+    ----------
+    segments : Segments
+    label : ndarray, shape (n_segments,), optional
+        Class of every segment, as of a longer recording that they are a part of.
+
+    Returns
+    -------
+    ObservedSpectra
+        With the classes that have segments, in the order of their numbers.
+    """
     x = segments.values
     level = relative_level(x)
-    logarithm = np.log(np.maximum(level, np.finfo(float).tiny))
-    # One class where the ground was measured: the response is not averaged over levels, and quiet segments must not have more
-    # weight than the others.
-    most = _LEVEL_CLASSES if segments.drive is None else 1
-    label = _natural_classes(logarithm, min(most, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
     degc = _mean_temperature(segments.temperature, segments.t_s, 1.0 / segments.band.bin_hz)
     by_temperature = degc is not None and bool(np.ptp(degc) > _MIN_RANGE_DEGC)
-    if degc is not None and by_temperature:
-        n_degc = max(1, min(_TEMPERATURE_CLASSES, level.size // (2 * _MIN_SEGMENTS_A_CLASS)))
-        n_level = max(1, min(3, level.size // (n_degc * _MIN_SEGMENTS_A_CLASS)))
-        label = n_level * _natural_classes(degc, n_degc) + _natural_classes(logarithm, n_level)
+    if label is None:
+        # One class where the ground was measured: the response is not averaged over levels, and quiet segments must not have more
+        # weight than the others.
+        most = _LEVEL_CLASSES if segments.drive is None else 1
+        label = _classes_of(level, degc if by_temperature else None, most)
     members = tuple(np.flatnonzero(label == k) for k in np.unique(label))
     spectra = np.stack([np.einsum("ska,skb->kab", x[m], x[m].conj()) / m.size for m in members])
     relative = np.ones(level.size)
@@ -119,6 +135,16 @@ def classify(segments: Segments) -> ObservedSpectra:
         drift=segments.drift,
         by_temperature=by_temperature,
     )
+
+
+def _classes_of(level: Array, degc: Array | None, most: int) -> NDArray[np.intp]:
+    """Divide segments into classes of level, at most so many, or of level and temperature; return the class of every segment."""
+    logarithm, n = np.log(np.maximum(level, np.finfo(float).tiny)), level.size
+    if degc is None:
+        return _natural_classes(logarithm, min(most, max(1, n // _MIN_SEGMENTS_A_CLASS)))
+    n_degc = max(1, min(_TEMPERATURE_CLASSES, n // (2 * _MIN_SEGMENTS_A_CLASS)))
+    n_level = max(1, min(3, n // (n_degc * _MIN_SEGMENTS_A_CLASS)))
+    return n_level * _natural_classes(degc, n_degc) + _natural_classes(logarithm, n_level)
 
 
 def relative_level(x: ComplexArray) -> Array:
