@@ -79,9 +79,14 @@ def learn_prior(
     if discrepancy is not None:
         wider = replace(wider, error=discrepancy)
         covariance = _covariance(replace(posterior, prior=wider), fitted.x)
-    structure = posterior.layout.structure
+    structure, forces = posterior.layout.structure, fitted.x[posterior.layout.forces]
     precision = inverse(covariance[structure, structure])
-    learnt = replace(wider, mean=fitted.x[structure], precision=0.5 * (precision + precision.T))
+    learnt = replace(
+        wider,
+        mean=fitted.x[structure],
+        precision=0.5 * (precision + precision.T),
+        ln_forces=None if observed.drive is not None else forces - forces.mean(),
+    )
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
     learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(masses).sum()) / m))
     return learnt, learnt.mean[ParameterLayout.of(learnt).correction]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.inference import Band, MapEstimate, Posterior, Prediction, fit_levels, spectra_by_force
+from monitor.inference import FORCE_STD, Band, MapEstimate, Posterior, Prediction, fit_levels, spectra_by_force
 from monitor.model import ModelDiscrepancy
 from monitor.signals import overlap_correlation
 
@@ -274,6 +274,41 @@ def find_changed_effects(
                 LackOfFit(where, float(deviations.max()), f"what stood at calibration is of another size now: {now}")
             )
     return tuple(out)
+
+
+def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:
+    """Find that the motion comes from another direction than at calibration, in a structure whose missing modes are coupled.
+
+    Where the forces act in a direction that is not measured, the fitted forces on the floors vanish but for some, and the floors
+    follow the coupled modes.  The forces on these modes are then no longer independent of each other, as the model takes them
+    to be, and changes of the structure may imitate what that does to the spectra.
+
+    Returns
+    -------
+    LackOfFit or None
+        None where the change of the forces costs no more of their prior density than a cause must gain.
+    """
+    known, forces = posterior.prior.ln_forces, fitted.x[posterior.layout.forces]
+    modes = [e for e in posterior.prior.effects(fitted.x) if e.repeatable and e.coupled(posterior.context) is None]
+    if known is None or not modes:
+        return None
+    change = (forces - forces.mean() - known) / FORCE_STD
+    if 0.5 * float(change @ change) <= settings.margin + 0.5 * (change.size - 1):  # the mean of what chance makes of it
+        return None
+    weakest = int(change.argmin())
+    return LackOfFit(
+        "direction of the forces",
+        float(np.sqrt(change @ change)),
+        f"the forces come from another direction than at calibration (that on floor {weakest + 1} is {_factor(change[weakest])} "
+        "of what it was, beside the others), and modes that the model lacks follow them: nothing can be said of the structure",
+        is_explained=True,
+    )
+
+
+def _factor(ln_density: float) -> str:
+    """Write the factor on an amplitude, from the logarithm of that on a density, as a percentage."""
+    percent = 100.0 * np.exp(0.5 * ln_density)
+    return f"{percent:.2g} %" if percent >= 0.1 else "less than 0.1 %"
 
 
 def _list_deviations(

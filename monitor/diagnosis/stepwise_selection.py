@@ -23,6 +23,7 @@ from monitor.diagnosis.lack_of_fit import (
     LackOfFit,
     find_changed_effects,
     find_lack_of_fit,
+    find_other_direction,
     lack_of_fit_cost,
     unexplained_share,
     wrong_bins,
@@ -195,6 +196,12 @@ def diagnose(
             posterior, fit, accepted, simulation_std, settings
         )
         left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
+    direction = None if verdict == "none" else _find_other_direction(posterior, fit, accepted, simulation_std, settings)
+    if direction is not None:
+        nothing = [False] * len(fit.effects)
+        posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, nothing)
+        verdict, alternatives = "unexplained", ()
+        left_over = (direction, *find_lack_of_fit(posterior, fit, settings))
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, stage.null_fit)))
     still = find_level_dependence(backbone(posterior, fit))
@@ -503,6 +510,22 @@ def _keep_confirmed_elsewhere(
         return gain - evidence_cost(elsewhere, whole, i) > settings.margin
 
     return _keep_effects(posterior, fit, accepted, simulation_std, parallel_map(is_confirmed, range(len(fit.effects))))
+
+
+def _find_other_direction(
+    posterior: Posterior,
+    fit: MapEstimate,
+    accepted: tuple[Candidate, ...],
+    simulation_std: Array,
+    settings: DiagnosisSettings,
+) -> LackOfFit | None:
+    """Find that the forces act in another direction than at calibration, by the fit with the causes at the sensors alone.
+
+    Other causes may stand in for the direction; a channel that is exchanged changes the forces that are fitted without it.
+    """
+    at_sensors = [e.family == "sensor" for e in fit.effects]
+    posterior, fit, _, _ = _keep_effects(posterior, fit, accepted, simulation_std, at_sensors)
+    return find_other_direction(posterior, fit, settings)
 
 
 def _verdict(

@@ -87,6 +87,8 @@ class StructuralPrior:
     """Model error that healthy data show; None where nothing is known of it."""
     judged_hz: tuple[float, float] | None = None
     """Band that the healthy recording could judge, where that was not its whole band: nothing is known of the model outside."""
+    ln_forces: Array | None = None
+    """Logarithms of the densities of the floors' forces at calibration, about their mean, shape (n,); None where not known."""
 
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:

@@ -32,6 +32,7 @@ def to_plain(reference: StructuralPrior | None) -> dict[str, Any] | None:
         "reference_degc": reference.reference_degc,
         "error": None if reference.error is None else _error_to_plain(reference.error),
         "judged_hz": reference.judged_hz,
+        "ln_forces": None if reference.ln_forces is None else reference.ln_forces.tolist(),
     }
 
 
@@ -53,7 +54,10 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     mean, precision = (np.array(content[name], dtype=float) for name in ("mean", "precision"))
     basis = np.array(content["basis"], dtype=float).reshape(-1, n, n)
     size = p + 2 * n + len(channels) + basis.shape[0] + sum(len(e.parameters) for e in effects)
-    degc = content["reference_degc"]
+    degc, forces = content["reference_degc"], content.get("ln_forces")  # baselines of before do not have the forces
+    ln_forces = None if forces is None else np.array(forces, dtype=float)
+    if ln_forces is not None and (ln_forces.shape != (n,) or not np.isfinite(ln_forces).all()):
+        raise ValueError(f"the reference's forces are not {n} finite numbers")
     if mean.shape != (size,) or precision.shape != (size, size):
         raise ValueError(f"the reference has shapes {mean.shape} and {precision.shape}, not ({size},)")
     if not (np.isfinite(mean).all() and np.isfinite(precision).all() and np.isfinite(basis).all()):
@@ -71,6 +75,7 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
         reference_degc=None if degc is None else float(degc),
         error=None if content["error"] is None else _error_from_plain(content["error"], len(channels)),
         judged_hz=None if content["judged_hz"] is None else tuple(content["judged_hz"]),
+        ln_forces=ln_forces,
     ).with_known_lines()
 
 
