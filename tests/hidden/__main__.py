@@ -1,4 +1,4 @@
-"""``python -m tests.hidden [N] [--world planar|building] [--seed S] [--effects a,b] [--clean N] [--out FILE] [--add FILE...]``"""
+"""``python -m tests.hidden [N] [--world planar|building|shaken] [--seed S] [--effects a,b] [--clean N] [--out F] [--add F]``"""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.linalg import eigh, solve_continuous_lyapunov
@@ -101,6 +101,12 @@ class Motion:
     ground_variance: np.ndarray
     """Of the channels, for a white ground acceleration of two-sided density 1 (m/s^2)^2/Hz."""
 
+    def scaled(self, level: float) -> Motion:
+        """The motion at another level."""
+        return Motion(
+            *(level * getattr(self, f.name) for f in fields(self) if f.name != "ground_variance"), self.ground_variance
+        )
+
 
 def motion(frame: Frame, force: np.ndarray, direct: np.ndarray) -> Motion:
     """Stationary response to white forces.
@@ -112,27 +118,44 @@ def motion(frame: Frame, force: np.ndarray, direct: np.ndarray) -> Motion:
     direct : ndarray, shape (n,)
         Variance of each force within the recorded band, N^2: what a floor answers at once.
     """
+    minv = np.linalg.inv(np.diag(frame.masses))
+    shaken = _covariance(frame, -np.ones((frame.masses.size, 1)), np.ones(1))
+    variance = np.diag(_acceleration(frame) @ shaken @ _acceleration(frame).T)
+    return _rms(frame, _covariance(frame, minv, force), direct * np.diag(minv) ** 2, variance)
+
+
+def shaken_motion(frame: Frame, density: float) -> Motion:
+    """Stationary response to a white ground acceleration of this two-sided density, (m/s^2)^2/Hz."""
+    shaken = _covariance(frame, -np.ones((frame.masses.size, 1)), np.array([density]))
+    variance = np.diag(_acceleration(frame) @ shaken @ _acceleration(frame).T)
+    return _rms(frame, shaken, np.zeros(frame.masses.size), variance / density)
+
+
+def _acceleration(frame: Frame) -> np.ndarray:
+    """Rows that give the floors' absolute accelerations of a state."""
     mass, damping, stiffness = frame.modal()
-    n = frame.masses.size
     minv = np.linalg.inv(mass)
-    rows = np.hstack([-minv @ stiffness, -minv @ damping])
-    dynamics = np.vstack([np.eye(2 * n)[n:], rows])
+    return np.hstack([-minv @ stiffness, -minv @ damping])
 
-    def covariance(entry: np.ndarray, density: np.ndarray) -> np.ndarray:
-        b = np.vstack([np.zeros_like(entry), entry])
-        return solve_continuous_lyapunov(dynamics, -(b * density) @ b.T)
 
-    p = covariance(minv, force)
-    shaken = covariance(-np.ones((n, 1)), np.ones(1))
-    d = drifts(n)
-    drift = np.sqrt(np.diag(d @ p[:n, :n] @ d.T))
+def _covariance(frame: Frame, entry: np.ndarray, density: np.ndarray) -> np.ndarray:
+    """Of the state, under white inputs of these densities that accelerate the floors by `entry`."""
+    n = frame.masses.size
+    dynamics = np.vstack([np.eye(2 * n)[n:], _acceleration(frame)])
+    b = np.vstack([np.zeros_like(entry), entry])
+    return solve_continuous_lyapunov(dynamics, -(b * density) @ b.T)
+
+
+def _rms(frame: Frame, state: np.ndarray, direct: np.ndarray, ground_variance: np.ndarray) -> Motion:
+    n, rows, d = frame.masses.size, _acceleration(frame), drifts(frame.masses.size)
+    drift = np.sqrt(np.diag(d @ state[:n, :n] @ d.T))
     return Motion(
         drift=drift,
-        drift_velocity=np.sqrt(np.diag(d @ p[n:, n:] @ d.T)),
-        floor_velocity=np.sqrt(np.diag(p[n:, n:])),
+        drift_velocity=np.sqrt(np.diag(d @ state[n:, n:] @ d.T)),
+        floor_velocity=np.sqrt(np.diag(state[n:, n:])),
         story_force=frame.stories * drift,
-        channel=np.sqrt(np.diag(rows @ p @ rows.T) + direct * np.diag(minv) ** 2),
-        ground_variance=np.diag(rows @ shaken @ rows.T),
+        channel=np.sqrt(np.diag(rows @ state @ rows.T) + direct),
+        ground_variance=ground_variance,
     )
 
 

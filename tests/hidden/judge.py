@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 UNIFORM = frozenset({("stiffness_change", "frame"), ("added_mass", "frame"), ("clock_rate", "frame")})
-NONLINEAR = frozenset({"cubic_stiffness", "gap_contact", "bilinear_stiffness", "coulomb_friction", "quadratic_damping"})
+NONLINEAR = frozenset(
+    {"cubic_stiffness", "gap_contact", "bilinear_stiffness", "coulomb_friction", "quadratic_damping", "hysteretic_slip"}
+)
 STRUCTURAL = NONLINEAR | {
     "stiffness_change", "added_mass", "temperature_stiffness", "story_damper", "base_flexibility", "joint_flexibility",
     "gravity_softening", "attached_oscillator", "unmodelled_mode",

@@ -9,7 +9,7 @@ from monitor.model.effects import parse_effect
 from monitor.model.model import Model
 from monitor.model.simulation import respond
 from monitor.model.structures import ShearFrame
-from tests.hidden import catalogue, world
+from tests.hidden import catalogue, shaken, world
 from tests.hidden.frame import Frame, drifts
 from tests.hidden.truth import Site, Truth, healthy
 
@@ -47,7 +47,7 @@ def _theirs(act: world.Act, forces: np.ndarray, ground: np.ndarray, course: np.n
         np.array([law[0] for law in act.laws], dtype=np.int64),
         np.array([law[1] for law in act.laws], dtype=float).reshape(-1, size),
         np.array([law[2:] for law in act.laws], dtype=float).reshape(-1, 2),
-        drive, np.zeros(2 * size), 1.0 / world.KNOT_HZ, 3,
+        drive, np.zeros(2 * size + len(act.laws)), 1.0 / world.KNOT_HZ, 3,
     )  # fmt: skip
     return seen
 
@@ -94,6 +94,17 @@ def test_small_cubic_terms_agree_to_third_order(sign: float) -> None:
     plain = _theirs(_site().act, forces, ground, course)
     theirs = _theirs(act, forces, ground, course)
     assert np.abs(ours - theirs).max() < 0.02 * np.abs(ours - plain).max()
+
+
+@pytest.mark.parametrize("stories", [(1,), (0, 1, 2)])
+def test_joints_that_slip_move_alike(stories: tuple[int, ...]) -> None:
+    forces, ground, course = _drive()
+    hidden, act = shaken.slipping(_site().act, FRAME, stories, 0.2, 3e-3)
+    values = ",".join(f"{k}={v!r}" for k, v in hidden.parameters.items())
+    model = Model(OURS, (parse_effect(f"{hidden.effect}:{hidden.location}:{values}"),))
+    ours = respond(model, forces, ground, world.KNOT_HZ)[1:]
+    plain, theirs = _theirs(_site().act, forces, ground, course), _theirs(act, forces, ground, course)
+    assert ((ours - theirs) ** 2).mean() < 1e-3 * ((ours - plain) ** 2).mean()
 
 
 def test_a_footing_on_a_spring_is_a_softer_lowest_story() -> None:

@@ -14,7 +14,7 @@ from numba import njit
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import firwin, lfilter, sosfilt, upfirdn
 
-from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
+from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from tests.hidden.frame import Frame, hung
 from tests.hidden.sensors import Sensors, sensed
 
@@ -28,7 +28,7 @@ DIRECT = FORCE_VARIANCE * float((_TAPS**2).sum())
 """Variance of such a force as recorded, N^2."""
 _CHUNK_S = 50.0
 T0_NS = 1_700_000_000_000_000_000
-CUBIC, CONTACT, FRICTION, DRAG = range(4)
+CUBIC, CONTACT, FRICTION, DRAG, SLIP = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +49,10 @@ class Act(Sensors):
     """One value a second, the record's end included."""
     ground: float = 0.0
     """Density of a ground acceleration, (m/s^2)^2/Hz."""
+    ground_level: np.ndarray | None = None
+    """Level of that acceleration once a second, in place of one that wanders."""
+    heard: bool = False
+    """Whether the ground is recorded, as the last channel."""
     corner_hz: float | None = None
     sections: np.ndarray | None = None
     """Second-order sections of a filter through which all floors' forces went, at 4096 Hz."""
@@ -71,10 +75,12 @@ def healthy(frame: Frame, strength: np.ndarray, noise: float) -> Act:
 
 
 def record(act: Act, duration_s: float, seed: int) -> np.ndarray:
-    """Samples of the channels at 1024 Hz, shape (n_samples, 3), m/s^2."""
+    """Samples of the channels at 1024 Hz, shape (n_samples, 3), m/s^2, or (n_samples, 4) with the ground."""
     force_rng, noise_rng, other_rng = (np.random.default_rng([seed, i]) for i in range(3))
     clean = np.concatenate(list(_floors(act, duration_s, force_rng, other_rng)))
-    return sensed(act, clean, RATE_HZ, noise_rng).astype(np.float32)
+    n = act.strength.size
+    floors = sensed(act, clean[:, :n], RATE_HZ, noise_rng)
+    return np.hstack([floors, clean[:, n:]]).astype(np.float32)
 
 
 def blocks(samples: np.ndarray, degc: np.ndarray | None = None, rate_hz: float = RATE_HZ) -> list[SampleBlock]:
@@ -86,6 +92,17 @@ def blocks(samples: np.ndarray, degc: np.ndarray | None = None, rate_hz: float =
     if degc is not None:
         out.append(SampleBlock(TEMPERATURE, T0_NS, 0, 1.0, ("t1",), "degC", degc[:, None].astype(np.float32)))
     return out
+
+
+def shaken_blocks(samples: np.ndarray) -> list[SampleBlock]:
+    """A recording whose last channel is the ground."""
+    above = blocks(samples[:, :-1])
+    ground = np.split(samples[:, -1:], np.cumsum([len(b.samples) for b in above])[:-1])
+    below = (
+        SampleBlock(GROUND, b.t_ns, b.sequence, RATE_HZ, ("ground",), "m/s^2", part)
+        for b, part in zip(above, ground, strict=True)
+    )
+    return [block for pair in zip(below, above, strict=True) for block in pair]
 
 
 def wander(duration_s: float, rng: np.random.Generator, spread: float = 0.35) -> np.ndarray:
@@ -109,8 +126,8 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
     parameters = np.array([law[2:] for law in act.laws], dtype=float).reshape(-1, 2)
     minv = np.linalg.inv(act.mass)
     moving = np.zeros((size, size)) if act.moving is None else act.moving
-    state = np.zeros(2 * size)
-    tail = np.zeros((_TAPS.size - 1, n))
+    state = np.zeros(2 * size + kinds.size)
+    tail = np.zeros((_TAPS.size - 1, n + act.heard))
     last = np.zeros((1, size + 2))  # forces, ground acceleration, course
     memory = np.zeros((1, n))
     filtered = np.zeros((0 if act.sections is None else len(act.sections), 2, n))
@@ -118,6 +135,8 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
         k = np.arange(start, min(start + round(_CHUNK_S * KNOT_HZ), round(duration_s * KNOT_HZ)))
         t = k / KNOT_HZ
         lev = np.stack([np.interp(t, np.arange(len(level)), one) for one in level.T], axis=1)
+        if act.ground_level is not None:
+            lev[:, n] = np.interp(t, np.arange(act.ground_level.size), act.ground_level)
         drive = np.zeros((k.size, size + 2))
         force = lev[:, :n] * act.strength * np.sqrt(FORCE_VARIANCE) * rng.standard_normal((k.size, n))
         if act.corner_hz is not None:
@@ -141,7 +160,7 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
             np.concatenate([last, drive]), state, dt, n,
         )  # fmt: skip
         last = drive[-1:]
-        padded = np.concatenate([tail, raw])
+        padded = np.concatenate([tail, np.hstack([raw, drive[:, [size]]]) if act.heard else raw])
         tail = padded[1 - _TAPS.size :]
         yield np.stack([_thin(column) for column in padded.T], axis=1)
 
@@ -181,7 +200,7 @@ def with_dof(act: Act, floor: int, mass: float, stiffness: float, damping: float
 
 
 @njit(cache=True)
-def _law(kind: int, p: float, q: float, d: float, v: float) -> float:
+def _law(kind: int, p: float, q: float, d: float, v: float, z: float) -> float:
     if kind == 0:  # cubic: p = k3; softening fades where it would let the story run away, from the seventh order on
         if p >= 0.0:
             return p * d**3
@@ -192,7 +211,9 @@ def _law(kind: int, p: float, q: float, d: float, v: float) -> float:
         return q * max(d - p, 0.0)
     if kind == 2:  # friction p; q the velocity within which it sticks
         return p * np.tanh(v / q)
-    return p * v * abs(v)
+    if kind == 3:
+        return p * v * abs(v)
+    return p * z  # slip at force p; q the drift at which it would slip without rounding
 
 
 @njit(cache=True)
@@ -209,7 +230,11 @@ def _slope(minv, damping, stiffness, moving, kinds, directions, parameters, u, z
         for j in range(size):
             d += directions[q, j] * z[j]
             v += directions[q, j] * z[size + j]
-        f = _law(kinds[q], parameters[q, 0], parameters[q, 1], d, v)
+        memory = z[2 * size + q]
+        out[2 * size + q] = 0.0
+        if kinds[q] == 4:
+            out[2 * size + q] = v / parameters[q, 1] * (1.0 - memory**2 if memory * v > 0.0 else 1.0)
+        f = _law(kinds[q], parameters[q, 0], parameters[q, 1], d, v, memory)
         for j in range(size):
             net[j] -= directions[q, j] * f
     for i in range(size):
@@ -229,7 +254,8 @@ def _march(minv, damping, stiffness, moving, kinds, directions, parameters, driv
     z = state.copy()
     reach = np.array([0.0, 0.5, 0.5, 1.0])
     weight = np.array([1.0, 2.0, 2.0, 1.0]) * dt / 6.0
-    rate, trial, total = np.zeros(2 * size), np.empty(2 * size), np.empty(2 * size)
+    whole = state.size
+    rate, trial, total = np.zeros(whole), np.empty(whole), np.empty(whole)
     net, floors, u = np.empty(size), np.empty(size), np.empty(width)
     for k in range(1, drive.shape[0]):
         total[:] = z
@@ -237,10 +263,10 @@ def _march(minv, damping, stiffness, moving, kinds, directions, parameters, driv
             part = reach[r]
             for i in range(width):
                 u[i] = drive[k - 1, i] + part * (drive[k, i] - drive[k - 1, i])
-            for i in range(2 * size):
+            for i in range(whole):
                 trial[i] = z[i] + reach[r] * dt * rate[i]
             _slope(minv, damping, stiffness, moving, kinds, directions, parameters, u, trial, net, floors, rate)
-            for i in range(2 * size):
+            for i in range(whole):
                 total[i] += weight[r] * rate[i]
         z[:] = total
         _slope(minv, damping, stiffness, moving, kinds, directions, parameters, drive[k], z, net, floors, rate)

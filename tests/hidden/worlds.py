@@ -6,9 +6,9 @@ from types import ModuleType
 
 import numpy as np
 
-from tests.hidden import building_trials, plans
+from tests.hidden import building_trials, plans, shaken
 
-WORLDS: dict[str, ModuleType] = {"planar": plans, "building": building_trials}
+WORLDS: dict[str, ModuleType] = {"planar": plans, "building": building_trials, "shaken": shaken}
 """Each has `NAMES` of a round of trials, `structure` of a seed and a name, and `draw`, which makes the plan of a trial."""
 NAMES = tuple(name for world in WORLDS.values() for name in world.NAMES)
 
