@@ -207,7 +207,8 @@ class Reader:
                 self.failure = error
                 break
             finally:
-                self.source.close()
+                with self._busy:
+                    self.source.close()
             self._stop.wait(wait_s)
         try:
             if self.failure is None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.base import SampleBlock
+from drivers.base import SampleBlock, SourceError
 from monitor.core import Busy
 from monitor.core.results import WindowResult
 from monitor.service.daemon import Daemon
@@ -173,3 +173,43 @@ def test_an_outlet_that_does_not_answer_is_told_once_and_so_is_its_return(site: 
     ready, failed, again, last = told
     assert ready == again == last == {} and failed.keys() == {"Stuck"}
     assert failed["Stuck"] in {f"does not answer for {k} s" for k in (5, 6, 7)}
+
+
+@pytest.mark.parametrize("call", ["read", "close"])
+def test_a_driver_that_does_not_answer_is_told_and_so_is_its_return(
+    site: Path, record: np.ndarray, cut: Cut, call: str
+) -> None:
+    """It hangs after its last block: while it reads, or while it closes a bus that it has lost."""
+    answers = threading.Event()
+    told: list[str | None] = []
+
+    def hang() -> None:
+        if not answers.wait(60.0):  # it is not told: the test ends, and fails
+            answers.set()
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    class Hanging(Scripted):
+        def read(self, timeout_s: float) -> SampleBlock | None:
+            block = super().read(timeout_s)
+            if block is None and call == "read":
+                hang()
+            elif block is None and not answers.is_set():
+                raise SourceError("the bus is off")
+            return block
+
+        def close(self) -> None:
+            if call == "close":
+                hang()
+            super().close()
+
+    class Lines(Outlet):
+        def health_line(self, line: Mapping[str, Any]) -> None:
+            told.append(line["failed"].get("source"))
+            if told[-1] is not None:
+                answers.set()
+            elif answers.is_set() and told[-2:-1] != [None]:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    Daemon(site, Hanging(cut(record, RATE)[:10], hold=answers), [Lines()]).run()
+    said = [text for text in told if text is not None]
+    assert len(said) == 1 and said[0].startswith("does not answer for ")
