@@ -20,6 +20,7 @@ import pytest
 from drivers.base import SampleBlock
 from monitor.core import MissingInputError
 from monitor.publish.reports.period_report import read_period
+from monitor.publish.results.files import read_all_lines
 from monitor.publish.results.lines import read_line
 from monitor.service import status
 from monitor.service.daemon import Daemon
@@ -101,6 +102,20 @@ def test_damaged_lines_after_the_checkpoint_are_left_out(
     found = [json.loads(row) for row in file.read_text().splitlines() if row != text]
     assert [line["window"] for line in found] == list(range(21))
     assert summary(stopped)["windows"] == 21
+
+
+@pytest.mark.parametrize("digits", ["9" * 30, "9" * 300_000, "253402300800000000000", "1"], ids=len)
+def test_a_damaged_time_at_the_end_of_the_results_ends_no_start_where_months_are_packed(
+    site: Path, stopped: Path, record: np.ndarray, cut: Cut, digits: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It would be that of a month beyond the calendar, or of 1970, whose file the good lines then are in."""
+    site.write_text(site.read_text().replace('dir = "out"', 'dir = "out"\npack_months = true'))
+    text = f'{{"t_end_ns": {digits}}}\n'.encode()
+    with (stopped / "results.jsonl").open("ab") as out:
+        out.write(text)
+    Daemon(site, Scripted(following(cut(record, RATE), record))).run()
+    found = [json.loads(row)["window"] for row in read_all_lines(stopped) if row != text]
+    assert found == list(range(21)) and "not resumed" not in caplog.text
 
 
 def test_a_recording_whose_name_is_no_time_is_set_aside(
@@ -193,6 +208,7 @@ def test_whichever_file_is_damaged_it_starts_or_names_what_it_cannot_write(
     site: Path, kept: Path, record: np.ndarray, cut: Cut, damage: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """What is no file at all is named and ends the start with 66, where a file is written there; nothing else ends it."""
+    site.write_text(site.read_text().replace('dir = "out"', 'dir = "out"\npack_months = true\nkeep_gb = 1.0'))
     out, later = site.parent / "out", following(cut(record, RATE)[:20], record)
     names = sorted(path.relative_to(kept) for path in kept.rglob("*") if path.is_file() and path.name != "lock")
     assert {"checkpoint", "history.db", "history.db-wal", "alarms"} <= {name.name for name in names}
