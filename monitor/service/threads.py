@@ -389,7 +389,10 @@ class Chores:
                     return
                 job = self._jobs.pop(next(iter(self._jobs)))
             with self._busy:
-                job()
+                try:
+                    job()
+                except Exception:  # noqa: BLE001 - the jobs after it, the ledger's among them, are done all the same
+                    _log.exception("%s: a job failed", self._thread.name)
 
     def _write(self, path: Path, text: str) -> None:
         try:
