@@ -433,7 +433,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise MissingInputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     try:
         return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits is a ValueError too
         remedy = (
             "; it looks like JSON: a structure file is TOML, a baseline belongs to --baseline"
             if text.lstrip()[:1] == "{"
@@ -474,6 +474,8 @@ def load(path: Path) -> Configuration:
         config = read_settings(Configuration, tables)
     except ValidationError as error:
         problems += settings_problems(error)
+    except RecursionError as error:
+        raise BadConfigurationError(f"{path}: its tables are nested too deeply") from error
     if isinstance(tables.get("source"), dict):
         channels = () if problems else config.channels
         try:

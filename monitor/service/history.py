@@ -211,8 +211,15 @@ class History:
         batch = list(self._rows)
         with database:
             for table, row in batch:
-                if table != "gaps" or not merge_gap(database, row, self._neighbour_ns):
-                    insert(database, table, row)
+                try:
+                    if table != "gaps" or not merge_gap(database, row, self._neighbour_ns):
+                        insert(database, table, row)
+                except (
+                    ValueError,
+                    OverflowError,
+                ) as error:  # text or a number that no database holds, of a damaged line
+                    self.dropped += 1
+                    _log.warning("%s: a row of %s is left out: %s", self._path, table, error)
         for _ in batch:
             self._rows.popleft()
         self._inserted += len(batch)

@@ -186,7 +186,8 @@ class Site(Publisher):
             self._keeper = restart.Checkpointer(self.out, settings, healthy_path, self._recording, self._lines)
             restart.note_baseline(self.out, self._path, healthy_path)
         except OSError as error:
-            raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
+            named = "" if error.filename is None else f"{error.filename}: "
+            raise MissingInputError(f"{self.out}: cannot be written: {named}{error.strerror}") from error
         serve = settings.output.address
         if serve is not None and not self._served:
             _log.warning("output.serve: no viewer is served here; 'view' draws the recordings, and 'run' serves")

@@ -22,8 +22,8 @@ _TAIL_BYTES = 1 << 20
 """Length of the end of a file in which its last line begins. [bytes; cost]"""
 _MONTH_BYTES = 1 << 48
 """Bound of the length of a month's results: a position is a month's number times this, plus a length. [bytes; definition]"""
-_T_END = re.compile(rb'"t_end_ns": (\d+)')
-"""End of a window in its line. [1; definition]"""
+_T_END = re.compile(rb'"t_end_ns": (\d{1,19})\b')
+"""End of a window in its line; nineteen digits end in the year 2286, and more are of a damaged line. [1; definition]"""
 
 
 class ResultsFile(AppendedLines):

@@ -207,7 +207,8 @@ class Reader:
                 self.failure = error
                 break
             finally:
-                self.source.close()
+                with self._busy:
+                    self.source.close()
             self._stop.wait(wait_s)
         try:
             if self.failure is None:
@@ -261,6 +262,8 @@ class Recording:
         self._recorder = Recorder(folder, settings) if settings.enabled else None
         self._queue: BlockQueue[SampleBlock | Job] = BlockQueue(4096, 64 << 20)
         self._busy = Busy()
+        self._error: str | None = None
+        """Error that nobody expected, of the latest block; None if there was none."""
         self.dropped, self._losing = 0, False
         self._thread = background(self._work, "recorder")
         self._thread.start()
@@ -275,8 +278,8 @@ class Recording:
 
     @property
     def failed(self) -> str | None:
-        """Words that say that the recorder does not answer; None while it does, whether it records or pauses."""
-        return self._busy.overdue
+        """Words that say that the recorder does not answer, or fails; None while it works, whether it records or pauses."""
+        return self._busy.overdue or self._error
 
     def limit(self, most_bytes: int) -> None:
         """Bound the recordings to `most_bytes` where that is less than their own limit."""
@@ -315,9 +318,21 @@ class Recording:
         while not self._queue.over:
             item = self._queue.take(1.0)
             with self._busy:
-                self._do(None if item is None else item[0])
+                self._do_all_the_same(None if item is None else item[0])
         if self._recorder is not None:
             self._recorder.close()
+
+    def _do_all_the_same(self, item: SampleBlock | Job | None) -> None:
+        """Do what `_do` does; an error that nobody expected costs a block, is told, and does not end the thread."""
+        try:
+            self._do(item)
+        except Exception as error:  # noqa: BLE001 - the blocks and checkpoints after it are written all the same
+            self.dropped += isinstance(item, SampleBlock)
+            if self._error is None:
+                _log.exception("recorder: a block or a job failed")
+            self._error = f"{type(error).__name__}: {error}"[:_MOST_TEXT]
+        else:
+            self._error = None if isinstance(item, SampleBlock) else self._error
 
     def _do(self, item: SampleBlock | Job | None) -> None:
         """Record a block, or do a job; None gives the recorder time to flush."""
@@ -388,7 +403,10 @@ class Chores:
                     return
                 job = self._jobs.pop(next(iter(self._jobs)))
             with self._busy:
-                job()
+                try:
+                    job()
+                except Exception:  # noqa: BLE001 - the jobs after it, the ledger's among them, are done all the same
+                    _log.exception("%s: a job failed", self._thread.name)
 
     def _write(self, path: Path, text: str) -> None:
         try:

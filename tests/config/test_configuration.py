@@ -237,6 +237,20 @@ def test_what_is_no_toml_is_named_with_its_line(load: Load, text: str) -> None:
     assert "not a TOML file" in line and ("line 3" in line or "line 4" in line)
 
 
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[alarm]\nconfirm_s = " + "9" * 10_000, "not a TOML file"),
+        (f"[{'.'.join(['a'] * 20_000)}]", "nested too deeply"),
+        ("[alarm]\nx = " + "[" * 100_000, "not a TOML file"),
+    ],
+    ids=["digits", "tables", "arrays"],
+)
+def test_what_no_reader_can_take_is_bad_configuration(load: Load, frame_text: str, text: str, says: str) -> None:
+    (line,) = problems(load, f"{frame_text}\n{text}\n")
+    assert says in line
+
+
 def test_what_is_no_text_is_bad_configuration(tmp_path: Path) -> None:
     path = tmp_path / "frame.toml"
     path.write_bytes(b"\xff\xfe\x00[")

@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import logging
 import os
+import shutil
+import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +18,9 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
+from monitor.core import MissingInputError
 from monitor.publish.reports.period_report import read_period
+from monitor.publish.results.files import read_all_lines
 from monitor.publish.results.lines import read_line
 from monitor.service import status
 from monitor.service.daemon import Daemon
@@ -99,6 +104,20 @@ def test_damaged_lines_after_the_checkpoint_are_left_out(
     assert summary(stopped)["windows"] == 21
 
 
+@pytest.mark.parametrize("digits", ["9" * 30, "9" * 300_000, "253402300800000000000", "1"], ids=len)
+def test_a_damaged_time_at_the_end_of_the_results_ends_no_start_where_months_are_packed(
+    site: Path, stopped: Path, record: np.ndarray, cut: Cut, digits: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It would be that of a month beyond the calendar, or of 1970, whose file the good lines then are in."""
+    site.write_text(site.read_text().replace('dir = "out"', 'dir = "out"\npack_months = true'))
+    text = f'{{"t_end_ns": {digits}}}\n'.encode()
+    with (stopped / "results.jsonl").open("ab") as out:
+        out.write(text)
+    Daemon(site, Scripted(following(cut(record, RATE), record))).run()
+    found = [json.loads(row)["window"] for row in read_all_lines(stopped) if row != text]
+    assert found == list(range(21)) and "not resumed" not in caplog.text
+
+
 def test_a_recording_whose_name_is_no_time_is_set_aside(
     site: Path, stopped: Path, record: np.ndarray, cut: Cut, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -128,6 +147,87 @@ def test_a_report_reads_the_good_lines_and_counts_the_others(stopped: Path, main
     assert sum(period.results.judged) == 9 and period.results.damaged == text.count("\n") + 1
     done = main("report", stopped, "--out", stopped.parent / "report.html")
     assert done.returncode == 0 and f"unreadable lines left out: {period.results.damaged}" in done.stderr
+
+
+# --- every file in turn ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def kept(stopped: Path) -> Path:
+    """A copy of the folder of a stopped daemon, with files that only some sites have, and a database that was not closed."""
+    copy = stopped.parent / "kept"
+    with closing(sqlite3.connect(stopped / "state" / "history.db")) as database:
+        database.execute("UPDATE windows SET level = 'normal'")
+        database.commit()
+        shutil.copytree(stopped, copy)
+    for name, text in (("ledger.jsonl", '{"what": "old"}\n'), ("events.jsonl", '{"id": "a", "revision": 0}\n')):
+        (copy / name).write_text(text)
+    (copy / "state" / "outbox.jsonl").write_text('{"version": 1}\n')
+    (copy / "results-2025-12.jsonl.zst").write_bytes(b"a closed month")
+    return copy
+
+
+def put_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+    (path / "more").write_text("")
+
+
+def put_dangling_link(path: Path) -> None:
+    path.unlink()
+    path.symlink_to(path.parent / "nowhere" / "else")
+
+
+def flip_bits(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    for k in range(0, len(data), max(1, len(data) // 20)):
+        data[k] ^= 0x40
+    path.write_bytes(data)
+
+
+def put_after(data: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(path.read_bytes() + data)
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "nested": lambda path: path.write_text(DEEP + "\n"),
+    "no text": lambda path: path.write_bytes(b"\xff\xfe\n" * 100),
+    "zeros": lambda path: path.write_bytes(bytes(5000)),
+    "zeros after it": put_after(bytes(5000)),
+    "half a long line after it": put_after(b"x" * 3_000_000),
+    "empty": lambda path: path.write_bytes(b""),
+    "half of it": lambda path: os.truncate(path, path.stat().st_size // 2),
+    "bits": flip_bits,
+    "a folder": put_folder,
+    "a dangling link": put_dangling_link,
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_whichever_file_is_damaged_it_starts_or_names_what_it_cannot_write(
+    site: Path, kept: Path, record: np.ndarray, cut: Cut, damage: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What is no file at all is named and ends the start with 66, where a file is written there; nothing else ends it."""
+    site.write_text(site.read_text().replace('dir = "out"', 'dir = "out"\npack_months = true\nkeep_gb = 1.0'))
+    out, later = site.parent / "out", following(cut(record, RATE)[:20], record)
+    names = sorted(path.relative_to(kept) for path in kept.rglob("*") if path.is_file() and path.name != "lock")
+    assert {"checkpoint", "history.db", "history.db-wal", "alarms"} <= {name.name for name in names}
+    refused = set()
+    for name in names:
+        shutil.rmtree(out)
+        shutil.copytree(kept, out)
+        DAMAGES[damage](out / name)
+        try:
+            daemon = Daemon(site, Scripted(later))
+        except MissingInputError as error:
+            assert str(error).startswith(f"{out}: cannot be written: {out / name}: "), error
+            refused.add(name.name)
+        else:
+            daemon.run()
+            assert (daemon.out / "summary.json").exists()
+    may = {"results.jsonl", "health.jsonl", "events.jsonl", "baseline.json"}
+    assert refused <= (may if damage in {"a folder", "a dangling link"} else set())
+    assert "Traceback" not in caplog.text and "not resumed from; monitoring begins anew" not in caplog.text
 
 
 WRONG = [DEEP, "[1]", '{"a": 1e999}', "\xff\xfe"]

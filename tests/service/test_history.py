@@ -211,6 +211,17 @@ def test_old_rows_thin_out_and_go(place: Path) -> None:
         assert database.execute("SELECT min(id) FROM windows").fetchone() == (540,)
 
 
+def test_a_row_that_no_database_holds_is_left_out_and_counted(begin: Callable[[], History], place: Path) -> None:
+    """As a damaged line of results.jsonl can give them, which is read again after a restart."""
+    one = begin()
+    for bad in ({"skipped": "\ud800"}, {"window": 1 << 70}):
+        one.window(line(0) | bad)
+    one.window(line(1))
+    until(lambda: rows(place, "SELECT window FROM windows") == [(1,)], "the good one")
+    one.close(10.0)
+    assert one.dropped == 2 and one.failed is None
+
+
 def test_a_queue_that_is_full_counts_what_it_refuses(
     begin: Callable[[], History], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

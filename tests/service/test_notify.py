@@ -407,6 +407,23 @@ def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
         assert fresh.failed and not place.exists()
 
 
+@pytest.mark.parametrize("wrong", [[1], "text", {"a": {}}, 1 << 80])
+def test_times_that_somebody_wrote_into_the_outbox_end_no_window(tmp_path: Path, wrong: object) -> None:
+    """They are not stored, so that none is read."""
+    place = tmp_path / "outbox.jsonl"
+    one = notifier(place)
+    one.window(window(0, s2=Level.WARNING), "")
+    one.close(5.0)
+    head, *rows = place.read_text().splitlines()
+    content = json.loads(head)
+    content["told"] |= {"judged_ns": wrong, "doubt_ns": wrong}
+    place.write_text("\n".join([json.dumps(content), *rows]) + "\n")
+    again = notifier(place)
+    again.window(window(10, s2=Level.WARNING), "")
+    assert again.failed is None and again._begun().told.levels == {2: Level.WARNING}
+    again.close(5.0)
+
+
 class Drip:
     """Takes every request and answers with one byte of a header now and then, for ever."""
 

@@ -306,6 +306,15 @@ def test_a_folder_that_does_not_answer_holds_up_nobody(tmp_path: Path, monkeypat
     assert len(found) == 1 and not names(folder)
 
 
+def test_a_job_that_fails_is_told_and_those_after_it_are_done(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    worker = Chores("chores")
+    worker.do("bad", (tmp_path / "nowhere").read_text)  # type: ignore[arg-type]
+    worker.write(tmp_path / "good", "text")
+    worker.close(30.0)
+    assert (tmp_path / "good").read_text() == "text"
+    assert [record.getMessage() for record in caplog.records] == ["chores: a job failed"]
+
+
 def test_a_request_that_cannot_be_removed_is_applied_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

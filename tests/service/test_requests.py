@@ -24,6 +24,7 @@ from monitor.service.requests import Answer, RateLimit, Request
 from monitor.service.status import look
 from tests.conftest import Cli, Cut
 from tests.service.test_daemon import RATE, Scripted, site  # noqa: F401
+from tests.service.test_damaged_state import DAMAGES
 
 SHELVE = Request(action="shelve", story=2, who="Ada", note="while the disk is full", seconds=2_592_000.0)
 UNSHELVE = Request(action="unshelve", story=2, who="Ada")
@@ -88,6 +89,29 @@ def test_what_the_ledger_cannot_take_is_refused_and_changes_nothing(site: Path, 
     assert handler.failed is not None
     handler._clock = lambda: time.monotonic() + 61.0
     assert handler.failed is None, "a trouble of long ago is none of the present"
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_whatever_the_ledger_holds_a_request_is_answered(
+    site: Path,  # noqa: F811
+    record: np.ndarray,
+    cut: Cut,
+    main: Cli,
+    damage: str,
+) -> None:
+    """Applied, unless it is no file; what was damaged is found by a check of the chain, or was no line of it yet."""
+    place, blocks = site.parent / "out" / "ledger.jsonl", cut(record, RATE)[:5]
+    run(site, blocks, [SHELVE], [UNSHELVE])
+    DAMAGES[damage](place)
+    daemon, desk = run(site, blocks, [SHELVE])
+    (answer,) = desk.answers
+    shelved = daemon.session.pipeline.state.alarm.stories[1].shelved
+    if damage in {"a folder", "a dangling link"}:
+        assert answer.again and "ledger.jsonl: cannot be written" in str(answer.refusal) and shelved is None
+    else:
+        assert answer.refusal is None and shelved is not None and b"Ada" in place.read_bytes().splitlines()[-1]
+    done = main("status", place.parent, "--verify")
+    assert done.returncode in {12, 65, 66} and done.stderr.count("\n") <= 1, done
 
 
 def test_an_answer_comes_after_the_ledger_and_what_changes_nothing_is_not_written(

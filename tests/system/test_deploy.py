@@ -51,6 +51,9 @@ def test_the_unit_locks_the_service_in(name: str) -> None:
     assert int(found["LimitNOFILE"]) >= 1024 and int(found["TasksMax"]) >= 128
     assert found["KillMode"] == "mixed"  # SIGTERM for the monitor alone, which ends its own processes
     assert found["OOMPolicy"] == "continue"  # a diagnosis that takes too much is no end of the monitor
+    # READY waits for the compiler for as long as that takes; what it compiled outlives a restart.
+    assert found["TimeoutStartSec"] == "infinity"
+    assert f"NUMBA_CACHE_DIR=/var/cache/{found['CacheDirectory']}" in found["Environment"]
     commands = [shlex.split(found[key])[1] for key in ("ExecStartPre", "ExecStart")]
     assert commands == ["check", "run"]
 
@@ -95,6 +98,10 @@ def test_the_container_file_is_of_known_form() -> None:
     user = next(rest for name, rest in reversed(rows) if name == "USER")
     assert int(user.partition(":")[0]) > 0
     assert any(name == "RUN" and "--require-hashes" in rest for name, rest in rows)
+    assert ("RUN", "shm-monitor warm") in [tuple(row) for row in rows]
+    assert any(
+        name == "ENV" and "NUMBA_CACHE_DIR=/var/lib/shm-monitor/" in rest for name, rest in rows
+    )  # in the volume
     health = next(rest for name, rest in rows if name == "HEALTHCHECK")
     assert "shm-monitor status" in health
 

@@ -172,6 +172,16 @@ def test_every_page_is_on_the_map() -> None:
         assert page.name == "index.md" or f"({page.name})" in index, page.name
 
 
+def test_the_tests_of_the_page_of_faults_are_there() -> None:
+    """Each in the file that its cell links before it."""
+    text = (ROOT / "docs/faults.md").read_text(encoding="utf-8")
+    named = re.findall(r"\]\(\.\./(tests/\w+/test_\w+\.py)\): ((?:`test_\w+`(?:, )?)+)", text)
+    assert sum(names.count("`") for _, names in named) == 2 * text.count("`test_") > 80
+    for file, names in named:
+        there = set(re.findall(r"^def (test_\w+)", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE))
+        assert set(re.findall(r"`(test_\w+)`", names)) <= there, file
+
+
 def test_the_page_of_settings_is_that_of_the_classes() -> None:
     made = runpy.run_path(str(ROOT / "docs/settings.py"))["page"]()
     assert made == (ROOT / "docs/settings.md").read_text(encoding="utf-8"), "run docs/settings.py"

@@ -1,21 +1,30 @@
-"""A disk of which every call waits, reads and writes, under a running daemon: a file system in user space that is stopped.
+"""A disk of which every call waits, reads and writes, or that is full, under a running daemon: a file system in user space.
 
-Only root may mount one; elsewhere `test_hanging_parts` stands for it, in which calls of the disk wait within the process.
+Only root may mount one; elsewhere `test_hanging_parts` stands for it, in which calls of the disk wait within the process, and
+`test_service_faults`, which fills a small one.
 """
 
 from __future__ import annotations
 
+import json
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from monitor.runs.ledger_chain import verify
+from monitor.service import serialization
+from monitor.service.outlets.zenoh import ZenohOutSettings, ask
+from monitor.service.restart import KeptAlarms
 from tests.service.test_daemon import SITE
 from tests.service.test_http_server import fetch
 from tests.support.faulty_disk import Disk, faulty_disk, is_possible
@@ -28,6 +37,9 @@ ROOT = Path(__file__).parents[2]
 TABLES = """
 [output.metrics]
 listen = "127.0.0.1:{port}"
+[output.zenoh]
+mode = "peer"
+listen = ["tcp/127.0.0.1:{bus}"]
 """
 
 
@@ -38,6 +50,7 @@ class Site:
     file: Path
     out: Path
     port: int
+    bus: int
     disk: Disk
     process: subprocess.Popen[bytes]
 
@@ -45,6 +58,18 @@ class Site:
         text = fetch(self.port).decode()
         rows = (row.rpartition(" ") for row in text.splitlines() if row and not row.startswith("#"))
         return {name: float(value) for name, _, value in rows}
+
+    def shelve(self, story: int) -> dict[str, Any] | None:
+        """Ask over Zenoh for 30 days without an announcement of a story; the answer, or None where there is none."""
+        wish = {
+            "action": "shelve",
+            "story": story,
+            "who": "Ada",
+            "note": "while the disk is full",
+            "seconds": 2_592_000.0,
+        }
+        settings = ZenohOutSettings(mode="peer", listen=(f"tcp/127.0.0.1:{self.bus}",))
+        return ask(settings, Path(), "shm/bench", json.dumps(wish), 10.0)
 
     def windows(self) -> float:
         return self.metrics()["shm_windows_total"]
@@ -57,11 +82,11 @@ class Site:
 @pytest.fixture
 def running(tmp_path: Path, frame_text: str, record: np.ndarray) -> Iterator[Site]:
     """Five windows old."""
-    backing, out, port = tmp_path / "backing", tmp_path / "out", free_port()
+    backing, out, port, bus = tmp_path / "backing", tmp_path / "out", free_port(), free_port()
     backing.mkdir()
     out.mkdir()
     site = tmp_path / "site.toml"
-    text = SITE.replace('dir = "out"\n', f'dir = "out"{TABLES.format(port=port)}', 1)
+    text = SITE.replace('dir = "out"\n', f'dir = "out"{TABLES.format(port=port, bus=bus)}', 1)
     site.write_text(text.replace("min_free_gb = 0.0", "min_free_gb = 0.0\nflush_s = 1.0") + frame_text)
     np.save(tmp_path / "stream.npy", record.astype(np.float32))
     arguments = [site, tmp_path / "stream.npy", tmp_path / "position", 0.05, 0]
@@ -71,7 +96,7 @@ def running(tmp_path: Path, frame_text: str, record: np.ndarray) -> Iterator[Sit
         try:
             until(lambda: process.poll() is not None or len(lines(out)) >= 5, "windows")
             assert process.poll() is None, (tmp_path / "log").read_text()
-            yield Site(site, out, port, disk, process)
+            yield Site(site, out, port, bus, disk, process)
         finally:
             process.kill()
             disk.answer()
@@ -109,6 +134,30 @@ def test_it_ends_in_time_while_the_disk_hangs(running: Site) -> None:
     assert time.monotonic() - begun_s < 6.0  # 5 s are promised; the machine is busy
     running.disk.answer()
     assert running.process.wait(10.0) == 0
+
+
+def test_on_a_full_disk_a_request_is_refused_and_changes_nothing(running: Site) -> None:
+    """Story 2 is to be shelved while the disk is full, story 1 when there is room: only that one ever is, and is kept."""
+    running.disk.fill()
+    until(lambda: "results.jsonl" in running.failed(), "the disk is full")
+    begun = running.windows()
+    refused = running.shelve(2)
+    assert refused is not None and not refused["accepted"]
+    assert "ledger.jsonl: cannot be written: No space left on device" in refused["reason"]
+    until(lambda: "ledger.jsonl" in running.failed(), "told")
+    until(lambda: running.windows() >= begun + 4, "windows go on")
+    running.disk.make_room()
+    until(lambda: (running.shelve(1) or {}).get("accepted"), "accepted")
+    running.process.terminate()
+    assert running.process.wait(30.0) == 0
+    (row,) = (running.out / "ledger.jsonl").read_text().splitlines()
+    assert "shelve alarm of story 1" in row and "Ada" in row and verify(running.out / "ledger.jsonl") == 1
+    with closing(sqlite3.connect(running.out / "state" / "history.db")) as database:
+        assert database.execute("SELECT story FROM requests").fetchall() == [(1,)]
+    kept = running.out / "state" / "alarms"
+    alarms = serialization.load(kept, json.loads(kept.read_bytes().partition(b"\n")[0])["key"], KeptAlarms)
+    assert alarms is not None
+    assert [story.shelved is not None for story in alarms.stories[:3]] == [True, False, False]
 
 
 def state(process_id: int) -> str:

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.base import SampleBlock
+from drivers.base import SampleBlock, SourceError
+from drivers.mcap_file import read_recordings
+from drivers.recorder import Recorder
 from monitor.core import Busy
 from monitor.core.results import WindowResult
 from monitor.service.daemon import Daemon
@@ -22,7 +24,7 @@ from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.status import look
 from tests.conftest import Cut
-from tests.service.test_daemon import SITE, Scripted
+from tests.service.test_daemon import SITE, Scripted, own
 from tests.support.live_site import RATE
 from tests.system.test_service_faults import lines, until
 
@@ -173,3 +175,78 @@ def test_an_outlet_that_does_not_answer_is_told_once_and_so_is_its_return(site: 
     ready, failed, again, last = told
     assert ready == again == last == {} and failed.keys() == {"Stuck"}
     assert failed["Stuck"] in {f"does not answer for {k} s" for k in (5, 6, 7)}
+
+
+def test_an_error_that_nobody_expected_of_a_recorder_costs_its_block_and_is_told(
+    site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until the main loop has told of it, every block fails; then blocks are recorded again."""
+    told = threading.Event()
+    blocks, failed, write = cut(record, RATE), list[Mapping[str, str]](), Recorder.write
+
+    def failing(recorder: Recorder, block: SampleBlock) -> None:
+        if block.sequence > 3000 and not told.is_set():
+            raise RuntimeError("a bug")
+        write(recorder, block)
+
+    class Lines(Outlet):
+        def health_line(self, line: Mapping[str, Any]) -> None:
+            failed.append(line["failed"])
+            if "recorder" in line["failed"]:
+                told.set()
+
+    def script() -> Iterator[SampleBlock]:
+        for k, block in enumerate(blocks):
+            if k == len(blocks) - 10:
+                until(told.is_set, "told")
+            yield block
+
+    monkeypatch.setattr(Recorder, "write", failing)
+    daemon = Daemon(site, Scripted(script()), [Lines()])
+    daemon.run()
+    assert {"recorder": "RuntimeError: a bug"} in failed and failed[-1] == {}
+    assert len(lines(site.parent / "out")) == 9
+    health = daemon._recording.health()
+    assert health is not None and health.recording and 0 < health.lost_blocks < len(blocks)
+    recorded = [block.sequence for block in read_recordings(own(site.parent / "out"))]
+    assert recorded[0] == 0 and recorded[-1] == blocks[-1].sequence
+
+
+@pytest.mark.parametrize("call", ["read", "close"])
+def test_a_driver_that_does_not_answer_is_told_and_so_is_its_return(
+    site: Path, record: np.ndarray, cut: Cut, call: str
+) -> None:
+    """It hangs after its last block: while it reads, or while it closes a bus that it has lost."""
+    answers = threading.Event()
+    told: list[str | None] = []
+
+    def hang() -> None:
+        if not answers.wait(60.0):  # it is not told: the test ends, and fails
+            answers.set()
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    class Hanging(Scripted):
+        def read(self, timeout_s: float) -> SampleBlock | None:
+            block = super().read(timeout_s)
+            if block is None and call == "read":
+                hang()
+            elif block is None and not answers.is_set():
+                raise SourceError("the bus is off")
+            return block
+
+        def close(self) -> None:
+            if call == "close":
+                hang()
+            super().close()
+
+    class Lines(Outlet):
+        def health_line(self, line: Mapping[str, Any]) -> None:
+            told.append(line["failed"].get("source"))
+            if told[-1] is not None:
+                answers.set()
+            elif answers.is_set() and told[-2:-1] != [None]:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    Daemon(site, Hanging(cut(record, RATE)[:10], hold=answers), [Lines()]).run()
+    said = [text for text in told if text is not None]
+    assert len(said) == 1 and said[0].startswith("does not answer for ")

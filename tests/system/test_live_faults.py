@@ -17,7 +17,8 @@ import pytest
 import zenoh
 
 from drivers import codec, frames
-from drivers.base import SampleBlock
+from drivers.base import EndOfStream, SampleBlock, SourceHealth
+from drivers.can_bus import CanSource
 from drivers.mcap_file import read_recordings
 from drivers.socketcand_server import SocketcandServer, frame_text
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
@@ -27,6 +28,8 @@ from monitor.core.results import WindowResult
 from monitor.publish.base import Publisher
 from monitor.runs.emulate import CanSink, cut_blocks
 from monitor.runs.session import Session
+from monitor.service.daemon import Daemon
+from tests.drivers.test_can_bus import accel, datagram, group  # noqa: F401 - a fixture
 from tests.support.live_rig import (
     DEPLOY,
     KEY,
@@ -178,6 +181,52 @@ def test_can_frames_lost_repeated_swapped_and_a_flood_of_foreign_ones(
     assert counts["foreign"] >= flood and counts["repeated"] > 300
     assert counts["lost_samples"] == len(lost)
     assert site.summary["gaps"] == len([k for k in lost if k - 1 not in lost])
+
+
+class Wire:
+    """A source on udp_multicast that sends itself its datagrams, each good one after a malformed one, before it reads."""
+
+    def __init__(self, reader: CanSource, send: Callable[[bytes], object], frames: Sequence[bytes]) -> None:
+        self._reader, self._send, self._frames = reader, send, list(frames)
+        self.opened = self.malformed = 0
+
+    def open(self) -> None:
+        self.opened += 1
+
+    def read(self, timeout_s: float) -> SampleBlock | None:
+        if not self._frames:
+            block = self._reader.read(timeout_s)
+            if block is None:
+                raise EndOfStream
+            return block
+        for frame in self._frames[:20]:  # few enough for the socket's buffer
+            self._send(b"x" if self.malformed % 2 else frame[:-1])
+            self._send(frame)
+            self.malformed += 1
+        del self._frames[:20]
+        return self._reader.read(0.0)
+
+    def health(self) -> SourceHealth:
+        return self._reader.health()
+
+    def close(self) -> None:
+        pass
+
+
+def test_malformed_datagrams_beside_every_frame_cost_no_window(
+    tmp_path: Path,
+    stream: list[SampleBlock],
+    group: tuple[CanSource, Callable[[bytes], object]],  # noqa: F811
+) -> None:
+    site, (reader, send) = make_site(tmp_path, "can", PROCESSING, **QUICK), group
+    values = np.concatenate([block.samples for block in stream])[: round(31 * RATE_HZ)].astype(float)
+    wire = Wire(reader, send, [datagram(message) for message in accel(np.arange(len(values)), values)])
+    Daemon(site.path, wire).run()
+    assert [line["skipped"] for line in site.results] == [None] * 3
+    assert site.summary["gaps"] == 0 and site.summary["quality"]["lost_s"] == 0.0
+    source = site.health["source"]
+    assert wire.opened == 1 and source["lost"] == 0
+    assert source["counts"]["undecodable"] == wire.malformed == len(values)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import signal
 import stat
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,10 +15,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from monitor.config import configuration
+from monitor.core import BadConfigurationError, MissingInputError
+from monitor.service import site as site_module
+from monitor.service.daemon import Daemon
+from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.restart import lock
 from monitor.service.status import running
 from tests.conftest import Cut
 from tests.service.test_daemon import SITE, write
+from tests.service.test_operate import as_a_stranger
 from tests.support.live_site import RATE
 from tests.support.zenoh_router import free_port
 from tests.system.test_service_faults import until
@@ -73,6 +80,29 @@ def test_a_folder_that_cannot_be_written_ends_it_with_66(site: Path, taken: str)
     assert said.count("\n") == 1 and f"{site.parent / 'out'}: cannot be written: " in said
 
 
+@pytest.mark.parametrize("fails", ["lock", "recordings"])
+def test_a_start_that_fails_has_shown_nothing_outside(
+    site: Path, fails: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    """No outlet is made, which would take an operator's request that belongs to the daemon that runs."""
+    made: list[Outlet] = []
+
+    def make(path: Path, settings: configuration.Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:
+        found = make_outlets(path, settings, dry=dry)
+        made.extend(found)
+        return found
+
+    monkeypatch.setattr(site_module, "make_outlets", make)
+    if fails == "lock":
+        request.getfixturevalue("held")
+    else:
+        (site.parent / "out").mkdir()
+        (site.parent / "out" / "recordings").write_text("")
+    with pytest.raises((BadConfigurationError, MissingInputError)):
+        Daemon(site)
+    assert not made
+
+
 def test_a_source_that_is_missing_ends_it_with_66(site: Path) -> None:
     process = start(site)
     _, said = process.communicate(timeout=60.0)
@@ -105,6 +135,23 @@ def test_the_lock_can_be_opened_by_its_owner_alone(site: Path, held: Path) -> No
         lock(path, held)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert running(held)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_a_stranger_who_may_read_the_folder_cannot_hold_its_lock() -> None:
+    """Under the usual mask, in a folder that all may enter."""
+    before = os.umask(0o022)
+    try:
+        with tempfile.TemporaryDirectory() as name:
+            out, path = Path(name), Path(name) / "state" / "lock"
+            out.chmod(0o755)
+            os.close(lock(path, out))
+            with as_a_stranger():
+                assert path.exists()
+                with pytest.raises(PermissionError):
+                    os.open(path, os.O_RDONLY)
+    finally:
+        os.umask(before)
 
 
 def test_a_look_at_the_status_keeps_no_daemon_from_starting(tmp_path: Path) -> None:

@@ -291,7 +291,7 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
                 results.damaged += 1
     except OSError as error:
         raise MissingInputError(
-            f"{path}: {error.strerror}; give the folder that 'replay --out' or [output] dir names"
+            f"{error.filename or path}: {error.strerror}; give the folder that 'replay --out' or [output] dir names"
         ) from error
     if not results.course.windows:
         has = f"it has {utc(first_ns)} to {utc(last_ns)}"

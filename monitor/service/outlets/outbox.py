@@ -157,7 +157,7 @@ class Outbox:
             if head["version"] != VERSION:
                 raise ValueError(f"version {head['version']}")
             levels = {int(k): Level(v) for k, v in head["told"]["levels"].items()}
-            told = Told(**{**head["told"], "levels": levels})
+            told = Told(**{**head["told"], "levels": levels, **_NO_TIMES})
             messages = [
                 Message(int(m["id"]), str(m["when"]), Notice(**m["notice"]), tuple(map(str, m["to"]))) for m in lines
             ]
