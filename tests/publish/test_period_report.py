@@ -189,6 +189,18 @@ def test_recordings_a_month_apart_share_the_chart_and_the_gap_is_shortened(tmp_p
         assert grid.edges_ns[grid.at(t_ns)] < t_ns <= grid.edges_ns[grid.at(t_ns) + 1]
 
 
+@pytest.mark.parametrize(("before", "after"), [(60, 90), (90, 40), (90, 60)])
+def test_times_beside_a_shortened_gap_do_not_overlap_on_a_narrow_page(tmp_path: Path, before: int, after: int) -> None:
+    month = 30 * 144
+    json_lines(tmp_path / "results.jsonl", [line_of(k) for k in (*range(before), *range(month, month + after))])
+    write_period(tmp_path / "r.html", read_period(tmp_path, None, None))
+    svg = chart(parsed(tmp_path / "r.html"), "mode 1: frequency")
+    shown = [t for t in svg.iter("text") if t.get("text-anchor") == "middle" and t.get("class") != "more"]
+    dates = [t for t in shown if (t.text or "").startswith("2026")]
+    at_px = np.sort([float(t.get("x", "").rstrip("%")) / 100.0 * 270.0 for t in dates])
+    assert len(dates) >= 2 and np.diff(at_px).min() >= 10 * 6.5
+
+
 def test_modes_are_three_curves_at_their_frequencies(page: ElementTree.Element) -> None:
     for i, f in enumerate((2.5, 7.25, 11.5), 1):
         svg = chart(page, f"mode {i}: frequency")
