@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.conftest import Cli
+from drivers.mcap_file import McapWriter
+from tests.conftest import T0_NS, Cli, Cut
 
 
 @pytest.fixture
@@ -66,3 +69,22 @@ def test_a_command_that_fails_leaves_no_empty_folder(folder: Path, main: Cli) ->
     (folder / "out").mkdir()
     assert main("replay", "short.mcap", "--structure", "frame.toml", "--out", "out", cwd=folder).returncode == 65
     assert (folder / "out").is_dir(), "it was there before"
+
+
+def test_a_replay_notes_what_its_recordings_cover_and_names_those_that_overlap(
+    tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut, main: Cli
+) -> None:
+    (tmp_path / "s.toml").write_text(frame_text)
+    for name, begin_s in (("early.mcap", 0), ("late.mcap", 50), ("next-day.mcap", 86400)):
+        with McapWriter(tmp_path / name) as file:
+            for block in cut(record, 128.0, t0_ns=T0_NS + begin_s * 10**9):
+                file.write(block)
+    done = main("replay", "next-day.mcap", "early.mcap", "--structure", "s.toml", "--out", "apart", cwd=tmp_path)
+    assert done.returncode == 0 and "overlap" not in done.stderr
+    recorded = json.loads((tmp_path / "apart/summary.json").read_text())["recorded"]
+    begins = [T0_NS, T0_NS + 86400 * 10**9]
+    assert [span["file"] for span in recorded] == ["early.mcap", "next-day.mcap"]
+    assert [(span["t_begin_ns"], span["t_end_ns"]) for span in recorded] == [(t, t + 60 * 10**9) for t in begins]
+    done = main("replay", "late.mcap", "early.mcap", "--structure", "s.toml", "--out", "twice", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "early.mcap and late.mcap overlap by 10 s" in done.stderr and "leave out" in done.stderr

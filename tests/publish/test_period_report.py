@@ -303,6 +303,33 @@ def test_windows_are_due_from_the_run_s_first_on_and_ends_count_to_the_nanosecon
         assert (json.loads(done.stdout)["windows"], done.returncode) == (windows, 0)
 
 
+def test_the_time_between_the_recordings_of_a_replay_is_not_due_and_that_of_a_daemon_is(tmp_path: Path) -> None:
+    """Ten windows of three hops in each of two recordings, thirty days apart; lines stand where a window holds some data."""
+    month = 30 * 144
+    away = {**line_of(SKIPPED[0]), "skipped": "gap in the data", "window_s": 1800.0}
+    rows = [{**line_of(k), "window_s": 1800.0} for k in (*range(2, 12), *range(month + 2, month + 12))]
+    rows += [{**away, "window": k, "t_end_ns": T0 + (k + 1) * HOP} for k in (12, 13, month, month + 1)]
+    json_lines(tmp_path / "results.jsonl", sorted(rows, key=lambda row: row["t_end_ns"]))
+    channel = {"rms_m_s2": 3.0, "spikes": 0, "stuck_s": 0.0, "clipped_samples": 0}
+    lost_s, came_s = (month - 12) * 600.0 + 6.0, 2 * 12 * 600.0 - 6.0
+    quality = {"availability": came_s / (came_s + lost_s), "gaps": 2, "lost_s": lost_s, "overlaps": 0}
+    summary = {"quality": {**quality, "channels": {"a1": channel}}}
+    recorded = [{"file": "r", "t_begin_ns": T0 + k * HOP, "t_end_ns": T0 + (k + 12) * HOP} for k in (0, month)]
+    for told, due, gaps in (({}, month + 10, 2), ({"recorded": recorded}, 24, 1)):
+        (tmp_path / "summary.json").write_text(json.dumps(summary | told))
+        period = read_period(tmp_path, None, None)
+        assert (sum(period.results.judged), period.results.due) == (20, due)
+        assert period.quality is not None and period.quality.gaps == gaps
+        write_period(tmp_path / "r.html", period)
+    assert period.quality.lost_s == pytest.approx(6.0)
+    assert period.quality.availability == pytest.approx(came_s / (came_s + 6.0))
+    said = words(parsed(tmp_path / "r.html"))
+    assert "of 24 windows due" in said and "the time between recordings apart" in said
+    assert "the monitor did not run" not in said
+    for start, end, due in ((None, T0 + 100 * HOP, 12), (T0 + 100 * HOP, None, 12), (T0 + 13 * HOP, T0 + 99 * HOP, 1)):
+        assert read_period(tmp_path, start, end).results.due == due
+
+
 def test_months_take_little_memory(months: Path) -> None:
     """What is kept does not grow with the period: as many bins for ninety days as for nine."""
     sizes = [read_period(months, T0, T0 + d * DAY).results.grid.n for d in (9, 90)]
