@@ -303,8 +303,8 @@ def read_results(
         gaps = _shortened_gaps(folder, start, stop, round(hop_s * 1e9))
         length_s = (stop - start - sum(b - a for a, b in gaps)) * 1e-9
         grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)), gaps)
-        bins = {"judged": [0] * grid.n, "refused": [0] * grid.n}
-        results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, **bins, between=between)
+        results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, between=between)
+        results.judged, results.refused = [0] * grid.n, [0] * grid.n
         for raw in _lines_between(read_all_lines(folder), start, stop):
             try:
                 results.add(read_line(raw))
