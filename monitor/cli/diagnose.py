@@ -115,7 +115,8 @@ def accept(
     content = ledger.read_finding(finding)
     settings = configuration.load(structure)
     if baseline is not None:
-        load_baseline(baseline, settings.instrumented(), settings.updating)
+        for doubt in load_baseline(baseline, settings.instrumented(), settings.updating).doubts:
+            warn(doubt)
     text = structure.read_text(encoding="utf-8")
     extended = ledger.extended_structure_text(finding, content, text, settings, with_baseline=baseline is not None)
     demand_place(out)

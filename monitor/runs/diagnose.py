@@ -133,6 +133,7 @@ def diagnose_gathered(
     optima = other_optima(confirmed, config.story_names) if baseline is None else []
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
+    plain |= {"doubts": [] if baseline is None else list(baseline.doubts)}
     compared = []
     if record is not None:
         posterior = confirmed.posterior

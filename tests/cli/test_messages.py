@@ -88,3 +88,28 @@ def test_a_replay_notes_what_its_recordings_cover_and_names_those_that_overlap(
     done = main("replay", "late.mcap", "early.mcap", "--structure", "s.toml", "--out", "twice", cwd=tmp_path)
     assert done.returncode == 0
     assert "early.mcap and late.mcap overlap by 10 s" in done.stderr and "leave out" in done.stderr
+
+
+def test_a_baseline_whose_updating_did_not_converge_is_doubted_by_every_command(
+    folder: Path, record: np.ndarray, cut: Cut, main: Cli
+) -> None:
+    with McapWriter(folder / "r.mcap") as file:
+        for block in cut(np.concatenate([record, record]), 128.0):
+            file.write(block)
+    given = ("--structure", "frame.toml", "--baseline", "b.json")
+    assert main("calibrate", "r.mcap", *given[:2], "--out", "b.json", cwd=folder).returncode == 0
+    healthy = json.loads((folder / "b.json").read_text())
+    (folder / "b.json").write_text(json.dumps(healthy | {"converged": False}))
+    site = '[site]\nbaseline = "b.json"\n[source]\nkind = "mcap"\nfiles = ["r.mcap"]\n[output]\ndir = "site"\n'
+    (folder / "site.toml").write_text((folder / "frame.toml").read_text() + site)
+    said = "the updating of the baseline b.json did not converge"
+    for command in (("check", "site.toml"), ("diagnose", "r.mcap", *given, "--out", "found")):
+        done = main(*command, cwd=folder)
+        assert done.returncode == 0 and said in done.stderr, done.stderr
+    assert json.loads((folder / "found/diagnosis.json").read_text())["doubts"][0].startswith(said)
+    assert said in (folder / "found/report.html").read_text()
+    assert main("replay", "r.mcap", *given, "--out", "out", cwd=folder).returncode == 0
+    assert main("run", "site.toml", cwd=folder).returncode == 0
+    for summary in ("out/summary.json", "site/summary.json"):
+        found = json.loads((folder / summary).read_text())
+        assert found["state"] == "doubtful" and said[4:] in found["headline"]

@@ -152,6 +152,13 @@ def test_the_page_of_each_verdict_is_whole(cases: dict[str, Case], tmp_path: Pat
             assert len(y) > 20 and np.isfinite(y).all() and np.ptp(y) > 0.0
 
 
+def test_what_makes_the_baseline_doubtful_stands_below_the_verdict(cases: dict[str, Case]) -> None:
+    case = cases["none"]
+    plain, doubtful = (page(case.diagnosis, case.content | more, case.segments) for more in ({}, {"doubts": ["a < b"]}))
+    assert '<ul class="doubts">' not in plain
+    assert doubtful.index("</h1>") < doubtful.index("<li>a &lt; b</li>") < doubtful.index("How to read this page")
+
+
 def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tmp_path: Path) -> None:
     best = cases["none"].diagnosis.candidates[0]
     also = (Cause(best.effect, dict.fromkeys(best.effect.values(), 0.001)),)

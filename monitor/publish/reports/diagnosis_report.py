@@ -68,6 +68,8 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
     verdict = content["verdict"]
     badge = {"none": "explained", "named": "cause named"}.get(verdict, verdict)
     out = [f'<span class="verdict {verdict}">{badge}</span><h1>{escape(verdict_text)}</h1>']
+    if doubts := content.get("doubts"):
+        out.append(f'<ul class="doubts">{"".join(f"<li>{escape(doubt)}</li>" for doubt in doubts)}</ul>')
     if content["separating_measurement"]:
         out.append(f"<p><b>To tell them apart:</b> {escape(content['separating_measurement'])}.</p>")
     gain, error = content["gain"]["log_score_per_sample"], content["gain"]["csd_error"]
