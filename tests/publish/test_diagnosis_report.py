@@ -159,6 +159,17 @@ def test_what_makes_the_baseline_doubtful_stands_below_the_verdict(cases: dict[s
     assert doubtful.index("</h1>") < doubtful.index("<li>a &lt; b</li>") < doubtful.index("How to read this page")
 
 
+def test_the_many_rows_of_the_witnesses_take_few_lines_on_a_narrow_page(cases: dict[str, Case]) -> None:
+    case = cases["none"]
+    mode = {"of": "mode_1", "frequency_hz": 5.0, "ratio": 0.4, "std": 0.01, "coherence": 0.9}
+    mode |= {"predicted_before": None, "predicted": None}
+    told = {"channel": "g1", "verdict": None, "says": "nothing", "unit": "rad/m", "modes": [mode]}
+    text = page(case.diagnosis, case.content | {"witness": [told]}, case.segments)
+    row = re.search(r'<table class="folds flows">.*?(<tr><td.*?</tr>)', text)
+    assert row is not None and row[1].count("></td>") == 2
+    assert ".flows td { display: inline-block" in text and ".flows td:empty { display: none; }" in text
+
+
 def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tmp_path: Path) -> None:
     best = cases["none"].diagnosis.candidates[0]
     also = (Cause(best.effect, dict.fromkeys(best.effect.values(), 0.001)),)

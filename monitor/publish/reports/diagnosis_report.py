@@ -264,7 +264,7 @@ def _witnesses(compared: Sequence[Content]) -> str:
         "that of a joint over the drift of the story below its floor."
     )
     return (
-        f"<h2>Witnesses</h2>{table(['channel', 'verdict', 'in words'], said)}{table(head, rows) if rows else ''}"
+        f"<h2>Witnesses</h2>{table(['channel', 'verdict', 'in words'], said)}{table(head, rows, flows=True) if rows else ''}"
         f"<p class='muted'>{note}</p>"
     )
 
