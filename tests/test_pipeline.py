@@ -528,6 +528,20 @@ def test_where_updating_fails_the_mode_that_the_model_cannot_follow_is_set_aside
         assert "did not converge with mode 3 (5.67 Hz by the model, 6.6" in window.modes.missing[0][1]
 
 
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_modes_at_one_multiple_of_the_model_s_frequencies_raise_the_question_of_the_rate(factor: float) -> None:
+    site = planar((1, 2, 3, 4, 5))
+    drawn = site.model().modes()
+    shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
+    found = by_modes((factor * drawn.frequencies_hz).tolist(), shapes, site, 1)
+    assert len(found) == 4
+    for window in found:
+        assert window.skipped is not None
+        assert f"lie at {factor:g} times the frequencies by the model: are the sampling rate" in window.skipped.reason
+    for window in by_modes((factor * drawn.frequencies_hz).tolist(), shapes[:, [1, 2, 0, 4, 3]], site, 1):
+        assert window.skipped is None or "times the frequencies" not in window.skipped.reason
+
+
 def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_its_modes() -> None:
     """Mode 3 of the healthy frame is gone, torsion is there: that may be the damage, so it is not judged, but nothing is lost."""
     site = planar((1, 2, 3, 4, 5))
