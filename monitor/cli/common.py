@@ -14,7 +14,9 @@ from typer.models import ArgumentInfo, OptionInfo
 from monitor.core import parse_address, utc_ns
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
-Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]
+Structure = Annotated[
+    Path, typer.Option(metavar="S.toml", help="Structure file.  None yet?  'look REC' needs none, and proposes one.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
 
 
