@@ -187,6 +187,10 @@ def test_the_page_shows_where_the_misfit_was_and_that_the_cause_removes_it(cases
     assert np.abs(c.z_before).max() > c.limit > np.abs(c.z_after).max()
     before, after = (float((np.abs(r - 1.0) > c.chance).mean()) for r in (c.ratio_before, c.ratio_after))
     assert after < 0.08 < before  # chance leaves about one in twenty outside
+    together = {m.says.partition(" (")[0] for m in cases["named"].diagnosis.misfit if " and " in m.where}
+    assert "they move together in phase otherwise than in the model" in together
+    shown = page(cases["named"].diagnosis, cases["named"].content, cases["named"].segments)
+    assert "above 0: the cause predicts better" in shown
 
 
 def test_what_is_not_judged_is_drawn_shaded_and_said_why() -> None:

@@ -82,7 +82,10 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
     ]  # fmt: skip
     if compared.extended and verdict != "none":
         figures = [
-            (f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})", "gain on held-out data, nats a sample, 95 % interval"),
+            (
+                f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})",
+                "gain on held-out data, nats a sample, 95 % interval; above 0: the cause predicts better",
+            ),
             (_change(error["before"], error["after"]), "error of held-out cross-spectra"),
             *figures,
         ]
