@@ -113,3 +113,11 @@ def test_a_baseline_whose_updating_did_not_converge_is_doubted_by_every_command(
     for summary in ("out/summary.json", "site/summary.json"):
         found = json.loads((folder / summary).read_text())
         assert found["state"] == "doubtful" and said[4:] in found["headline"]
+
+
+def test_a_sensor_that_is_not_in_the_recording_is_named_with_both_remedies(folder: Path, main: Cli) -> None:
+    given = ("d.csv", "--unit", "g", "--start", "2026-01-01")
+    assert main("import", *given, "--channel", "a1=roof", "--out", "d.mcap", cwd=folder).returncode == 0
+    done = main("replay", "d.mcap", "--structure", "frame.toml", "--out", "out", cwd=folder)
+    assert done.returncode == 65 and "channel a2, a3 of the structure file is not in the data" in done.stderr
+    assert "name the channels alike, or take what was not measured out of the structure file" in done.stderr
