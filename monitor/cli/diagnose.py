@@ -38,9 +38,9 @@ def diagnose(
     with no_empty_folder(out):
         for path in (content, report, updated, extended, view):
             demand_place(path)
-        for doubt in () if healthy is None else healthy.doubts:
-            warn(doubt)
         found = job.diagnose(recordings, settings, healthy, warn, progress("diagnose"))
+    for doubt in found.content["doubts"]:
+        warn(doubt)
     text = structure.read_text(encoding="utf-8")
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     write_atomically(updated, structure_text(text, found.updated, found.reference_degc))

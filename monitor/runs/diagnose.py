@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from drivers.base import SampleBlock
 from monitor.config import Configuration
 from monitor.core import BadInputError, name_stories_in
-from monitor.damage import Baseline
+from monitor.damage import Baseline, unit_questions
 from monitor.diagnosis import (
     FAR,
     ClockDrift,
@@ -133,7 +133,7 @@ def diagnose_gathered(
     optima = other_optima(confirmed, config.story_names) if baseline is None else []
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
-    plain |= {"doubts": [] if baseline is None else list(baseline.doubts)}
+    plain |= {"doubts": [] if baseline is None else [*baseline.doubts, *_unit_questions(segments, baseline)]}
     compared = []
     if record is not None:
         posterior = confirmed.posterior
@@ -252,6 +252,15 @@ def evaluate(
     segments = _read(paths, config, on_warning, on_progress)
     degc = config.drawn.reference_temperature_degc
     return score(segments, config.model(), _context(segments, config), degc)
+
+
+def _unit_questions(segments: Segments, baseline: Baseline) -> list[str]:
+    """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration.
+
+    The baseline's windows hold more than the band and less than the source's samples, so that neither is found by the band alone.
+    """
+    in_band = float(np.sqrt(2.0 * segments.whole.bin_hz * segments.power.sum(axis=0)).mean())
+    return unit_questions(float(segments.rms.mean()), in_band, baseline.level_range_m_s2)
 
 
 def _witnesses(config: Configuration) -> tuple[WitnessSensor, ...]:

@@ -90,7 +90,7 @@ def test_a_replay_notes_what_its_recordings_cover_and_names_those_that_overlap(
     assert "early.mcap and late.mcap overlap by 10 s" in done.stderr and "leave out" in done.stderr
 
 
-def test_a_baseline_whose_updating_did_not_converge_is_doubted_by_every_command(
+def test_a_wrong_unit_and_a_baseline_whose_updating_did_not_converge_are_doubted(
     folder: Path, record: np.ndarray, cut: Cut, main: Cli
 ) -> None:
     with McapWriter(folder / "r.mcap") as file:
@@ -98,6 +98,12 @@ def test_a_baseline_whose_updating_did_not_converge_is_doubted_by_every_command(
             file.write(block)
     given = ("--structure", "frame.toml", "--baseline", "b.json")
     assert main("calibrate", "r.mcap", *given[:2], "--out", "b.json", cwd=folder).returncode == 0
+    assert main("diagnose", "r.mcap", *given, "--out", "found", cwd=folder).stderr == ""
+    with McapWriter(folder / "g.mcap") as file:
+        for block in cut(9.80665 * np.concatenate([record, record]), 128.0):
+            file.write(block)
+    asked = main("diagnose", "g.mcap", *given, "--out", "found", cwd=folder)
+    assert asked.returncode == 0 and "times stronger than at calibration: is the unit right" in asked.stderr
     healthy = json.loads((folder / "b.json").read_text())
     (folder / "b.json").write_text(json.dumps(healthy | {"converged": False}))
     site = '[site]\nbaseline = "b.json"\n[source]\nkind = "mcap"\nfiles = ["r.mcap"]\n[output]\ndir = "site"\n'
