@@ -65,7 +65,7 @@ def recorded_spans(paths: list[Path], config: Configuration) -> list[RecordedSpa
     for path in paths:
         try:
             info = recording_info(path, topic_map=config.topics or None)
-        except RecordingError:  # a recording of other quantities alone, such as temperature
+        except (RecordingError, KeyError):  # of other quantities alone, such as temperature
             continue
         spans.append(RecordedSpan(path.name, info.t_start_ns, info.t_start_ns + round(info.duration_s * 1e9)))
     return sorted(spans, key=lambda span: span.t_begin_ns)
