@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, Recordings, Structure, progress, say, warn
-from monitor.core import demand_place, missing_extra, no_empty_folder, spare_inputs, write_atomically
+from monitor.core import BadInputError, demand_place, missing_extra, no_empty_folder, spare_inputs, write_atomically
 
 Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
 
@@ -35,6 +35,8 @@ def diagnose(
     spare_inputs([content, report, updated, extended, view], [*recordings, structure, baseline])
     settings = configuration.load_with_model(structure)
     healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
+    if healthy is not None and healthy.reference is None:
+        raise BadInputError(f"{baseline}: {job.NO_REFERENCE}")
     with no_empty_folder(out):
         for path in (content, report, updated, extended, view):
             demand_place(path)

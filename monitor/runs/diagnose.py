@@ -58,6 +58,8 @@ from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names,
 _IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
 """Setting that ignores overflow: a trial step of a fit that overflows has no likelihood, and is rejected for that."""
 
+NO_REFERENCE = "holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"
+"""What is said of a baseline of too short recordings, or rebased on another drawing. [words]"""
 _MAX_INITIAL_CAUSES = 8
 """Greatest number of causes that are present from the start: every sensor may have a gain error of its own."""
 
@@ -116,9 +118,7 @@ def diagnose_gathered(
         If the baseline has no reference for a diagnosis.
     """
     if baseline is not None and baseline.reference is None:
-        raise BadInputError(
-            "the baseline holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"
-        )
+        raise BadInputError(f"the baseline {NO_REFERENCE}")
     prior = _drawing_prior(config) if baseline is None or baseline.reference is None else baseline.reference
     confirmed, gain = diagnose_segments(segments, prior, config)
     updated, extended = (fitted_model(confirmed.posterior, fit) for fit in (confirmed.null_fit, confirmed.final_fit))

@@ -105,6 +105,9 @@ def test_a_wrong_unit_and_a_baseline_whose_updating_did_not_converge_are_doubted
     asked = main("diagnose", "g.mcap", *given, "--out", "found", cwd=folder)
     assert asked.returncode == 0 and "times stronger than at calibration: is the unit right" in asked.stderr
     healthy = json.loads((folder / "b.json").read_text())
+    (folder / "c.json").write_text(json.dumps(healthy | {"reference": None}))
+    bare = main("diagnose", "r.mcap", *given[:2], "--baseline", "c.json", "--out", "bare", cwd=folder)
+    assert bare.returncode == 65 and "c.json: holds nothing for a diagnosis" in bare.stderr
     (folder / "b.json").write_text(json.dumps(healthy | {"converged": False}))
     site = '[site]\nbaseline = "b.json"\n[source]\nkind = "mcap"\nfiles = ["r.mcap"]\n[output]\ndir = "site"\n'
     (folder / "site.toml").write_text((folder / "frame.toml").read_text() + site)
