@@ -528,6 +528,34 @@ def test_where_updating_fails_the_mode_that_the_model_cannot_follow_is_set_aside
         assert "did not converge with mode 3 (5.67 Hz by the model, 6.6" in window.modes.missing[0][1]
 
 
+def test_what_is_estimated_does_not_depend_on_the_level_of_motion(
+    site: Configuration, record: np.ndarray, cut: Cut
+) -> None:
+    """At a thousandth of the motion, noise included: as of a building by the wind, not of a model on a table."""
+    strong, weak = (windows(push(Pipeline(site), cut(level * record, 128.0))) for level in (1.0, 1e-3))
+    assert len(strong) == len(weak) > 0
+    for one, other in zip(strong, weak, strict=True):
+        assert one.modes is not None and other.modes is not None
+        assert one.stiffness is not None and other.stiffness is not None
+        np.testing.assert_allclose(other.modes.frequencies_hz, one.modes.frequencies_hz, rtol=1e-6)
+        np.testing.assert_allclose(other.stiffness.stiffness_n_per_m, one.stiffness.stiffness_n_per_m, rtol=1e-5)
+        assert other.rms_m_s2 == pytest.approx(1e-3 * one.rms_m_s2, rel=1e-4)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_modes_at_one_multiple_of_the_model_s_frequencies_raise_the_question_of_the_rate(factor: float) -> None:
+    site = planar((1, 2, 3, 4, 5))
+    drawn = site.model().modes()
+    shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
+    found = by_modes((factor * drawn.frequencies_hz).tolist(), shapes, site, 1)
+    assert len(found) == 4
+    for window in found:
+        assert window.skipped is not None
+        assert f"lie at {factor:g} times the frequencies by the model: are the sampling rate" in window.skipped.reason
+    for window in by_modes((factor * drawn.frequencies_hz).tolist(), shapes[:, [1, 2, 0, 4, 3]], site, 1):
+        assert window.skipped is None or "times the frequencies" not in window.skipped.reason
+
+
 def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_its_modes() -> None:
     """Mode 3 of the healthy frame is gone, torsion is there: that may be the damage, so it is not judged, but nothing is lost."""
     site = planar((1, 2, 3, 4, 5))

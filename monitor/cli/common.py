@@ -14,7 +14,28 @@ from typer.models import ArgumentInfo, OptionInfo
 from monitor.core import parse_address, utc_ns
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
-Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]
+
+
+def _demand_structure(context: typer.Context, structure: Path | None) -> Path | None:
+    """Refuse a command without a structure file, with what can be done without one."""
+    if structure is None and not context.resilient_parsing:  # which the shell's completion asks for
+        raise typer.BadParameter(
+            "missing: name the structure file; none yet? 'look REC' needs none, and proposes one",
+            param_hint="--structure",
+        )
+    return structure
+
+
+Structure = Annotated[
+    Path,
+    typer.Option(
+        metavar="S.toml",
+        help="Structure file.  [required]",
+        default_factory=lambda: None,  # not demanded by the command line, which would name no remedy
+        callback=_demand_structure,
+        show_default=False,
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, Recordings, Structure, progress, say, warn
-from monitor.core import demand_place, missing_extra, no_empty_folder, spare_inputs, write_atomically
+from monitor.core import BadInputError, demand_place, missing_extra, no_empty_folder, spare_inputs, write_atomically
 
 Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
 
@@ -35,12 +35,14 @@ def diagnose(
     spare_inputs([content, report, updated, extended, view], [*recordings, structure, baseline])
     settings = configuration.load_with_model(structure)
     healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
+    if healthy is not None and healthy.reference is None:
+        raise BadInputError(f"{baseline}: {job.NO_REFERENCE}")
     with no_empty_folder(out):
         for path in (content, report, updated, extended, view):
             demand_place(path)
-        for doubt in () if healthy is None else healthy.doubts:
-            warn(doubt)
         found = job.diagnose(recordings, settings, healthy, warn, progress("diagnose"))
+    for doubt in found.content["doubts"]:
+        warn(doubt)
     text = structure.read_text(encoding="utf-8")
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     write_atomically(updated, structure_text(text, found.updated, found.reference_degc))
@@ -115,7 +117,8 @@ def accept(
     content = ledger.read_finding(finding)
     settings = configuration.load(structure)
     if baseline is not None:
-        load_baseline(baseline, settings.instrumented(), settings.updating)
+        for doubt in load_baseline(baseline, settings.instrumented(), settings.updating).doubts:
+            warn(doubt)
     text = structure.read_text(encoding="utf-8")
     extended = ledger.extended_structure_text(finding, content, text, settings, with_baseline=baseline is not None)
     demand_place(out)

@@ -15,6 +15,7 @@ from .assessment import (
     is_seen,
     modal_facts,
     outdated,
+    unit_questions,
     utc,
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
@@ -91,6 +92,7 @@ __all__ = [
     "save_modal_baseline",
     "second_solutions",
     "slow_learning",
+    "unit_questions",
     "update",
     "utc",
 ]

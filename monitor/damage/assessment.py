@@ -588,14 +588,25 @@ def _levels(course: Course, known: Known, whole: bool) -> list[str]:
     seen = course.rms_range if whole or latest is None else (latest, latest)
     if seen is None or known.level_range_m_s2 is None:
         return []
-    (least, most), (low, high) = seen, known.level_range_m_s2
-    if most > _UNIT_FACTOR * high > 0.0:
+    return unit_questions(*seen, known.level_range_m_s2)
+
+
+def unit_questions(least_m_s2: float, most_m_s2: float, calibration_m_s2: tuple[float, float]) -> list[str]:
+    """Ask whether the unit is right where the least or the largest RMS is far from the range at calibration, all in m/s^2.
+
+    Examples
+    --------
+    >>> unit_questions(0.1, 1.0, (0.1, 0.2))
+    ['the motion is 5 times stronger than at calibration: is the unit right, or is it a storm?']
+    """
+    low, high = calibration_m_s2
+    if most_m_s2 > _UNIT_FACTOR * high > 0.0:
         return [
-            f"the motion is {most / high:.3g} times stronger than at calibration: is the unit right, or is it a storm?"
+            f"the motion is {most_m_s2 / high:.3g} times stronger than at calibration: is the unit right, or is it a storm?"
         ]
-    if 0.0 < least < low / _UNIT_FACTOR:
+    if 0.0 < least_m_s2 < low / _UNIT_FACTOR:
         return [
-            f"the motion is {low / least:.3g} times weaker than at calibration: is the unit right, is the sensor fixed?"
+            f"the motion is {low / least_m_s2:.3g} times weaker than at calibration: is the unit right, is the sensor fixed?"
         ]
     return []
 

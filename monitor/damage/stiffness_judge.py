@@ -34,6 +34,9 @@ from monitor.model import InstrumentedModel
 _CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
 """What to do where not even the lowest mode is found. [words]"""
 
+_ONE_FACTOR = 1.25
+"""Largest over smallest multiple of the model's frequencies that still is one. [ratio; judgement: drawings are 10 % off]"""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StiffnessView(View):
@@ -205,7 +208,11 @@ class StiffnessJudge:
         if missing:
             required = () if baseline is None else baseline.model_mode
             fewer = min(required.index(mode) for mode in missing) if required else 0
-            mend = f"set [selection] required_modes = {fewer}, or calibrate anew" if fewer else _CHECK
+            mend = (
+                f"set [selection] required_modes = {fewer}, or calibrate anew"
+                if fewer
+                else self._elsewhere(modes, view, settings.selection) or _CHECK
+            )
             return Skipped(f"{'; '.join(missing.values())}; {mend}")
         if not len(modes.deviations):
             return Skipped("the modes' uncertainty is not asked for, so nothing is judged")
@@ -251,6 +258,27 @@ class StiffnessJudge:
         missing = {mode: why for mode, why in modes.missing if mode < n}
         found = int(np.count_nonzero(modes.model_mode < n))
         return missing if found < LEAST_SHARE * (found + len(missing)) or not modes.model_mode.size else {}
+
+    def _elsewhere(self, modes: ModalEstimate, view: StiffnessView, select: SelectionSettings) -> str:
+        """State that modes of the missing modes' shapes lie at one multiple of their frequencies; empty where they do not."""
+        if len(view.array.channels) < 2 or not modes.others:
+            return ""
+        measured = np.array([other.shape / np.linalg.norm(other.shape) for other in modes.others])
+        factors, found = [], []
+        for mode, _ in modes.missing:
+            shape = view.array.sensors @ self._reference_modes.shapes[:, mode]
+            likeness = np.abs(measured.conj() @ shape) ** 2 / float(shape @ shape)
+            best = int(likeness.argmax())
+            if likeness[best] >= select.min_model_mac:
+                found.append(best)
+                factors.append(modes.others[best].frequency_hz / self._reference_modes.frequencies_hz[mode])
+        if len(set(found)) < max(2, len(found)) or max(factors) > _ONE_FACTOR * min(factors):
+            return ""
+        times = float(np.exp(np.log(factors).mean()))
+        return (
+            f"modes of these shapes lie at {times:.2g} times the frequencies by the model: "
+            "are the sampling rate, masses and stiffness right?"
+        )
 
     def _unfitting(self, mode: int, modes: ModalEstimate) -> str:
         """State that the model cannot follow the counterpart of its `mode` (0 = lowest)."""

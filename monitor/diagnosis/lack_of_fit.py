@@ -325,7 +325,8 @@ def _list_deviations(
             says = f"{'more' if size > 0 else 'less'} power than the model has, given the channels before it"
             where += f"channel {names[i]}"
         else:
-            says = f"the {'real' if i > j else 'imaginary'} part of their coherence is not the model's"
+            phase, part = ("in phase", "real") if i > j else ("out of phase", "imaginary")
+            says = f"they move together {phase} otherwise than in the model ({part} part of the coherence)"
             where += f"channels {names[i]} and {names[j]}"
         out.append(LackOfFit(where, abs(size), says + when, changes))
     return tuple(out)

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from drivers.base import SampleBlock
 from monitor.config import Configuration
 from monitor.core import BadInputError, name_stories_in
-from monitor.damage import Baseline
+from monitor.damage import Baseline, unit_questions
 from monitor.diagnosis import (
     FAR,
     ClockDrift,
@@ -58,6 +58,8 @@ from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names,
 _IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
 """Setting that ignores overflow: a trial step of a fit that overflows has no likelihood, and is rejected for that."""
 
+NO_REFERENCE = "holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"
+"""What is said of a baseline of too short recordings, or rebased on another drawing. [words]"""
 _MAX_INITIAL_CAUSES = 8
 """Greatest number of causes that are present from the start: every sensor may have a gain error of its own."""
 
@@ -116,9 +118,7 @@ def diagnose_gathered(
         If the baseline has no reference for a diagnosis.
     """
     if baseline is not None and baseline.reference is None:
-        raise BadInputError(
-            "the baseline holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"
-        )
+        raise BadInputError(f"the baseline {NO_REFERENCE}")
     prior = _drawing_prior(config) if baseline is None or baseline.reference is None else baseline.reference
     confirmed, gain = diagnose_segments(segments, prior, config)
     updated, extended = (fitted_model(confirmed.posterior, fit) for fit in (confirmed.null_fit, confirmed.final_fit))
@@ -133,6 +133,7 @@ def diagnose_gathered(
     optima = other_optima(confirmed, config.story_names) if baseline is None else []
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
+    plain |= {"doubts": [] if baseline is None else [*baseline.doubts, *_unit_questions(segments, baseline)]}
     compared = []
     if record is not None:
         posterior = confirmed.posterior
@@ -251,6 +252,15 @@ def evaluate(
     segments = _read(paths, config, on_warning, on_progress)
     degc = config.drawn.reference_temperature_degc
     return score(segments, config.model(), _context(segments, config), degc)
+
+
+def _unit_questions(segments: Segments, baseline: Baseline) -> list[str]:
+    """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration.
+
+    The baseline's windows hold more than the band and less than the source's samples, so that neither is found by the band alone.
+    """
+    in_band = float(np.sqrt(2.0 * segments.whole.bin_hz * segments.power.sum(axis=0)).mean())
+    return unit_questions(float(segments.rms.mean()), in_band, baseline.level_range_m_s2)
 
 
 def _witnesses(config: Configuration) -> tuple[WitnessSensor, ...]:

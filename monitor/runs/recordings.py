@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
-from drivers.mcap_file import read_recordings
+from drivers.mcap_file import read_recordings, recording_info
 from monitor.config import Configuration
 from monitor.core import BadInputError, MissingInputError
 from monitor.pipeline import Pipeline, Result
@@ -20,6 +20,9 @@ OnProgress = Callable[[float], None]
 _BLOCK_S = 30.0
 """Greatest length of a joined block, s: about what one chunk of our own recordings holds at 1024 Hz.  Longer blocks save no
 more calls."""
+
+_LEAST_OVERLAP_S = 1.0
+"""Overlap of two recordings up to which they follow one another. [s; judgement: as of the runs of an archive]"""
 
 
 def read_blocks(
@@ -44,6 +47,45 @@ def read_blocks(
         raise MissingInputError(str(error)) from error
     except RecordingError as error:
         raise BadInputError(str(error)) from error
+
+
+class RecordedSpan(NamedTuple):
+    """Time that a recording covers."""
+
+    file: str
+    t_begin_ns: int
+    """UTC of the first sample."""
+    t_end_ns: int
+    """UTC one sampling period after the last sample."""
+
+
+def recorded_spans(paths: list[Path], config: Configuration) -> list[RecordedSpan]:
+    """Return the time that each recording of accelerations covers, in the order of their beginnings."""
+    spans = []
+    for path in paths:
+        try:
+            info = recording_info(path, topic_map=config.topics or None)
+        except (RecordingError, KeyError):  # of other quantities alone, such as temperature
+            continue
+        spans.append(RecordedSpan(path.name, info.t_start_ns, info.t_start_ns + round(info.duration_s * 1e9)))
+    return sorted(spans, key=lambda span: span.t_begin_ns)
+
+
+def overlaps(spans: list[RecordedSpan]) -> list[str]:
+    """Say which recordings overlap in time, and for how long; `spans` in the order of their beginnings.
+
+    Examples
+    --------
+    >>> overlaps([RecordedSpan("a.mcap", 0, 9_000_000_000), RecordedSpan("b.mcap", 5_000_000_000, 12_000_000_000)])
+    ['a.mcap and b.mcap overlap by 4 s']
+    """
+    out = []
+    for i, first in enumerate(spans):
+        for second in spans[i + 1 :]:
+            length_s = (min(first.t_end_ns, second.t_end_ns) - second.t_begin_ns) * 1e-9
+            if length_s > _LEAST_OVERLAP_S:
+                out.append(f"{first.file} and {second.file} overlap by {length_s:.6g} s")
+    return out
 
 
 def duration_s(first: SampleBlock | None, last: SampleBlock | None) -> float:

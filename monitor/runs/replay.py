@@ -16,7 +16,17 @@ from monitor.damage import AnyBaseline
 from monitor.events import Event
 from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, RerunPublisher, event_text, to_json
 from monitor.runs.event_recordings import EventRecordings
-from monitor.runs.recordings import OnProgress, OnWarning, Progress, duration_s, push_block, read_blocks
+from monitor.runs.recordings import (
+    OnProgress,
+    OnWarning,
+    Progress,
+    RecordedSpan,
+    duration_s,
+    overlaps,
+    push_block,
+    read_blocks,
+    recorded_spans,
+)
 from monitor.runs.session import Session
 from monitor.runs.viewer import open_viewer
 
@@ -112,7 +122,8 @@ def replay(
     session = Session(config, baseline, publishers, files, out / "findings", whole=True, recordings=recordings)
     try:
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress, event_suffices=True)
-        content = session.content(factor)
+        spans = recorded_spans(paths, config)
+        content = session.content(factor) | {"recorded": [span._asdict() for span in spans]}
         written.close(content, session.online_diagnosis.findings)
         if view is not None:
             view.close(timeout_s=120.0)
@@ -123,7 +134,7 @@ def replay(
         raise
     finally:
         session.online_diagnosis.close()
-    _warn_of_losses(session, view, out, on_warning)
+    _warn_of_losses(session, view, out, spans, on_warning)
     return content | {"events": list(written.told.values())}
 
 
@@ -179,7 +190,9 @@ def pass_through(
     return factor
 
 
-def _warn_of_losses(session: Session, view: RerunPublisher | None, out: Path, on_warning: OnWarning) -> None:
+def _warn_of_losses(
+    session: Session, view: RerunPublisher | None, out: Path, spans: list[RecordedSpan], on_warning: OnWarning
+) -> None:
     """Warn of failed diagnoses, a failed viewer file and dropped samples, which do not end the replay."""
     for finding in session.online_diagnosis.findings:
         if "error" in finding:
@@ -188,6 +201,8 @@ def _warn_of_losses(session: Session, view: RerunPublisher | None, out: Path, on
         on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
     if session.dropped:
         on_warning(f"{session.dropped} samples were repeated, late or not finite and were dropped")
+    if double := overlaps(spans):
+        on_warning(f"{'; '.join(double)}: samples of one stream alone are judged; leave out the other recording")
 
 
 def _sleep_until_due(started: float, due_s: float) -> None:

@@ -90,7 +90,7 @@ def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
     if missing:
         raise BadInputError(
             f"{block.topic}: channel {', '.join(missing)} of the structure file is not in the data, which has "
-            f"{', '.join(block.channels)}; name the channels alike"
+            f"{', '.join(block.channels)}; name the channels alike, or take what was not measured out of the structure file"
         )
     unit = UNIT_OF.get(block.topic, "m/s^2")
     if block.unit != unit:

@@ -73,9 +73,10 @@ def test_the_shell_completes_commands_and_options(shell: str) -> None:
     )
     assert variable in source.stdout
     if shell == "bash":
-        words = {"COMP_WORDS": "shm-monitor repl", "COMP_CWORD": "1", variable: "complete_bash"}
-        done = subprocess.run([script], env={**os.environ, **words}, capture_output=True, text=True, check=False)
-        assert done.stdout.split() == ["replay"]
+        for words, at, completed in (("repl", "1", "replay"), ("replay --str", "2", "--structure")):
+            typed = {"COMP_WORDS": f"shm-monitor {words}", "COMP_CWORD": at, variable: "complete_bash"}
+            done = subprocess.run([script], env={**os.environ, **typed}, capture_output=True, text=True, check=False)
+            assert done.stdout.split() == [completed]
 
 
 def on_a_terminal(arguments: list[str], folder: Path) -> bytes:
@@ -115,6 +116,7 @@ def test_progress_is_for_terminals_only(site: Path, main: Cli) -> None:
         (["view", "s.toml", "--web", "--port", "-1"], 2, "--port"),
         (["view", "s.toml", "--port", "8000"], 2, "--web"),
         (["replay", "nowhere.mcap", "--structure", "s.toml", "--out", "o"], 66, "nowhere.mcap"),
+        (["replay", "r.mcap", "--out", "o"], 2, "'look REC' needs none"),
         (["report", ".", "--out", "x.html"], 66, "replay --out"),
         (["report", "."], 2, "--out"),
         (["report", ".", "--event", "last"], 66, "replay --out"),

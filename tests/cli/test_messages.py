@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.conftest import Cli
+from drivers.mcap_file import McapWriter
+from tests.conftest import T0_NS, Cli, Cut
 
 
 @pytest.fixture
@@ -66,3 +69,64 @@ def test_a_command_that_fails_leaves_no_empty_folder(folder: Path, main: Cli) ->
     (folder / "out").mkdir()
     assert main("replay", "short.mcap", "--structure", "frame.toml", "--out", "out", cwd=folder).returncode == 65
     assert (folder / "out").is_dir(), "it was there before"
+
+
+def test_a_replay_notes_what_its_recordings_cover_and_names_those_that_overlap(
+    tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut, main: Cli
+) -> None:
+    (tmp_path / "s.toml").write_text(frame_text)
+    for name, begin_s in (("early.mcap", 0), ("late.mcap", 50), ("next-day.mcap", 86400)):
+        with McapWriter(tmp_path / name) as file:
+            for block in cut(record, 128.0, t0_ns=T0_NS + begin_s * 10**9):
+                file.write(block)
+    done = main("replay", "next-day.mcap", "early.mcap", "--structure", "s.toml", "--out", "apart", cwd=tmp_path)
+    assert done.returncode == 0 and "overlap" not in done.stderr
+    recorded = json.loads((tmp_path / "apart/summary.json").read_text())["recorded"]
+    begins = [T0_NS, T0_NS + 86400 * 10**9]
+    assert [span["file"] for span in recorded] == ["early.mcap", "next-day.mcap"]
+    assert [(span["t_begin_ns"], span["t_end_ns"]) for span in recorded] == [(t, t + 60 * 10**9) for t in begins]
+    done = main("replay", "late.mcap", "early.mcap", "--structure", "s.toml", "--out", "twice", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "early.mcap and late.mcap overlap by 10 s" in done.stderr and "leave out" in done.stderr
+
+
+def test_a_wrong_unit_and_a_baseline_whose_updating_did_not_converge_are_doubted(
+    folder: Path, record: np.ndarray, cut: Cut, main: Cli
+) -> None:
+    with McapWriter(folder / "r.mcap") as file:
+        for block in cut(np.concatenate([record, record]), 128.0):
+            file.write(block)
+    given = ("--structure", "frame.toml", "--baseline", "b.json")
+    assert main("calibrate", "r.mcap", *given[:2], "--out", "b.json", cwd=folder).returncode == 0
+    assert main("diagnose", "r.mcap", *given, "--out", "found", cwd=folder).stderr == ""
+    with McapWriter(folder / "g.mcap") as file:
+        for block in cut(9.80665 * np.concatenate([record, record]), 128.0):
+            file.write(block)
+    asked = main("diagnose", "g.mcap", *given, "--out", "found", cwd=folder)
+    assert asked.returncode == 0 and "times stronger than at calibration: is the unit right" in asked.stderr
+    healthy = json.loads((folder / "b.json").read_text())
+    (folder / "c.json").write_text(json.dumps(healthy | {"reference": None}))
+    bare = main("diagnose", "r.mcap", *given[:2], "--baseline", "c.json", "--out", "bare", cwd=folder)
+    assert bare.returncode == 65 and "c.json: holds nothing for a diagnosis" in bare.stderr
+    (folder / "b.json").write_text(json.dumps(healthy | {"converged": False}))
+    site = '[site]\nbaseline = "b.json"\n[source]\nkind = "mcap"\nfiles = ["r.mcap"]\n[output]\ndir = "site"\n'
+    (folder / "site.toml").write_text((folder / "frame.toml").read_text() + site)
+    said = "the updating of the baseline b.json did not converge"
+    for command in (("check", "site.toml"), ("diagnose", "r.mcap", *given, "--out", "found")):
+        done = main(*command, cwd=folder)
+        assert done.returncode == 0 and said in done.stderr, done.stderr
+    assert json.loads((folder / "found/diagnosis.json").read_text())["doubts"][0].startswith(said)
+    assert said in (folder / "found/report.html").read_text()
+    assert main("replay", "r.mcap", *given, "--out", "out", cwd=folder).returncode == 0
+    assert main("run", "site.toml", cwd=folder).returncode == 0
+    for summary in ("out/summary.json", "site/summary.json"):
+        found = json.loads((folder / summary).read_text())
+        assert found["state"] == "doubtful" and said[4:] in found["headline"]
+
+
+def test_a_sensor_that_is_not_in_the_recording_is_named_with_both_remedies(folder: Path, main: Cli) -> None:
+    given = ("d.csv", "--unit", "g", "--start", "2026-01-01")
+    assert main("import", *given, "--channel", "a1=roof", "--out", "d.mcap", cwd=folder).returncode == 0
+    done = main("replay", "d.mcap", "--structure", "frame.toml", "--out", "out", cwd=folder)
+    assert done.returncode == 65 and "channel a2, a3 of the structure file is not in the data" in done.stderr
+    assert "name the channels alike, or take what was not measured out of the structure file" in done.stderr

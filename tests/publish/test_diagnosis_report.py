@@ -152,6 +152,24 @@ def test_the_page_of_each_verdict_is_whole(cases: dict[str, Case], tmp_path: Pat
             assert len(y) > 20 and np.isfinite(y).all() and np.ptp(y) > 0.0
 
 
+def test_what_makes_the_baseline_doubtful_stands_below_the_verdict(cases: dict[str, Case]) -> None:
+    case = cases["none"]
+    plain, doubtful = (page(case.diagnosis, case.content | more, case.segments) for more in ({}, {"doubts": ["a < b"]}))
+    assert '<ul class="doubts">' not in plain
+    assert doubtful.index("</h1>") < doubtful.index("<li>a &lt; b</li>") < doubtful.index("How to read this page")
+
+
+def test_the_many_rows_of_the_witnesses_take_few_lines_on_a_narrow_page(cases: dict[str, Case]) -> None:
+    case = cases["none"]
+    mode = {"of": "mode_1", "frequency_hz": 5.0, "ratio": 0.4, "std": 0.01, "coherence": 0.9}
+    mode |= {"predicted_before": None, "predicted": None}
+    told = {"channel": "g1", "verdict": None, "says": "nothing", "unit": "rad/m", "modes": [mode]}
+    text = page(case.diagnosis, case.content | {"witness": [told]}, case.segments)
+    row = re.search(r'<table class="folds flows">.*?(<tr><td.*?</tr>)', text)
+    assert row is not None and row[1].count("></td>") == 2
+    assert ".flows td { display: inline-block" in text and ".flows td:empty { display: none; }" in text
+
+
 def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tmp_path: Path) -> None:
     best = cases["none"].diagnosis.candidates[0]
     also = (Cause(best.effect, dict.fromkeys(best.effect.values(), 0.001)),)
@@ -169,6 +187,10 @@ def test_the_page_shows_where_the_misfit_was_and_that_the_cause_removes_it(cases
     assert np.abs(c.z_before).max() > c.limit > np.abs(c.z_after).max()
     before, after = (float((np.abs(r - 1.0) > c.chance).mean()) for r in (c.ratio_before, c.ratio_after))
     assert after < 0.08 < before  # chance leaves about one in twenty outside
+    together = {m.says.partition(" (")[0] for m in cases["named"].diagnosis.misfit if " and " in m.where}
+    assert "they move together in phase otherwise than in the model" in together
+    shown = page(cases["named"].diagnosis, cases["named"].content, cases["named"].segments)
+    assert "above 0: the cause predicts better" in shown
 
 
 def test_what_is_not_judged_is_drawn_shaded_and_said_why() -> None:

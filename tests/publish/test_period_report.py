@@ -189,6 +189,18 @@ def test_recordings_a_month_apart_share_the_chart_and_the_gap_is_shortened(tmp_p
         assert grid.edges_ns[grid.at(t_ns)] < t_ns <= grid.edges_ns[grid.at(t_ns) + 1]
 
 
+@pytest.mark.parametrize(("before", "after"), [(60, 90), (90, 40), (90, 60)])
+def test_times_beside_a_shortened_gap_do_not_overlap_on_a_narrow_page(tmp_path: Path, before: int, after: int) -> None:
+    month = 30 * 144
+    json_lines(tmp_path / "results.jsonl", [line_of(k) for k in (*range(before), *range(month, month + after))])
+    write_period(tmp_path / "r.html", read_period(tmp_path, None, None))
+    svg = chart(parsed(tmp_path / "r.html"), "mode 1: frequency")
+    shown = [t for t in svg.iter("text") if t.get("text-anchor") == "middle" and t.get("class") != "more"]
+    dates = [t for t in shown if (t.text or "").startswith("2026")]
+    at_px = np.sort([float(t.get("x", "").rstrip("%")) / 100.0 * 270.0 for t in dates])
+    assert len(dates) >= 2 and np.diff(at_px).min() >= 10 * 6.5
+
+
 def test_modes_are_three_curves_at_their_frequencies(page: ElementTree.Element) -> None:
     for i, f in enumerate((2.5, 7.25, 11.5), 1):
         svg = chart(page, f"mode {i}: frequency")
@@ -289,6 +301,33 @@ def test_windows_are_due_from_the_run_s_first_on_and_ends_count_to_the_nanosecon
     for end, windows in (("00:49:59.999999", 4), ("00:50:00.4", 5)):
         done = main("report", tmp_path, "--out", tmp_path / "r.html", "--to", f"2026-01-01T{end}", "--json")
         assert (json.loads(done.stdout)["windows"], done.returncode) == (windows, 0)
+
+
+def test_the_time_between_the_recordings_of_a_replay_is_not_due_and_that_of_a_daemon_is(tmp_path: Path) -> None:
+    """Ten windows of three hops in each of two recordings, thirty days apart; lines stand where a window holds some data."""
+    month = 30 * 144
+    away = {**line_of(SKIPPED[0]), "skipped": "gap in the data", "window_s": 1800.0}
+    rows = [{**line_of(k), "window_s": 1800.0} for k in (*range(2, 12), *range(month + 2, month + 12))]
+    rows += [{**away, "window": k, "t_end_ns": T0 + (k + 1) * HOP} for k in (12, 13, month, month + 1)]
+    json_lines(tmp_path / "results.jsonl", sorted(rows, key=lambda row: row["t_end_ns"]))
+    channel = {"rms_m_s2": 3.0, "spikes": 0, "stuck_s": 0.0, "clipped_samples": 0}
+    lost_s, came_s = (month - 12) * 600.0 + 6.0, 2 * 12 * 600.0 - 6.0
+    quality = {"availability": came_s / (came_s + lost_s), "gaps": 2, "lost_s": lost_s, "overlaps": 0}
+    summary = {"quality": {**quality, "channels": {"a1": channel}}}
+    recorded = [{"file": "r", "t_begin_ns": T0 + k * HOP, "t_end_ns": T0 + (k + 12) * HOP} for k in (0, month)]
+    for told, due, gaps in (({}, month + 10, 2), ({"recorded": recorded}, 24, 1)):
+        (tmp_path / "summary.json").write_text(json.dumps(summary | told))
+        period = read_period(tmp_path, None, None)
+        assert (sum(period.results.judged), period.results.due) == (20, due)
+        assert period.quality is not None and period.quality.gaps == gaps
+        write_period(tmp_path / "r.html", period)
+    assert period.quality.lost_s == pytest.approx(6.0)
+    assert period.quality.availability == pytest.approx(came_s / (came_s + 6.0))
+    said = words(parsed(tmp_path / "r.html"))
+    assert "of 24 windows due" in said and "the time between recordings apart" in said
+    assert "the monitor did not run" not in said
+    for start, end, due in ((None, T0 + 100 * HOP, 12), (T0 + 100 * HOP, None, 12), (T0 + 13 * HOP, T0 + 99 * HOP, 1)):
+        assert read_period(tmp_path, start, end).results.due == due
 
 
 def test_months_take_little_memory(months: Path) -> None:

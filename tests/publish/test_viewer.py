@@ -38,7 +38,7 @@ from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
 from monitor.model.structures.drawing import Drawing
-from monitor.publish.viewer import picture
+from monitor.publish.viewer import layout, picture
 from monitor.publish.viewer import scene as rerun_scene
 from monitor.publish.viewer.layout import _healthy, _trust
 from monitor.publish.viewer.mode_shapes import expand_shape
@@ -46,7 +46,7 @@ from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.publisher import RerunPublisher
 from monitor.publish.viewer.scene import Scene, loss_colour, make_scene
 from monitor.publish.viewer.spectra import predict_power
-from monitor.publish.viewer.state import StateDrawing
+from monitor.publish.viewer.state import StateDrawing, state_markdown
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
 from monitor.signals.sensor_health import ChannelHealth, Health
 from tests.examples.beam import bridge
@@ -671,3 +671,13 @@ def _origins(view: object) -> list[str]:
 
 def test_colours_do_not_repeat_within_a_dozen() -> None:
     assert len(set(rerun_scene.SERIES)) == len(rerun_scene.SERIES) == 12
+
+
+def test_the_page_of_trust_says_the_state_and_whether_something_makes_it_doubtful() -> None:
+    trust = layout.blueprint(SCENE, page=1).root_container.contents[1]
+    shown = trust.contents[0].contents[0].contents
+    assert [view.origin for view in shown] == ["/state", "/verdict"]
+    sure, doubtful = (Assessment(State.ALARM, "Story 2 lost 11 %.", doubts) for doubts in ((), ("A gap.",)))
+    assert "Nothing makes this doubtful." in state_markdown(sure)
+    assert state_markdown(doubtful).endswith("- A gap.")
+    assert "Nothing makes" not in state_markdown(Assessment(State.NOT_JUDGED, "No baseline."))

@@ -12,6 +12,7 @@ import pytest
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE
 from drivers.mcap_file import RecordingInfo, read_recordings
 from monitor.core.errors import BadInputError, MissingInputError, WrongUsageError
+from monitor.core.parse import utc_ns
 from monitor.runs.importers import csv_table, import_files
 
 DATA = Path(__file__).parents[1] / "data"
@@ -277,6 +278,18 @@ def test_a_zero_shift_of_summer_time(tmp_path: Path) -> None:
     assert "unknown time zone 'XYZ'" in warnings[0]
 
 
+@pytest.mark.parametrize(
+    ("heading", "ending", "told"),
+    [("time", "", 1), ("time", "Z", 0), ("time", "+01:00", 0), ("time [UTC]", "", 0), ("time UTC", "", 0)],
+)
+def test_times_without_a_zone_are_utc_and_told(tmp_path: Path, heading: str, ending: str, told: int) -> None:
+    content = f"{heading},a1,a2\n" + rows("2024-02-03T10:00:{t:06.3f}" + ending + ",{a},{b}\n")
+    info, _, warnings = convert(tmp_path / "a.csv", content, start_ns=None)
+    begin = "2024-02-03T10:00:00" + (ending if ending == "+01:00" else "Z")
+    assert info.t_start_ns == utc_ns(begin)
+    assert len(warnings) == told and all("has no zone; taken as UTC" in warning for warning in warnings)
+
+
 def test_sensors_that_were_not_synchronised_are_refused_with_their_offsets(tmp_path: Path) -> None:
     files = sorted((DATA / "mini-shake-table").glob("*.csv"))
     assert len(files) == 4
@@ -298,7 +311,8 @@ def test_a_plain_csv_named_zip_with_swapped_date_and_strains(tmp_path: Path) -> 
             100.0,
             2000,
         )
-        assert len(warnings) == 2 and "seem swapped" in warnings[0] and "DMS_AS, FRC-01, INC01" in warnings[1]
+        assert len(warnings) == 3 and "seem swapped" in warnings[0] and "DMS_AS, FRC-01, INC01" in warnings[1]
+        assert "its time 2022-11-04 08:36:24.897 has no zone" in warnings[2]
     assert samples(tmp_path / "o.mcap")[0, 0] == pytest.approx(4.93101433676202e-05 * 9.80665)
 
 

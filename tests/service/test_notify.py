@@ -362,6 +362,9 @@ def test_addresses_from_file_and_environment(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(ValueError, match="NOWHERE") as caught:
         addresses(bad, tmp_path)
     says = str(caught.value)
+    assert "mailtos://USER:PASSWORD@HOST?from=ADDRESS&to=ADDRESS" in says
+    e_mail = "mailtos://shm:pw@mail.example.org?from=shm@example.org&to=ann@example.org"
+    assert addresses(NotifySettings(urls=(e_mail,)), tmp_path).urls == (e_mail,), "of the form that is named"
     assert "urls[0]" in says and "urls[1]" in says and "url_file line 1" in says and "heartbeat_url" in says
     assert "secret" not in says
     with pytest.raises(ValueError, match="none"):

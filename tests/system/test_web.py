@@ -144,6 +144,8 @@ def test_a_browser_reads_the_page_with_the_token_at_a_desk_and_on_a_telephone(tm
                 "charts have words"
             )
             assert page.value("JSON.stringify(lone([1, null, 2, 3, null, 4, null]))") == "[0,5]", "drawn as points"
+            for ticks, told in (("60, 120", "00:01|01-01,00:02"), ("60, 90", "00:01:00|01-01,00:01:30")):
+                assert page.value(f"timeLabels(null, [{ticks}]).join()").replace("\n", "|") == told
             drawn = page.value("rows.length")
             wait_for(page, f"rows.length > {drawn}")
             picture = tmp_path / f"{width}.png"

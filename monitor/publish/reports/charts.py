@@ -82,11 +82,12 @@ class Axes:
         grid = [f'<path class="grid" d="M{place:.1f} 0V{self.height:g}"/>' for place, _ in at_x]
         grid += [f'<path class="grid" d="M0 {place:.1f}H{WIDTH:g}"/>' for place, _ in at_y]
         words = [text("-6", place + 4.0, label, "end") for place, label in at_y]
-        longest = max((len(line) for _, lines in at_x for line in lines), default=0)
-        every = max(1, int(np.ceil(len(at_x) * longest * _LETTER_PX / _NARROW_PX)))  # label that a narrow page shows
-        for k, (place, lines) in enumerate(at_x if numbers else []):
+        free = -np.inf  # where a narrow page has room for the next label
+        for place, lines in at_x if numbers else []:
+            half = 0.5 * (max(map(len, lines)) + 1) * _LETTER_PX / _NARROW_PX * WIDTH
+            hidden = "more" if place - half < free else ""
+            free = free if hidden else place + half
             for row, line in enumerate(lines):
-                hidden = "more" if k % every else ""
                 words.append(text(_share(place), self.height + 15.0 + 14.0 * row, line, "middle", hidden))
         below = 15.0 + 14.0 * max((len(lines) for _, lines in at_x), default=1) if numbers else 0.0
         if x_title:

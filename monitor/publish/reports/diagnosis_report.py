@@ -68,6 +68,8 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
     verdict = content["verdict"]
     badge = {"none": "explained", "named": "cause named"}.get(verdict, verdict)
     out = [f'<span class="verdict {verdict}">{badge}</span><h1>{escape(verdict_text)}</h1>']
+    if doubts := content.get("doubts"):
+        out.append(f'<ul class="doubts">{"".join(f"<li>{escape(doubt)}</li>" for doubt in doubts)}</ul>')
     if content["separating_measurement"]:
         out.append(f"<p><b>To tell them apart:</b> {escape(content['separating_measurement'])}.</p>")
     gain, error = content["gain"]["log_score_per_sample"], content["gain"]["csd_error"]
@@ -80,7 +82,10 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
     ]  # fmt: skip
     if compared.extended and verdict != "none":
         figures = [
-            (f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})", "gain on held-out data, nats a sample, 95 % interval"),
+            (
+                f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})",
+                "gain on held-out data, nats a sample, 95 % interval; above 0: the cause predicts better",
+            ),
             (_change(error["before"], error["after"]), "error of held-out cross-spectra"),
             *figures,
         ]
@@ -262,7 +267,7 @@ def _witnesses(compared: Sequence[Content]) -> str:
         "that of a joint over the drift of the story below its floor."
     )
     return (
-        f"<h2>Witnesses</h2>{table(['channel', 'verdict', 'in words'], said)}{table(head, rows) if rows else ''}"
+        f"<h2>Witnesses</h2>{table(['channel', 'verdict', 'in words'], said)}{table(head, rows, flows=True) if rows else ''}"
         f"<p class='muted'>{note}</p>"
     )
 

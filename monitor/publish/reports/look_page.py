@@ -281,11 +281,15 @@ def _spectrograms(found: LookedRecording, top_hz: float) -> str:
         return ""
     out = ["<h2>Spectrograms</h2>"]
     begin, end = found.spectrogram_s
-    groups = np.array_split(inside, min(inside.size, _MOST_ROWS))
+    per = -(-inside.size // _MOST_ROWS)  # of every row alike, or the rows would not lie at their frequencies
+    groups = [inside[i : i + per] for i in range(0, inside.size, per)]
+    step_hz = float(found.hz[1] - found.hz[0])
+    bottom_hz = float(found.hz[inside[0]]) - 0.5 * step_hz
+    hz = bottom_hz, bottom_hz + len(groups) * per * step_hz
     for k, name in enumerate(found.channels):
         level = np.log10(np.maximum([found.spectrogram[:, g, k].max(axis=1) for g in groups], 1e-300))[::-1]
         low, high = np.quantile(level, _QUANTILES)
-        axes = Axes((begin, max(end, begin + 1e-9)), (0.0, top_hz), 150.0)
+        axes = Axes((begin, max(end, begin + 1e-9)), hz, 150.0)
         picture = png((level - low) / max(high - low, 1e-9))
         data = b64encode(picture).decode()
         size = f'width="{WIDTH:g}" height="{axes.height:g}" preserveAspectRatio="none"'

@@ -46,7 +46,9 @@ ul.doubts li { margin: .2rem 0 .2rem .6rem; } ul.doubts:empty { display: none; }
   body { margin: 1rem auto; } table { width: 100%; } td, th { padding-right: .6rem; } td.t, th.n { white-space: normal; }
   .folds thead { display: none; } .folds tr { display: block; padding: .4rem 0; border-bottom: 1px solid var(--line); }
   .folds td { display: grid; grid-template-columns: 8rem 1fr; text-align: left; border: 0; padding: .1rem 0;
-    white-space: normal; } .folds td::before { content: attr(data-of); color: var(--muted); } }
+    white-space: normal; } .folds td::before { content: attr(data-of); color: var(--muted); }
+  .flows td { display: inline-block; padding-right: 1rem; } .flows td::before { margin-right: .4rem; }
+  .flows td:empty { display: none; } }
 @media print { @page { size: A4; margin: 14mm; } body { margin: 0; max-width: none; font-size: 9.5pt; }
   h1 { font-size: 16pt; } table { font-size: 8pt; } td, th { padding-right: .5rem; }
   h2 { break-after: avoid; } tr { break-inside: avoid; } thead { display: table-header-group; }
@@ -70,7 +72,7 @@ def document(title: str, parts: Sequence[str]) -> str:
     return f'<!DOCTYPE html>\n<html lang="en">{head}\n<body>{"".join(parts)}</body></html>\n'
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, flows: bool = False) -> str:
     """Write a table.
 
     Parameters
@@ -80,6 +82,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         that begins with ``@`` stands over times, which do not wrap.
     rows : sequence of sequence of str
         Cells of each row.
+    flows : bool
+        Whether the folded cells of a row follow one another on its lines, and empty ones are left out: for many rows of numbers.
 
     Notes
     -----
@@ -99,5 +103,5 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         "<tr>" + "".join(f"<td{cell}>{escape(str(v))}</td>" for v, cell in zip(row, cells, strict=True)) + "</tr>"
         for row in rows
     )
-    opening = '<table class="folds">' if folds else "<table>"
+    opening = f'<table class="folds{" flows" if flows else ""}">' if folds else "<table>"
     return opening + (f"<thead><tr>{top}</tr></thead>" if head else "") + body + "</table>"

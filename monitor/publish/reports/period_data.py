@@ -185,13 +185,25 @@ class PeriodResults:
     damaged: int = 0
     """Number of lines that cannot be read."""
     no_baseline: bool = False
+    between: Sequence[tuple[int, int]] = ()
+    """Ends of the times between a replay's recordings, UTC in ns."""
+    window_s: float = 0.0
+    """Length of a window; 0 where the lines do not state it."""
     _tracks: dict[int, Curve] = field(default_factory=dict)
 
     @property
     def due(self) -> int:
-        """Number of windows that an unbroken stream would have given since the run began."""
-        span_ns = self.grid.to_ns - max(self.grid.from_ns, self.begun_ns)
-        return max(self.course.windows, round(span_ns / (self.hop_s * 1e9)))
+        """Number of windows that an unbroken stream would have given since the run began.
+
+        None is due where it would hold nothing but time between the recordings of a replay.
+        """
+        start, stop = max(self.grid.from_ns, self.begun_ns), self.grid.to_ns
+        hop_ns, reach_ns = round(self.hop_s * 1e9), round(self.window_s * 1e9)
+        empty = 0
+        for end_ns, begin_ns in self.between:  # windows that end from `first` to `last` hold nothing else
+            first, last = max(end_ns + reach_ns, start + 1), min(begin_ns, stop)
+            empty += max(0, (last - self.begun_ns) // hop_ns - (first - 1 - self.begun_ns) // hop_ns)
+        return max(self.course.windows, round((stop - start) / hop_ns) - empty)
 
     def add(self, line: dict[str, Any]) -> None:
         """Add the values of one line of results.jsonl."""
@@ -211,7 +223,7 @@ class PeriodResults:
         for other in line.get("other_modes") or []:
             f, std = other["frequency_hz"], other["frequency_std_hz"]
             self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
-        self.course = course
+        self.course, self.window_s = course, float(line.get("window_s") or self.window_s)
         degc = line.get("temperature_degc")
         before = {} if degc is None else {"temperature": degc}  # lines of older versions have this alone
         for name, value in line.get("covariates", before).items():
@@ -255,7 +267,13 @@ class PeriodResults:
         return sorted(most_frequent, key=lambda c: c.latest)
 
 
-def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_limit: float) -> PeriodResults:
+def read_results(
+    folder: Path,
+    from_ns: int | None,
+    to_ns: int | None,
+    misfit_limit: float,
+    between: Sequence[tuple[int, int]] = (),
+) -> PeriodResults:
     """Read results.jsonl of a folder, and its closed months; windows belong to the period in which they end.
 
     Parameters
@@ -266,6 +284,8 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
         Ends of the period, UTC; None for the beginning or the end of the run.
     misfit_limit : float
         Goodness of fit from which stiffness explains too little.
+    between : sequence of (int, int)
+        Ends of the times between the recordings of a replay, UTC in ns.
 
     Raises
     ------
@@ -283,7 +303,8 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
         gaps = _shortened_gaps(folder, start, stop, round(hop_s * 1e9))
         length_s = (stop - start - sum(b - a for a, b in gaps)) * 1e-9
         grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)), gaps)
-        results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, judged=[0] * grid.n, refused=[0] * grid.n)
+        results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, between=between)
+        results.judged, results.refused = [0] * grid.n, [0] * grid.n
         for raw in _lines_between(read_all_lines(folder), start, stop):
             try:
                 results.add(read_line(raw))

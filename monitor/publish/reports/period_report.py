@@ -63,8 +63,8 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     """
     with _name_file_in_errors(folder / "summary.json"):
         summary = notes.read_summary(folder)
-        known = _known_of(summary)
-    results = read_results(folder, from_ns, to_ns, known.misfit)
+        known, between = _known_of(summary), notes.between_recordings(summary)
+    results = read_results(folder, from_ns, to_ns, known.misfit, between)
     start, stop = results.grid.from_ns, results.grid.to_ns
     with _name_file_in_errors(folder / "health.jsonl"):
         health = notes.HealthFile(folder, start, stop)
@@ -152,7 +152,8 @@ def _head(period: Period) -> str:
     """Write the verdict, the span and the key figures."""
     r, said = period.results, period.assessment
     doubts = "".join(f"<li>{escape(doubt)}</li>" for doubt in said.doubts)
-    evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s"
+    apart = ", the time between recordings apart" if r.between else ""
+    evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s{apart}"
     figures = [(f"{100 * sum(r.judged) / r.due:.1f} %", evaluated)]
     if period.known.has_baseline:
         figures.append((f"{len(period.course.losses)}", "alarm" if len(period.course.losses) == 1 else "alarms"))

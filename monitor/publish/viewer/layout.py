@@ -73,6 +73,11 @@ def _lamp() -> rrb.Spatial2DView:
     )
 
 
+def _state() -> rrb.TextDocumentView:
+    """Make the view of the state in words, with what makes it doubtful."""
+    return rrb.TextDocumentView(origin="/state", contents="/state", name="State")
+
+
 def _healthy(scene: Scene) -> rrb.Horizontal:
     """Make the page of health, with the present state at the left and the history at the right."""
     n = scene.n_modes
@@ -81,7 +86,7 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
     first = "the baseline" if scene.has_baseline else "the first window"
     left = rrb.Vertical(
         _lamp(),
-        rrb.TextDocumentView(origin="/state", contents="/state", name="State"),
+        _state(),
         _frame(scene),
         rrb.Tabs(
             rrb.TextDocumentView(origin="/status", name="Latest window"),
@@ -108,7 +113,7 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
 
 
 def _trust(scene: Scene) -> rrb.Horizontal:
-    """Make the page of trust, with the verdict and the fit at the left, and the sensors and clocks at the right."""
+    """Make the page of trust, with state, verdict and fit at the left, and the sensors and clocks at the right."""
     fit = _plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}")
     covariates = [
         _plot(
@@ -119,7 +124,7 @@ def _trust(scene: Scene) -> rrb.Horizontal:
     ]
     known = [fit, *covariates] if scene.n_stories else covariates
     left = rrb.Vertical(
-        rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis"),
+        rrb.Horizontal(_state(), rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis")),
         _canvas("/stabilisation", "Stabilisation diagram: order over frequency, Hz"),
         *([rrb.Tabs(*known, active_tab=0)] if known else []),
         row_shares=[2, 3, 2][: 3 if known else 2],

@@ -137,4 +137,6 @@ def state_markdown(assessment: Assessment) -> str:
     - No loss above 2 %.
     """
     doubts = "".join(f"\n- {doubt}" for doubt in assessment.doubts)
+    if not doubts and assessment.state not in (State.NOT_JUDGED, State.DOUBTFUL):
+        doubts = "\nNothing makes this doubtful."
     return f"# {assessment.state.words.upper()}\n### {assessment.headline}\n" + doubts

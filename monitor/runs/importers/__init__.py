@@ -434,10 +434,14 @@ def _timing(
 
 def _start_ns(tables: list[Table], unknown_ns: int | None, on_warning: OnWarning) -> int:
     """Return the time of the first sample as the files state it, UTC in ns since 1970; `unknown_ns`, or 0, where no file does."""
-    known = [table.start_ns for table in tables if table.start_ns is not None and table.start_ns >= 0]
-    if not known and unknown_ns is None:
+    for table in tables:
+        if table.start_ns is not None and table.start_ns >= 0:
+            if table.start_text:
+                on_warning(f"{table.path}: its time {table.start_text} has no zone; taken as UTC (see --start)")
+            return table.start_ns
+    if unknown_ns is None:
         on_warning("no file tells when it was recorded; the recording begins in 1970 (see --start)")
-    return known[0] if known else unknown_ns or 0
+    return unknown_ns or 0
 
 
 def _write(

@@ -18,6 +18,8 @@ from monitor.runs.importers.table import Array, OnWarning, Table, Ticks, rotatio
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([ T_]\d{1,2}:\d{2}.*)?")
 _DATE_FORMATS = ("ISO", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S")
+_ZONE = re.compile(r"\b(utc|gmt)\b|(z|[+-]\d{2}:?\d{2})$", re.IGNORECASE)
+"""Zone of a time, in its heading or behind it. [pattern; ISO 8601]"""
 _HEADER = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIME = re.compile(r"(t(_[mun]?s)?|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
 _COUNTER = re.compile(r"(|#|index|sample|samples|counter|packetcounter|nr\.?|no\.?|n)", re.IGNORECASE)
@@ -166,10 +168,13 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     dated = [at for at in range(width) if _DATE.fullmatch(first_row[at])]
     clock = next(iter(dated or [at for at in range(width) if _TIME.fullmatch(names[at])]), None)
     time_ns = start_ns = None
+    start_text = ""
     if clock in dated and clock is not None:
         time_ns = _date_column(cells, clock)
         start_ns = int(time_ns[0])
         _warn_of_swapped_date(cells.path, start_ns, on_warning)
+        named = f"{names[clock]} {units[clock]} {first_row[clock]}"
+        start_text = "" if _ZONE.search(named) else first_row[clock]
     elif clock is not None:
         time_ns = _tick_column(cells, clock, names[clock], units[clock])
         if time_ns[0] > 10**18:  # seconds since 1970, after 2001
@@ -195,6 +200,7 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
         default=default,
         time_ns=time_ns,
         start_ns=start_ns,
+        start_text=start_text,
     )
 
 

@@ -44,6 +44,8 @@ class Table:
     """UTC of the first sample, ns since 1970; None if the file does not state it."""
     rate_hz: float | None = None
     """Sample rate stated in the file, Hz; None if the file does not state it."""
+    start_text: str = ""
+    """Time of the first sample as the file writes it, where it has no zone and is taken as UTC; else empty."""
 
     @property
     def names(self) -> tuple[str, ...]:

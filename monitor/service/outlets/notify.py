@@ -34,6 +34,11 @@ _RETRY_SAVE_S = 10.0
 """Pause before the outbox is written again where the disk did not accept it. [s; judgement]"""
 _CLOSING_SHARE = 0.8
 """Share of the time for closing in which messages are still delivered; the rest is for storing them. [1; judgement]"""
+_UNKNOWN_URL = (
+    "no URL that apprise knows, with all that its service needs; e-mail, for one, is "
+    "mailtos://USER:PASSWORD@HOST?from=ADDRESS&to=ADDRESS, both addresses in full"
+)
+"""What is said of an address that cannot be used; the address itself may hold secrets. [words]"""
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 
 
@@ -99,7 +104,7 @@ def addresses(settings: NotifySettings, folder: Path) -> Addresses:
     urls = [(place, expanded(place, url)) for place, url in named]
     left_out = f"[notify] sends no message: it {missing}" if urls and (missing := missing_extra("notify")) else None
     if left_out is None:
-        problems += [f"{place}: no URL that apprise knows" for place, url in urls if url and not _known(url)]
+        problems += [f"{place}: {_UNKNOWN_URL}" for place, url in urls if url and not _known(url)]
     beats: list[str | None] = []
     for place in ("heartbeat_url", "heartbeat_blocked_url"):
         text = getattr(settings, place)

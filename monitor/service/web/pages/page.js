@@ -311,8 +311,9 @@ function cursorText(i, values, stds, scale, unit) {
 
 function timeLabels(_, ticks) {
   let day = "";
+  const fine = ticks.some((seconds) => seconds % 60); // else labels of one minute would be alike
   return ticks.map((seconds) => {
-    const [date, time] = utc(seconds * 1e9).split(" ");
+    const [date, time] = utc(seconds * 1e9, fine).split(" ");
     const first = date !== day;
     day = date;
     return first ? `${time}\n${date.slice(5)}` : time;
