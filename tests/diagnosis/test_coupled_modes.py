@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from monitor.diagnosis.lack_of_fit import find_lack_of_fit
+from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction
 from monitor.diagnosis.missing_modes import as_seen, couple_modes, is_stated, resonances
 from monitor.diagnosis.score_test import evidence_cost
+from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.inference import Posterior, maximize_posterior
 from monitor.inference.cross_spectra import Band, Excitation, cross_spectra, extended
 from monitor.model.effects import Condition, EffectError, parse_effect
@@ -65,6 +68,28 @@ def test_the_coupled_system_has_one_mode_more_and_its_frequencies_move_apart() -
 def _start(at: Posterior) -> np.ndarray:
     layout = at.layout
     return np.concatenate([at.prior.mean, np.zeros(layout.n_nuisance - at.prior.mean.size)])
+
+
+@pytest.mark.parametrize(
+    ("forces", "known", "mode", "found"),
+    [
+        ((8.2, 8.5, 7.6), (0.1, -0.7, 0.6), COUPLED, False),  # as they change from day to day
+        ((3.2, -8.0, 1.3), (0.1, -0.7, 0.6), COUPLED, True),  # all motion comes by the mode
+        ((3.2, -8.0, 1.3), (0.1, -0.7, 0.6), UNCOUPLED, False),  # a shaker on one floor, say
+        ((3.2, -8.0, 1.3), (4.5, -6.9, 2.4), COUPLED, False),  # as at calibration
+        ((3.2, -8.0, 1.3), None, COUPLED, False),
+    ],
+)
+def test_forces_of_another_direction_vanish_on_the_floors(
+    forces: tuple[float, ...], known: tuple[float, ...] | None, mode: Any, found: bool
+) -> None:
+    prior = SimpleNamespace(ln_forces=None if known is None else np.array(known), effects=lambda x: (mode,))
+    at: Any = SimpleNamespace(prior=prior, layout=SimpleNamespace(forces=slice(0, 3)), context=CONTEXT)
+    fit: Any = SimpleNamespace(x=np.array(forces))
+    said = find_other_direction(at, fit, DiagnosisSettings())
+    assert (said is not None) is found
+    if said is not None:
+        assert said.is_explained and "floor 2 is" in said.says and "nothing can be said of the structure" in said.says
 
 
 def test_slopes_of_extra_modes_are_those_of_the_whole_spectra() -> None:
