@@ -108,6 +108,7 @@ class _Reference(_Strict):
     reference_degc: float | None
     error: _StandingError | None = None
     judged_hz: tuple[float, float] | None = None
+    ln_forces: Vector | None = None
 
 
 class _Origin(_Strict):
