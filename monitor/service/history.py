@@ -291,8 +291,12 @@ def insert(database: sqlite3.Connection, table: str, row: Row) -> None:
 
 
 def is_damage(error: Exception) -> bool:
-    """Return whether an error means a damaged database, which a later attempt cannot cure, unlike a lock or a full disk."""
-    return type(error) is sqlite3.DatabaseError
+    """Return whether an error means a damaged database, which a later attempt cannot cure, unlike a lock or a full disk.
+
+    A table or a column that somebody removed is damage too: SQLite then gives its general error.
+    """
+    is_general = getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_ERROR
+    return type(error) is sqlite3.DatabaseError or is_general
 
 
 def set_aside(path: Path, reason: str) -> bool:

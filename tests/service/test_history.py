@@ -165,7 +165,10 @@ def test_a_locked_database_is_waited_for_and_nothing_is_lost(begin: Callable[[],
     until(lambda: one.failed is None, "all is well again")
 
 
-@pytest.mark.parametrize("damage", [b"no database at all" * 100, "newer", "torn"])
+@pytest.mark.parametrize(
+    "damage",
+    [b"no database at all" * 100, "newer", "torn", "DROP TABLE windows", "ALTER TABLE windows DROP COLUMN level"],
+)
 def test_a_damaged_or_newer_database_is_set_aside(
     begin: Callable[[], History], place: Path, damage: bytes | str
 ) -> None:
@@ -180,6 +183,8 @@ def test_a_damaged_or_newer_database_is_set_aside(
             database.commit()
             if damage == "newer":
                 database.execute(f"PRAGMA user_version = {history.VERSION + 1}")
+            elif damage != "torn":
+                database.execute(damage)
         if damage == "torn":
             data = bytearray(place.read_bytes())
             data[4096:] = bytes(len(data) - 4096)
