@@ -41,6 +41,11 @@ class RecordingInfo:
     t_start_ns: int
     n_samples: int
 
+    @property
+    def t_end_ns(self) -> int:
+        """UTC one sampling period after the last sample."""
+        return self.t_start_ns + round(self.duration_s * 1e9)
+
 
 def read_recordings(
     paths: Iterable[Path],

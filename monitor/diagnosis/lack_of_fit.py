@@ -276,8 +276,16 @@ def find_changed_effects(
     return tuple(out)
 
 
+def knows_direction(posterior: Posterior) -> bool:
+    """Decide if the forces can tell another direction: calibration knew them, and missing modes are coupled to the floors."""
+    if posterior.prior.ln_forces is None or posterior.observed.drive is not None:
+        return False
+    effects = posterior.prior.model.effects
+    return any(effect.repeatable and effect.coupled(posterior.context) is None for effect in effects)
+
+
 def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:
-    """Find that the motion comes from another direction than at calibration, in a structure whose missing modes are coupled.
+    """Find that the motion comes from another direction than at calibration, see `knows_direction`.
 
     Where the forces act in a direction that is not measured, the fitted forces on the floors vanish but for some, and the floors
     follow the coupled modes.  The forces on these modes are then no longer independent of each other, as the model takes them
@@ -286,11 +294,11 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     Returns
     -------
     LackOfFit or None
-        None where the change of the forces costs no more of their prior density than a cause must gain.
+        None where the change of the forces costs no more of their prior density, beyond what chance makes of it, than a cause
+        must gain.
     """
     known, forces = posterior.prior.ln_forces, fitted.x[posterior.layout.forces]
-    modes = [e for e in posterior.prior.effects(fitted.x) if e.repeatable and e.coupled(posterior.context) is None]
-    if known is None or not modes:
+    if known is None or not knows_direction(posterior):
         return None
     change = (forces - forces.mean() - known) / FORCE_STD
     if 0.5 * float(change @ change) <= settings.margin + 0.5 * (change.size - 1):  # the mean of what chance makes of it
@@ -299,8 +307,9 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     return LackOfFit(
         "direction of the forces",
         float(np.sqrt(change @ change)),
-        f"the forces come from another direction than at calibration (that on floor {weakest + 1} is {_factor(change[weakest])} "
-        "of what it was, beside the others), and modes that the model lacks follow them: nothing can be said of the structure",
+        "the forces come from another direction than at calibration (the force on "
+        f"floor {weakest + 1} is {_factor(change[weakest])} of its former share), "
+        "and modes that the model lacks follow them: nothing can be said of the structure",
         is_explained=True,
     )
 

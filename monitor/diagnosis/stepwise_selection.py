@@ -24,6 +24,7 @@ from monitor.diagnosis.lack_of_fit import (
     find_changed_effects,
     find_lack_of_fit,
     find_other_direction,
+    knows_direction,
     lack_of_fit_cost,
     unexplained_share,
     wrong_bins,
@@ -523,6 +524,8 @@ def _find_other_direction(
 
     Other causes may stand in for the direction; a channel that is exchanged changes the forces that are fitted without it.
     """
+    if not knows_direction(posterior):
+        return None
     at_sensors = [e.family == "sensor" for e in fit.effects]
     posterior, fit, _, _ = _keep_effects(posterior, fit, accepted, simulation_std, at_sensors)
     return find_other_direction(posterior, fit, settings)

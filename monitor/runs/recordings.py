@@ -67,7 +67,7 @@ def recorded_spans(paths: list[Path], config: Configuration) -> list[RecordedSpa
             info = recording_info(path, topic_map=config.topics or None)
         except (RecordingError, KeyError):  # of other quantities alone, such as temperature
             continue
-        spans.append(RecordedSpan(path.name, info.t_start_ns, info.t_start_ns + round(info.duration_s * 1e9)))
+        spans.append(RecordedSpan(path.name, info.t_start_ns, info.t_end_ns))
     return sorted(spans, key=lambda span: span.t_begin_ns)
 
 

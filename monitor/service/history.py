@@ -214,10 +214,7 @@ class History:
                 try:
                     if table != "gaps" or not merge_gap(database, row, self._neighbour_ns):
                         insert(database, table, row)
-                except (
-                    ValueError,
-                    OverflowError,
-                ) as error:  # text or a number that no database holds, of a damaged line
+                except (ValueError, OverflowError) as error:  # a damaged line: text or a number that no database holds
                     self.dropped += 1
                     _log.warning("%s: a row of %s is left out: %s", self._path, table, error)
         for _ in batch:

@@ -83,8 +83,10 @@ def _start(at: Posterior) -> np.ndarray:
 def test_forces_of_another_direction_vanish_on_the_floors(
     forces: tuple[float, ...], known: tuple[float, ...] | None, mode: Any, found: bool
 ) -> None:
-    prior = SimpleNamespace(ln_forces=None if known is None else np.array(known), effects=lambda x: (mode,))
-    at: Any = SimpleNamespace(prior=prior, layout=SimpleNamespace(forces=slice(0, 3)), context=CONTEXT)
+    model = SimpleNamespace(effects=(mode,))
+    prior = SimpleNamespace(ln_forces=None if known is None else np.array(known), model=model)
+    layout, observed = SimpleNamespace(forces=slice(0, 3)), SimpleNamespace(drive=None)
+    at: Any = SimpleNamespace(prior=prior, layout=layout, context=CONTEXT, observed=observed)
     fit: Any = SimpleNamespace(x=np.array(forces))
     said = find_other_direction(at, fit, DiagnosisSettings())
     assert (said is not None) is found

@@ -16,7 +16,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from tests.hidden import tables, trial
-from tests.hidden.worlds import NAMES, WORLDS, rounds
+from tests.hidden.worlds import NAMES, WORLDS, clean, rounds
 
 _PAUSE_S = 0.5
 """Between two looks at the results."""
@@ -96,7 +96,7 @@ def main() -> None:
     results = _read(options.add) + _read([own] if own is not None and own.exists() and own not in options.add else [])
     done = {(r["seed"], r["name"]) for r in results}
     tasks = rounds(options.n, options.seed, options.names)
-    tasks += rounds(options.clean, options.seed + 50_000, ("clean" if options.world == "planar" else "clean3d",))
+    tasks += rounds(options.clean, options.seed + 50_000, (clean(options.world),))
     tasks = [task for task in tasks if task not in done]
     for result in _results(tasks, options.processes):
         results.append(result)

@@ -25,3 +25,8 @@ def rounds(n: int, seed: int, names: tuple[str, ...]) -> list[tuple[int, str]]:
         turn = np.random.default_rng([seed, len(out)]).permutation(len(names))
         out += [(seed * 100_000 + len(out) + i, names[k]) for i, k in enumerate(turn)]
     return out[:n]
+
+
+def clean(world: str) -> str:
+    """Name of a world's clean trial."""
+    return next(name for name in WORLDS[world].NAMES if "clean" in name)

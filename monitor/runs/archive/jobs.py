@@ -98,8 +98,8 @@ def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
         info = recording_info(path, topic_map=topics or None)
     except RecordingError as error:
         return str(error)
-    end_ns = info.t_start_ns + round(info.duration_s * 1e9)
-    return Survey(str(path.parent), info.channels[ACCELERATION], info.sample_rate_hz, info.t_start_ns, end_ns, path)
+    channels = info.channels[ACCELERATION]
+    return Survey(str(path.parent), channels, info.sample_rate_hz, info.t_start_ns, info.t_end_ns, path)
 
 
 def replay_run(task: Task) -> Outcome:
