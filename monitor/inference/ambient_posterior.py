@@ -21,7 +21,7 @@ from monitor.inference.forward_model import Prediction
 from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
 from monitor.inference.spectral_slopes import Slopes, SpectralSlopes
 from monitor.inference.system_slopes import SystemChange, force_matrix, packed, system_slopes, unpacked
-from monitor.model import Effect, System
+from monitor.model import Context, Effect, System
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -216,9 +216,10 @@ class AmbientPosterior(Posterior):
         has_lines = any(e.lines() for e in everything)
         n_extra = sum(len(e.extra_modes(self.context)) for e in everything)
 
-        def at(x: Array, everything: Sequence[Effect]) -> tuple[System, tuple[Array, ...]]:
-            context = self.context_at(x)
-            system = extended(self.system(x, everything), everything, context, condition)
+        context, bare = self.context_at(x), self.system(x, everything)
+
+        def at(x: Array, bare: System, context: Context, everything: Sequence[Effect]) -> tuple[System, tuple[Array, ...]]:
+            system = extended(bare, everything, context, condition)
             forces = force_matrix(system, everything, self.forces(x)[middle], n_extra)
             lines = packed(line_spectra(system, everything, band, context, condition)) if has_lines else np.zeros(())
             return system, (
@@ -232,9 +233,13 @@ class AmbientPosterior(Posterior):
                 first = min(j for j, owner in owners.items() if owner == owners[i])
                 one = everything[owners[i]]
                 with_one[owners[i]] = one.at(moved_x[first : first + len(one.parameters)])
-            return tuple((after - before) / h for after, before in zip(at(moved_x, with_one)[1], here, strict=True))
+            if i in owners and everything[owners[i]].keeps_structure:
+                _, there = at(moved_x, bare, context, with_one)
+            else:
+                _, there = at(moved_x, self.system(moved_x, with_one), self.context_at(moved_x), with_one)
+            return tuple((after - before) / h for after, before in zip(there, here, strict=True))
 
-        system, here = at(x, everything)
+        system, here = at(x, bare, context, everything)
         changes = [moved(i) for i in wanted]
         slopes = system_slopes(
             system,
@@ -242,7 +247,7 @@ class AmbientPosterior(Posterior):
             self.forces(x)[middle],
             [SystemChange(*change[:-1]) for change in changes],
             band,
-            self.context_at(x),
+            context,
             condition,
         )
         return slopes + np.array([change[-1] for change in changes]) if has_lines else slopes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import accumulate, pairwise
 
 import numpy as np
@@ -68,7 +69,7 @@ class ModelDiscrepancy:
         return out
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class StructuralPrior:
     """Normal prior of the structural nuisance parameters before a recording."""
 
@@ -90,7 +91,7 @@ class StructuralPrior:
     ln_forces: Array | None = None
     """Logarithms of the densities of the floors' forces at calibration, about their mean, shape (n,); None where not known."""
 
-    @property
+    @cached_property
     def sizes(self) -> tuple[int, int, int, int, int]:
         """Lengths of the parts of `mean` before the coordinates of the persistent effects."""
         s = self.model.structure
@@ -104,7 +105,7 @@ class StructuralPrior:
         far = x - self.mean
         return -0.5 * float(far @ self.precision @ far)
 
-    @property
+    @cached_property
     def n_persistent(self) -> int:
         """Number of coordinates of the persistent effects."""
         return sum(len(e.parameters) for e in self.model.effects)
@@ -117,7 +118,7 @@ class StructuralPrior:
             last = last[len(e.parameters) :]
         return out
 
-    @property
+    @cached_property
     def units(self) -> Array:
         """Units of the coordinates, shape (p,): one, and for a persistent effect's coordinates their own magnitude."""
         return np.concatenate([np.ones(self.mean.size - self.n_persistent), *[e.units for e in self.model.effects]])

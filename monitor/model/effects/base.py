@@ -495,6 +495,11 @@ class Effect(ReportFace, ABC):
         return all(getattr(type(self), name) is getattr(Effect, name) for name in others)
 
     @property
+    def keeps_structure(self) -> bool:
+        """Whether the effect leaves the structure's own matrices as they are, so that only `extend` changes the system."""
+        return all(getattr(type(self), name) is getattr(Effect, name) for name in ("altered", "structural"))
+
+    @property
     def scales_with_level(self) -> bool:
         """Whether what the effect changes, if it does not depend on the condition, is in proportion to the forces' level."""
         return all(getattr(type(self), name) is getattr(Effect, name) for name in ("lines", "noise_variance"))
