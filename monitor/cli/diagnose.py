@@ -49,12 +49,12 @@ def diagnose(
     write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
     from monitor.publish import write_report
 
-    write_report(report, found.diagnosis, found.content, found.segments, settings.story_names)
+    write_report(report, found.diagnosis, found.content, found.segments, settings.story_names, found.laws)
     if (missing := missing_extra("viewer")) is None:
         # Imported only now: Rerun starts threads, and no process should be forked while threads run.
         from monitor.publish import write_view
 
-        write_view(view, found.diagnosis, found.content, found.segments, settings.story_names)
+        write_view(view, found.diagnosis, found.content, found.segments, settings.story_names, found.laws)
     else:
         view.unlink(missing_ok=True)  # an earlier one would be taken for this diagnosis
         warn(f"{view.name} is left out: it {missing}")

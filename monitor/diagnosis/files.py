@@ -15,7 +15,7 @@ from monitor.core import Array
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.diagnosis.story_forces import StoryLaw, story_laws
+from monitor.diagnosis.story_forces import StoryLaw
 from monitor.diagnosis.wording import (
     band_in_words,
     contradicted,
@@ -39,6 +39,7 @@ def content(
     refit: Sequence[Mapping[str, Any]] = (),
     detectable_loss: Sequence[float | None] = (),
     optima: Sequence[Mapping[str, Any]] = (),
+    laws: Sequence[StoryLaw] = (),
 ) -> dict[str, Any]:
     """Collect the content of diagnosis.json.
 
@@ -58,6 +59,8 @@ def content(
         Smallest loss of each story that would have been found, see `monitor.diagnosis.score_test.detectable_losses`.
     optima : sequence of mappings
         See `monitor.diagnosis.drawing_refit.other_optima`; empty with a baseline.
+    laws : sequence of StoryLaw
+        See `monitor.diagnosis.story_laws`.
     """
     prior = diagnosis.posterior.prior
     causes = [_cause(c.effect, c.std, prior) for c in diagnosis.causes]
@@ -84,7 +87,7 @@ def content(
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
         "band": _band(diagnosis.posterior.observed.segments, prior),
         "left_out": [_left_out(item) for item in diagnosis.posterior.observed.segments.left_out],
-        "story_laws": [_story_law(law) for law in story_laws(diagnosis)],
+        "story_laws": [_story_law(law) for law in laws],
         "ddi_effect": dict(ddi_effect),
         "refit": list(refit),
         "other_optima": list(optima),

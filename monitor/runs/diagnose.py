@@ -20,6 +20,7 @@ from monitor.diagnosis import (
     Diagnosis,
     HeldOutGain,
     Score,
+    StoryLaw,
     WitnessRecord,
     WitnessSensor,
     add_observed_causes,
@@ -40,6 +41,7 @@ from monitor.diagnosis import (
     require_gain,
     score,
     state_clock_drifts,
+    story_laws,
 )
 from monitor.diagnosis import diagnose as diagnose_spectra
 from monitor.inference import Segments, classify, gather, maximize_posterior
@@ -74,6 +76,8 @@ class Finding:
     """Content of diagnosis.json."""
     segments: Segments
     """Segments in the judged band."""
+    laws: tuple[StoryLaw, ...]
+    """Laws of the stories straight from the data; empty where they cannot be had."""
     updated: Model
     """Model of the old form, refitted."""
     extended: Model
@@ -131,7 +135,8 @@ def diagnose_gathered(
     if baseline is not None and confirmed.verdict == "none":
         detectable = detectable_losses(confirmed.posterior, confirmed.null_fit, config.diagnosis.margin)
     optima = other_optima(confirmed, config.story_names) if baseline is None else []
-    plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima)
+    laws = story_laws(confirmed)
+    plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima, laws)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
     plain |= {"doubts": [] if baseline is None else [*baseline.doubts, *_unit_questions(segments, baseline)]}
     compared = []
@@ -143,7 +148,7 @@ def diagnose_gathered(
     plain["says"] += contradictions(compared)
     plain = name_stories_in(plain, config.story_names)
     segments = confirmed.posterior.observed.segments
-    return Finding(confirmed, gain, plain, segments, updated, extended, degc)
+    return Finding(confirmed, gain, plain, segments, laws, updated, extended, degc)
 
 
 @_IGNORE_OVERFLOW

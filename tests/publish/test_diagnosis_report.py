@@ -18,6 +18,7 @@ from monitor.diagnosis.files import content as content_of
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.stepwise_selection import Cause, Diagnosis, DiagnosisSettings, diagnose
+from monitor.diagnosis.story_forces import Loop, StoryLaw
 from monitor.diagnosis.wording import in_words, separating_measurement
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
@@ -243,6 +244,17 @@ def test_the_view_has_every_channel_and_the_verdict(cases: dict[str, Case], tmp_
     assert recording is not None
     assert {"/verdict", "/misfit/before", "/misfit/after", "/worst/after"} <= entities
     assert sum(bool(re.fullmatch(r"/spectra/.*/(measured|before|after)", e)) for e in entities) == 9
+
+
+def test_the_page_and_the_view_draw_the_loops_of_every_story(cases: dict[str, Case], tmp_path: Path) -> None:
+    case, phase, two = cases["named"], np.linspace(0.0, 20.0, 200), np.array([1.0, 2.0])
+    loops = [Loop(1e-3 * np.sin(phase), k * np.sin(phase + 0.1)) for k in (1.0, 2.0, 3.0)]
+    laws = [StoryLaw(j, 1e-3 * two, two, 0.1 * two, two, two, two, two, *loops) for j in (1, 2)]
+    shown = page(case.diagnosis, case.content, case.segments, laws)
+    assert "story 1: force, N" in shown and "story 2: force, N" in shown
+    write_view(tmp_path / "diagnosis.rrd", case.diagnosis, case.content, case.segments, laws=laws)
+    entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "diagnosis.rrd").stream()}
+    assert {f"/loops/{j}/{part}" for j in (1, 2) for part in ("loop", "axes", "scale")} <= entities
 
 
 VALUES = {"relative": -0.05, "per_degc": -1e-3, "gain": 1.05, "gap_m": -0.001, "share": 0.3, "damping_ratio": 0.02}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import Array, name_stories, write_atomically
-from monitor.diagnosis import Diagnosis, StoryLaw, csd_error_in_words, in_words, story_laws
+from monitor.diagnosis import Diagnosis, StoryLaw, csd_error_in_words, in_words
 from monitor.inference import Segments
 from monitor.model import FORMS, Effect, interval, unit
 from monitor.publish.reports import charts
@@ -25,7 +25,12 @@ _MAX_SHOWN = 12
 
 
 def write_report(
-    path: Path, diagnosis: Diagnosis, content: Content, segments: Segments, story_names: Sequence[str] = ()
+    path: Path,
+    diagnosis: Diagnosis,
+    content: Content,
+    segments: Segments,
+    story_names: Sequence[str] = (),
+    laws: Sequence[StoryLaw] = (),
 ) -> None:
     """Write the page; the file appears under its name only when complete.
 
@@ -40,12 +45,14 @@ def write_report(
         The segments that were diagnosed.
     story_names : sequence of str
         What people call each story.
+    laws : sequence of StoryLaw
+        Laws of the stories straight from the data.
     """
     names = [escape(name) for name in story_names]
-    write_atomically(path, name_stories(page(diagnosis, content, segments), names))
+    write_atomically(path, name_stories(page(diagnosis, content, segments, laws), names))
 
 
-def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
+def page(diagnosis: Diagnosis, content: Content, segments: Segments, laws: Sequence[StoryLaw] = ()) -> str:
     """Write the page, which is well-formed XML as well; parameters as of `write_report`."""
     compared, by_level = compare(diagnosis, segments), level_dependence(diagnosis)
     verdict_text = content["says"]
@@ -54,7 +61,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
         _spectra(compared, content),
         _misfit(compared, diagnosis),
         "" if by_level is None else _modes_by_class(by_level),
-        _story_laws(story_laws(diagnosis), extended=compared.extended),
+        _story_laws(laws, extended=compared.extended),
         _witnesses(content.get("witness", ())),
         _ranking(diagnosis, content),
         _parameters(diagnosis, content, compared.hz),

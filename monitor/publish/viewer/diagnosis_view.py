@@ -11,10 +11,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from monitor.core import Array, name_stories
-from monitor.diagnosis import Diagnosis, in_words
+from monitor.diagnosis import Diagnosis, StoryLaw, in_words
 from monitor.inference import Segments
 from monitor.publish.reports.comparison import Comparison, compare
-from monitor.publish.viewer.layout import ALL_TIME
+from monitor.publish.viewer.layout import ALL_TIME, DARK
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.scene import GREY, Colour
 from monitor.publish.viewer.trust import VERDICTS
@@ -23,12 +23,21 @@ _TIMELINE = "frequency_mHz"
 _MEASURED, _BEFORE, _AFTER = (235, 235, 235), (240, 154, 74), (90, 169, 240)
 _CLOSE_S = 10.0
 """Longest time that closing the recording may take, s."""
+_LOOP_RANGE = (-1.25, 1.25)
+"""What a view of a loop shows, of its largest drift and force. [ratio; to leave room for its labels]"""
+_LABELS_AT = [(0.75, 0.1), (0.0, -1.1)]
+"""Where the largest drift and the largest force are written. [ratio; inside the view]"""
 _FULL = 12.0
 """Standard deviations at which the maps reach their full colour."""
 
 
 def write_view(
-    path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments, story_names: Sequence[str] = ()
+    path: Path,
+    diagnosis: Diagnosis,
+    content: Mapping[str, Any],
+    segments: Segments,
+    story_names: Sequence[str] = (),
+    laws: Sequence[StoryLaw] = (),
 ) -> None:
     """Write the recording; the file appears under its name only when complete.
 
@@ -43,6 +52,8 @@ def write_view(
         The segments that were diagnosed.
     story_names : sequence of str
         What people call each story.
+    laws : sequence of StoryLaw
+        Laws of the stories straight from the data.
 
     Raises
     ------
@@ -52,11 +63,12 @@ def write_view(
     compared = compare(diagnosis, segments)
     output = Output("diagnosis", path, None)
     try:
-        output.stream.send_blueprint(_blueprint(compared))
+        output.stream.send_blueprint(_blueprint(compared, laws, story_names))
         text = name_stories(_status(diagnosis, content, segments, compared), story_names)
         status = rr.TextDocument(text, media_type="text/markdown")
         output.stream.log("/verdict", status, static=True)
         _spectra(output.stream, compared)
+        _loops(output.stream, laws, extended=compared.extended)
         for when, z in (("before", compared.z_before), ("after", compared.z_after)):
             rows = np.array([z[:, i, j] for _, i, j in compared.rows()])
             tensor = rr.Tensor(rows, dim_names=["channels", "band"], value_range=[-_FULL, _FULL])
@@ -84,6 +96,30 @@ def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
     for what, colour, z in (("before", _BEFORE, c.z_before), ("after", _AFTER, c.z_after)):
         line(f"/worst/{what}", what, colour, c.band_hz, np.abs(z).max(axis=(1, 2)))
     line("/worst/limit", "misfit from here", GREY, c.band_hz, np.full(c.band_hz.size, c.limit))
+
+
+def _loops(stream: rr.RecordingStream, laws: Sequence[StoryLaw], *, extended: bool) -> None:
+    """Draw the force of every story over its drift: measured, and of the model before and after the causes.
+
+    A view of the plane has one scale for both axes, so drifts and forces are drawn over their largest, which labels state.
+    """
+    for law in laws:
+        model = [(law.before, _BEFORE), (law.after, _AFTER)][: 2 if extended else 1]
+        loops = [*model, (law.measured, _MEASURED)]
+        drift, force = (
+            max(float(np.abs(getattr(loop, name)).max()) for loop, _ in loops) for name in ("drift_m", "force_n")
+        )
+        # The picture's y axis points down.
+        strips = [np.column_stack([loop.drift_m / drift, -loop.force_n / force]) for loop, _ in loops]
+        at = f"/loops/{law.story}"
+        colours, width = [colour for _, colour in loops], rr.Radius.ui_points(0.5)
+        stream.log(f"{at}/loop", rr.LineStrips2D(strips, colors=colours, radii=width), static=True)
+        cross = [[(-1.0, 0.0), (1.0, 0.0)], [(0.0, -1.0), (0.0, 1.0)]]
+        axes = rr.LineStrips2D(cross, colors=[GREY], radii=rr.Radius.ui_points(0.3), draw_order=0.0)
+        stream.log(f"{at}/axes", axes, static=True)
+        labels = [f"{1e3 * drift:.3g} mm", f"{force:.3g} N"]
+        ends = rr.Points2D(_LABELS_AT, labels=labels, colors=[GREY], radii=rr.Radius.ui_points(0.3), show_labels=True)
+        stream.log(f"{at}/scale", ends, static=True)
 
 
 def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments, compared: Comparison) -> str:
@@ -116,13 +152,16 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
     ]
     lines += [
         "",
-        f"Power in dB re 1 (m/s²)²/Hz; ratio: measured over simulated; rows of the maps from the top: {rows}.",
+        f"Power in dB re 1 (m/s²)²/Hz; ratio: measured over simulated; rows of the maps from the top: {rows}. "
+        "White: measured; orange: the model before the causes; blue: with them.",
     ]
+    if content["story_laws"]:
+        lines += ["", "Loops at the bottom: force of each story over its drift, in the segment with the largest drift."]
     return "\n".join(lines)
 
 
-def _blueprint(c: Comparison) -> rrb.Blueprint:
-    """Place the verdict and the maps of the misfit at the left, the spectra at the right."""
+def _blueprint(c: Comparison, laws: Sequence[StoryLaw], story_names: Sequence[str]) -> rrb.Blueprint:
+    """Place the verdict, the maps of the misfit and the stories' loops at the left, the spectra at the right."""
     corner = rrb.PlotLegend("RightTop")
 
     def plot(origin: str, name: str) -> rrb.TimeSeriesView:
@@ -143,12 +182,22 @@ def _blueprint(c: Comparison) -> rrb.Blueprint:
         rrb.TensorView(origin=f"/misfit/{when}", name=f"Misfit {when}", scalar_mapping=scale, view_fit="fill")
         for when in ("before", "after")
     ]
+    loops = [
+        rrb.Spatial2DView(
+            origin=f"/loops/{law.story}",
+            name=name_stories(f"story {law.story}", story_names),
+            background=DARK,
+            visual_bounds=rrb.VisualBounds2D(x_range=_LOOP_RANGE, y_range=_LOOP_RANGE),
+        )
+        for law in laws
+    ]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
                 rrb.TextDocumentView(origin="/verdict", name="Verdict"),
                 rrb.Horizontal(*maps),
-                row_shares=[3, 1],
+                *([rrb.Horizontal(*loops)] if loops else []),
+                row_shares=[3, 1, *([2] if loops else [])],
             ),
             rrb.Vertical(
                 rrb.Horizontal(*columns) if len(columns) <= 3 else rrb.Tabs(*columns),

@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from monitor.publish.viewer.scene import STABILISATION, Scene
 from monitor.publish.viewer.state import LAMP
 
-_DARK = (24, 26, 30)
+DARK = (24, 26, 30)
 _DISTANCE_TO_WIDTH, _DISTANCE_TO_HEIGHT = 0.7, 0.95
 """Distance of the eye over width and height of what it sees. [ratio; the viewer's angle of view]"""
 _MODES_IN_A_COLUMN = 3
@@ -46,7 +46,7 @@ def _frame(scene: Scene) -> rrb.Spatial3DView:
     eye = rrb.EyeControls3D(position=centre + away * np.array([0.0, -1.0, 0.15]), look_target=centre)
     return rrb.Spatial3DView(
         origin="/frame", name="Stiffness lost and mode shapes" if scene.n_stories else "Mode shapes", eye_controls=eye,
-        line_grid=rrb.LineGrid3D(visible=False), background=_DARK,
+        line_grid=rrb.LineGrid3D(visible=False), background=DARK,
     )  # fmt: skip
 
 
@@ -54,7 +54,7 @@ def _canvas(path: str, name: str) -> rrb.Spatial2DView:
     """Make a 2D view of a diagram on the canvas of the stabilisation diagram."""
     width, height = STABILISATION
     bounds = rrb.VisualBounds2D(x_range=[-0.2 * width, 1.06 * width], y_range=[-1.06 * height, 0.14 * height])
-    return rrb.Spatial2DView(origin="/", contents=f"{path}/**", visual_bounds=bounds, background=_DARK, name=name)
+    return rrb.Spatial2DView(origin="/", contents=f"{path}/**", visual_bounds=bounds, background=DARK, name=name)
 
 
 def _events() -> rrb.TextLogView:
@@ -69,7 +69,7 @@ def _lamp() -> rrb.Spatial2DView:
     width, height = LAMP
     bounds = rrb.VisualBounds2D(x_range=[0.0, width], y_range=[-0.5 * height, 0.5 * height])
     return rrb.Spatial2DView(
-        origin="/state/lamp", visual_bounds=bounds, background=_DARK, name="Colour of the state", titlebar=False
+        origin="/state/lamp", visual_bounds=bounds, background=DARK, name="Colour of the state", titlebar=False
     )
 
 
