@@ -186,8 +186,7 @@ def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:
     out = {}
     for p, d in zip(effect.parameters, deviation.tolist(), strict=True):
         value = float(effect.values()[p.name])
-        slope = {"linear": 1.0, "log": abs(value), "inverse": value**2}[p.scale]
-        out[p.name] = {"value": _finite(value), "std": _finite(d * slope)}
+        out[p.name] = {"value": _finite(value), "std": _finite(d * p.slope(value))}
     return out
 
 

@@ -75,8 +75,7 @@ class Cause:
         """Make a cause of an effect and the standard deviations of its coordinates, shape (p,)."""
         std = {}
         for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
-            value = effect.values()[p.name]
-            std[p.name] = min(own * {"linear": 1.0, "log": value, "inverse": value**2}[p.scale], 1e300)
+            std[p.name] = min(own * p.slope(effect.values()[p.name]), 1e300)
         return cls(effect, std)
 
 

@@ -94,6 +94,14 @@ def test_a_named_cause_has_its_size_and_every_key_is_there(named: Diagnosis) -> 
     assert out["tried"] == [{"effect": "story_damper", "location": "story 1", "log_evidence_over_none": 45.0}]
 
 
+def test_a_size_that_grew_beyond_all_bounds_has_no_stated_deviation() -> None:
+    """Girders that a fit took for rigid overflowed, and calibration ended in a traceback."""
+    rigid = parse_effect("joint_flexibility:frame:girder_to_column_ratio=20").at(np.zeros(1))
+    assert Cause.of(rigid, np.array([1e-3])).std == {"girder_to_column_ratio": pytest.approx(1e297)}
+    assert Cause.of(rigid, np.array([0.0])).std == {"girder_to_column_ratio": 0.0}
+    assert Cause.of(rigid, np.array([np.inf])).std == {"girder_to_column_ratio": 1e300}
+
+
 def test_nothing_found_is_null_empty_and_zero(named: Diagnosis) -> None:
     out = plain(replace(named, verdict="none", causes=(), misfit=(), candidates=(), final_fit=named.null_fit))
     assert out["cause"] is None

@@ -52,6 +52,12 @@ class Parameter:
             low = low + 1e-9 * abs(low) if low != 0.0 else 1e-300
         return min(max(float(coordinate), low), high)
 
+    def slope(self, value: float) -> float:
+        """Differentiate the value by its coordinate, at a value; finite even where the value stands for infinity."""
+        if self.scale == "log":
+            return value
+        return min(value * value, 1e300) if self.scale == "inverse" else 1.0
+
     def allows(self, value: float) -> bool:
         """Check that a value is finite and within the bounds."""
         return abs(value) < inf and value < self.high and (value > self.low or (self.closed and value == self.low))
