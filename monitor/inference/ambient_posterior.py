@@ -218,7 +218,9 @@ class AmbientPosterior(Posterior):
 
         context, bare = self.context_at(x), self.system(x, everything)
 
-        def at(x: Array, bare: System, context: Context, everything: Sequence[Effect]) -> tuple[System, tuple[Array, ...]]:
+        def at(
+            x: Array, bare: System, context: Context, everything: Sequence[Effect]
+        ) -> tuple[System, tuple[Array, ...]]:
             system = extended(bare, everything, context, condition)
             forces = force_matrix(system, everything, self.forces(x)[middle], n_extra)
             lines = packed(line_spectra(system, everything, band, context, condition)) if has_lines else np.zeros(())
