@@ -183,8 +183,8 @@ def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:
     out = {}
     for p, d in zip(effect.parameters, deviation.tolist(), strict=True):
         value = float(effect.values()[p.name])
-        slope = {"linear": 1.0, "log": abs(value), "inverse": value**2}[p.scale]
-        out[p.name] = {"value": _finite(value), "std": _finite(d * slope)}
+        std = {"linear": d, "log": d * abs(value), "inverse": d * value * value}[p.scale]  # a power may not overflow
+        out[p.name] = {"value": _finite(value), "std": _finite(std)}
     return out
 
 

@@ -76,7 +76,8 @@ class Cause:
         std = {}
         for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
             value = effect.values()[p.name]
-            std[p.name] = min(own * {"linear": 1.0, "log": value, "inverse": value**2}[p.scale], 1e300)
+            # Products, since a power that overflows is an error: an effect that has vanished may be beyond all measure.
+            std[p.name] = min({"linear": own, "log": own * value, "inverse": own * value * value}[p.scale], 1e300)
         return cls(effect, std)
 
 

@@ -147,6 +147,16 @@ def test_what_is_not_determined_stays_finite(named: Diagnosis) -> None:
     assert np.isfinite(plain(replace(named, causes=(cause,)))["causes"][0]["parameters"]["damping_n_s_per_m"]["std"])
 
 
+def test_an_effect_that_has_vanished_is_stated_and_no_error(named: Diagnosis) -> None:
+    """Joints as stiff as the number range goes, where a fit takes their flexibility to 0."""
+    rigid = parse_effect("joint_flexibility:frame:girder_to_column_ratio=1e300")
+    for deviation in (0.0, 1e-3):
+        cause = Cause.of(rigid, np.array([deviation]))
+        assert np.isfinite(cause.std["girder_to_column_ratio"])
+        told = plain(replace(named, causes=(cause,)))["causes"][0]["parameters"]["girder_to_column_ratio"]
+        assert told["value"] > 1e9 and np.isfinite([told["value"], told["std"]]).all()
+
+
 def loaded(folder: Path, text: str) -> configuration.Configuration:
     path = folder / "s.toml"
     path.write_text(text)
