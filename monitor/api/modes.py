@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -27,6 +27,12 @@ from monitor.signals import FrontEnd, ProcessingSettings
 _CUTOFF_SHARE = 0.4
 """Cutoff of the lowpass, over the sampling rate after it, where no structure states them. [ratio; the defaults of
 [processing]]"""
+_LEAST_BINS = 1.5
+"""Half-power bandwidth of a mode from which the default segments are long enough. [bins; simulation: docs/look.md]"""
+_WANTED_BINS = 3.0
+"""Half-power bandwidth of the narrowest mode in segments made longer for it. [bins; simulation: docs/look.md]"""
+_LEAST_SEGMENTS = 11
+"""Half-overlapping segments that longer ones leave. [count; as in `look`]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -146,9 +152,29 @@ def identify(
     window_s = longest_window_s(values, rate_hz, hop_s)
     processing = ProcessingSettings(rate_hz=rate_out, cutoff_hz=cutoff, window_s=window_s, hop_s=hop_s)
     front_end = FrontEnd(names, processing, refinement.segment_s, n_lags=2 * ssi.block_rows)
-    window, conditioner = whole_window(front_end, values, rate_hz, with_segments=True)
-    found = identify_modes(window, ssi, select, refinement, cutoff_hz=conditioner.cutoff_hz)
-    return _modes(found, names, None, window.window_s)
+
+    def identified(front_end: FrontEnd) -> ModalEstimate | Skipped:
+        window, conditioner = whole_window(front_end, values, rate_hz, with_segments=True)
+        return identify_modes(window, ssi, select, refinement, cutoff_hz=conditioner.cutoff_hz)
+
+    found = identified(front_end)
+    if not isinstance(found, Skipped):
+        segment_s = _longer_segment_s(found, front_end.segment_s, window_s)
+        if segment_s > front_end.segment_s:
+            found = identified(replace(front_end, segment_s=segment_s))
+    return _modes(found, names, None, window_s)
+
+
+def _longer_segment_s(found: ModalEstimate, segment_s: float, window_s: float) -> float:
+    """Return the length of segments that outlasts the motion of the modes found; `segment_s` where that does already.
+
+    The likelihood takes segments for independent.  Where a mode rings on from one into the next, its damping comes out too
+    large and its interval too narrow.
+    """
+    bandwidth_hz = float((2.0 * found.damping_ratio * found.frequencies_hz).min())
+    if bandwidth_hz * segment_s >= _LEAST_BINS:
+        return segment_s
+    return max(segment_s, min(_WANTED_BINS / max(bandwidth_hz, 1e-9), 2.0 * window_s / (_LEAST_SEGMENTS + 1)))
 
 
 def _narrowed(structure: Structure, cutoff_hz: float | None, max_modes: int | None) -> Structure:

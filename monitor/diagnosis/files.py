@@ -145,7 +145,7 @@ def _described(effect: Effect, sizes: Mapping[str, Mapping[str, float]], prior: 
         "parameters": {name: size for name, size in sizes.items() if name in named},
         "says": in_words(effect.name, effect.location, sizes, prior),
     }
-    shape = [size for name, size in sizes.items() if name not in named]
+    shape = [size for name, size in sizes.items() if name.startswith("shape_")]  # a coupled mode has more of its own
     if shape:
         largest = max((size["value"] for size in shape), key=abs)
         out["shape"] = [{"value": s["value"] / largest, "std": s["std"] / abs(largest)} for s in shape]

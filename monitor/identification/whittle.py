@@ -52,7 +52,8 @@ class RefinementSettings(Settings):
 
     enabled: bool = True
     segment_s: float = Field(default=20.0, gt=0)
-    """Length of the segments whose cross-spectra are averaged; rounded to whole blocks."""
+    """Length of the segments whose cross-spectra are averaged; rounded to whole blocks.  Modes whose half-power bandwidth
+    (2 x damping ratio x frequency) is below 1.5 / `segment_s` get too narrow an interval of damping: make it longer for them."""
     half_band: float = Field(default=12.0, gt=0)
     """Half-width of the fitted band about each mode, in half-power bandwidths of the mode; at least 8 bins."""
     max_iterations: int = Field(default=8, ge=1)

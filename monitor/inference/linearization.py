@@ -108,6 +108,7 @@ def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], law
     Returns
     -------
     ndarray, shape (classes, n_laws), m
+        NaN where the system has no stationary motion.
     """
     everything = (*posterior.prior.effects(x), *effects)
     context, base = posterior.context_at(x), posterior.system(x, everything)
@@ -127,7 +128,9 @@ def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], law
     # Lyapunov's equation of all classes at once: in the coordinates of the eigenvectors its solution is a division.
     poles, vectors = np.linalg.eig(np.array(states))
     back = np.linalg.inv(vectors)
-    inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / -(poles[:, :, None] + poles[:, None, :].conj())
+    decay = -(poles[:, :, None] + poles[:, None, :].conj())
+    decay[decay == 0.0] = np.nan  # a pole that rounds to 0, as of damping beyond all measure: no stationary motion
+    inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / decay
     rows = np.array([law.direction(context.structure) for law in laws]) @ vectors[:, :n]
     variance = 0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real
     # Too strong a coupling makes the system unstable: it has no stationary motion, and the spectra no likelihood.

@@ -17,6 +17,7 @@ from .results.lines import (
     to_json,
     window_line,
 )
+from .results.recorded_time import between_recordings, reaches_between, recorded_stretches
 from .results.schema import LINE_SCHEMA
 from .results.summary import Quality, Summary, episode_content
 from .viewer.diagnosis_view import write_view
@@ -40,6 +41,7 @@ __all__ = [
     "RerunPublisher",
     "Summary",
     "alarm_line",
+    "between_recordings",
     "closed_files",
     "current_alarm_line",
     "episode_content",
@@ -51,10 +53,12 @@ __all__ = [
     "mode_rows",
     "month_file",
     "pack_month",
+    "reaches_between",
     "read_event",
     "read_line",
     "read_lines",
     "read_period",
+    "recorded_stretches",
     "replay_text",
     "telling",
     "to_json",

@@ -11,6 +11,7 @@ from drivers.mcap_file import read_recordings, recording_info
 from monitor.config import Configuration
 from monitor.core import BadInputError, MissingInputError
 from monitor.pipeline import Pipeline, Result
+from monitor.publish import between_recordings, recorded_stretches
 
 OnWarning = Callable[[str], None]
 """Shows a warning to the user."""
@@ -20,6 +21,9 @@ OnProgress = Callable[[float], None]
 _BLOCK_S = 30.0
 """Greatest length of a joined block, s: about what one chunk of our own recordings holds at 1024 Hz.  Longer blocks save no
 more calls."""
+
+_ROUNDING_S = 1e-3
+"""Time by which a window may reach over the end of a recording and lie within it. [s; rounding: below one sample at 100 Hz]"""
 
 _LEAST_OVERLAP_S = 1.0
 """Overlap of two recordings up to which they follow one another. [s; judgement: as of the runs of an archive]"""
@@ -71,6 +75,32 @@ def recorded_spans(paths: list[Path], config: Configuration) -> list[RecordedSpa
     return sorted(spans, key=lambda span: span.t_begin_ns)
 
 
+def times_between(spans: list[RecordedSpan]) -> list[tuple[int, int]]:
+    """List the times between recordings, UTC in ns, in order."""
+    return between_recordings(span._asdict() for span in spans)
+
+
+def without_window(spans: list[RecordedSpan], window_s: float, hop_s: float) -> list[str]:
+    """Say within which recordings, joined where they follow one another, no window lies; `spans` in the order of time.
+
+    Examples
+    --------
+    >>> spans = [RecordedSpan("a.mcap", 0, 30_000_000_000), RecordedSpan("b.mcap", 50_000_000_000, 59_000_000_000)]
+    >>> without_window(spans, window_s=10.0, hop_s=2.0)[0].partition(":")[0]
+    'b.mcap'
+    """
+    out, hop_ns, window_ns = [], round(hop_s * 1e9), round((window_s - _ROUNDING_S) * 1e9)
+    for begin_ns, end_ns in recorded_stretches(span._asdict() for span in spans):
+        wait_ns = (spans[0].t_begin_ns - begin_ns) % hop_ns  # windows begin whole hops after the first recording
+        if begin_ns + wait_ns + window_ns > end_ns:
+            names = ", ".join(span.file for span in spans if begin_ns <= span.t_begin_ns < end_ns)
+            out.append(
+                f"{names}: {(end_ns - begin_ns) * 1e-9:.6g} s in one piece hold no window of {window_s:g} s, of which one "
+                f"begins every {hop_s:g} s: nothing of it was judged; set a shorter window_s under [processing]"
+            )
+    return out
+
+
 def overlaps(spans: list[RecordedSpan]) -> list[str]:
     """Say which recordings overlap in time, and for how long; `spans` in the order of their beginnings.
 
@@ -117,6 +147,8 @@ class Progress:
         """First block of acceleration."""
         self.last: SampleBlock | None = None
         """Latest block of acceleration."""
+        self.data_s = 0.0
+        """Length of the acceleration data so far, the time between recordings apart."""
         self._on_progress = on_progress
 
     def add(self, block: SampleBlock) -> None:
@@ -124,7 +156,8 @@ class Progress:
         if block.topic == ACCELERATION:
             self.first = self.first or block
             self.last = block
-            self._on_progress(duration_s(self.first, block))
+            self.data_s += block.n_samples / block.sample_rate_hz
+            self._on_progress(self.data_s)
 
     def require_window(self, pipeline: Pipeline, windows: int, paths: list[Path]) -> None:
         """Refuse recordings that did not fill one window.

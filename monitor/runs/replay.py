@@ -26,11 +26,13 @@ from monitor.runs.recordings import (
     push_block,
     read_blocks,
     recorded_spans,
+    times_between,
+    without_window,
 )
 from monitor.runs.session import Session
 from monitor.runs.viewer import open_viewer
 
-__all__ = ["RESULT_FILES", "pass_through", "replay", "with_first_block_read"]
+__all__ = ["RESULT_FILES", "pass_through", "recorded_content", "replay", "with_first_block_read"]
 
 RESULT_FILES = ("results.jsonl", EVENTS, "results.mcap", "live.rrd", "summary.json")
 """Files that `replay` writes to its folder."""
@@ -115,15 +117,24 @@ def replay(
     source = with_first_block_read(
         read_blocks(paths, config, on_warning, **pieces)
     )  # bad input shows before any output is begun
+    spans = recorded_spans(paths, config)
     written = _ResultFiles(out)
     view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True, on_warning=on_warning)
     recordings = EventRecordings(out, config.events)
     publishers = (written,) if view is None else (written, view)
-    session = Session(config, baseline, publishers, files, out / "findings", whole=True, recordings=recordings)
+    session = Session(
+        config,
+        baseline,
+        publishers,
+        files,
+        out / "findings",
+        whole=True,
+        recordings=recordings,
+        between=times_between(spans),
+    )
     try:
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress, event_suffices=True)
-        spans = recorded_spans(paths, config)
-        content = session.content(factor) | {"recorded": [span._asdict() for span in spans]}
+        content = session.content(factor) | recorded_content(session, spans)
         written.close(content, session.online_diagnosis.findings)
         if view is not None:
             view.close(timeout_s=120.0)
@@ -183,11 +194,20 @@ def pass_through(
         if speed is not None:
             _sleep_until_due(started, duration_s(progress.first, block) / speed)
         push_block(session, block, paths)
-    factor = duration_s(progress.first, progress.last) / max(time.monotonic() - started, 1e-9)
+    factor = progress.data_s / max(time.monotonic() - started, 1e-9)
     session.finish()
     if not (event_suffices and session.events):
         progress.require_window(session.pipeline, session.windows, paths)
     return factor
+
+
+def recorded_content(session: Session, spans: list[RecordedSpan]) -> dict[str, Any]:
+    """Return the keys of summary.json on what the recordings cover, from which a report counts the windows due."""
+    return {
+        "recorded": [span._asdict() for span in spans],
+        "window_s": session.config.processing.window_s,
+        "windows_not_due": session.not_due,
+    }
 
 
 def _warn_of_losses(
@@ -201,6 +221,9 @@ def _warn_of_losses(
         on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
     if session.dropped:
         on_warning(f"{session.dropped} samples were repeated, late or not finite and were dropped")
+    processing = session.config.processing
+    for says in without_window(spans, processing.window_s, processing.hop_s):
+        on_warning(says)
     if double := overlaps(spans):
         on_warning(f"{'; '.join(double)}: samples of one stream alone are judged; leave out the other recording")
 

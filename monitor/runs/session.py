@@ -14,7 +14,7 @@ from typing import Any
 
 from drivers.base import SampleBlock
 from monitor.config import Configuration
-from monitor.core import Gap, Samples
+from monitor.core import Gap, Samples, WindowResult
 from monitor.damage import (
     AlarmState,
     AnyBaseline,
@@ -33,7 +33,7 @@ from monitor.damage import (
 )
 from monitor.events import Event, EventAlarm
 from monitor.pipeline import Pipeline, PipelineState, Result
-from monitor.publish import Publisher, Quality, Summary, event_line, to_json, window_line
+from monitor.publish import Publisher, Quality, Summary, event_line, reaches_between, to_json, window_line
 from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.online_diagnosis import FINDING_KEYS, BlockStore, OnlineDiagnosis, OnlineDiagnosisState
 from monitor.signals import Health
@@ -71,6 +71,9 @@ class Session:
         Writes the samples of events; without it they have none of their own.
     store : BlockStore, optional
         Store of the latest blocks for diagnoses; in memory by default.
+    between : sequence of (int, int)
+        Times between the recordings that are replayed, UTC in ns: no window that holds some of them is due, so the summary
+        does not count it.
     """
 
     def __init__(
@@ -84,6 +87,7 @@ class Session:
         whole: bool = False,
         recordings: EventRecordings | None = None,
         store: BlockStore | None = None,
+        between: Sequence[tuple[int, int]] = (),
     ) -> None:
         self.config = config
         self.pipeline = Pipeline(config, baseline)
@@ -91,16 +95,18 @@ class Session:
         self._publishers, self._recordings = publishers, recordings
         self._summary, self._quality = Summary(), Quality()
         self._model_hz = config.model().modes().frequencies_hz.tolist() if config.has_model else []
-        self._baseline, self._whole = baseline, whole
+        self._baseline, self._whole, self._between = baseline, whole, tuple(between)
         self._assessment: Assessment | None = None
         self.events = 0
         """Number of times that something was told of an event."""
         self.stated: dict[int, WindowFacts] = {}
         """What an earlier run wrote of windows that are still to come again, by their indices; the summary counts it."""
+        self.not_due = 0
+        """Number of windows that hold time between recordings and say nothing."""
 
     @property
     def windows(self) -> int:
-        """Number of windows so far."""
+        """Number of windows that were due so far."""
         return self._summary.course.windows
 
     @property
@@ -305,12 +311,19 @@ class Session:
             for publisher in self._publishers:
                 publisher.event(result, line)
         else:
-            misfit = self.config.watch.misfit
-            for index in sorted(i for i in self.stated if i < result.index):  # their samples were lost with that run
-                self._summary.course = follow(self._summary.course, self.stated.pop(index), misfit)
-            self._summary.window(result, misfit, self.stated.pop(result.index, None))
+            self._count(result)
             self._publish_state()
             line = to_json(window_line(result))
             for publisher in self._publishers:
                 publisher.window(result, line)
             self.online_diagnosis.window(result)
+
+    def _count(self, result: WindowResult) -> None:
+        """Count a window in the summary, unless it was not due."""
+        window_s, misfit = self.config.processing.window_s, self.config.watch.misfit
+        if result.skipped is not None and reaches_between(result.t_end_ns, window_s, self._between):
+            self.not_due += 1
+            return
+        for index in sorted(i for i in self.stated if i < result.index):  # their samples were lost with that run
+            self._summary.course = follow(self._summary.course, self.stated.pop(index), misfit)
+        self._summary.window(result, misfit, self.stated.pop(result.index, None))

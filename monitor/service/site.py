@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
 from monitor.config import Configuration, configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, UserError, WindowResult
+from monitor.core import BadConfigurationError, BadInputError, Gap, Level, MissingInputError, UserError, WindowResult
 from monitor.damage import AnyBaseline, Assessment, outdated, utc
 from monitor.events import Event
 from monitor.pipeline import Result
@@ -137,6 +137,7 @@ class Site(Publisher):
         self._reload_requested = self._rereading = False
         self._reloaded: Reloaded | None = None
         self._alarm: object = None
+        self._told_episodes: list[tuple[int, Level, bool]] = []
         with ExitStack() as undo:
             self._lock = restart.lock(
                 self.out / "state" / "lock", self.out
@@ -263,7 +264,7 @@ class Site(Publisher):
         if now - self._tidied_s >= _TIDY_S:
             self._tidied_s = now
             self._chores.do("storage", self._storage.tidy)
-        if now - self._summary_s >= self._quiet_s:
+        if now - self._summary_s >= self._quiet_s or self._told_episodes != self._episodes():
             self._write_summary()
 
     def ask_to_stop(self) -> None:
@@ -282,6 +283,7 @@ class Site(Publisher):
         """Keep what the next run goes on from; after the end of the data, wait for the last findings instead."""
         self._requests.finish(self.session, _DURABLE_S)
         if self.reader.ended:
+            self._write_summary()  # a diagnosis may take minutes
             self.session.finish(lambda: self._stopping)
             self._keeper.forget()
         else:
@@ -467,6 +469,10 @@ class Site(Publisher):
                 self._view.state(present)
         return present
 
+    def _episodes(self) -> list[tuple[int, Level, bool]]:
+        """List the alarm episodes: story, highest level, and whether it lasts."""
+        return [(loss.story, loss.level, loss.t_last_ns is None) for loss in self.session.episodes]
+
     def _write_summary(self) -> None:
         self._summary_s = self._clock()
         seconds = duration_s(self._progress.first, self._progress.last)
@@ -475,7 +481,10 @@ class Site(Publisher):
         content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
         content["alarm"] = current_alarm_line(self.session.pipeline.state.alarm)
         content |= self._present.content
-        self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
+        self._told_episodes, content = self._episodes(), plain(content)
+        self._chores.write(self.out / "summary.json", to_json(content) + "\n")
+        for outlet in self._outlets:
+            outlet.summary(content)
 
     def _outputs(self) -> list[tuple[str, Way]]:
         """List every part beside the main thread with its name: source, recorder, outlets, viewer, checkpoint, history, files."""

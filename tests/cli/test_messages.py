@@ -81,7 +81,19 @@ def test_a_replay_notes_what_its_recordings_cover_and_names_those_that_overlap(
                 file.write(block)
     done = main("replay", "next-day.mcap", "early.mcap", "--structure", "s.toml", "--out", "apart", cwd=tmp_path)
     assert done.returncode == 0 and "overlap" not in done.stderr
-    recorded = json.loads((tmp_path / "apart/summary.json").read_text())["recorded"]
+    summary = json.loads((tmp_path / "apart/summary.json").read_text())
+    lines = [json.loads(line) for line in (tmp_path / "apart/results.jsonl").read_text().splitlines()]
+    judged = sum(line["skipped"] is None for line in lines)
+    assert 0 < judged < len(lines), "those that hold some of the day between say nothing"
+    assert (summary["windows"], summary["skipped"], summary["windows_not_due"]) == (judged, 0, len(lines) - judged)
+    assert (
+        f"{judged} windows, 0 skipped" in done.stdout and "could not be judged" not in done.stdout + summary["headline"]
+    )
+    assert not any("could not be judged" in doubt for doubt in summary["doubts"])
+    assert summary["realtime_factor"] < 0.2 * 86400, "two minutes of data, not a day"
+    told = main("report", "apart", "--out", "r.html", "--json", cwd=tmp_path)
+    assert [json.loads(told.stdout)[key] for key in ("windows", "windows_due", "judged")] == [judged] * 3
+    recorded = summary["recorded"]
     begins = [T0_NS, T0_NS + 86400 * 10**9]
     assert [span["file"] for span in recorded] == ["early.mcap", "next-day.mcap"]
     assert [(span["t_begin_ns"], span["t_end_ns"]) for span in recorded] == [(t, t + 60 * 10**9) for t in begins]
@@ -130,3 +142,22 @@ def test_a_sensor_that_is_not_in_the_recording_is_named_with_both_remedies(folde
     done = main("replay", "d.mcap", "--structure", "frame.toml", "--out", "out", cwd=folder)
     assert done.returncode == 65 and "channel a2, a3 of the structure file is not in the data" in done.stderr
     assert "name the channels alike, or take what was not measured out of the structure file" in done.stderr
+
+
+def test_a_recording_in_which_no_window_lies_is_named(
+    tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut, main: Cli
+) -> None:
+    (tmp_path / "s.toml").write_text(frame_text)
+    for name, part, begin_s in (
+        ("long", record, 0),
+        ("short", record[: 10 * 128], 3000),
+        ("other", record[:1280], 9000),
+    ):
+        with McapWriter(tmp_path / f"{name}.mcap") as file:
+            for block in cut(part, 128.0, t0_ns=T0_NS + begin_s * 10**9):
+                file.write(block)
+    done = main("replay", "long.mcap", "short.mcap", "--structure", "s.toml", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0 and "short.mcap: 10 s in one piece hold no window of 20 s" in done.stderr
+    assert "long.mcap" not in done.stderr
+    done = main("replay", "short.mcap", "other.mcap", "--structure", "s.toml", "--out", "none", cwd=tmp_path)
+    assert done.returncode == 65 and "10.0 s of usable data" in done.stderr and "one window takes 20 s" in done.stderr

@@ -26,6 +26,7 @@ from monitor.inference.map_estimate import maximize_posterior
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments
 from monitor.model.effects import parse_effect
+from monitor.model.effects.unmodelled_mode import UnmodelledMode
 from monitor.model.model import Model
 from monitor.model.prior import ModelDiscrepancy, prior_from_drawing
 from monitor.model.prior_file import from_plain, to_plain
@@ -153,6 +154,25 @@ def test_what_is_not_judged_is_said_with_its_reason(named: Diagnosis) -> None:
 def test_what_is_not_determined_stays_finite(named: Diagnosis) -> None:
     cause = replace(named.causes[0], std={"damping_n_s_per_m": np.inf})
     assert np.isfinite(plain(replace(named, causes=(cause,)))["causes"][0]["parameters"]["damping_n_s_per_m"]["std"])
+
+
+def test_an_effect_that_has_vanished_is_stated_and_no_error(named: Diagnosis) -> None:
+    """Joints as stiff as the number range goes, where a fit takes their flexibility to 0."""
+    rigid = parse_effect("joint_flexibility:frame:girder_to_column_ratio=1e300")
+    for deviation in (0.0, 1e-3):
+        cause = Cause.of(rigid, np.array([deviation]))
+        assert np.isfinite(cause.std["girder_to_column_ratio"])
+        told = plain(replace(named, causes=(cause,)))["causes"][0]["parameters"]["girder_to_column_ratio"]
+        assert told["value"] > 1e9 and np.isfinite([told["value"], told["std"]]).all()
+
+
+def test_the_shape_of_a_coupled_mode_has_one_component_a_channel(named: Diagnosis) -> None:
+    """Neither its force nor its couplings belong to it: the report puts a channel's name to each component."""
+    mode = UnmodelledMode("frame", 9.0, 0.01, (0.5, -0.25, 0.1), force_ratio=4.0, coupling=(0.1, 0.0, -0.1))
+    cause = Cause(mode, dict.fromkeys(mode.values(), 0.01))
+    (told,) = plain(replace(named, causes=(cause,)))["causes"]
+    assert [part["value"] for part in told["shape"]] == pytest.approx([1.0, -0.5, 0.2])
+    assert told["parameters"].keys() == {"frequency_hz", "damping_ratio"}
 
 
 def loaded(folder: Path, text: str) -> configuration.Configuration:

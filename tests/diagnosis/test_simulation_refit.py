@@ -13,7 +13,7 @@ from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.simulation_refit import refine_fit
 from monitor.inference.corrected_posterior import _bound_corrections, correct_posterior
 from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
-from monitor.inference.linearization import linearize
+from monitor.inference.linearization import forced_motion, linearize
 from monitor.inference.map_estimate import MapEstimate, maximize_posterior
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
@@ -75,6 +75,17 @@ def test_classes_that_swing_more_than_the_model_says_are_measured(nonlinear: tup
     assert louder[0].drift_m == pytest.approx(plain[0].drift_m)
     assert louder[-1].drift_m == pytest.approx(2.0 * plain[-1].drift_m, rel=0.1)
     assert louder[-1].floor_velocity_m_s == pytest.approx(2.0 * plain[-1].floor_velocity_m_s, rel=0.1)
+
+
+def test_a_trial_step_without_stationary_motion_has_none_and_no_warning(
+    nonlinear: tuple[Posterior, MapEstimate],
+) -> None:
+    problem, null = nonlinear
+    law, x = parse_effect(CUBIC.format(STRONG)), null.x.copy()
+    assert (forced_motion(problem, x, (law,), [law]) > 0.0).all()
+    x[problem.layout.damping] += 60.0  # so overdamped that the slow poles round to 0
+    with np.errstate(divide="raise"):
+        assert np.isnan(forced_motion(problem, x, (law,), [law])).all()
 
 
 def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(

@@ -30,7 +30,9 @@ def shear_frame(floors: int, rng: np.random.Generator) -> tuple[Array, Array]:
     return 2.0 * np.sqrt(squares / squares[0]), shapes
 
 
-def response(hz: Array, shapes: Array, damping: float, seconds: float, rng: np.random.Generator) -> Array:
+def response(
+    hz: Array, shapes: Array, damping: float, seconds: float, rng: np.random.Generator, noise: float = 0.1
+) -> Array:
     """Acceleration by white forces on every floor, each mode an exactly sampled resonator of a discrete model, and noise."""
     n = int(seconds * RATE_HZ)
     poles = np.exp(2.0 * np.pi / RATE_HZ * hz * (-damping + 1j * np.sqrt(1.0 - damping**2)))
@@ -39,7 +41,7 @@ def response(hz: Array, shapes: Array, damping: float, seconds: float, rng: np.r
         lfilter([1.0, -2.0, 1.0], [1.0, -2.0 * p.real, abs(p) ** 2], f) for p, f in zip(poles, forces.T, strict=True)
     ]
     clean = np.transpose(modal) @ shapes.T
-    return np.asarray(clean + 0.1 * clean.std(axis=0) * rng.standard_normal(clean.shape))
+    return np.asarray(clean + noise * clean.std(axis=0) * rng.standard_normal(clean.shape))
 
 
 def window_of(samples: Array) -> Window:

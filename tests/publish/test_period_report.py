@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pytest
 
+from monitor.core import BadInputError
 from monitor.publish.reports.period_data import read_results
 from monitor.publish.reports.period_report import read_period, write_period
 from tests.conftest import Cli
@@ -313,9 +314,9 @@ def test_the_time_between_the_recordings_of_a_replay_is_not_due_and_that_of_a_da
     channel = {"rms_m_s2": 3.0, "spikes": 0, "stuck_s": 0.0, "clipped_samples": 0}
     lost_s, came_s = (month - 12) * 600.0 + 6.0, 2 * 12 * 600.0 - 6.0
     quality = {"availability": came_s / (came_s + lost_s), "gaps": 2, "lost_s": lost_s, "overlaps": 0}
-    summary = {"quality": {**quality, "channels": {"a1": channel}}}
+    summary = {"quality": {**quality, "channels": {"a1": channel}}, "window_s": 1800.0}
     recorded = [{"file": "r", "t_begin_ns": T0 + k * HOP, "t_end_ns": T0 + (k + 12) * HOP} for k in (0, month)]
-    for told, due, gaps in (({}, month + 10, 2), ({"recorded": recorded}, 24, 1)):
+    for told, due, gaps in (({}, month + 10, 2), ({"recorded": recorded}, 20, 1)):
         (tmp_path / "summary.json").write_text(json.dumps(summary | told))
         period = read_period(tmp_path, None, None)
         assert (sum(period.results.judged), period.results.due) == (20, due)
@@ -324,10 +325,13 @@ def test_the_time_between_the_recordings_of_a_replay_is_not_due_and_that_of_a_da
     assert period.quality.lost_s == pytest.approx(6.0)
     assert period.quality.availability == pytest.approx(came_s / (came_s + 6.0))
     said = words(parsed(tmp_path / "r.html"))
-    assert "of 24 windows due" in said and "the time between recordings apart" in said
+    assert "of 20 windows due" in said and "the time between recordings apart" in said
     assert "the monitor did not run" not in said
-    for start, end, due in ((None, T0 + 100 * HOP, 12), (T0 + 100 * HOP, None, 12), (T0 + 13 * HOP, T0 + 99 * HOP, 1)):
+    assert "windows that say nothing" not in said, "the four lines that hold some of the time between are not counted"
+    for start, end, due in ((None, T0 + 100 * HOP, 10), (T0 + 100 * HOP, None, 10), (T0 + 5 * HOP, T0 + 99 * HOP, 7)):
         assert read_period(tmp_path, start, end).results.due == due
+    with pytest.raises(BadInputError, match="no window ends within the period"):
+        read_period(tmp_path, T0 + 13 * HOP, T0 + 99 * HOP)
 
 
 def test_months_take_little_memory(months: Path) -> None:

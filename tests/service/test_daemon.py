@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,8 @@ from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import unfit
 from monitor.config import configuration
 from monitor.core.errors import BadConfigurationError, BadInputError, MissingInputError
-from monitor.core.results import Gap, WindowResult
-from monitor.damage import Assessment, State
+from monitor.core.results import Gap, Level, WindowResult
+from monitor.damage import Assessment, Loss, State
 from monitor.publish.results.lines import to_json
 from monitor.runs.session import Session
 from monitor.service import appended_lines
@@ -400,6 +400,31 @@ def test_what_operators_ask_for_is_done_and_noted(site: Path, record: np.ndarray
         assert [s.value for s in samples if s.name == "shm_output_lost_total" and s.labels == {"output": "Desk"}] == [3]
     finally:
         metrics.close(1.0)
+
+
+def test_an_alarm_is_in_the_summary_at_once_and_before_the_last_diagnosis_is_waited_for(
+    site: Path, record: np.ndarray, cut: Cut
+) -> None:
+    """A reader of the web page saw ALARM above "no alarm so far" until the next summary came."""
+    told: list[tuple[int, list[str]]] = []
+
+    class Desk(Outlet):
+        def window(self, result: WindowResult, line: str) -> None:
+            summary = daemon.session._summary
+            if summary.course.windows == 4:
+                loss = Loss(Level.ALARM, 2, 0.1, 0.01, 1.0, result.t_end_ns)
+                summary.course = replace(summary.course, losses=(loss,))
+
+        def summary(self, content: Mapping[str, Any]) -> None:
+            told.append((content["windows"], [alarm["level"] for alarm in content["alarms"]]))
+
+    daemon = Daemon(site, Scripted(cut(record, RATE)), [Desk()], quiet_s=1e6)
+    finish = daemon.session.finish
+    daemon.session.finish = lambda stop: (told.append((-1, [])), finish(stop))[1]  # type: ignore[method-assign]
+    daemon.run()
+    assert told[0] == (4, ["alarm"])
+    waited = told.index((-1, []))
+    assert told[waited - 1] == told[-1] == (9, ["alarm"])
 
 
 def test_stages_and_latency_are_told(site: Path, record: np.ndarray, cut: Cut) -> None:

@@ -478,6 +478,10 @@ def test_the_outlet_shows_the_past_and_what_comes(page: WebPage) -> None:
     until(lambda: fetch(page, "api/v1/events")["events"], "the event")
     until(lambda: fetch(page, "api/v1/status")["windows"] == 3, "the summary")
     assert fetch(page, "api/v1/status")["state"] == "alarm"
+    begun = {"alarms": [{"level": "alarm", "story": 2}], "windows": 4}
+    page.summary({**SUMMARY, **begun})  # not read from the disk some ten seconds later
+    until(lambda: fetch(page, "api/v1/alarms")["alarms"] == begun["alarms"], "the alarm")
+    assert fetch(page, "api/v1/status")["windows"] == 4
     with pytest.raises(urllib.error.HTTPError, match="401"):
         fetch(page, "api/v1/status", None)
     assert (page.failed, page.dropped) == (None, 0)

@@ -19,6 +19,7 @@ from monitor.core import Array, BadInputError, MissingInputError
 from monitor.damage import Course, follow
 from monitor.publish.results.files import RESULTS, closed_files, read_all_lines, read_lines
 from monitor.publish.results.lines import facts_of_line, read_line
+from monitor.publish.results.recorded_time import due_windows, reaches_between
 
 MAX_BINS = 1000
 """Largest number of bins of a curve, which is drawn as the two sides of its envelope: 2000 points."""
@@ -188,26 +189,24 @@ class PeriodResults:
     between: Sequence[tuple[int, int]] = ()
     """Ends of the times between a replay's recordings, UTC in ns."""
     window_s: float = 0.0
-    """Length of a window; 0 where the lines do not state it."""
+    """Length of a window; 0 where the run does not state it."""
     _tracks: dict[int, Curve] = field(default_factory=dict)
 
     @property
     def due(self) -> int:
         """Number of windows that an unbroken stream would have given since the run began.
 
-        None is due where it would hold nothing but time between the recordings of a replay.
+        None is due that would hold time between the recordings of a replay.
         """
-        start, stop = max(self.grid.from_ns, self.begun_ns), self.grid.to_ns
-        hop_ns, reach_ns = round(self.hop_s * 1e9), round(self.window_s * 1e9)
-        empty = 0
-        for end_ns, begin_ns in self.between:  # windows that end from `first` to `last` hold nothing else
-            first, last = max(end_ns + reach_ns, start + 1), min(begin_ns, stop)
-            empty += max(0, (last - self.begun_ns) // hop_ns - (first - 1 - self.begun_ns) // hop_ns)
-        return max(self.course.windows, round((stop - start) / hop_ns) - empty)
+        ends_ns = max(self.grid.from_ns, self.begun_ns), self.grid.to_ns
+        count = due_windows(ends_ns, self.begun_ns, round(self.hop_s * 1e9), self.window_s, self.between)
+        return max(self.course.windows, count)
 
     def add(self, line: dict[str, Any]) -> None:
         """Add the values of one line of results.jsonl."""
         t_ns = int(line["t_end_ns"])
+        if line["skipped"] is not None and reaches_between(t_ns, self.window_s, self.between):
+            return
         at = self.grid.at(t_ns)
         course = follow(self.course, facts_of_line(line), self.misfit_limit)
         losses = [
@@ -223,7 +222,7 @@ class PeriodResults:
         for other in line.get("other_modes") or []:
             f, std = other["frequency_hz"], other["frequency_std_hz"]
             self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
-        self.course, self.window_s = course, float(line.get("window_s") or self.window_s)
+        self.course = course
         degc = line.get("temperature_degc")
         before = {} if degc is None else {"temperature": degc}  # lines of older versions have this alone
         for name, value in line.get("covariates", before).items():
@@ -273,6 +272,7 @@ def read_results(
     to_ns: int | None,
     misfit_limit: float,
     between: Sequence[tuple[int, int]] = (),
+    window_s: float = 0.0,
 ) -> PeriodResults:
     """Read results.jsonl of a folder, and its closed months; windows belong to the period in which they end.
 
@@ -286,6 +286,8 @@ def read_results(
         Goodness of fit from which stiffness explains too little.
     between : sequence of (int, int)
         Ends of the times between the recordings of a replay, UTC in ns.
+    window_s : float
+        Length of a window of a replay.
 
     Raises
     ------
@@ -303,7 +305,7 @@ def read_results(
         gaps = _shortened_gaps(folder, start, stop, round(hop_s * 1e9))
         length_s = (stop - start - sum(b - a for a, b in gaps)) * 1e-9
         grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)), gaps)
-        results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, between=between)
+        results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, between=between, window_s=window_s)
         results.judged, results.refused = [0] * grid.n, [0] * grid.n
         for raw in _lines_between(read_all_lines(folder), start, stop):
             try:

@@ -13,13 +13,11 @@ import numpy as np
 from monitor.core import parse_json, utc_ns
 from monitor.damage import Loss
 from monitor.publish.reports.period_data import utc
+from monitor.publish.results.recorded_time import between_recordings
 
 _REQUEST = re.compile(
     r"(acknowledge|reset|shelve|unshelve) alarm of (story|mode|the shape of mode) (\d+)[^:]*: ?(.*)", re.DOTALL
 )
-
-_LEAST_BETWEEN_NS = 10**9
-"""Time from which on two recordings are apart. [ns; judgement: less is missing where one stream was cut into files]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,27 +150,6 @@ def read_summary(folder: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def between_recordings(summary: dict[str, Any]) -> list[tuple[int, int]]:
-    """List the times between the recordings of a replay, UTC in ns, in order; empty for a daemon.
-
-    Recordings that follow one another as one stream, with less than `_LEAST_BETWEEN_NS` missing, are not apart: what is
-    missing there was lost.
-
-    Examples
-    --------
-    >>> recorded = [{"t_begin_ns": k * 10**12, "t_end_ns": k * 10**12 + 10**9} for k in range(3)]
-    >>> between_recordings({"recorded": recorded})
-    [(1000000000, 1000000000000), (1001000000000, 2000000000000)]
-    """
-    out, end_ns = [], None
-    for span in sorted(summary.get("recorded", ()), key=lambda span: int(span["t_begin_ns"])):
-        begin_ns = int(span["t_begin_ns"])
-        if end_ns is not None and begin_ns - end_ns >= _LEAST_BETWEEN_NS:
-            out.append((end_ns, begin_ns))
-        end_ns = max(end_ns or 0, int(span["t_end_ns"]))
-    return out
-
-
 def summary_quality(summary: dict[str, Any]) -> Quality | None:
     """Return the quality in the summary of a replay, which is that of the whole run; None where the summary has none.
 
@@ -181,7 +158,7 @@ def summary_quality(summary: dict[str, Any]) -> Quality | None:
     table = summary.get("quality")
     if not table:
         return None
-    between = between_recordings(summary)
+    between = between_recordings(summary.get("recorded", ()))
     availability, lost_s = table["availability"], table["lost_s"]
     if between and availability is not None and availability < 1.0:
         came_s = lost_s * availability / (1.0 - availability)

@@ -20,6 +20,7 @@ from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import Grid, PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality
 from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, panel, time_axes
+from monitor.publish.results.recorded_time import between_recordings
 
 _MAX_ROWS = 200
 """Largest number of rows of a table."""
@@ -63,8 +64,9 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     """
     with _name_file_in_errors(folder / "summary.json"):
         summary = notes.read_summary(folder)
-        known, between = _known_of(summary), notes.between_recordings(summary)
-    results = read_results(folder, from_ns, to_ns, known.misfit, between)
+        known, between = _known_of(summary), between_recordings(summary.get("recorded", ()))
+        window_s = float(summary.get("window_s", 0.0))
+    results = read_results(folder, from_ns, to_ns, known.misfit, between, window_s)
     start, stop = results.grid.from_ns, results.grid.to_ns
     with _name_file_in_errors(folder / "health.jsonl"):
         health = notes.HealthFile(folder, start, stop)

@@ -333,6 +333,8 @@ def replay_text(summary: Mapping[str, Any]) -> str:
     """Describe a replay in words, from the content of its summary.json; the state stands last, where a terminal shows it."""
     pace = f"{summary['realtime_factor']:.0f} x real time" + (", diagnosis apart" if summary["alarms"] else "")
     text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
+    if not_due := summary.get("windows_not_due"):
+        text.append(f"{not_due} more reach into the time between recordings: not due, not counted")
     drawn_hz = summary["structure_file_frequencies_hz"]
     modes = summary["model_modes"] or []
     means = list(zip(modes, summary["frequencies_hz"] or [], strict=True))

@@ -19,8 +19,8 @@ from monitor.damage import load_baseline
 from monitor.publish import WINDOWS_SCHEMA, Publisher, to_json, windows_table
 from monitor.runs.archive.inventory import Survey
 from monitor.runs.baselines import load_healthy
-from monitor.runs.recordings import read_blocks
-from monitor.runs.replay import pass_through, with_first_block_read
+from monitor.runs.recordings import read_blocks, recorded_spans, times_between, without_window
+from monitor.runs.replay import pass_through, recorded_content, with_first_block_read
 from monitor.runs.session import Session
 
 WINDOWS, RUNS, DIAGNOSES = "windows", "runs", "diagnoses"
@@ -125,10 +125,14 @@ def _replay(task: Task, warnings: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     kept = {"recordings": list(map(str, paths)), "stream": task.stream}
     rows = WindowsFile(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
-    session = Session(settings, healthy, (rows,), (task.structure, task.baseline), folder / "findings")
+    spans = recorded_spans(paths, settings)
+    files = task.structure, task.baseline
+    session = Session(settings, healthy, (rows,), files, folder / "findings", between=times_between(spans))
     try:
         factor = pass_through(session, source, paths)
-        write_atomically(folder / "summary.json", to_json({**session.content(factor), **kept}) + "\n")
+        warnings += without_window(spans, settings.processing.window_s, settings.processing.hop_s)
+        content = session.content(factor) | recorded_content(session, spans) | kept
+        write_atomically(folder / "summary.json", to_json(content) + "\n")
         rows.close()
     except BaseException:
         rows.abandon()

@@ -47,6 +47,9 @@ class Outlet(Publisher):
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Take a line of health.jsonl: the sensors' health of a span, if one ended, and the daemon's own health."""
 
+    def summary(self, content: Mapping[str, Any]) -> None:
+        """Take the content of summary.json, as plain values."""
+
     def take_requests(self) -> Sequence[Request]:
         """Return the operators' requests that wait; each is answered by `answer_requests` before the next call."""
         return ()

@@ -113,11 +113,14 @@ class WebPage(Outlet):
         self._show(partial(self._snapshots.finding, finding))
 
     def health_line(self, line: Mapping[str, Any]) -> None:
-        """Show the health; read summary.json again; listen if the port is not open."""
+        """Show the health; listen if the port is not open."""
         self._show(partial(self._snapshots.health, line))
-        self._files.do("summary", self._read_summary)
         if self._server is None:
             self._listen()
+
+    def summary(self, content: Mapping[str, Any]) -> None:
+        """Show the alarms, and what else the summary holds."""
+        self._show(partial(self._snapshots.summary, content))
 
     def close(self, timeout_s: float) -> None:
         """Stop listening."""
