@@ -138,7 +138,7 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     gram = total.ravel()[pairs]
     # The products that reach over a block's ends count for one of the blocks alone, which large coefficients of opposite signs
     # magnify: a prediction may not rest on less than their share of the power.
-    gram[np.diag_indices(len(gram))] *= 1.0 + max(_ASSUMED_NOISE, _HALF_LENGTH / float(counts.min()))
+    gram.ravel()[:: len(gram) + 1] *= 1.0 + max(_ASSUMED_NOISE, _HALF_LENGTH / float(counts.min()))
     weights = np.linalg.solve(gram, total.ravel()[past])
     # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
     shown = np.bincount(past, weights, total.size)
@@ -148,16 +148,22 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     if not shares[:, 1].sum() > 0.0 or explained > 1.0:
         # The lag sums of a motion that begins or dies out in the window need not be those of any stationary motion.
         return 1.0, 1.0
-    known = shares[:, 1] > _LEAST_PREDICTED * shares[:, 1].mean()
+    known = np.flatnonzero(shares[:, 1] > _LEAST_PREDICTED * shares[:, 1].mean())
     (shown_here, predicted_here), own = shares[known].T, covariances[known, 0, channel, channel]
     gain = shown_here / predicted_here
     rest = np.maximum(own - 2.0 * shown_here + predicted_here, 0.0)
     # What the neighbours do not explain may be a slow motion, of which a block has far fewer values than samples: the scatter
     # of most blocks' gains says so.
-    scatter = _NORMAL_MAD * float(np.median(np.abs(gain - np.median(gain))))
+    scatter = _NORMAL_MAD * _median(np.abs(gain - _median(gain)))
     std = np.maximum(np.sqrt(rest / (counts[known] * predicted_here)), scatter)
     most, least = float((gain - _CERTAIN_STDS * std).max()), float((gain + _CERTAIN_STDS * std).min())
     return explained, least / most if most > 0.0 else 1.0
+
+
+def _median(values: Array) -> float:
+    """Compute the median of a few finite values, shape (n,), n > 0, for which numpy's takes longer than all else here."""
+    ordered = np.sort(values)
+    return float(ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2]) / 2.0
 
 
 def _predictability(covariances: Array, channel: int) -> float:
