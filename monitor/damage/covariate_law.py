@@ -58,9 +58,13 @@ class Axis:
 
     def basis(self, value: Array) -> Array:
         """Compute the basis at values of the covariate, shape (w,), as shape (w, k + 2): distance, then its stretches."""
-        low, high = np.r_[-np.inf, self.knots], np.r_[self.knots, np.inf]
-        stretches = np.clip(value[:, None], low, high) - np.clip(self.reference, low, high)
-        return np.column_stack([value - self.reference, stretches])
+        edges = np.concatenate([[-np.inf], self.knots, [np.inf]])
+        low, high = edges[:-1], edges[1:]
+        basis = np.empty((len(value), edges.size))
+        np.subtract(value, self.reference, out=basis[:, 0])
+        reference = np.minimum(np.maximum(self.reference, low), high)
+        np.subtract(np.minimum(np.maximum(value[:, None], low), high), reference, out=basis[:, 1:])
+        return basis
 
     def beyond(self, value: float) -> str:
         """State on which side of the learned range a value lies: ``below``, ``above`` or nothing."""
