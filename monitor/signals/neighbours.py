@@ -133,6 +133,8 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     Both gains are taken `_CERTAIN_STDS` standard deviations nearer to each other.  Where no block has a gain the ratio is 1,
     and where the lag sums admit no prediction both are 1.
     """
+    from monitor.signals.kernels import extreme_gains  # compiled code takes a while to load
+
     total = covariances.sum(axis=0)
     past, pairs = _places(channel, others, *total.shape[:2])
     gram = total.ravel()[pairs]
@@ -148,22 +150,16 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     if not shares[:, 1].sum() > 0.0 or explained > 1.0:
         # The lag sums of a motion that begins or dies out in the window need not be those of any stationary motion.
         return 1.0, 1.0
-    known = np.flatnonzero(shares[:, 1] > _LEAST_PREDICTED * shares[:, 1].mean())
-    (shown_here, predicted_here), own = shares[known].T, covariances[known, 0, channel, channel]
-    gain = shown_here / predicted_here
-    rest = np.maximum(own - 2.0 * shown_here + predicted_here, 0.0)
-    # What the neighbours do not explain may be a slow motion, of which a block has far fewer values than samples: the scatter
-    # of most blocks' gains says so.
-    scatter = _NORMAL_MAD * _median(np.abs(gain - _median(gain)))
-    std = np.maximum(np.sqrt(rest / (counts[known] * predicted_here)), scatter)
-    most, least = float((gain - _CERTAIN_STDS * std).max()), float((gain + _CERTAIN_STDS * std).min())
+    most, least = extreme_gains(
+        shares[:, 0],
+        shares[:, 1],
+        covariances[:, 0, channel, channel],
+        counts,
+        _LEAST_PREDICTED * float(shares[:, 1].mean()),
+        _CERTAIN_STDS,
+        _NORMAL_MAD,
+    )
     return explained, least / most if most > 0.0 else 1.0
-
-
-def _median(values: Array) -> float:
-    """Compute the median of a few finite values, shape (n,), n > 0, for which numpy's takes longer than all else here."""
-    ordered = np.sort(values)
-    return float(ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2]) / 2.0
 
 
 def _predictability(covariances: Array, channel: int) -> float:
