@@ -82,8 +82,6 @@ class Effect:
     """Shape (n, n)."""
     parts: Mapping[str, Array]
     """Shape (n,) for each known covariate: its share of ln(1 + relative)."""
-    variances: Mapping[str, float]
-    """Largest variance over the quantities that each covariate alone brings."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -120,22 +118,33 @@ class CovariateLaw:
             Lagged values of each covariate, shape (n_lags,).  A covariate that is missing is taken as distributed as it was
             when the law was learned.
         """
-        away, known = np.zeros(self.centre.size), {}
+        away, known = self._away(covariates)
         covariance = np.zeros((len(self.slopes),) * 2)
+        if len(known) < len(self.axes):
+            for name, columns in self.columns().items():
+                if name not in known:
+                    slopes = self.slopes[:, columns]
+                    covariance += slopes @ self.spread[columns, columns] @ slopes.T
+        ln = self.slopes @ away
+        scale = np.exp(ln)
+        covariance = (covariance + self._covariance(away)) * np.outer(scale, scale)
+        parts = {name: self.slopes[:, c] @ away[c] for name, c in known.items()}
+        return Effect(np.expm1(ln), covariance, parts)
+
+    def variances(self, covariates: Mapping[str, Array]) -> dict[str, float]:
+        """Compute the largest variance over the quantities that each known covariate of a window alone brings."""
+        away, known = self._away(covariates)
+        return {name: float(self._covariance(away, c).diagonal().max()) for name, c in known.items()}
+
+    def _away(self, covariates: Mapping[str, Array]) -> tuple[Array, dict[str, slice]]:
+        """Compute the distance in the basis, shape (K,), and the columns of the covariates that are known."""
+        away, known = np.zeros(self.centre.size), {}
         for axis, (name, columns) in zip(self.axes, self.columns().items(), strict=True):
             values = covariates.get(name)
             if values is not None and np.isfinite(values[axis.lag]):
                 away[columns] = axis.basis(values[axis.lag : axis.lag + 1])[0] - self.centre[columns]
                 known[name] = columns
-            else:
-                slopes = self.slopes[:, columns]
-                covariance += slopes @ self.spread[columns, columns] @ slopes.T
-        ln = self.slopes @ away
-        scale = np.exp(ln)
-        covariance = (covariance + self._covariance(away)) * np.outer(scale, scale)
-        parts = {name: self.slopes[:, c] @ away[c] for name, c in known.items()}
-        variances = {name: float(self._covariance(away, c).diagonal().max()) for name, c in known.items()}
-        return Effect(np.expm1(ln), covariance, parts, variances)
+        return away, known
 
     def at(self, values: Array) -> Array:
         """Evaluate the law at known covariates, each at its lag, shape (w, n_axes), as changes of the logarithm, shape (w, n)."""
