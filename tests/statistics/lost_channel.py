@@ -86,6 +86,7 @@ def baseline(seed: int) -> Baseline:
         pipeline.level_weights,
         updating=c.updating,
         compensation=c.compensation,
+        motion=[r.motion for r in results if r.motion is not None],
     )[0]
 
 
