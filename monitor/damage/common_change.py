@@ -143,19 +143,24 @@ class Expected:
         most = (np.abs(found.z) if either_side else found.z).max(axis=-1)
         aside = (most >= SIGNIFICANT_STDS) | (found.z_alike > np.maximum(most + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS))
         for k in np.flatnonzero(aside):
+            first = _Compared(found.z[k], weights[k], inflation[k], found.z_alike[k])
             total[k], weights[k], inflation[k] = self._set_aside(
-                losses[k], learned[k], total[k], either_side=either_side
+                losses[k], learned[k], total[k], first, either_side=either_side
             )
         std = np.sqrt(inflation * ((weights @ total) * weights).sum(axis=-1))
         return Beside((weights @ losses[..., None])[..., 0], std, weights, inflation)
 
-    def _set_aside(self, loss: Array, learned: Array, total: Array, *, either_side: bool) -> tuple[Array, Array, Array]:
+    def _set_aside(
+        self, loss: Array, learned: Array, total: Array, found: _Compared, *, either_side: bool
+    ) -> tuple[Array, Array, Array]:
         """Set aside the stories that are lost themselves, and a change of all alike, and compare each story with the rest.
 
         Parameters
         ----------
         learned, total : ndarray, shape (n, n)
             As of `_compare`.
+        found : _Compared
+            Comparison of all stories.
 
         Returns
         -------
@@ -165,31 +170,30 @@ class Expected:
         n = loss.size
         kept, alike = list(range(n)), False
         while True:
-            found = among_kept = self._compare_some(loss, learned, total, kept)
             z = np.abs(found.z) if either_side else found.z
             best = int(z.argmax())
             if not alike and found.z_alike > max(float(z[best]) + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS):
                 total, alike = total + _ANY_SIZE**2 * np.ones((n, n)), True
-                continue
-            if z[best] < SIGNIFICANT_STDS or len(kept) < 2:
+            elif z[best] < SIGNIFICANT_STDS or len(kept) < 2:
                 break
-            del kept[best]
-        if len(kept) == n:
-            return total, found.weights, found.inflation
+            else:
+                del kept[best]
+            found = self._compare_some(loss, learned, total, kept)
         weights, inflation = np.zeros((n, n)), np.ones(n)
-        for j in range(n):
-            chosen = kept if j in kept else [*kept, j]
-            if chosen == [j]:  # the only one that is not lost: by the others, for want of better
-                chosen = list(range(n))
-            found = among_kept if chosen is kept else self._compare_some(loss, learned, total, chosen)
-            at = chosen.index(j)
-            weights[j, chosen], inflation[j] = found.weights[at], found.inflation[at]
+        weights[np.ix_(kept, kept)], inflation[kept] = found.weights, found.inflation
+        for j in sorted(set(range(n)) - set(kept)):
+            chosen = [*kept, j]
+            found = self._compare_some(loss, learned, total, chosen)
+            weights[j, chosen], inflation[j] = found.weights[-1], found.inflation[-1]
+        if len(kept) == 1:  # the only one that is not lost: by the others, for want of better
+            found = self._compare_some(loss, learned, total, list(range(n)))
+            weights[kept], inflation[kept] = found.weights[kept], found.inflation[kept]
         return total, weights, inflation
 
     def _compare_some(self, loss: Array, learned: Array, total: Array, chosen: list[int]) -> _Compared:
         """Compare the chosen stories, each with the other chosen ones, as `_compare`."""
-        rows = np.ix_(chosen, chosen)
-        return self._compare(loss[chosen], learned[rows], total[rows])
+        rows = np.array(chosen)
+        return self._compare(loss[rows], learned[rows[:, None], rows], total[rows[:, None], rows])
 
     def _compare(self, loss: Array, learned: Array, total: Array) -> _Compared:
         """Compare stories, each with the others, for one measurement or several, whose number then is the first dimension.
@@ -238,15 +242,16 @@ class Expected:
         beside, intact = self.each_beside_others(
             np.stack([reading.ddi, np.zeros_like(reading.ddi)]), np.stack([reading.ddi_covariance, smooth + of_history])
         ).each()
-        own = reading.ddi_covariance - reading.common_covariance
-        common = beside.left_of(reading.common_covariance + self.covariance)
+        own, common = beside.left_of(
+            np.stack([reading.ddi_covariance - reading.common_covariance, reading.common_covariance + self.covariance])
+        )
         shift = reading.ddi - beside.loss
         loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
         of_history = replace(intact, inflation=beside.inflation).left_of(of_history + self.covariance)
         return replace(
             reading,
             ddi=beside.loss,
-            ddi_covariance=beside.left_of(own) + common,
+            ddi_covariance=own + common,
             common_covariance=common,
             ddi_sequential=reading.ddi_sequential - shift,
             loss_n_per_m=loss_n_per_m,
@@ -289,7 +294,7 @@ class Beside:
         return [Beside(*one) for one in zip(self.loss, self.std, self.weights, self.inflation, strict=True)]
 
     def left_of(self, covariance: Array) -> Array:
-        """Return what is left of a covariance of the measured losses, shape (n, n)."""
+        """Return what is left of a covariance of the measured losses, or of several, shape (..., n, n)."""
         inflation = np.sqrt(np.outer(self.inflation, self.inflation))
         return np.asarray(inflation * (self.weights @ covariance @ self.weights.T))
 
