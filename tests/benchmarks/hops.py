@@ -24,7 +24,12 @@ from threadpoolctl import threadpool_limits
 
 HERE = Path(__file__).resolve().parents[2]
 RATE_HZ, HOUR_S, HOP_S = 100.0, 3600, 10
-KINDS = {"law": "with the law", "together": "with common changes", "none": "without"}
+KINDS = {
+    "law": "with the law",
+    "together": "with common changes",
+    "no_events": "with common changes, no events looked for",
+    "none": "without",
+}
 """What the baseline of a checkout knows of covariates."""
 
 
@@ -52,7 +57,9 @@ def worker(kind: str, samples: Path) -> None:
         baseline = learn_baseline(*known, updating=config.updating, temperature=config.temperature)[0]
     if kind == "none" and hasattr(baseline, "law"):
         baseline = replace(baseline, law=None)
-    if kind == "together":
+    if kind == "no_events":
+        config = config.model_copy(update={"events": config.events.model_copy(update={"enabled": False})})
+    if kind in ("together", "no_events"):
         from monitor.damage.common_change import CommonChange
 
         white = np.linalg.solve(baseline.law.mixing, [0.01, 0.015, 0.008])
