@@ -26,8 +26,8 @@ _MOST_PREDICTORS = 5
 """Neighbours that predict a channel, those of the largest correlation. [count; cost]"""
 _ASSUMED_NOISE = 1e-3
 """White noise that is assumed in each channel beside what it shows, over its power: the lowpass leaves none near the Nyquist
-frequency, and a prediction would rest on that. [ratio; judgement: anything from 1e-5 to 1e-2 finds the same channels; a prediction from neighbours rests on
-it only where blocks have more than 10 000 samples]"""
+frequency, and a prediction would rest on that. [ratio; judgement: anything from 1e-5 to 1e-2 finds the same channels, since for
+blocks below 10 000 samples a prediction from neighbours rests on more]"""
 _WHITER = 2.0
 """Share of a channel's power that its own past does not explain, over that of its only neighbour, from which the channel rather
 than the neighbour is noise. [ratio; judgement]"""
