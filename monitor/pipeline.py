@@ -353,6 +353,7 @@ class Pipeline:
             covariates,
             left_out,
             said.modal,
+            None if left_out else item.sums.total[0] / item.sums.counts.sum(),
         )
 
     def _choose_channels(self, item: Window) -> tuple[tuple[int, ...], tuple[LeftOutChannel, ...]]:

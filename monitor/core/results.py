@@ -405,6 +405,8 @@ class WindowResult:
     """Channels of which the window makes no use; their components of `modes.shapes` are NaN."""
     modal: ModalReading | None = None
     """Change of the modes, where they are all that is judged."""
+    motion: Array | None = None
+    """Shape (c, c), (m/s^2)^2: covariance of the accelerations; None where not all channels were judged."""
 
 
 @dataclass(frozen=True, slots=True)

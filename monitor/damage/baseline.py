@@ -50,6 +50,9 @@ class Baseline:
     """Dependence of the healthy stiffness on temperature, level and other covariates; None where none was learned."""
     drift_weights: Array | None = None
     """Shape (c, c), s^4: how the level that the law was learned at was measured (`level.drift_weights`)."""
+    motion: Array | None = None
+    """Shape (c, c), (m/s^2)^2: mean covariance of the accelerations over the windows, by which fewer channels measure the same
+    level; None in files of older versions."""
     recordings: tuple[dict[str, Any], ...] = field(default=())
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
@@ -147,6 +150,7 @@ def learn_baseline(
     updating: UpdatingSettings,
     compensation: CovariateSettings,
     t_ns: Sequence[int] = (),
+    motion: Sequence[Array] = (),
 ) -> tuple[Baseline, Update]:
     """Learn the baseline from the windows of healthy recordings.
 
@@ -164,6 +168,8 @@ def learn_baseline(
         How the covariate `LEVEL` was measured.
     t_ns : sequence of int
         End of each window, UTC.  Without them it is not learned what the stories do together.
+    motion : sequence of ndarray, shape (c, c), (m/s^2)^2
+        Covariance of the accelerations of windows (`WindowResult.motion`).
 
     Returns
     -------
@@ -198,6 +204,7 @@ def learn_baseline(
         recordings=recordings,
         span_ns=span_ns,
         drift_weights=drift_weights,
+        motion=np.mean(motion, axis=0) if len(motion) else None,
     )
     if not units or not covariates:
         return baseline, fit

@@ -150,6 +150,7 @@ class _Content(_Strict):
     temperature: _Temperature | None = None
     law: Law | None = None
     drift_weights: Matrix | None = None
+    motion: Matrix | None = None
     stiffness_correction_n_per_m: Matrix | None = None
     reference: _Reference | None = None
     origin: _Origin | None = None
@@ -343,6 +344,7 @@ def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
         reference_temperature_degc=c.reference_temperature_degc,
         law=covariates.from_plain(law, n_stories) or covariates.from_former(former, n_stories),
         drift_weights=None if c.drift_weights is None else np.array(c.drift_weights),
+        motion=None if c.motion is None else np.array(c.motion),
         recordings=c.recordings,
         span_ns=c.span_ns,
         reference=prior_file.from_plain(reference, model, instrumented.channels),
@@ -357,6 +359,7 @@ def _damage(b: Baseline) -> str | None:
     n_data = m + len(b.gauges) * (c - 1)
     shapes = {"covariance": (p + n, p + n), "z": (n_data,), "z_covariance": (n_data, n_data), "misfit": (n_data,)}
     shapes |= {name: (m,) for name in ("frequencies_hz", "frequencies_std_hz", "damping_ratio")}
+    shapes |= {"motion": (c, c)} if b.motion is not None else {}
     for name, shape in shapes.items():
         if getattr(b, name).shape != shape:
             return f"{name} is"

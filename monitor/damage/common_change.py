@@ -119,60 +119,107 @@ class Expected:
         either_side : bool
             A gain counts as a loss does.
         """
-        n = loss.size
-        learned = covariance + self.covariance
-        total = learned + _ANY_SIZE**2 * np.outer(self.leading, self.leading)
-        kept, alike = list(range(n)), False
-        while True:
-            found = among_kept = self._compare(loss, learned, total, kept)
-            z = np.abs(found.z) if either_side else found.z
-            best = int(z.argmax())
-            if not alike and found.z_alike > max(float(z[best]) + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS):
-                total, alike = total + _ANY_SIZE**2 * np.ones((n, n)), True
-                continue
-            if z[best] < SIGNIFICANT_STDS or len(kept) < 2:
-                break
-            del kept[best]
-        weights, inflation = found.weights, found.inflation
-        if len(kept) < n:
-            weights, inflation = np.zeros((n, n)), np.ones(n)
-        for j in range(n if len(kept) < n else 0):
-            chosen = kept if j in kept else [*kept, j]
-            if chosen == [j]:  # the only one that is not lost: by the others, for want of better
-                chosen = list(range(n))
-            found = among_kept if chosen is kept else self._compare(loss, learned, total, chosen)
-            at = chosen.index(j)
-            weights[j, chosen], inflation[j] = found.weights[at], found.inflation[at]
-        std = np.sqrt(inflation * ((weights @ total) * weights).sum(axis=1))
-        return Beside(weights @ loss, std, weights, inflation)
+        return self.each_beside_others(loss[None], covariance[None], either_side=either_side).each()[0]
 
-    def _compare(self, loss: Array, learned: Array, total: Array, chosen: list[int]) -> _Compared:
-        """Compare the chosen stories, each with the other chosen ones.
+    def each_beside_others(self, losses: Array, covariances: Array, *, either_side: bool = False) -> Beside:
+        """Compare each of k measurements of the stories, as `beside_others`.
+
+        Parameters
+        ----------
+        losses : ndarray, shape (k, n)
+        covariances : ndarray, shape (k, n, n)
+        either_side : bool
+
+        Returns
+        -------
+        Beside
+            Each of its arrays with the k measurements before the other dimensions.
+        """
+        learned = covariances + self.covariance
+        total = learned + _ANY_SIZE**2 * np.outer(self.leading, self.leading)
+        found = self._compare(losses, learned, total)
+        weights, inflation = found.weights, found.inflation
+        # Mostly nothing is to be set aside, and one comparison of all does.
+        most = (np.abs(found.z) if either_side else found.z).max(axis=-1)
+        aside = (most >= SIGNIFICANT_STDS) | (found.z_alike > np.maximum(most + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS))
+        for k in np.flatnonzero(aside):
+            first = _Compared(found.z[k], weights[k], inflation[k], found.z_alike[k])
+            total[k], weights[k], inflation[k] = self._set_aside(
+                losses[k], learned[k], total[k], first, either_side=either_side
+            )
+        std = np.sqrt(inflation * ((weights @ total) * weights).sum(axis=-1))
+        return Beside((weights @ losses[..., None])[..., 0], std, weights, inflation)
+
+    def _set_aside(
+        self, loss: Array, learned: Array, total: Array, found: _Compared, *, either_side: bool
+    ) -> tuple[Array, Array, Array]:
+        """Set aside the stories that are lost themselves, and a change of all alike, and compare each story with the rest.
 
         Parameters
         ----------
         learned, total : ndarray, shape (n, n)
+            As of `_compare`.
+        found : _Compared
+            Comparison of all stories.
+
+        Returns
+        -------
+        total, weights : ndarray, shape (n, n)
+        inflation : ndarray, shape (n,)
+        """
+        n = loss.size
+        kept, alike = list(range(n)), False
+        while True:
+            z = np.abs(found.z) if either_side else found.z
+            best = int(z.argmax())
+            if not alike and found.z_alike > max(float(z[best]) + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS):
+                total, alike = total + _ANY_SIZE**2 * np.ones((n, n)), True
+            elif z[best] < SIGNIFICANT_STDS or len(kept) < 2:
+                break
+            else:
+                del kept[best]
+            found = self._compare_some(loss, learned, total, kept)
+        weights, inflation = np.zeros((n, n)), np.ones(n)
+        weights[np.ix_(kept, kept)], inflation[kept] = found.weights, found.inflation
+        for j in sorted(set(range(n)) - set(kept)):
+            chosen = [*kept, j]
+            found = self._compare_some(loss, learned, total, chosen)
+            weights[j, chosen], inflation[j] = found.weights[-1], found.inflation[-1]
+        if len(kept) == 1:  # the only one that is not lost: by the others, for want of better
+            found = self._compare_some(loss, learned, total, list(range(n)))
+            weights[kept], inflation[kept] = found.weights[kept], found.inflation[kept]
+        return total, weights, inflation
+
+    def _compare_some(self, loss: Array, learned: Array, total: Array, chosen: list[int]) -> _Compared:
+        """Compare the chosen stories, each with the other chosen ones, as `_compare`."""
+        rows = np.array(chosen)
+        return self._compare(loss[rows], learned[rows[:, None], rows], total[rows[:, None], rows])
+
+    def _compare(self, loss: Array, learned: Array, total: Array) -> _Compared:
+        """Compare stories, each with the others, for one measurement or several, whose number then is the first dimension.
+
+        Parameters
+        ----------
+        loss : ndarray, shape (..., n)
+        learned, total : ndarray, shape (..., n, n)
             Covariance of the losses: as learned, and with what is of any size.
         """
-        part = loss
-        if len(chosen) < loss.size or chosen != sorted(chosen):
-            part, rows = loss[chosen], np.ix_(chosen, chosen)
-            learned, total = learned[rows], total[rows]
         inverse = np.linalg.inv(total)
-        precision, gap = inverse.diagonal(), inverse @ part
+        precision, gap = np.diagonal(inverse, 0, -2, -1), np.matvec(inverse, loss)
         of_learned = np.linalg.inv(learned)
-        distances = of_learned @ part
-        square = float(part @ distances)
-        inflation = 1.0 + (square - distances**2 / of_learned.diagonal()) / self.stretches
-        evidence, information = float(gap.sum()), float(inverse.sum())
+        distances = np.matvec(of_learned, loss)
+        square = np.vecdot(loss, distances)
+        beyond = square[..., None] - distances**2 / np.diagonal(of_learned, 0, -2, -1)
+        inflation = 1.0 + beyond / self.stretches
+        evidence, information = np.abs(gap.sum(axis=-1)), inverse.sum(axis=(-2, -1))
         # A change alike that is larger than what was measured of any story is no explanation.
-        possible = abs(evidence) <= information * float(np.abs(part).max())
-        along = abs(evidence) / np.sqrt(information) if possible else 0.0
+        possible = evidence <= information * np.abs(loss).max(axis=-1)
+        along = np.where(possible, evidence / np.sqrt(information), 0.0)
         return _Compared(
             gap / np.sqrt(precision * inflation),
-            inverse / precision[:, None],
+            inverse / precision[..., None],
             inflation,
-            along / np.sqrt(1.0 + max(square - along**2, 0.0) / self.stretches),
+            along / np.sqrt(1.0 + np.maximum(square - along**2, 0.0) / self.stretches),
         )
 
     def take_out(self, reading: DamageReading, history: History) -> tuple[DamageReading, History]:
@@ -189,20 +236,22 @@ class Expected:
         History
             The variances of what is left, for the smallest detectable loss; its readings are unchanged.
         """
-        beside = self.beside_others(reading.ddi, reading.ddi_covariance)
-        own = reading.ddi_covariance - reading.common_covariance
-        common = beside.left_of(reading.common_covariance + self.covariance)
-        shift = reading.ddi - beside.loss
-        loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
         # The smallest detectable loss is of a structure without loss, and its simulation is kept for the next windows: what
         # changes from window to window by chance stays out of it.
         smooth, of_history = np.diag(np.exp(history.ln_variance)), history.common.mean(axis=0)
-        intact = self.beside_others(np.zeros_like(reading.ddi), smooth + of_history)
+        beside, intact = self.each_beside_others(
+            np.stack([reading.ddi, np.zeros_like(reading.ddi)]), np.stack([reading.ddi_covariance, smooth + of_history])
+        ).each()
+        own, common = beside.left_of(
+            np.stack([reading.ddi_covariance - reading.common_covariance, reading.common_covariance + self.covariance])
+        )
+        shift = reading.ddi - beside.loss
+        loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
         of_history = replace(intact, inflation=beside.inflation).left_of(of_history + self.covariance)
         return replace(
             reading,
             ddi=beside.loss,
-            ddi_covariance=beside.left_of(own) + common,
+            ddi_covariance=own + common,
             common_covariance=common,
             ddi_sequential=reading.ddi_sequential - shift,
             loss_n_per_m=loss_n_per_m,
@@ -215,16 +264,16 @@ class Expected:
 
 
 class _Compared(NamedTuple):
-    """Comparison of k stories, each with the others."""
+    """Comparison of n stories, each with the others."""
 
     z: Array
-    """Shape (k,): z-score of each loss beyond what the others let expect."""
+    """Shape (..., n): z-score of each loss beyond what the others let expect."""
     weights: Array
-    """Shape (k, k): that loss as a combination of the measured ones."""
+    """Shape (..., n, n): that loss as a combination of the measured ones."""
     inflation: Array
-    """Shape (k,): factor of its variance, as in `Beside`."""
-    z_alike: float
-    """Size of the z-score of a change of all alike."""
+    """Shape (..., n): factor of its variance, as in `Beside`."""
+    z_alike: Array
+    """Shape (...): size of the z-score of a change of all alike."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -240,8 +289,12 @@ class Beside:
     inflation: Array
     """Shape (n,): factor of the variance, since what was learned holds the less, the further the others are from it."""
 
+    def each(self) -> list[Beside]:
+        """Return each of several measurements (`Expected.each_beside_others`)."""
+        return [Beside(*one) for one in zip(self.loss, self.std, self.weights, self.inflation, strict=True)]
+
     def left_of(self, covariance: Array) -> Array:
-        """Return what is left of a covariance of the measured losses, shape (n, n)."""
+        """Return what is left of a covariance of the measured losses, or of several, shape (..., n, n)."""
         inflation = np.sqrt(np.outer(self.inflation, self.inflation))
         return np.asarray(inflation * (self.weights @ covariance @ self.weights.T))
 

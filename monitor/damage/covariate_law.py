@@ -58,9 +58,13 @@ class Axis:
 
     def basis(self, value: Array) -> Array:
         """Compute the basis at values of the covariate, shape (w,), as shape (w, k + 2): distance, then its stretches."""
-        low, high = np.r_[-np.inf, self.knots], np.r_[self.knots, np.inf]
-        stretches = np.clip(value[:, None], low, high) - np.clip(self.reference, low, high)
-        return np.column_stack([value - self.reference, stretches])
+        edges = np.concatenate([[-np.inf], self.knots, [np.inf]])
+        low, high = edges[:-1], edges[1:]
+        basis = np.empty((len(value), edges.size))
+        np.subtract(value, self.reference, out=basis[:, 0])
+        reference = np.minimum(np.maximum(self.reference, low), high)
+        np.subtract(np.minimum(np.maximum(value[:, None], low), high), reference, out=basis[:, 1:])
+        return basis
 
     def beyond(self, value: float) -> str:
         """State on which side of the learned range a value lies: ``below``, ``above`` or nothing."""
@@ -78,8 +82,6 @@ class Effect:
     """Shape (n, n)."""
     parts: Mapping[str, Array]
     """Shape (n,) for each known covariate: its share of ln(1 + relative)."""
-    variances: Mapping[str, float]
-    """Largest variance over the quantities that each covariate alone brings."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -116,22 +118,33 @@ class CovariateLaw:
             Lagged values of each covariate, shape (n_lags,).  A covariate that is missing is taken as distributed as it was
             when the law was learned.
         """
-        away, known = np.zeros(self.centre.size), {}
+        away, known = self._away(covariates)
         covariance = np.zeros((len(self.slopes),) * 2)
+        if len(known) < len(self.axes):
+            for name, columns in self.columns().items():
+                if name not in known:
+                    slopes = self.slopes[:, columns]
+                    covariance += slopes @ self.spread[columns, columns] @ slopes.T
+        ln = self.slopes @ away
+        scale = np.exp(ln)
+        covariance = (covariance + self._covariance(away)) * np.outer(scale, scale)
+        parts = {name: self.slopes[:, c] @ away[c] for name, c in known.items()}
+        return Effect(np.expm1(ln), covariance, parts)
+
+    def variances(self, covariates: Mapping[str, Array]) -> dict[str, float]:
+        """Compute the largest variance over the quantities that each known covariate of a window alone brings."""
+        away, known = self._away(covariates)
+        return {name: float(self._covariance(away, c).diagonal().max()) for name, c in known.items()}
+
+    def _away(self, covariates: Mapping[str, Array]) -> tuple[Array, dict[str, slice]]:
+        """Compute the distance in the basis, shape (K,), and the columns of the covariates that are known."""
+        away, known = np.zeros(self.centre.size), {}
         for axis, (name, columns) in zip(self.axes, self.columns().items(), strict=True):
             values = covariates.get(name)
             if values is not None and np.isfinite(values[axis.lag]):
                 away[columns] = axis.basis(values[axis.lag : axis.lag + 1])[0] - self.centre[columns]
                 known[name] = columns
-            else:
-                slopes = self.slopes[:, columns]
-                covariance += slopes @ self.spread[columns, columns] @ slopes.T
-        ln = self.slopes @ away
-        scale = np.exp(ln)
-        covariance = (covariance + self._covariance(away)) * np.outer(scale, scale)
-        parts = {name: self.slopes[:, c] @ away[c] for name, c in known.items()}
-        variances = {name: float(self._covariance(away, c).diagonal().max()) for name, c in known.items()}
-        return Effect(np.expm1(ln), covariance, parts, variances)
+        return away, known
 
     def at(self, values: Array) -> Array:
         """Evaluate the law at known covariates, each at its lag, shape (w, n_axes), as changes of the logarithm, shape (w, n)."""

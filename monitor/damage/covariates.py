@@ -184,7 +184,7 @@ def beyond_words(law: CovariateLaw, covariates: Mapping[str, Array]) -> str:
     >>> beyond_words(law, {"temperature": np.array([-5.0])})
     'colder than anything at calibration: temperature -5 degC, learned from 10 to 20 degC'
     """
-    variances = law.expected(covariates).variances
+    variances = law.variances(covariates)
     missing = [axis.name for axis in law.axes if axis.name not in variances]
     name = max(variances, key=lambda name: variances[name], default="")
     axis = next((a for a in law.axes if a.name == name), None)

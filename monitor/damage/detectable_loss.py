@@ -7,10 +7,12 @@ simulation of the errors of the windows.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil
+from math import ceil, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, DamageReading
 from monitor.damage.alarm import AlarmSettings
@@ -22,6 +24,8 @@ WITHIN_S = 3600.0
 """Time after a sudden loss within which it is to be seen. [s; definition: holds the longest stretch, eight windows of 400 s]"""
 _TRIALS = 500
 """Simulated series of windows. [count; cost: the share seen errs by 1.3 percent]"""
+_AT_ONCE = 50
+"""Trials simulated at once. [count; cost: their arrays fit into a processor's cache]"""
 _LOOKS_A_WINDOW = 20
 """Looks simulated in a window's length. [count; cost: errors of windows a twentieth apart are correlated by 0.95]"""
 _LN_STEP = 0.1
@@ -130,52 +134,102 @@ def _simulated(
     """
     own = _covariance(own_steps, _LN_STEP, correlation)
     common = _covariance(common_steps, _LN_COMMON_STEP, correlation)
-    n, rng = len(own), np.random.default_rng(0)
-    apart, longest = max(1, round(1.0 / hop)), max(STRETCHES)  # looks in a window
+    n = len(own)
+    apart = max(1, round(1.0 / hop))  # looks in a window
     looks = np.arange(1, windows * apart + 1)
     held = max(2, 1 + ceil(confirm * apart - 1e-9))  # looks in a row at which the loss must be significant
     if looks.size < held:
         return np.full(n, np.inf)
-    before = longest * apart  # increments of the healthy data before the loss
-    increments = rng.standard_normal((_TRIALS, before + looks.size, n)) @ np.linalg.cholesky(own).T * np.sqrt(apart)
-    total = np.concatenate([np.zeros((_TRIALS, 1, n)), np.cumsum(increments, axis=1)], axis=1)
-    off = rng.standard_normal((_TRIALS, 1, n)) @ np.linalg.cholesky(common).T
-    wanted = np.full((_TRIALS, looks.size, n), np.inf)
-    for stretch in STRETCHES:
-        error = (total[:, before + looks] - total[:, before + looks - stretch * apart]) / (stretch * apart) + off
-        loss = np.maximum(_needed(error, own / stretch + common, significance, model_form), min_loss - error)
-        share = np.minimum(looks / (stretch * apart), 1.0)  # of the stretch that lies behind the loss
-        wanted = np.minimum(wanted, loss / share[:, None])
-    confirmed = np.lib.stride_tricks.sliding_window_view(wanted, held, axis=1).max(axis=-1)
+    white, white_off = _draws(max(STRETCHES) * apart + looks.size, n)
+    root, off = np.asarray(np.linalg.cholesky(own).T), white_off @ np.linalg.cholesky(common).T
+    stretches = [
+        _Stretch.of(stretch * apart, looks, own / stretch + common, significance, model_form) for stretch in STRETCHES
+    ]
+    wanted = [
+        _wanted(white[k : k + _AT_ONCE], root, sqrt(apart), off[k : k + _AT_ONCE], stretches, held, min_loss)
+        for k in range(0, _TRIALS, _AT_ONCE)
+    ]
     with np.errstate(
         invalid="ignore"
     ):  # no loss is seen in some trials: the quantile between infinities is not a number
-        return np.asarray(np.quantile(confirmed.min(axis=1), PROBABILITY, axis=0))
+        return np.asarray(np.quantile(np.concatenate(wanted), PROBABILITY, axis=0))
 
 
-def _needed(error: Array, covariance: Array, significance: float, model_form: float) -> Array:
-    """Compute the loss of each story alone at which the alarm's statistic is significant, beside errors of means.
+@lru_cache(maxsize=1)
+def _draws(length: int, n: int) -> tuple[Array, Array]:
+    """Draw standard normal errors of each trial: of the increments, shape (trials, length, n), and common, (trials, 1, n)."""
+    rng = np.random.default_rng(0)
+    return rng.standard_normal((_TRIALS, length, n)), rng.standard_normal((_TRIALS, 1, n))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Stretch:
+    """What a loss of each story alone must reach so that the alarm's statistic is significant over a stretch of windows."""
+
+    looks: int
+    """Number of looks in the stretch."""
+    share: Array
+    """Shape (looks after the loss,): share of the stretch that lies behind the loss."""
+    against_none: Array
+    """Shape (n,): mean that is significant against no change."""
+    contrast: Array
+    """Shape (n, n): each story less what the others say that all stories have in common."""
+    leak: Array
+    """Shape (n,): with `square`, coefficients of the quadratic equation for the mean that is significant against a change of
+    all stories alike; not positive where no mean is."""
+    square: Array
+    """Shape (n,)."""
+
+    @classmethod
+    def of(
+        cls, length: int, looks: NDArray[np.int_], covariance: Array, significance: float, model_form: float
+    ) -> _Stretch:
+        """Prepare a stretch of `length` looks whose mean has a covariance, shape (n, n)."""
+        n, std = len(covariance), np.sqrt(np.diag(covariance))
+        share = np.minimum(looks / length, 1.0)
+        if n == 1:
+            return cls(length, share, significance * std, np.zeros((1, 1)), np.ones(1), np.zeros(1))
+        # Against "all stories changed alike": the loss of the others may be this story's, by the model's form.
+        contrast = np.eye(n) - (1.0 - np.eye(n)) / std**2 / ((1.0 - np.eye(n)) / std**2).sum(axis=1, keepdims=True)
+        threshold = significance - LOCAL_LOSS_CREDIT
+        square = threshold**2 * np.einsum("ij,jk,ik->i", contrast, covariance, contrast)
+        leak = 1.0 - threshold**2 * model_form**2 * ((contrast**2).sum(axis=1) - 1.0)
+        return cls(length, share, significance * std, contrast, leak, square)
+
+
+def _wanted(
+    white: Array, root: Array, scale: float, off: Array, stretches: list[_Stretch], held: int, min_loss: float
+) -> Array:
+    """Compute the smallest loss that is seen in each of some trials, shape (trials, n).
 
     Parameters
     ----------
-    error : ndarray, shape (trials, looks, n)
-        Errors of the means, whose covariance is `covariance`, shape (n, n).
-
-    Returns
-    -------
-    ndarray, shape (trials, looks, n)
+    white : ndarray, shape (trials, before + looks, n)
+        Standard normal increments of the windows' own errors: of the healthy data, then after the loss.
+    root : ndarray, shape (n, n)
+        Their covariance's root, on the right.
+    scale : float
+        Their standard deviation at a look over that of a window.
+    off : ndarray, shape (trials, 1, n)
+        Errors that all windows have in common.
+    held : int
+        Looks in a row at which the loss must be significant.
     """
-    n = len(covariance)
-    std = np.sqrt(np.diag(covariance))
-    against_none = significance * std - error
-    if n == 1:
-        return against_none
-    # Against "all stories changed alike": the loss of the others may be this story's, by the model's form.
-    contrast = np.eye(n) - (1.0 - np.eye(n)) / std**2 / ((1.0 - np.eye(n)) / std**2).sum(axis=1, keepdims=True)
-    threshold = significance - LOCAL_LOSS_CREDIT
-    square = threshold**2 * np.einsum("ij,jk,ik->i", contrast, covariance, contrast)
-    leak = 1.0 - threshold**2 * model_form**2 * ((contrast**2).sum(axis=1) - 1.0)
-    about = -error @ contrast.T
-    root = np.sqrt(np.maximum(about**2 - leak * (about**2 - square), 0.0))
-    against_alike = np.where(leak > 0.0, (about + root) / np.where(leak > 0.0, leak, 1.0), np.inf)
-    return np.asarray(np.maximum(against_none, against_alike))
+    from monitor.damage.kernels import least_held, lower_to_needed  # compiled code takes a while to load
+
+    trials, length, n = white.shape
+    looks = stretches[0].share.size
+    # All is done in place: new arrays of this size cost more than what is computed in them.
+    increments, total = np.matmul(white, root), np.zeros((trials, 1 + length, n))
+    increments *= scale
+    np.cumsum(increments, axis=1, out=total[:, 1:])
+    wanted = np.full((trials, looks, n), np.inf)
+    error, alone = np.empty_like(wanted), np.empty_like(wanted)
+    for s in stretches:
+        begun = 1 + length - looks - s.looks
+        np.subtract(total[:, 1 + length - looks :], total[:, begun : begun + looks], out=error)
+        error /= s.looks
+        error += off
+        np.matmul(error, s.contrast.T, out=alone)
+        lower_to_needed(wanted, error, alone, s.share, s.against_none, s.leak, s.square, min_loss)
+    return least_held(wanted, held)

@@ -32,6 +32,52 @@ def drift_weights(model: Model, sensors: Array, cutoff_hz: float) -> Array:
     return _weights(model.modes(), model.structure.drift_matrix(), sensors, cutoff_hz)
 
 
+def drift_weights_of_some(
+    model: Model, sensors: Array, channels: tuple[int, ...], cutoff_hz: float, whole: Array, motion: Array | None
+) -> Array:
+    """Compute the weights with which some of the channels measure the same level as all of them.
+
+    Fewer channels than modes do not resolve the modes, and acceleration of a high mode, taken for a low one's, is far more drift.
+    So the modes are estimated with the powers that they had at calibration (linear least squares), and the weights are scaled to
+    measure the motion at calibration as all channels did.
+
+    Parameters
+    ----------
+    model : Model
+        Drawing of the structure.
+    sensors : ndarray, shape (c, n)
+        Sensor matrix of all channels.
+    channels : tuple of int
+        Channels in use (0 = first), k of them.
+    whole : ndarray, shape (c, c), s^4
+        Weights of all channels (`drift_weights`).
+    motion : ndarray, shape (c, c), (m/s^2)^2, optional
+        Covariance of the accelerations at calibration.  By default that of modes of equal damping in forces of equal strength.
+
+    Returns
+    -------
+    ndarray, shape (k, k), s^4
+    """
+    modes, chosen = model.modes(), list(channels)
+    used = max(1, int(np.count_nonzero(modes.frequencies_hz < cutoff_hz)))
+    shapes, eigenvalues = modes.shapes[:, :used], modes.eigenvalues[:used]
+    seen = sensors @ shapes
+    if motion is None:
+        power = np.sqrt(eigenvalues)
+        motion = (seen * power) @ seen.T
+    else:
+        resolved = np.linalg.pinv(seen, rcond=1e-6)
+        power = np.maximum(np.diag(resolved @ motion @ resolved.T), 0.0)
+    shown = seen[chosen]
+    resolved = (power[:, None] * shown.T) @ np.linalg.pinv((shown * power) @ shown.T, rcond=1e-9, hermitian=True)
+    drift = ((model.structure.drift_matrix() @ shapes) ** 2).mean(axis=0) / eigenvalues**2
+    weights = np.asarray(resolved.T @ (drift[:, None] * resolved))
+    by_some, by_all = float(np.sum(weights * motion[np.ix_(chosen, chosen)])), float(np.sum(whole * motion))
+    if not (by_some > 0.0 and by_all > 0.0):
+        return drift_weights(model, sensors[chosen], cutoff_hz)
+    return weights * (by_all / by_some)
+
+
 def displacement_weights(modes: Modes, sensors: Array) -> Array:
     """Compute the weights of the accelerations' covariance in the mean square displacement of all channels, as `drift_weights`.
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, DamageReading
 
 if TYPE_CHECKING:
-    from monitor.damage.common_change import Beside, Expected
+    from monitor.damage.common_change import Expected
 
 STRETCHES = (1, 2, 4, 8)
 """Lengths over which windows are averaged. [windows; judgement: powers of two]"""
@@ -173,15 +173,11 @@ def _beside_others(
     means: Array, covariance: Array, model_form: float, expected: Expected
 ) -> tuple[Array, Array, Array]:
     """Compute the z-scores of losses beyond what the other stories let expect, the losses and their deviations, (k, n) each."""
-    found: list[Beside] = []
-    for k, (mean, of_mean) in enumerate(zip(means, covariance, strict=True)):
-        again = k > 0 and np.array_equal(mean, means[k - 1]) and np.array_equal(of_mean, covariance[k - 1])
-        found.append(found[-1] if again else expected.beside_others(mean, of_mean))
-    losses = np.array([f.loss for f in found])
-    sizes = np.abs(losses)
-    others = np.array([np.delete(sizes, j, axis=1).max(axis=1) for j in range(sizes.shape[1])]).T
-    stds = np.hypot(np.array([f.std for f in found]), model_form * others)
-    return losses / stds, losses, stds
+    found = expected.each_beside_others(means, covariance)
+    sizes = np.abs(found.loss)
+    others = np.where(np.eye(sizes.shape[1], dtype=bool), 0.0, sizes[:, None, :]).max(axis=2)
+    stds = np.hypot(found.std, model_form * others)
+    return found.loss / stds, found.loss, stds
 
 
 def average(

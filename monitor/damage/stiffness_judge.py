@@ -27,7 +27,7 @@ from monitor.damage.common_change import nothing_learned
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.detectable_loss import smallest_detectable_loss
 from monitor.damage.judge import LEAST_SHARE, Judged, JudgeSettings, Memory, View, explained, hidden_words
-from monitor.damage.level import drift_weights
+from monitor.damage.level import drift_weights, drift_weights_of_some
 from monitor.identification import SelectionSettings, SubArray, expected_modes, identify, refine
 from monitor.model import InstrumentedModel
 
@@ -90,7 +90,10 @@ class StiffnessJudge:
         healthy = None if self.baseline is None else self.baseline.seen_by(array.places)
         weights = self._drift_weights
         if len(channels) < len(self._sensors):
-            weights = drift_weights(self._drawing, self._sensors[list(channels)], self._cutoff_hz)
+            motion = None if self.baseline is None else self.baseline.motion
+            weights = drift_weights_of_some(
+                self._drawing, self._sensors, channels, self._cutoff_hz, self._drift_weights, motion
+            )
         return StiffnessView(array, weights, healthy)
 
     def identify(

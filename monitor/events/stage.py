@@ -252,8 +252,9 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
             going = replace(going, closed=True, end=end, note=note)
             state = replace(state, recognition=recognition.begin_anew(known))
     strong = before if going is None else (*before, going)
-    state = replace(state, strong=strong)
-    return _tell_final(state, end, site, told)
+    if not strong and not state.strong:  # as mostly
+        return state, told
+    return _tell_final(replace(state, strong=strong), end, site, told)
 
 
 def _tell_final(state: EventState, end: int, site: Site, told: list[Event]) -> tuple[EventState, list[Event]]:

@@ -103,6 +103,7 @@ def calibrate(
         updating=config.updating,
         compensation=config.compensation,
         t_ns=[r.t_end_ns for r in good if r.modes is not None],
+        motion=[r.motion for r in good if r.motion is not None],
     )
     warn_of_confounding(baseline, on_warning)
     _warn_of_ambiguities(baseline, config, good[-1], on_warning)

@@ -63,10 +63,12 @@ def warm_up(config: Configuration | None = None, baseline: AnyBaseline | None = 
     seen = np.eye(motion.floors.shape[1]) if not config.has_model else config.instrumented().sensor_matrix
     samples = motion.floors @ seen.T
     blocks = list(cut_into_blocks(ACCELERATION, samples, config.channels, rate_hz, 0, round(rate_hz)))
+    # The smallest detectable loss is simulated from the first window that can confirm one: with a long on-delay that is later.
+    at_once = config.alarm.model_copy(update={"confirm_s": 0.0})
     judged = 0
     for is_refined in {config.refinement.enabled, False}:
         refinement = config.refinement.model_copy(update={"enabled": is_refined})
-        pipeline = Pipeline(config.model_copy(update={"refinement": refinement}), baseline)
+        pipeline = Pipeline(config.model_copy(update={"refinement": refinement, "alarm": at_once}), baseline)
         results = [result for block in blocks for result in pipeline.push(block)]
         judged += sum(isinstance(r, WindowResult) and r.skipped is None for r in results)
     return judged

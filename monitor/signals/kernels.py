@@ -197,3 +197,37 @@ def _count_piled(row: Array, top: float, fewest: int, ratio: int) -> int:
         return 0
     others = row[row < top]
     return count if others.size and count > ratio * np.count_nonzero(others == others.max()) else 0
+
+
+@compiled()
+def extreme_gains(
+    shown: Array, predicted: Array, own: Array, counts: NDArray[np.int64], least: float, stds: float, normal_mad: float
+) -> tuple[float, float]:
+    """Compute the largest and the least gain of a channel in any block, each `stds` standard deviations nearer to the other.
+
+    Parameters
+    ----------
+    shown, predicted, own : ndarray, shape (n_blocks,)
+        Product of the channel with its prediction, power of the prediction and of the channel.
+    counts : ndarray, shape (n_blocks,)
+        Samples of each block.
+    least : float
+        Power of the prediction beyond which a block counts; at least one has more.
+    normal_mad : float
+        Standard deviation of a normal variable over its median absolute deviation.
+    """
+    known = np.flatnonzero(predicted > least)
+    gain = shown[known] / predicted[known]
+    # What the neighbours do not explain may be a slow motion, of which a block has far fewer values than samples: the scatter
+    # of most blocks' gains says so.
+    ordered = np.sort(gain)
+    middle = (ordered[(gain.size - 1) // 2] + ordered[gain.size // 2]) / 2.0
+    ordered = np.sort(np.abs(gain - middle))
+    scatter = normal_mad * ((ordered[(gain.size - 1) // 2] + ordered[gain.size // 2]) / 2.0)
+    largest, smallest = -np.inf, np.inf
+    for k, g in enumerate(gain):
+        at = known[k]
+        rest = max(own[at] - 2.0 * shown[at] + predicted[at], 0.0)
+        std = max(np.sqrt(rest / (counts[at] * predicted[at])), scatter)
+        largest, smallest = max(largest, g - stds * std), min(smallest, g + stds * std)
+    return largest, smallest

@@ -26,7 +26,8 @@ _MOST_PREDICTORS = 5
 """Neighbours that predict a channel, those of the largest correlation. [count; cost]"""
 _ASSUMED_NOISE = 1e-3
 """White noise that is assumed in each channel beside what it shows, over its power: the lowpass leaves none near the Nyquist
-frequency, and a prediction would rest on that. [ratio; judgement]"""
+frequency, and a prediction would rest on that. [ratio; judgement: anything from 1e-5 to 1e-2 finds the same channels, since for
+blocks below 10 000 samples a prediction from neighbours rests on more]"""
 _WHITER = 2.0
 """Share of a channel's power that its own past does not explain, over that of its only neighbour, from which the channel rather
 than the neighbour is noise. [ratio; judgement]"""
@@ -133,12 +134,14 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     Both gains are taken `_CERTAIN_STDS` standard deviations nearer to each other.  Where no block has a gain the ratio is 1,
     and where the lag sums admit no prediction both are 1.
     """
+    from monitor.signals.kernels import extreme_gains  # compiled code takes a while to load
+
     total = covariances.sum(axis=0)
     past, pairs = _places(channel, others, *total.shape[:2])
     gram = total.ravel()[pairs]
     # The products that reach over a block's ends count for one of the blocks alone, which large coefficients of opposite signs
     # magnify: a prediction may not rest on less than their share of the power.
-    gram[np.diag_indices(len(gram))] *= 1.0 + max(_ASSUMED_NOISE, _HALF_LENGTH / float(counts.min()))
+    gram.ravel()[:: len(gram) + 1] *= 1.0 + max(_ASSUMED_NOISE, _HALF_LENGTH / float(counts.min()))
     weights = np.linalg.solve(gram, total.ravel()[past])
     # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
     shown = np.bincount(past, weights, total.size)
@@ -148,15 +151,15 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     if not shares[:, 1].sum() > 0.0 or explained > 1.0:
         # The lag sums of a motion that begins or dies out in the window need not be those of any stationary motion.
         return 1.0, 1.0
-    known = shares[:, 1] > _LEAST_PREDICTED * shares[:, 1].mean()
-    (shown_here, predicted_here), own = shares[known].T, covariances[known, 0, channel, channel]
-    gain = shown_here / predicted_here
-    rest = np.maximum(own - 2.0 * shown_here + predicted_here, 0.0)
-    # What the neighbours do not explain may be a slow motion, of which a block has far fewer values than samples: the scatter
-    # of most blocks' gains says so.
-    scatter = _NORMAL_MAD * float(np.median(np.abs(gain - np.median(gain))))
-    std = np.maximum(np.sqrt(rest / (counts[known] * predicted_here)), scatter)
-    most, least = float((gain - _CERTAIN_STDS * std).max()), float((gain + _CERTAIN_STDS * std).min())
+    most, least = extreme_gains(
+        shares[:, 0],
+        shares[:, 1],
+        covariances[:, 0, channel, channel],
+        counts,
+        _LEAST_PREDICTED * float(shares[:, 1].mean()),
+        _CERTAIN_STDS,
+        _NORMAL_MAD,
+    )
     return explained, least / most if most > 0.0 else 1.0
 
 

@@ -13,7 +13,7 @@ SeisComP, scqc: quality parameters of waveforms.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import Field
 
 from monitor.core import Array, Gap, Settings
-from monitor.signals.span_faults import find_span_faults
+from monitor.signals.span_faults import SpanFaults, find_span_faults
 
 _MAX_SPAN_SAMPLES = 1 << 18
 """A span is cut shorter than this whatever the rate: it is kept in memory until it ends. [samples; cost]"""
@@ -271,7 +271,7 @@ def _finite_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple
     fields = mean, rms, peak, spikes.astype(int), repeated, clipped / n, floor
     found = find_span_faults(x, rate_hz)
     return tuple(
-        ChannelHealth(*one, **asdict(faults))
+        ChannelHealth(*one, **{name: getattr(faults, name) for name in SpanFaults.__slots__})
         for one, faults in zip(zip(channels, *(values.tolist() for values in fields), strict=False), found, strict=True)
     )
 

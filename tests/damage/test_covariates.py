@@ -16,7 +16,7 @@ from monitor.core.results import WindowResult
 from monitor.damage import Baseline, learn_baseline, load_baseline, save_baseline
 from monitor.damage.common_change import UNMEASURED, CommonChange
 from monitor.damage.covariate_law import Axis, learn, stories_prior
-from monitor.damage.level import drift_m, drift_weights, level_db
+from monitor.damage.level import drift_m, drift_weights, drift_weights_of_some, level_db
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, PipelineState
 from monitor.publish.results.lines import to_json, window_line
@@ -84,6 +84,23 @@ def test_the_level_is_the_drift_of_the_stories(site: Configuration) -> None:
         drift = model.structure.drift_matrix() @ (shape * 0.3) / eigenvalue
         level = drift_m(level_db(weights, np.outer(acceleration, acceleration)))
         assert level == pytest.approx(float(np.sqrt((drift**2).mean())), rel=1e-6)
+
+
+def test_fewer_channels_measure_the_same_level(site: Configuration, cut: Cut) -> None:
+    """In the half hour after the one learned from; without that, the structure file says it roughly."""
+    model, sensors, cutoff_hz = site.model(), site.instrumented().sensor_matrix, 40.0
+    whole = drift_weights(model, sensors, cutoff_hz)
+    seen = [r.motion for r in windows(Pipeline(site), cut, 1.0, 3600, 5) if r.motion is not None]
+    half = len(seen) // 2
+    before, after = np.mean(seen[:half], axis=0), np.mean(seen[half:], axis=0)
+    level = level_db(whole, after)
+    for channels in ((0, 1), (0, 2), (1, 2)):
+        of_some = after[np.ix_(channels, channels)]
+        learned = drift_weights_of_some(model, sensors, channels, cutoff_hz, whole, before)
+        drawn = drift_weights_of_some(model, sensors, channels, cutoff_hz, whole, None)
+        assert abs(level_db(learned, of_some) - level) < 0.3
+        assert abs(level_db(drawn, of_some) - level) < 2.0
+        assert abs(level_db(drift_weights(model, sensors[list(channels)], cutoff_hz), of_some) - level) > 3.0
 
 
 def test_twice_the_motion_is_six_decibels(site: Configuration, cut: Cut) -> None:

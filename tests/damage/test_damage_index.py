@@ -221,6 +221,7 @@ def test_a_baseline_without_one_of_its_keys_is_refused_by_name(tmp_path) -> None
         "temperature",
         "law",
         "drift_weights",
+        "motion",
         "stiffness_correction_n_per_m",
         "reference",
         "origin",
