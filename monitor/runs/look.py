@@ -138,6 +138,8 @@ def look(
             for one in channels
         }
         note = f"taken from {_names(paths)}: {info.sample_rate_hz:g} Hz, {'; '.join(sorted(units))}"
+        if begins:
+            note += "; no date is stated, so times count from 1970"
         try:
             found = _look([recording], (note,), on_warning, on_progress)
         except BadInputError as error:
