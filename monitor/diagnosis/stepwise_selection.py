@@ -56,6 +56,9 @@ _N_GROUND_TESTS = 2
 """Candidates beside which the ground's motion between its samples is tested again. [count; cost]"""
 _FREQUENCY_SHIFT = 0.05
 """Relative change of a frequency from which the form of the damping matters. [ratio; judgement]"""
+_NO_FREQUENCY = 1.0
+"""Stands for the change of a mode that is unstable without the last cause or with it, so that it has no frequency. [ln ratio;
+definition: the damping is known to a factor of e then]"""
 _SIMULATION_STDS = 3.0
 """Random error of the simulations that the gain of a further cause must exceed. [standard deviations; convention: three
 sigma]"""
@@ -577,11 +580,12 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
     posterior = update_linearization(posterior, fit)
     before = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects[:-1])).modes().frequencies_hz
     after = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects)).modes().frequencies_hz
-    ratios = replace(posterior, prior=posterior.prior.with_looser_damping(np.log(after / before)))
+    change = np.nan_to_num(np.log(after / before), nan=_NO_FREQUENCY)
+    ratios = replace(posterior, prior=posterior.prior.with_looser_damping(change))
     known = (
         posterior.damped_as_built or isinstance(posterior, CorrectedPosterior) or posterior.observed.drive is not None
     )
-    if known or np.abs(np.log(after / before)).max() < _FREQUENCY_SHIFT:
+    if known or np.abs(change).max() < _FREQUENCY_SHIFT:
         return ratios
     matrix = replace(ratios, damped_as_built=True)
     return max(ratios, matrix, key=lambda form: maximize_posterior(form, fit.x, fit.effects).log_posterior)
