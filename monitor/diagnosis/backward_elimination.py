@@ -21,7 +21,14 @@ from monitor.diagnosis.score_test import (
     with_tone_evidence,
 )
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_persistent_effects
-from monitor.inference import CorrectedPosterior, MapEstimate, Posterior, linearize, maximize_posterior
+from monitor.inference import (
+    CorrectedPosterior,
+    MapEstimate,
+    Posterior,
+    join_coordinates,
+    linearize,
+    maximize_posterior,
+)
 from monitor.model import Effect
 
 _LOCAL_OPTIMUM_NATS = 3.0
@@ -195,8 +202,3 @@ def fit_subset(
     return maximize_posterior(
         posterior, join_coordinates(fit.x[posterior.layout.nuisances], effects), effects
     ), simulation_std[sizes]
-
-
-def join_coordinates(nuisances: Array, effects: Sequence[Effect]) -> Array:
-    """Join nuisances and the effects' coordinates to the parameter vector of a fit, shape (p,)."""
-    return np.concatenate([nuisances, *[e.coordinates for e in effects]])

@@ -87,6 +87,8 @@ def learn_prior(
         precision=0.5 * (precision + precision.T),
         ln_forces=None if observed.drive is not None else forces - forces.mean(),
     )
+    # As the baseline's file holds it, so that a diagnosis from the file is the same.
+    learnt = replace(learnt, model=replace(learnt.model, effects=learnt.effects(learnt.mean)))
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
     learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(masses).sum()) / m))
     return learnt, learnt.mean[ParameterLayout.of(learnt).correction]

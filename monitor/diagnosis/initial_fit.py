@@ -14,7 +14,6 @@ from monitor.inference import (
     DrivenPosterior,
     MapEstimate,
     ObservedSpectra,
-    ParameterLayout,
     Posterior,
     forces_from_quiet_segments,
     guess_levels,
@@ -51,8 +50,8 @@ def fit_linearized(
 ) -> tuple[Posterior, MapEstimate]:
     """Fit the model without extra effects, with nonlinear laws linearized at the fitted motion.
 
-    The fit is made twice where persistent effects are in the model, since their linearization needs the motion of the fitted
-    model.
+    The first fit is without the persistent laws that depend on the motion.  With them the fit is made twice, since their
+    linearization needs the motion of the fitted model.
 
     Parameters
     ----------
@@ -69,16 +68,9 @@ def fit_linearized(
     """
     if observed.drive is not None:
         prior = prior.with_any_noise()
-    linear = slice(0, ParameterLayout.of(prior).persistent.start)
-    plain = replace(
-        prior,
-        model=replace(prior.model, effects=()),
-        mean=prior.mean[linear],
-        precision=prior.precision[linear, linear],
-    )
-    posterior = make_posterior(observed, plain, context)
+    posterior = make_posterior(observed, prior.without_nonlinear(), context)
     null_fit = (
-        maximize_posterior(posterior, first_guess(posterior))
+        maximize_posterior(posterior, first_guess(posterior), iterations=FAR)
         if observed.drive is None
         else _fit_from_heavy_damping(posterior)
     )
@@ -86,11 +78,10 @@ def fit_linearized(
     posterior = replace(posterior, conditions=linearize(posterior, null_fit.x, ()))
     if not prior.n_persistent:
         return fit_ambient_forces(posterior, null_fit)
-    structure = np.concatenate([null_fit.x[linear], prior.mean[linear.stop :]])
-    x = posterior.layout.with_structure(null_fit.x, structure)
+    x = posterior.layout.with_structure(null_fit.x, prior.with_linear(null_fit.x[posterior.layout.structure]))
     for _ in range(2):
         posterior = replace(posterior, prior=prior)
-        null_fit = maximize_posterior(posterior, x)
+        null_fit = maximize_posterior(posterior, x, iterations=FAR)
         x = null_fit.x
         posterior = replace(posterior, conditions=linearize(posterior, x, ()))
     return fit_ambient_forces(posterior, null_fit)

@@ -11,8 +11,8 @@ from itertools import chain
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY, fit_exact_slopes
-from monitor.inference import MapEstimate, Posterior, Prediction, maximize_posterior, tone_log_odds
+from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY, first_guess, fit_exact_slopes
+from monitor.inference import MapEstimate, Posterior, Prediction, join_coordinates, maximize_posterior, tone_log_odds
 from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, inverse, locations
 
 _log = logging.getLogger(__name__)
@@ -171,21 +171,35 @@ def _line_offset(power: Array, i: int) -> float:
     return float((2.0 * ratio - 1.0) / (ratio + 1.0) * (1 if neighbours[1] > neighbours[0] else -1))
 
 
-def rank_by_score(posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]) -> list[tuple[float, Effect]]:
+def rank_by_score(
+    posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect], n_beside_prior: int
+) -> list[tuple[float, Effect]]:
     """Rank the starts by the gain that the score test predicts, nats, best first, each moved to the predicted size.
 
     A fit that went far from its prior to explain what it cannot explain hides the effect that would.  So effects are tried
     beside the prior's structure too.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    null_fit : MapEstimate
+        Fit without a further effect.
+    candidates : list of Effect
+    n_beside_prior : int
+        Number of the best effects beside the prior's structure that are fitted from there.
     """
     gains = _expected_gains(posterior, null_fit, candidates)
     if _far_from_prior(posterior, null_fit):
         held, rest = _fit_at_prior(posterior, null_fit)
         lost = null_fit.log_posterior - rest.log_posterior
-        at_prior = [(gain - lost, effect) for gain, effect in _expected_gains(held, rest, candidates)]
-        # No score test tells what a law that is not proportional to its size, or has none, may gain once the structure is free.
+        at_prior = sorted(((g - lost, e) for g, e in _expected_gains(held, rest, candidates)), key=lambda item: -item[0])
+        # No score test tells what a law that is not proportional to its size, or has none, may gain once the structure is free,
+        # nor what a law gains whose size is large beside that structure.
         shaped = [e for e in candidates if e.parameters and not e.proportional]
-        sizeless = {e.name: e for _, e in sorted(at_prior, key=lambda item: item[0]) if not e.parameters}
-        gains += at_prior + parallel_map(partial(_gain_from_prior, posterior, null_fit), [*shaped, *sizeless.values()])
+        sizeless = {e.name: e for _, e in reversed(at_prior) if not e.parameters}
+        large = best_of_each([item for item in at_prior if item[1].parameters and item[1].proportional])
+        tried = [*shaped, *sizeless.values(), *(e for _, e in large[:n_beside_prior])]
+        gains += at_prior + parallel_map(partial(_gain_from_prior, posterior, null_fit), tried)
     return sorted((item for item in gains if np.isfinite(item[0])), key=lambda item: -item[0])
 
 
@@ -295,9 +309,11 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
     held = replace(
         posterior, prior=replace(known, precision=known.precision + np.diag(_HELD_STRUCTURE_PRECISION / known.units**2))
     )
-    x = posterior.layout.with_structure(null_fit.x, known.mean)
+    effects = (*null_fit.effects, *more)
+    starts = posterior.layout.with_structure(null_fit.x, known.mean)[posterior.layout.nuisances], first_guess(posterior)
+    x = max(starts, key=lambda start: sum(held.score(join_coordinates(start, effects), effects)))
     unused = null_fit.slopes.by(np.arange(posterior.layout.structure.stop))  # of what does not move
-    return held, maximize_posterior(held, x, (*null_fit.effects, *more), iterations=_MAX_STEPS_HELD, frozen=unused)
+    return held, maximize_posterior(held, x, effects, iterations=FAR, frozen=unused)
 
 
 def _gain_from_prior(posterior: Posterior, null_fit: MapEstimate, effect: Effect) -> tuple[float, Effect]:

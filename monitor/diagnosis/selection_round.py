@@ -9,7 +9,6 @@ import numpy as np
 
 from monitor.core import parallel_map
 from monitor.diagnosis.ambiguity import tied_candidates
-from monitor.diagnosis.backward_elimination import join_coordinates
 from monitor.diagnosis.missing_modes import is_credible
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
@@ -23,7 +22,15 @@ from monitor.diagnosis.score_test import (
 )
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, refit_by_simulation
-from monitor.inference import CorrectedPosterior, MapEstimate, MeasuredMoments, Moments, Posterior, measure_moments
+from monitor.inference import (
+    CorrectedPosterior,
+    MapEstimate,
+    MeasuredMoments,
+    Moments,
+    Posterior,
+    join_coordinates,
+    measure_moments,
+)
 from monitor.model import Effect
 
 _SMALL_EFFECT_NATS = 200.0
@@ -61,7 +68,7 @@ def run_selection_round(
     # A persistent effect may have changed, so it is tried again; a nonlinear one is not, as one law a place is simulated.
     persistent = [e for e in posterior.prior.effects(fit.x) if e.nonlinear or not e.parameters]
     excluded = [(e.name, e.location) for e in (*persistent, *fit.effects)]
-    starts = rank_by_score(posterior, fit, candidate_starts(posterior, fit, excluded))
+    starts = rank_by_score(posterior, fit, candidate_starts(posterior, fit, excluded), settings.favourites)
     ranked = [item for item in best_of_each(starts) if item[0] > min_gain]
     if posterior.observed.drive is None:
         chosen, rough, min_log_evidence = _shortlist_ambient(posterior, fit, ranked, settings)

@@ -15,7 +15,6 @@ from monitor.diagnosis.backward_elimination import (
     eliminate_backward,
     find_better_null_fit,
     fit_subset,
-    join_coordinates,
     update_linearization,
 )
 from monitor.diagnosis.initial_fit import FAR, fit_ambient_forces, fit_exact_slopes, fit_ground_interpolation
@@ -49,7 +48,15 @@ from monitor.diagnosis.simulation_refit import (
     fit_persistent_effects,
     refine_fit,
 )
-from monitor.inference import CorrectedPosterior, MapEstimate, Moments, ObservedSpectra, Posterior, maximize_posterior
+from monitor.inference import (
+    CorrectedPosterior,
+    MapEstimate,
+    Moments,
+    ObservedSpectra,
+    Posterior,
+    join_coordinates,
+    maximize_posterior,
+)
 from monitor.model import Context, Effect, StructuralPrior
 
 _N_GROUND_TESTS = 2

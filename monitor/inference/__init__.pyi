@@ -11,7 +11,7 @@ from .linearization import linearize
 from .map_estimate import MapEstimate, maximize_posterior
 from .observed_spectra import ObservedSpectra, class_temperature, classify, information_weight
 from .parameter_layout import ParameterLayout
-from .posterior import FORCE_STD, Posterior, with_coordinates
+from .posterior import FORCE_STD, Posterior, join_coordinates, with_coordinates
 from .segments import LeftOut, Segments, gather
 from .starting_point import FORCED, guess_levels, make_posterior
 
@@ -44,6 +44,7 @@ __all__ = [
     "gather",
     "guess_levels",
     "information_weight",
+    "join_coordinates",
     "linearization_error",
     "linearize",
     "make_posterior",

@@ -98,12 +98,15 @@ def maximize_posterior(
     """
     start = _evaluate(posterior, x, effects)
 
-    def move(at: _Point, step: Array) -> _Point:
-        moved = _take_bounded_step(posterior, at.x, step, at.effects)
+    def evaluate(at: _Point, step: Array) -> _Point:
+        moved = at.x + step
         try:
             return _evaluate(posterior, moved, with_coordinates(at.effects, moved[posterior.layout.effects]))
         except np.linalg.LinAlgError:  # too long a step has led to no structure
             return replace(at, log_likelihood=-np.inf)
+
+    def move(at: _Point, step: Array) -> _Point:
+        return max((evaluate(at, s) for s in _shortened(posterior, step, at.effects)), key=lambda point: point.value)
 
     search = levenberg_marquardt(
         start,
@@ -192,13 +195,18 @@ def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: S
     return _Slopes(slopes, residual, mean_residual, slopes.information + precision, gradient)
 
 
-def _take_bounded_step(posterior: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
-    """Take a bounded step from `x`, shape (p,), so that a fit from a bad start does not diverge."""
-    bound, layout = np.full(x.size, np.inf), posterior.layout
+def _shortened(posterior: Posterior, step: Array, effects: Sequence[Effect]) -> tuple[Array, ...]:
+    """Shorten a step, shape (p,), to its bounds, so that a fit from a bad start does not diverge.
+
+    Where a coordinate's step is too long, either that coordinate's alone is shortened, or the whole step.  The former is longer,
+    and the latter keeps its direction, in which the objective rises.
+    """
+    bound, layout = np.full(step.size, np.inf), posterior.layout
     bound[layout.stiffness] = bound[layout.masses] = bound[layout.correction] = _MAX_STRUCTURE_STEP
     bound[layout.damping] = bound[layout.channel_noise] = _MAX_DAMPING_STEP
     bound[layout.persistent] = _MAX_EFFECT_STEP * posterior.prior.units[layout.persistent]
     bound[layout.excitation] = MAX_EXCITATION_STEP
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
     bound[layout.effects] = np.where(logarithms, _MAX_SIZE_STEP, np.inf)
-    return np.asarray(x + np.clip(step, -bound, bound))
+    longest = float((np.abs(step) / bound).max())
+    return (step,) if longest <= 1.0 else (np.clip(step, -bound, bound), step / longest)

@@ -268,3 +268,8 @@ def with_coordinates(effects: Sequence[Effect], coordinates: Array) -> tuple[Eff
         out.append(e.at(coordinates[: len(e.parameters)]))
         coordinates = coordinates[len(e.parameters) :]
     return tuple(out)
+
+
+def join_coordinates(nuisances: Array, effects: Sequence[Effect]) -> Array:
+    """Join nuisances and the effects' coordinates to the parameter vector of a fit, shape (p,)."""
+    return np.concatenate([nuisances, *[e.coordinates for e in effects]])

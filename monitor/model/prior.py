@@ -148,6 +148,29 @@ class StructuralPrior:
         """Return the persistent effects at a vector of structural nuisances, shape (p,)."""
         return tuple(e.at(own) for e, own in zip(self.model.effects, self.persistent_parts(x), strict=True))
 
+    def without_nonlinear(self) -> StructuralPrior:
+        """Leave out the persistent effects that depend on the motion."""
+        effects = tuple(e for e in self.model.effects if not e.nonlinear)
+        kept, model = np.flatnonzero(self._is_linear), replace(self.model, effects=effects)
+        return replace(self, model=model, mean=self.mean[kept], precision=self.precision[np.ix_(kept, kept)])
+
+    def with_linear(self, x: Array) -> Array:
+        """Set the coordinates of `without_nonlinear` in the prior's mean, shape (p,).
+
+        Parameters
+        ----------
+        x : ndarray, shape (q,)
+        """
+        out = self.mean.copy()
+        out[self._is_linear] = x
+        return out
+
+    @property
+    def _is_linear(self) -> NDArray[np.bool_]:
+        """Tell the coordinates of `without_nonlinear`, shape (p,)."""
+        of_effects = [not e.nonlinear for e in self.model.effects for _ in e.parameters]
+        return np.array([True] * (self.mean.size - self.n_persistent) + of_effects)
+
     def with_unseen_scale(self, std: float) -> StructuralPrior:
         """Add uncertainty of the common scale of all masses and stiffnesses, which no output shows.
 
