@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.cross_spectra import modally_damped
+from monitor.inference.cross_spectra import extended, modally_damped
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.wishart import grown_by
@@ -206,6 +206,18 @@ class ForwardModel(ABC):
             return modally_damped(mass, stiffness, ratios)
         built = self.model(x, self.prior.effects(x)).structural_matrices()
         return System(mass, modally_damped(*built, ratios).damping, stiffness)
+
+    def is_stable(self, x: Array, effects: Sequence[Effect]) -> bool:
+        """Decide if the modes that are coupled to the structure leave it stable; their spectra alone would not tell.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If there is no structure at these parameters.
+        """
+        everything, condition = (*self.prior.effects(x), *effects), self.conditions[self.n_classes // 2]
+        system = extended(self.system(x, everything), everything, self.context_at(x), condition)
+        return not system.coupled or float(np.linalg.eigvalsh(system.stiffness)[0]) > 0.0
 
     def context_at(self, x: Array) -> Context:
         """Make the context of effects with the structure at a vector of parameters, to which relative sizes refer."""

@@ -97,13 +97,18 @@ def maximize_posterior(
         Whether the fit has its slopes, from which another search can start.
     """
     start = _evaluate(posterior, x, effects)
+    stays_stable = posterior.is_stable(start.x, effects)
 
     def evaluate(at: _Point, step: Array) -> _Point:
         moved = at.x + step
+        extra = with_coordinates(at.effects, moved[posterior.layout.effects])
+        nowhere = replace(at, log_likelihood=-np.inf)
         try:
-            return _evaluate(posterior, moved, with_coordinates(at.effects, moved[posterior.layout.effects]))
+            if stays_stable and not posterior.is_stable(moved, extra):
+                return nowhere
+            return _evaluate(posterior, moved, extra)
         except np.linalg.LinAlgError:  # too long a step has led to no structure
-            return replace(at, log_likelihood=-np.inf)
+            return nowhere
 
     def move(at: _Point, step: Array) -> _Point:
         return max((evaluate(at, s) for s in _shortened(posterior, step, at.effects)), key=lambda point: point.value)

@@ -41,7 +41,7 @@ def guess_levels(posterior: Posterior) -> tuple[Array, Array]:
     Returns
     -------
     x : ndarray, shape (n_nuisance,)
-        The prior's mean, with the guessed noise; forces and levels are zero.
+        The prior's start, with the guessed noise; forces and levels are zero.
     ratio : ndarray, shape (classes,)
         Measured over predicted power at `x` with nearly no noise.
     """
@@ -50,7 +50,7 @@ def guess_levels(posterior: Posterior) -> tuple[Array, Array]:
     quiet = float(np.quantile(power.mean(axis=(0, 2)), _QUIETEST_QUANTILE))
     noise = np.log(max(_NOISE_SHARE * quiet, 1e-300))
     x = np.zeros(layout.n_nuisance)
-    x[layout.structure], x[layout.noise] = posterior.prior.mean, noise - _LITTLE_NOISE
+    x[layout.structure], x[layout.noise] = posterior.prior.start, noise - _LITTLE_NOISE
     predicted = np.einsum("kfaa->kfa", posterior.scatter(x, ())[:, :, :c, :c]).real
     x[layout.noise] = noise
     return x, np.asarray(np.median(power / predicted, axis=(1, 2)))

@@ -119,6 +119,12 @@ class StructuralPrior:
         return out
 
     @cached_property
+    def start(self) -> Array:
+        """Coordinates at which a fit starts, shape (p,): the mean, but the persistent effects at the sizes that the model states."""
+        stated = [e.coordinates for e in self.model.effects]
+        return np.concatenate([self.mean[: self.mean.size - self.n_persistent], *stated])
+
+    @cached_property
     def units(self) -> Array:
         """Units of the coordinates, shape (p,): one, and for a persistent effect's coordinates their own magnitude."""
         return np.concatenate([np.ones(self.mean.size - self.n_persistent), *[e.units for e in self.model.effects]])
@@ -155,13 +161,13 @@ class StructuralPrior:
         return replace(self, model=model, mean=self.mean[kept], precision=self.precision[np.ix_(kept, kept)])
 
     def with_linear(self, x: Array) -> Array:
-        """Set the coordinates of `without_nonlinear` in the prior's mean, shape (p,).
+        """Set the coordinates of `without_nonlinear` in the prior's start, shape (p,).
 
         Parameters
         ----------
         x : ndarray, shape (q,)
         """
-        out = self.mean.copy()
+        out = self.start.copy()
         out[self._is_linear] = x
         return out
 

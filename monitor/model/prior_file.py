@@ -62,8 +62,9 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
         raise ValueError(f"the reference has shapes {mean.shape} and {precision.shape}, not ({size},)")
     if not (np.isfinite(mean).all() and np.isfinite(precision).all() and np.isfinite(basis).all()):
         raise ValueError("the reference holds numbers that are not finite")
+    healthy = model.with_stiffness(np.exp(mean[:p])).with_masses(np.exp(mean[p : p + n]))
     for effect in effects:
-        effect.check(model.structure, channels)
+        effect.check(healthy.structure, channels)
     known = {(e.name, e.location) for e in effects}
     added = tuple(e for e in model.effects if (e.name, e.location) not in known)
     stated = np.concatenate([[], *[e.coordinates for e in added]])

@@ -200,13 +200,14 @@ def learn_healthy_prior(segments: Segments, config: Configuration) -> Structural
         wider = _with_persistent_effects(known, (*causes, *same_laws), context, condition, n_guessed=len(same_laws))
         learnt = healthy_prior.learn_prior(observed, wider, context, config.diagnosis)[0]
         is_kept = [
-            is_significant(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)
+            is_significant(e, std) and (e.nonlinear or e.is_plausible(observed.band.hz))
+            for e, std in zip(learnt.model.effects, learnt.standing_std, strict=True)
         ]
         cause_is_kept = is_kept[len(known.model.effects) :][: len(causes)]
         kept = tuple(e for e, own in zip(causes, cause_is_kept, strict=True) if own)
         if kept == causes:
             return learnt.with_daily_persistent().with_known_lines()
-        causes = kept  # the others are not significant next to these
+        causes = kept  # the others are not significant next to these, or mean another effect now
 
 
 def _mended(segments: Segments, config: Configuration) -> tuple[Segments, tuple[ClockDrift, ...]]:
