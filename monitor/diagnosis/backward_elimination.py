@@ -29,7 +29,6 @@ from monitor.inference import (
     linearize,
     maximize_posterior,
 )
-from monitor.model import Effect
 
 _LOCAL_OPTIMUM_NATS = 3.0
 """Shortfall against the best fit of the same form from which a fit is repeated from another start. [nats; judgement]"""

@@ -19,8 +19,6 @@ _log = logging.getLogger(__name__)
 
 _MAX_STEPS_ROUGH = 5
 """Most iterations of a rough fit without a measured ground. [iterations; cost]"""
-_MAX_STEPS_HELD = 6
-"""Most iterations of a rough fit beside a structure that is held. [iterations; cost]"""
 _AMBIENT_TOLERANCE_NATS = 0.02
 """Expected gain of the next step at which a fit ends where the ground was not measured. [nats; judgement]"""
 _MIN_LOG_PRIOR = -20.0
@@ -192,7 +190,9 @@ def rank_by_score(
     if _far_from_prior(posterior, null_fit):
         held, rest = _fit_at_prior(posterior, null_fit)
         lost = null_fit.log_posterior - rest.log_posterior
-        at_prior = sorted(((g - lost, e) for g, e in _expected_gains(held, rest, candidates)), key=lambda item: -item[0])
+        at_prior = sorted(
+            ((g - lost, e) for g, e in _expected_gains(held, rest, candidates)), key=lambda item: -item[0]
+        )
         # No score test tells what a law that is not proportional to its size, or has none, may gain once the structure is free,
         # nor what a law gains whose size is large beside that structure.
         shaped = [e for e in candidates if e.parameters and not e.proportional]
@@ -310,7 +310,8 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
         posterior, prior=replace(known, precision=known.precision + np.diag(_HELD_STRUCTURE_PRECISION / known.units**2))
     )
     effects = (*null_fit.effects, *more)
-    starts = posterior.layout.with_structure(null_fit.x, known.mean)[posterior.layout.nuisances], first_guess(posterior)
+    nuisances = (null_fit.x[posterior.layout.nuisances], first_guess(posterior))
+    starts = [posterior.layout.with_structure(x, known.mean) for x in nuisances]
     x = max(starts, key=lambda start: sum(held.score(join_coordinates(start, effects), effects)))
     unused = null_fit.slopes.by(np.arange(posterior.layout.structure.stop))  # of what does not move
     return held, maximize_posterior(held, x, effects, iterations=FAR, frozen=unused)
@@ -319,7 +320,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
 def _gain_from_prior(posterior: Posterior, null_fit: MapEstimate, effect: Effect) -> tuple[float, Effect]:
     """Fit an effect with the structure held at its prior mean, then with the structure free; return gain in nats and effect."""
     near = _fit_at_prior(posterior, null_fit, effect)[1]
-    near = maximize_posterior(posterior, near.x, near.effects, iterations=_MAX_STEPS_HELD)
+    near = maximize_posterior(posterior, near.x, near.effects, iterations=_MAX_STEPS_ROUGH)
     return near.log_posterior - null_fit.log_posterior, near.effects[-1]
 
 

@@ -15,6 +15,7 @@ from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.inference import Posterior, maximize_posterior
 from monitor.inference.cross_spectra import Band, Excitation, cross_spectra, extended
+from monitor.inference.map_estimate import _shortened
 from monitor.model.effects import Condition, EffectError, parse_effect
 from monitor.model.effects.base import System
 from monitor.model.model import Model
@@ -92,6 +93,27 @@ def test_forces_of_another_direction_vanish_on_the_floors(
     assert (said is not None) is found
     if said is not None:
         assert said.is_explained and "floor 2 is" in said.says and "nothing can be said of the structure" in said.says
+
+
+def test_a_fit_stays_where_the_coupling_leaves_the_structure_stable() -> None:
+    """Spectra alone do not tell: those of an unstable system are as finite."""
+    at = posterior(np.ones(3))
+    strong = COUPLED.at(np.r_[COUPLED.coordinates[:6], 5.0 * np.ones(3)])
+    x = _start(at)
+    assert at.is_stable(x, (COUPLED,)) and not at.is_stable(x, (strong,))
+    fit = maximize_posterior(at, x, (COUPLED,), iterations=6)
+    assert fit.log_posterior > sum(at.score(np.concatenate([x, COUPLED.coordinates]), (COUPLED,)))
+    assert at.is_stable(fit.x, fit.effects)
+
+
+def test_a_long_step_is_shortened_in_two_ways() -> None:
+    at = posterior(np.ones(3))
+    step = np.zeros(at.layout.n_nuisance)
+    step[at.layout.stiffness], step[at.layout.forces] = 1.0, 0.5
+    bounded, scaled = _shortened(at, step, ())
+    assert bounded[at.layout.forces] == pytest.approx(0.5) and scaled[at.layout.forces] == pytest.approx(0.05)
+    assert bounded[at.layout.stiffness] == pytest.approx(0.1) == scaled[at.layout.stiffness]
+    assert len(_shortened(at, 0.1 * step, ())) == 1
 
 
 def test_slopes_of_extra_modes_are_those_of_the_whole_spectra() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import numpy as np
@@ -18,6 +19,7 @@ from monitor.inference.segments import Segments, gather
 from monitor.model.effects import Effect, parse_effect
 from monitor.model.model import Model
 from monitor.model.prior import StructuralPrior
+from monitor.model.prior_file import from_plain, to_plain
 from monitor.model.simulation import linear_system, simulate
 from monitor.publish.reports.diagnosis_report import page
 from monitor.runs.diagnose import learn_healthy_prior
@@ -197,3 +199,37 @@ def test_noise_that_stands_may_follow_the_motion() -> None:
     assert [(e.name, e.location) for e in known.model.effects] == [("sensor_noise", "channel a1")]
     louder = measured(2, "sensor_noise:channel a1:rms_m_s2=3.6e-6")
     assert diagnose(classify(louder), known, BUILDING, SITE.diagnosis).verdict == "none"
+
+
+def through_its_file(known: StructuralPrior, config: Configuration) -> StructuralPrior:
+    """Write a reference as a baseline holds it, and read it back."""
+    read = from_plain(json.loads(json.dumps(to_plain(known))), config.model(), config.channels)
+    assert read is not None
+    return read
+
+
+def test_a_reference_from_its_file_is_the_one_that_was_learned() -> None:
+    known = learn_healthy_prior(measured(1, "harmonic_excitation:floor 2:frequency_hz=9.0,force_n=0.15"), SITE)
+    read = through_its_file(known, SITE)
+    assert known.n_persistent > 0 and known.known_lines_hz == read.known_lines_hz
+    for name in ("mean", "precision", "start", "units"):
+        np.testing.assert_allclose(getattr(read, name), getattr(known, name), rtol=1e-14, err_msg=name)
+
+
+TURNING = (
+    "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=2.0,shape_2=1.5,shape_3=-0.9,"
+    "force_ratio=0.6,coupling_1=0.1,coupling_2=0.12,coupling_3=-0.08",
+    "unmodelled_mode:frame:frequency_hz=17.0,damping_ratio=0.01,shape_1=1.0,shape_2=-2.0,shape_3=0.6,"
+    "force_ratio=0.9,coupling_1=-0.1,coupling_2=0.1,coupling_3=0.05",
+)
+
+
+def test_a_channel_that_reads_low_is_named_in_a_structure_that_turns() -> None:
+    """The modes carried from calibration must not bend to what one channel reads, nor the fit start without them."""
+    known = through_its_file(learn_healthy_prior(recorded(1, *TURNING), CONFIG), CONFIG)
+    assert "unmodelled_mode" in [e.name for e in known.model.effects]
+    low = diagnose(
+        classify(recorded(2, *TURNING, "sensor_gain:channel a2:gain=0.85")), known, CONTEXT, CONFIG.diagnosis
+    )
+    assert [(c.effect.name, c.effect.location) for c in low.causes] == [("sensor_gain", "channel a2")]
+    assert abs(low.causes[0].effect.values()["gain"] - 0.85) < 3.0 * low.causes[0].std["gain"] < 0.06
