@@ -170,7 +170,7 @@ def _line_offset(power: Array, i: int) -> float:
 
 
 def rank_by_score(
-    posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect], n_beside_prior: int
+    posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[tuple[str, str]], n_beside_prior: int
 ) -> list[tuple[float, Effect]]:
     """Rank the starts by the gain that the score test predicts, nats, best first, each moved to the predicted size.
 
@@ -182,13 +182,16 @@ def rank_by_score(
     posterior : Posterior
     null_fit : MapEstimate
         Fit without a further effect.
-    candidates : list of Effect
+    excluded : iterable of (str, str)
+        Names and places of effects that are not tried.
     n_beside_prior : int
         Number of the best effects beside the prior's structure that are fitted from there.
     """
-    gains = _expected_gains(posterior, null_fit, candidates)
+    excluded = tuple(excluded)
+    gains = _expected_gains(posterior, null_fit, candidate_starts(posterior, null_fit, excluded))
     if _far_from_prior(posterior, null_fit):
         held, rest = _fit_at_prior(posterior, null_fit)
+        candidates = candidate_starts(held, rest, excluded)  # other peaks are in excess there
         lost = null_fit.log_posterior - rest.log_posterior
         at_prior = sorted(
             ((g - lost, e) for g, e in _expected_gains(held, rest, candidates)), key=lambda item: -item[0]

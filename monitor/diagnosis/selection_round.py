@@ -15,7 +15,6 @@ from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
     best_of_each,
-    candidate_starts,
     fit_candidate,
     rank_by_score,
     with_tone_evidence,
@@ -68,7 +67,7 @@ def run_selection_round(
     # A persistent effect may have changed, so it is tried again; a nonlinear one is not, as one law a place is simulated.
     persistent = [e for e in posterior.prior.effects(fit.x) if e.nonlinear or not e.parameters]
     excluded = [(e.name, e.location) for e in (*persistent, *fit.effects)]
-    starts = rank_by_score(posterior, fit, candidate_starts(posterior, fit, excluded), settings.favourites)
+    starts = rank_by_score(posterior, fit, excluded, settings.favourites)
     ranked = [item for item in best_of_each(starts) if item[0] > min_gain]
     if posterior.observed.drive is None:
         chosen, rough, min_log_evidence = _shortlist_ambient(posterior, fit, ranked, settings)

@@ -120,7 +120,7 @@ class StructuralPrior:
 
     @cached_property
     def start(self) -> Array:
-        """Coordinates at which a fit starts, shape (p,): the mean, with the persistent effects at the sizes that the model states."""
+        """Coordinates at which a fit starts, shape (p,): the mean, with the persistent effects at their stated sizes."""
         stated = [e.coordinates for e in self.model.effects]
         return np.concatenate([self.mean[: self.mean.size - self.n_persistent], *stated])
 

@@ -18,7 +18,6 @@ from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
     best_of_each,
-    candidate_starts,
     fit_candidate,
     rank_by_score,
 )
@@ -48,7 +47,7 @@ def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse
     known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
     problem, null = fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
     assert null.log_prior < -20.0
-    (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, candidate_starts(problem, null), 3))[:2]
+    (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, (), 3))[:2]
     assert isinstance(first, ChannelSwap)
     assert first.location == "channel a2,a3"
     assert gain > 2.0 * second
@@ -68,7 +67,7 @@ def test_a_reversed_channel_is_ranked_first_beside_modes_that_are_forced_otherwi
     learnt = learn_healthy_prior(recorded(TORSION, 1.0).segments, CONFIG)
     problem, null, _ = fit_initial_model(recorded(weak, -1.0), learnt, context)
     assert learnt.n_persistent and learnt.log_density(null.x[: learnt.mean.size]) < -20.0
-    (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, candidate_starts(problem, null), 3))[:2]
+    (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, (), 3))[:2]
     assert (first.name, first.location) == ("sensor_polarity", "channel a1")
     assert gain > 2.0 * second
 
@@ -84,7 +83,7 @@ def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channe
     problem, null = fit_linearized(
         classify(gather(blocks, CONFIG.front_end())), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3), context
     )
-    ranked = best_of_each(rank_by_score(problem, null, candidate_starts(problem, null), 3))
+    ranked = best_of_each(rank_by_score(problem, null, (), 3))
     (promise, effect), *_ = [
         item
         for item in ranked
