@@ -159,6 +159,7 @@ class Hook(http.server.ThreadingHTTPServer):
 
     def __init__(self) -> None:
         self.status = 200
+        self.refuses: str | None = None
         self.got: list[dict[str, Any]] = []
         self.paths: list[str] = []
         self.tries = self.beats = 0
@@ -180,9 +181,11 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         body = json.loads(self.rfile.read(int(self.headers["content-length"])))
         self.server.tries += 1
-        if self.server.status == 200:
+        refused = self.server.refuses is not None and self.server.refuses in body["title"]
+        status = 422 if refused else self.server.status
+        if status == 200:
             self.server.got.append(body)
-        self.send_response(self.server.status)
+        self.send_response(status)
         self.end_headers()
 
     def do_GET(self) -> None:
@@ -234,6 +237,23 @@ def test_messages_arrive_once_in_order_after_failures(tmp_path: Path, hook: Hook
     assert hook.titles == wanted
     assert [item["type"] for item in hook.got] == ["warning", "warning", "success"]
     assert one.failed is None
+
+
+def test_a_message_that_is_always_refused_does_not_hold_up_those_behind_it(
+    tmp_path: Path, hook: Hook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(delivery_workers, "_SET_ASIDE", 3)
+    hook.refuses = "advisory"
+    one = notifier(tmp_path / "outbox.jsonl", hook.url)
+    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
+        one.window(window(0, s2=level), "")
+    until(lambda: len(hook.got) == 2, "those behind it")
+    assert hook.titles == ["[lab] warning: story 2", "[lab] alarm: story 2"]
+    until(lambda: one.failed, "the refused one is told")
+    hook.refuses = None
+    until(lambda: len(hook.got) == 3, "the refused one, tried without end")
+    one.close(5.0)
+    assert len(Outbox(tmp_path / "outbox.jsonl")) == 0
 
 
 def test_a_restart_neither_loses_nor_doubles(tmp_path: Path, hook: Hook) -> None:

@@ -31,6 +31,8 @@ _DEADLINE_S = 30.0
 """Longest time of one delivery in all. [s; judgement: a slow mail server takes seconds]"""
 _RESEND_S = (1.0, 300.0)
 """First and longest pause before a message is tried again. [s; judgement]"""
+_SET_ASIDE = 10
+"""Refusals of a message after which those behind it are tried. [count; 13 minutes, the longest pause is reached]"""
 _LOOK_S = 10.0
 """Longest pause of a worker for which something waits. [s; judgement]"""
 _HOUR_S = 3600.0
@@ -160,6 +162,9 @@ class AddressWorker:
         self.key = hashlib.sha256(url.encode()).hexdigest()[:12]
         self.number, self.most_per_hour = number, most_per_hour
         self._tried_id = 0
+        self._refusals: dict[int, int] = {}
+        self._aside_until_s: dict[int, float] = {}
+        self._may_set_aside = True
         self._due_s = self._wait_s = 0.0
         self._failing_since_s: float | None = None
         self._sent_s: deque[float] = deque()
@@ -213,7 +218,7 @@ class AddressWorker:
                 self._sent_s.append(began_s)
                 self._due_s = self._wait_s = 0.0
                 self._failing_since_s = None
-                self._outbox.delivered(message, self.key)
+                self._taken(message)
             elif self._closing:
                 return
             else:
@@ -236,23 +241,40 @@ class AddressWorker:
         now = self._clock()
         while self._sent_s and now - self._sent_s[0] >= _HOUR_S:
             self._sent_s.popleft()
-        message = self._outbox.first(self.key)
+        aside = [number for number, until_s in self._aside_until_s.items() if until_s > now]
+        message = self._outbox.first(self.key, aside)
         if message is None:
-            return None, now
+            message = self._outbox.first(self.key)
+            return message, now if message is None else self._aside_until_s[message.id]
         most = self.most_per_hour if message.notice.urgent else -(-self.most_per_hour // 2)
         if len(self._sent_s) >= most:
             return message, self._sent_s[-most] + _HOUR_S
         # A message that is more urgent than the one that was refused is tried at once.
         return message, self._due_s if message.id == self._tried_id else now
 
+    def _taken(self, message: Message) -> None:
+        """Note that a message was delivered; those that were refused before are tried again, now that the address takes some."""
+        self._refusals.pop(message.id, None)
+        self._aside_until_s.clear()
+        self._may_set_aside = True
+        self._outbox.delivered(message, self.key)
+
     def _failed(self, message: Message, began_s: float) -> None:
-        """Note a failed attempt, and when the next is due."""
+        """Note a failed attempt, and when the next is due.
+
+        A message that was refused often steps aside, since the address may refuse that message alone.  Where the one behind it
+        is refused as well the address takes none, and all keep their order.
+        """
         first_attempt = message.id != self._tried_id
         self._wait_s = _RESEND_S[0] if first_attempt else min(max(_RESEND_S[0], 2.0 * self._wait_s), _RESEND_S[1])
         self._tried_id, self._due_s = message.id, self._clock() + self._wait_s
+        self._refusals[message.id] = refusals = self._refusals.get(message.id, 0) + 1
+        if message.id in self._aside_until_s or (refusals >= _SET_ASIDE and self._may_set_aside):
+            self._aside_until_s[message.id] = self._clock() + _RESEND_S[1]
+            self._may_set_aside = False
         if self._failing_since_s is None:
             self._failing_since_s = began_s
-            _log.error("notifications: %s takes nothing; %d messages wait", self._name, len(self._outbox))
+            _log.error("notifications: %s does not take message %d; %d wait", self._name, message.id, len(self._outbox))
 
     def _job(self, message: Message) -> dict[str, Any]:
         """Describe a delivery for the process."""

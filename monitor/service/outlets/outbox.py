@@ -6,7 +6,7 @@ import contextlib
 import json
 import logging
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -91,13 +91,13 @@ class Outbox:
             self._give_up()
             self.changed.notify_all()
 
-    def first(self, key: str, *, urgent: bool = False) -> Message | None:
+    def first(self, key: str, but: Collection[int] = ()) -> Message | None:
         """Return the most urgent message, among those the oldest, that the address `key` has not received; None if there is none.
 
-        With `urgent` only messages on the state of the structure count.
+        Messages with the numbers in `but` are left out.
         """
         with self.changed:
-            waiting = (m for m in self._messages if key in m.to and (m.notice.urgent or not urgent))
+            waiting = (m for m in self._messages if key in m.to and m.id not in but)
             return min(waiting, key=lambda m: (m.notice.rank, m.id), default=None)
 
     def delivered(self, message: Message, key: str) -> None:
