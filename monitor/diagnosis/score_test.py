@@ -202,7 +202,7 @@ def rank_by_score(
         sizeless = {e.name: e for _, e in reversed(at_prior) if not e.parameters}
         large = best_of_each([item for item in at_prior if item[1].parameters and item[1].proportional])
         tried = [*shaped, *sizeless.values(), *(e for _, e in large[:n_beside_prior])]
-        gains += at_prior + parallel_map(partial(_gain_from_prior, posterior, null_fit), tried)
+        gains += at_prior + _gains_from_prior(posterior, null_fit, tried)
     return sorted((item for item in gains if np.isfinite(item[0])), key=lambda item: -item[0])
 
 
@@ -320,11 +320,24 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
     return held, maximize_posterior(held, x, effects, iterations=FAR, frozen=unused)
 
 
-def _gain_from_prior(posterior: Posterior, null_fit: MapEstimate, effect: Effect) -> tuple[float, Effect]:
-    """Fit an effect with the structure held at its prior mean, then with the structure free; return gain in nats and effect."""
-    near = _fit_at_prior(posterior, null_fit, effect)[1]
-    near = maximize_posterior(posterior, near.x, near.effects, iterations=_MAX_STEPS_ROUGH)
-    return near.log_posterior - null_fit.log_posterior, near.effects[-1]
+def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> list[tuple[float, Effect]]:
+    """Fit effects with the structure held at its prior mean, then roughly with the structure free, and the best to the end.
+
+    Returns
+    -------
+    list of (float, Effect)
+        Gain of each, nats, and the fitted effect.
+    """
+
+    def fitted(effect: Effect) -> MapEstimate:
+        near = _fit_at_prior(posterior, null_fit, effect)[1]
+        return maximize_posterior(posterior, near.x, near.effects, iterations=_MAX_STEPS_ROUGH, keep_slopes=False)
+
+    fits = parallel_map(fitted, effects)
+    if fits:
+        best = max(range(len(fits)), key=lambda i: fits[i].log_posterior)
+        fits[best] = maximize_posterior(posterior, fits[best].x, fits[best].effects, iterations=FAR)
+    return [(fit.log_posterior - null_fit.log_posterior, fit.effects[-1]) for fit in fits]
 
 
 def whitened_change(posterior: Posterior, reference: Prediction, changed: Prediction) -> Array:
@@ -425,7 +438,7 @@ def fit_candidate(
         )
         if promising or not effect.proportional:
             other = score_candidate(
-                posterior, null_fit, maximize_posterior(posterior, near.x, near.effects, iterations=LONG)
+                posterior, null_fit, maximize_posterior(posterior, near.x, near.effects, iterations=FAR)
             )
             found = max(found, other, key=lambda c: c.log_evidence)
     if rough is not None and found.log_evidence < rough.log_evidence:
