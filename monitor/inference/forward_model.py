@@ -216,6 +216,8 @@ class ForwardModel(ABC):
             If there is no structure at these parameters.
         """
         everything, condition = (*self.prior.effects(x), *effects), self.conditions[self.n_classes // 2]
+        if not any(e.repeatable for e in everything):  # as in most fits: only modes that the model lacks are coupled
+            return True
         system = extended(self.system(x, everything), everything, self.context_at(x), condition)
         return not system.coupled or float(np.linalg.eigvalsh(system.stiffness)[0]) > 0.0
 

@@ -62,7 +62,11 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
         raise ValueError(f"the reference has shapes {mean.shape} and {precision.shape}, not ({size},)")
     if not (np.isfinite(mean).all() and np.isfinite(precision).all() and np.isfinite(basis).all()):
         raise ValueError("the reference holds numbers that are not finite")
-    healthy = model.with_stiffness(np.exp(mean[:p])).with_masses(np.exp(mean[p : p + n]))
+    with np.errstate(over="ignore", under="ignore"):
+        sizes = np.exp(mean[: p + n])
+    if not (np.isfinite(sizes) & (sizes > 0.0)).all():
+        raise ValueError("the reference holds stiffnesses or masses that are not finite, above zero")
+    healthy = model.with_stiffness(sizes[:p]).with_masses(sizes[p:])
     for effect in effects:
         effect.check(healthy.structure, channels)
     known = {(e.name, e.location) for e in effects}

@@ -214,6 +214,12 @@ def test_a_reference_from_its_file_is_the_one_that_was_learned() -> None:
     assert known.n_persistent > 0 and known.known_lines_hz == read.known_lines_hz
     for name in ("mean", "precision", "start", "units"):
         np.testing.assert_allclose(getattr(read, name), getattr(known, name), rtol=1e-14, err_msg=name)
+    damaged = to_plain(known)
+    assert damaged is not None
+    for far in (1e4, -1e4):
+        damaged["mean"][0] = far
+        with pytest.raises(ValueError, match="not finite, above zero"):
+            from_plain(damaged, SITE.model(), SITE.channels)
 
 
 TURNING = (
