@@ -20,6 +20,7 @@ from scipy.special import fdtrc, ndtri, stdtr
 from monitor.core import Array, BadInputError, Level, Skipped
 from monitor.damage.common_change import EVERY_NS, WAIT_NS, CommonChange, Expected
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn
+from monitor.signals import NORMAL_MAD
 
 _LAGS_H = (0.0, 3.0, 6.0, 12.0, 24.0, 48.0)
 """First-order lags that are tried. [h; judgement: air to steel deck, and to thick concrete]"""
@@ -48,8 +49,6 @@ _UNKNOWN = 3.0
 change of fifteen healthy deviations would not be significant]"""
 _SHRINKAGE = 0.1
 """Share of the features' residual correlation that is not trusted. [1; judgement]"""
-_MAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation. [1; definition]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -376,7 +375,7 @@ def _stretch_lengths() -> list[int]:
 
 def _robust_std(x: Array) -> float:
     """Estimate a standard deviation about zero from the median of the sizes."""
-    return float(_MAD * np.median(np.abs(x)))
+    return float(NORMAL_MAD * np.median(np.abs(x)))
 
 
 def _tail_std(x: Array) -> float:

@@ -16,12 +16,11 @@ import numpy as np
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
 from monitor.model import Condition, Context, Effect, Model, ShearFrame, interval
+from monitor.signals import MAIN_LOBE_BINS
 
 _SEGMENT_PERIODS = 20.0
 """Length of a segment, in periods of the lowest mode. [1; judgement: modes a tenth apart are told apart, and short segments
 give many]"""
-_HALF_WIDTH = 2
-"""Bins on either side of a mode that belong to it. [bins; the Hann taper, whose main lobe is that wide]"""
 _LEAST_JACKKNIFE = 6
 """Fewest segments that tell a standard deviation. [segments; judgement]"""
 _FACTOR = 2.0
@@ -113,7 +112,7 @@ def compare_witnesses(
     modes = extended.modes()
     data = record.transforms(_SEGMENT_PERIODS / float(modes.frequencies_hz[0]))
     # Where the rate is so low that no mode lies in the band, there are hardly any bins.
-    if data is None or len(data.floors) < _LEAST_JACKKNIFE or len(data.hz) <= 2 * _HALF_WIDTH:
+    if data is None or len(data.floors) < _LEAST_JACKKNIFE or len(data.hz) <= 2 * MAIN_LOBE_BINS:
         why = "too few segments of the recording hold the floors, the witnesses and a mode at one rate"
         return [Witness(s, "cannot say", f"{s.channel} cannot say: {why}") for s in sensors]
     comparison = _Comparison(data, before, extended, context, condition)
@@ -129,7 +128,7 @@ class _Comparison:
         self.data, self.before, self.extended, self.context = data, before, extended, context
         self.floors = _relative_motion(data, extended.effects, context, condition)
         self.modes, self.structure = extended.modes(), extended.structure
-        last_hz = float(data.hz[-1 - _HALF_WIDTH])
+        last_hz = float(data.hz[-1 - MAIN_LOBE_BINS])
         self.numbers = [k for k, hz in enumerate(self.modes.frequencies_hz.tolist()) if hz < last_hz]
         own = [(e.name, _own_frequency(e)) for e in extended.effects]
         self.others = [(name, hz) for name, hz in own if hz is not None and hz < last_hz]
@@ -246,7 +245,7 @@ class _Comparison:
     def _bins(self, hz: float) -> slice:
         """Return the bins that belong to a mode."""
         at = round(hz / float(self.data.hz[1]))
-        return slice(max(1, at - _HALF_WIDTH), at + _HALF_WIDTH + 1)
+        return slice(max(1, at - MAIN_LOBE_BINS), at + MAIN_LOBE_BINS + 1)
 
 
 def _own_frequency(effect: Effect) -> float | None:

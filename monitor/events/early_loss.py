@@ -13,12 +13,10 @@ from monitor.core import Array
 from monitor.events.motion import SEARCHED
 from monitor.events.record import Record
 from monitor.events.site import Site
-from monitor.identification import fit_bell
+from monitor.identification import BELL_PARAMETERS, fit_bell
 
 _DAMPING = 0.02
 """Damping ratio from which the fit of a peak begins. [ratio; judgement: it has no influence on the converged fit]"""
-_PARAMETERS = 4
-"""Parameters of a peak: frequency, damping, size, noise. [count; definition]"""
 _STEPS = 20
 """Gauss-Newton steps from the ratios of frequencies to those of stiffness; half the stiffness lost takes five. [count; cost]"""
 _CONVERGED = 0.01
@@ -87,7 +85,7 @@ def _peaks(part: Array, site: Site, near_hz: Array, rate_hz: float) -> tuple[Arr
     highs = np.minimum(SEARCHED[1] * near_hz, np.append(middles, 0.5 * rate_hz))
     for k in range(len(used)):
         bins = np.arange(max(1, int(np.ceil(lows[k] / bin_hz))), min(len(power), int(highs[k] / bin_hz) + 1))
-        if bins.size <= _PARAMETERS:
+        if bins.size <= BELL_PARAMETERS:
             continue
         own = power[bins, k]
         if not own.min() > 0.0:

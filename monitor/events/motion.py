@@ -6,14 +6,13 @@ Integration is in the frequency domain, above a corner: without phase, and with 
 from __future__ import annotations
 
 import numpy as np
+from scipy.constants import g
 from scipy.signal import find_peaks
 
 from monitor.core import Array
 from monitor.events.event import FloorMotion, Spectrum
 from monitor.signals import Conditioner
 
-_G = 9.80665
-"""Standard gravity. [m/s^2; definition]"""
 _CORNER_ORDER = 4
 """Order of the high-pass filter's power response (Butterworth). [1; D. Boore, J. Bommer, Soil Dynamics and Earthquake
 Engineering 25 (2005) 93: low orders ring less]"""
@@ -110,7 +109,7 @@ def floor_motion(channel: str, acceleration: Array, rate_hz: float, corner_hz: f
         float(np.abs(part).max()),
         float(np.sqrt(np.mean(part**2))),
         float(np.abs(velocity[strong]).max()),
-        float(np.pi / (2.0 * _G) * np.sum(part**2) / rate_hz),
+        float(np.pi / (2.0 * g) * np.sum(part**2) / rate_hz),
         float(np.sum(np.abs(part)) / rate_hz),
     )
 

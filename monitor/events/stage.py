@@ -26,12 +26,7 @@ from monitor.signals import Conditioner
 _SETTLED_STEPS = 2
 """Steps after a gap that are neither judged nor kept, while the filters, which begin at rest, settle. [steps of 2 s; a lowpass
 of 40 Hz settles in 1 s]"""
-_KEPT_STEPS = 3
-"""Steps before the last judged one in which an event may turn out to have begun. [steps; definition: the frames in a row that
-confirm it]"""
-_PRELIMINARY_S = 2.0
-"""Quiet time after which the preliminary message is sent. [s; one step]"""
-_GROUND_LATE_S = 2.0
+_GROUND_LATE_S = recognition.STEP_S
 """Time by which the ground's samples may arrive after the floors'. [s; the time after which the preliminary message is sent]"""
 
 
@@ -242,7 +237,7 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
     before = state.strong if not state.strong or state.strong[-1].closed else state.strong[:-1]
     if going is not None:
         quiet_s, length_s = (end - going.end) / rate_hz, (end - going.begin) / rate_hz
-        if quiet_s >= _PRELIMINARY_S and not going.told:
+        if quiet_s >= recognition.STEP_S and not going.told:
             told.append(_describe(state, going, None, site))
             going = replace(going, told=True)
         if quiet_s >= settings.merge_s:
@@ -321,7 +316,7 @@ def _forget(state: EventState, site: Site) -> EventState:
     """Drop samples and marks that nothing needs any more."""
     begun = [item.begin for item in state.strong]
     # An event may turn out to have begun some frames before the last judged step.
-    oldest = min([state.judged - _KEPT_STEPS * recognition.step_n(state.rate_hz), *begun])
+    oldest = min([state.judged - recognition.FRAMES_IN_A_ROW * recognition.step_n(state.rate_hz), *begun])
     oldest -= round(site.settings.pre_s * state.rate_hz)
     drop = max(0, oldest - state.first)
     old = state.judged - round(site.window_s * state.rate_hz)

@@ -28,8 +28,7 @@ Region = tuple[float, float, float, float]
 EVERYWHERE: Region = (0.0, np.inf, -np.inf, np.inf)
 """A region that holds every eigenvalue. [1; definition]"""
 
-_EPS = 2.0**-52
-"""Distance of 1 to the next number. [1; definition: double precision]"""
+_EPS = float(np.finfo(float).eps)
 _PIVOT_IN_PLACE_OF_0 = 1e-290
 """Taken in place of a pivot that vanishes. [1; definition: near the least double]"""
 _CLUSTER_DISTANCE = 1e-5

@@ -18,23 +18,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from monitor.core import Array, ComplexArray, ModalEstimate, Skipped
-from monitor.signals import LEAKAGE_OFFSETS, leakage, overlap_correlation
+from monitor.signals import LEAKAGE_OFFSETS, bin_correlation, leakage, overlap_correlation
 
 _LEAST_ALIKE = 0.8
 """Modal assurance criterion between the singular vectors of a bin and of the peak, from which the bin belongs to the mode. [1;
 Brincker and others (2001)]"""
 _HALF_BAND = 6.0
 """Half-width of the fitted band, in half-power bandwidths of the mode. [1; judgement]"""
-_LEAST_HALF_BINS = 4
-"""Least half-width of the fitted band. [bins; the Hann taper blurs over two]"""
-_BIN_CORRELATION_SQUARED = 35.0 / 18.0
-"""Sum of the squared correlations of a bin with all bins. [1; definition: Hann taper]"""
+BELL_PARAMETERS = 4
+"""Parameters of a fitted bell: frequency, damping, size, noise; a fit takes more bins. [count; definition]"""
 _MAX_ITERATIONS = 50
 """Most steps of scoring. [count; cost]"""
 _TOLERANCE = 0.01
 """Convergence when no parameter changes by more than this many of its standard deviations. [1; judgement]"""
-_STEP = 1e-5
-"""Finite difference of a parameter. [1; rounding]"""
 _MAX_STEP = 0.3
 """Largest change of a parameter in one step. [1; judgement]"""
 
@@ -83,9 +79,9 @@ def _fit(
     """Fit the peak near a mode of known frequency, damping and shape, (c,)."""
     centre = round(hz / bin_hz)
     bandwidth = 2.0 * damping * hz / bin_hz
-    half = max(_LEAST_HALF_BINS, int(np.ceil(_HALF_BAND * bandwidth)))
+    half = max(BELL_PARAMETERS, int(np.ceil(_HALF_BAND * bandwidth)))
     low, high = max(1, centre - half), min(transforms.shape[1] - 1, centre + half)
-    if high - low < 2 * _LEAST_HALF_BINS - 2:
+    if high - low < 2 * BELL_PARAMETERS - 2:
         return Skipped("the peak lies at the edge of the band")
     part = transforms[:, low : high + 1]
     values, vectors = np.linalg.eigh(np.einsum("ska,skb->kab", part, part.conj()) / len(part))  # ascending
@@ -101,7 +97,7 @@ def _fit(
         begin -= 1
     while end < len(alike) - 1 and alike[end + 1]:
         end += 1
-    if end - begin < _LEAST_HALF_BINS:
+    if end - begin < BELL_PARAMETERS:
         return Skipped("no bell of one shape about the peak")
     power = np.abs(part[:, begin : end + 1] @ vector.conj()) ** 2
     bins = np.arange(low + begin, low + end + 1, dtype=float)
@@ -145,11 +141,13 @@ def fit_bell(power: Array, bins: Array, bin_hz: float, start: Array, n_segments:
 
     def slopes(x: Array) -> Array:
         """Compute the derivatives of `log_model`, shape (4, k)."""
-        return np.array([(log_model(x + h) - log_model(x - h)) / (2.0 * _STEP) for h in _STEP * np.eye(4)])
+        step = np.cbrt(np.finfo(float).eps)  # least sum of rounding and curvature
+        moved = [log_model(x + h) - log_model(x - h) for h in step * np.eye(BELL_PARAMETERS)]
+        return np.asarray(np.array(moved) / (2.0 * step))
 
     x = np.array([*start, 0.0, np.log(power.min())])
     x[2] = np.log(power.max()) - log_model(np.array([*start, 0.0, -50.0])).max()
-    information = n_segments / (1.0 + 2.0 * overlap_correlation()) / _BIN_CORRELATION_SQUARED
+    information = n_segments / (1.0 + 2.0 * overlap_correlation()) / bin_correlation()
     for _ in range(_MAX_ITERATIONS):
         d = slopes(x)
         normal = information * d @ d.T + np.diag([0.0, 0.0, 0.0, 1e-2])  # noise far below the bell is hardly determined

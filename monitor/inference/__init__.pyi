@@ -11,13 +11,14 @@ from .linearization import linearize
 from .map_estimate import MapEstimate, maximize_posterior
 from .observed_spectra import ObservedSpectra, class_temperature, classify, information_weight
 from .parameter_layout import ParameterLayout
-from .posterior import FORCE_STD, Posterior, join_coordinates, with_coordinates
+from .posterior import FORCE_STD, NUDGE, Posterior, join_coordinates, with_coordinates
 from .segments import LeftOut, Segments, gather
 from .starting_point import FORCED, guess_levels, make_posterior
 
 __all__ = [
     "FORCED",
     "FORCE_STD",
+    "NUDGE",
     "Band",
     "Between",
     "CorrectedPosterior",

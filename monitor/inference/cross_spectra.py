@@ -26,7 +26,7 @@ _MIN_GROUND_SHARE = 1e-9
 """Share of the variance from the ground below which it is zero. [ratio; rounding]"""
 _MAX_GROUND_SHARE = 0.999
 """Largest share of the variance from the ground. [ratio; rounding]"""
-_FREQUENCY_BLOCK = 64
+FREQUENCY_BLOCK = 64
 """Frequencies whose systems are solved together. [count; cost]"""
 _LOWEST_HZ = 0.05
 """Frequency from which the ground's variance is integrated. [Hz; judgement]"""
@@ -377,10 +377,10 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
     size, columns = right.shape
     out = np.empty((omega.size, size, columns), dtype=np.complex128)
     # Each step of the elimination is done for a block of frequencies, since the processor works on several numbers at once.
-    re, im = np.empty((2, size, size + columns, _FREQUENCY_BLOCK))
-    by_re, by_im = np.empty((2, _FREQUENCY_BLOCK))
-    for first in range(0, omega.size, _FREQUENCY_BLOCK):
-        w = omega[first : first + _FREQUENCY_BLOCK]
+    re, im = np.empty((2, size, size + columns, FREQUENCY_BLOCK))
+    by_re, by_im = np.empty((2, FREQUENCY_BLOCK))
+    for first in range(0, omega.size, FREQUENCY_BLOCK):
+        w = omega[first : first + FREQUENCY_BLOCK]
         m = w.size
         for i in range(size):
             for j in range(size):

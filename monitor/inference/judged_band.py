@@ -26,8 +26,6 @@ _LEAST_ORDER_ABOVE = 4.0
 1.3 at most where an octave before lies wholly above what is beyond, and a first-order colour of the forces adds 1]"""
 _LEAST_ORDER_BELOW = 8.0
 """The same towards low frequencies. [1; judgement: there a mode falls with an order of 5.3 at most, and a colour adds 1]"""
-_NO_POWER = 1e-300
-"""Stands for the power of a dead channel, so that it has a logarithm. [(m/s^2)^2/Hz; rounding]"""
 _OCTAVE = float(np.log(2.0))
 """Range of frequencies, on the forces' side of a fall, that must lie wholly above what is beyond the fall. [1; definition: an
 octave]"""
@@ -77,10 +75,12 @@ def find_judged_band(transforms: ComplexArray, hz: Array) -> JudgedBand:
     spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms)
     second, power = np.linalg.eigvalsh(spectra)[:, -2:][:, :1], np.einsum("kaa->ka", spectra).real
     periodograms = np.abs(transforms) ** 2
-    relative = np.median(periodograms.std(axis=0) / np.maximum(power, _NO_POWER))
+    least = np.finfo(float).tiny  # a dead channel's power has a logarithm too
+    relative = np.median(periodograms.std(axis=0) / np.maximum(power, least))
     chance = float(relative * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(periodograms)))
     levels = [
-        median_filter(np.log(np.maximum(p, _NO_POWER)), size=(_MEDIAN_BINS, 1), mode="nearest") for p in (second, power)
+        median_filter(np.log(np.maximum(p, np.finfo(float).tiny)), size=(_MEDIAN_BINS, 1), mode="nearest")
+        for p in (second, power)
     ]
     u = np.log(hz)
     upper = _first(_steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE) for level in levels)

@@ -17,8 +17,6 @@ _MAX_STRUCTURE_STEP = 0.1
 """Longest step of the logarithm of a stiffness or a mass, and of the stiffness correction. [1; judgement: ten percent]"""
 _MAX_DAMPING_STEP = 1.0
 """Longest step of the logarithm of a damping ratio or of a channel's noise. [1; judgement: a factor of e]"""
-_MAX_SIZE_STEP = 0.5
-"""Longest step of the logarithm of a size of an effect. [1; judgement: a factor of 1.6]"""
 _MAX_EFFECT_STEP = 0.5
 """Longest step of the parameters of effects that are part of the model already. [effect's own unit; judgement]"""
 _FIXED_SLOPES_GAIN = 1.0
@@ -212,6 +210,6 @@ def _shortened(posterior: Posterior, step: Array, effects: Sequence[Effect]) -> 
     bound[layout.persistent] = _MAX_EFFECT_STEP * posterior.prior.units[layout.persistent]
     bound[layout.excitation] = MAX_EXCITATION_STEP
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
-    bound[layout.effects] = np.where(logarithms, _MAX_SIZE_STEP, np.inf)
+    bound[layout.effects] = np.where(logarithms, _MAX_EFFECT_STEP, np.inf)
     longest = float((np.abs(step) / bound).max())
     return (step,) if longest <= 1.0 else (np.clip(step, -bound, bound), step / longest)

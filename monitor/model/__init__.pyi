@@ -26,7 +26,7 @@ from .effects import (
 from .instrumented import InstrumentedModel
 from .integration import loaded, march
 from .model import Model, Modes
-from .prior import ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
+from .prior import UNKNOWN_NOISE_STD, ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
 from .simulation import (
     ExcitationKind,
     Motion,
@@ -44,6 +44,7 @@ __all__ = [
     "CALIBRATION_EFFECTS",
     "EFFECTS",
     "FORMS",
+    "UNKNOWN_NOISE_STD",
     "Condition",
     "Context",
     "Drawing",

@@ -15,12 +15,23 @@ from .channel_faults import FALSE_RATE
 from .channel_watch import WatchState
 from .front_end import FrontEnd
 from .lost_samples import LostState
+from .neighbours import NORMAL_MAD
 from .resampling import Conditioner, ConditionState
 from .sensor_drift import Drift
 from .sensor_health import Health, HealthSettings, HealthState
 from .settings import ProcessingSettings
 from .temperature import LAGS_S, TemperatureSettings
-from .welch import LEAKAGE_OFFSETS, SegmentDesign, hann_amplitude, leakage, overlap_correlation, taper, transform
+from .welch import (
+    LEAKAGE_OFFSETS,
+    MAIN_LOBE_BINS,
+    SegmentDesign,
+    bin_correlation,
+    hann_amplitude,
+    leakage,
+    overlap_correlation,
+    taper,
+    transform,
+)
 from .window_quality import QualitySettings
 from .windows import WindowGrid, WindowState
 
@@ -28,6 +39,8 @@ __all__ = [
     "FALSE_RATE",
     "LAGS_S",
     "LEAKAGE_OFFSETS",
+    "MAIN_LOBE_BINS",
+    "NORMAL_MAD",
     "ConditionState",
     "Conditioner",
     "Drift",
@@ -44,6 +57,7 @@ __all__ = [
     "WindowGrid",
     "WindowState",
     "alignment",
+    "bin_correlation",
     "channel_faults",
     "channel_relations",
     "channel_watch",

@@ -22,16 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
+from monitor.signals.neighbours import ASSUMED_NOISE, MOST_PREDICTORS, NORMAL_MAD
 
 CELL = 100
 """Length of a cell, in which a channel is either at fault or not. [samples after resampling; five times the order]"""
 _ORDER = 20
 """Order of the linear prediction: half a period at the band's lower end. [samples after resampling; judgement]"""
-_MOST_NEIGHBOURS = 5
-"""Neighbours of a channel that are predicted with and without it, those of the largest correlation. [count; cost]"""
-_RIDGE = 1e-3
-"""White noise that is assumed in each channel beside what it shows, over its power: the lowpass leaves none near the Nyquist
-frequency, and a prediction would rest on that. [ratio; judgement]"""
 FALSE_RATE = 0.01
 """Probability that chance makes a fault in a recording without one. [1; convention]"""
 _HIGHPASS = 0.02
@@ -155,7 +151,7 @@ def _groups(runs: Sequence[Array]) -> list[list[int]]:
     out = []
     for i in range(power.shape[0]):
         others = [int(j) for j in moves[np.argsort(-correlation[i, moves], kind="stable")] if j != i]
-        out.append([i, *others[:_MOST_NEIGHBOURS]])
+        out.append([i, *others[:MOST_PREDICTORS]])
     return out
 
 
@@ -198,7 +194,7 @@ def _judge(
         innovations, without = _innovations(runs, n_cells, np.where(at_fault, 0.0, weight))
         score = 0.5 * CELL * np.log(innovations[:, 1:] / without).sum(axis=1)
         away = score - np.median(score)
-        usual = max(float(np.median(np.abs(away))) / NormalDist().inv_cdf(0.75), np.finfo(float).tiny)
+        usual = max(NORMAL_MAD * float(np.median(np.abs(away))), np.finfo(float).tiny)
         own = innovations[:, 0]
         at_fault = (score > least) & (away > exceptional * usual) & (still | (own > np.median(own)))
     return score, at_fault
@@ -232,7 +228,7 @@ def _innovations(runs: Sequence[Array], n_cells: Sequence[int], weight: Array) -
     for z in _regressors(runs, n_cells):
         rows = (z * np.sqrt(weight[at : at + len(z)])[:, None, None]).reshape(-1, columns)
         normal, at = normal + rows.T @ rows, at + len(z)
-    ridge = np.tile(_RIDGE * np.diag(normal)[:g], _ORDER + 1)
+    ridge = np.tile(ASSUMED_NOISE * np.diag(normal)[:g], _ORDER + 1)
     normal += np.diag(np.maximum(ridge, np.finfo(float).tiny))
     past = np.arange(g, columns)
     filters = np.zeros((columns, 2 * g - 1))

@@ -22,9 +22,9 @@ from monitor.core import Array, LagSums
 
 _HALF_LENGTH = 10
 """Half the length of the filter on each neighbour. [samples after resampling; judgement: longer filters gain nothing]"""
-_MOST_PREDICTORS = 5
+MOST_PREDICTORS = 5
 """Neighbours that predict a channel, those of the largest correlation. [count; cost]"""
-_ASSUMED_NOISE = 1e-3
+ASSUMED_NOISE = 1e-3
 """White noise that is assumed in each channel beside what it shows, over its power: the lowpass leaves none near the Nyquist
 frequency, and a prediction would rest on that. [ratio; judgement: anything from 1e-5 to 1e-2 finds the same channels, since for
 blocks below 10 000 samples a prediction from neighbours rests on more]"""
@@ -34,7 +34,7 @@ than the neighbour is noise. [ratio; judgement]"""
 _CERTAIN_STDS = 5.0
 """Standard deviations by which the gains of two blocks must differ beyond the least ratio. [1; judgement: one block in some
 millions]"""
-_NORMAL_MAD = 1.4826
+NORMAL_MAD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation. [ratio; definition]"""
 _LEAST_PREDICTED = 0.1
 """Share of the prediction's mean power below which a block says nothing of the channel: its neighbours stand still, or stood
@@ -121,10 +121,10 @@ def _flagged(
 def _neighbours(power: Array, channel: int, channels: tuple[int, ...]) -> tuple[int, ...]:
     """List the channels that predict a channel, those of the largest correlation."""
     others = [c for c in channels if c != channel]
-    if len(others) > _MOST_PREDICTORS:
+    if len(others) > MOST_PREDICTORS:
         scale = np.sqrt(power.diagonal())
         others.sort(key=lambda c: -abs(power[channel, c]) / scale[c])
-        others = sorted(others[:_MOST_PREDICTORS])
+        others = sorted(others[:MOST_PREDICTORS])
     return tuple(others)
 
 
@@ -141,7 +141,7 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     gram = total.ravel()[pairs]
     # The products that reach over a block's ends count for one of the blocks alone, which large coefficients of opposite signs
     # magnify: a prediction may not rest on less than their share of the power.
-    gram.ravel()[:: len(gram) + 1] *= 1.0 + max(_ASSUMED_NOISE, _HALF_LENGTH / float(counts.min()))
+    gram.ravel()[:: len(gram) + 1] *= 1.0 + max(ASSUMED_NOISE, _HALF_LENGTH / float(counts.min()))
     weights = np.linalg.solve(gram, total.ravel()[past])
     # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
     shown = np.bincount(past, weights, total.size)
@@ -158,7 +158,7 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
         counts,
         _LEAST_PREDICTED * float(shares[:, 1].mean()),
         _CERTAIN_STDS,
-        _NORMAL_MAD,
+        NORMAL_MAD,
     )
     return explained, least / most if most > 0.0 else 1.0
 
@@ -169,7 +169,7 @@ def _predictability(covariances: Array, channel: int) -> float:
     for block in covariances[:, :, channel, channel]:
         n = len(block) - 1
         at = np.arange(n)
-        gram = block[np.abs(at[:, None] - at)] + _ASSUMED_NOISE * block[0] * np.eye(n)
+        gram = block[np.abs(at[:, None] - at)] + ASSUMED_NOISE * block[0] * np.eye(n)
         past = block[1:]
         least = min(least, float(past @ np.linalg.solve(gram, past)) / float(block[0])) if block[0] > 0.0 else 0.0
     return least

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.signals.channel_faults import FALSE_RATE
+from monitor.signals.welch import MAIN_LOBE_BINS
 
-_FIRST_DRIFT_BIN = 2
-"""Lowest bin that a constant offset does not reach. [bins; definition: Hann taper]"""
 _EXPONENTS = (1, 2, 3, 4)
 """Exponents with which the power of a drift falls: flicker noise, a random walk, and their integrals. [1; definition]"""
 _ROUNDS = 20
@@ -51,12 +50,13 @@ def find_drift(transforms: ComplexArray, first: int) -> tuple[Drift, ...]:
         None where too few bins or segments show a law.
     """
     n, n_bins, c = transforms.shape
-    if first < _FIRST_DRIFT_BIN + c or n <= 2 * c:
+    if first < MAIN_LOBE_BINS + c or n <= 2 * c:
         return ()
     own, unshared = _spectra(transforms)
-    below, found, degrees = np.arange(_FIRST_DRIFT_BIN, first), [], n - c + 1
+    # A constant offset reaches the bins of the main lobe at 0 Hz.
+    below, found, degrees = np.arange(MAIN_LOBE_BINS, first), [], n - c + 1
     for channel in range(c):
-        alone = unshared[_FIRST_DRIFT_BIN:first, channel]
+        alone = unshared[MAIN_LOBE_BINS:first, channel]
         if not (alone > 0.0).all():
             continue
         white = _log_likelihood(alone, np.full(alone.size, alone.mean()), degrees)

@@ -73,6 +73,18 @@ def overlap_correlation() -> float:
     return 3.0 / 70.0
 
 
+def bin_correlation() -> float:
+    """Return the sum of the squared correlations of a bin's estimate with those of all bins: 35/18 for the Hann taper.
+
+    Neighbours are correlated as the transform of the squared taper, a line of three coefficients convolved with itself.
+    """
+    line = np.array([-0.25, 0.5, -0.25])
+    squared = np.convolve(line, line)
+    return float((squared / squared.max()) @ (squared / squared.max()))
+
+
+MAIN_LOBE_BINS = 2
+"""Half width of the taper's main lobe: what lies further apart is told apart. [bins; definition: Hann taper]"""
 LEAKAGE_OFFSETS = np.arange(-3, 4)
 """Half bins over which the taper blurs; beyond them lies less than 1e-3 of the power. [half bins; Hann taper]"""
 

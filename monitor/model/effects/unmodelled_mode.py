@@ -10,14 +10,12 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from monitor.core import Array
+from monitor.model.effects.attached_oscillator import LN_DAMPING_STD
 from monitor.model.effects.base import Condition, Context, CoupledMode, Effect, EffectError, ExtraMode, Peak, System
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
-_MODE_DAMPING_LN_STD = 0.8
-"""Standard deviation of the logarithm of the mode's damping ratio about the structure's. [1; judgement: a factor of two, as
-of an attached oscillator]"""
 _BEYOND_BAND = 1.0 / 0.9
 """Highest frequency of a mode, over the band's end. [ratio; the lowpass's cutoff, of which the band ends at 0.9: the foot of a
 peak beyond the band lies in it]"""
@@ -147,7 +145,7 @@ class UnmodelledMode(Effect):
         the size.
         """
         out = np.full(len(self.parameters), np.nan)
-        out[1] = _MODE_DAMPING_LN_STD
+        out[1] = LN_DAMPING_STD
         if self.shape:
             out[self._of_shape] = np.sqrt(np.mean(np.square(self.shape)))
             out[2 + int(np.abs(self.shape).argmax())] = np.nan
@@ -244,7 +242,7 @@ class UnmodelledMode(Effect):
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
         """See `Effect.known`.  The damping ratio is that of the structure, within a factor of two."""
         mean, precision = self.coordinates, np.zeros(len(self.parameters))
-        mean[1], precision[1] = np.log(context.structure.damping_ratio), _MODE_DAMPING_LN_STD**-2
+        mean[1], precision[1] = np.log(context.structure.damping_ratio), LN_DAMPING_STD**-2
         if self.coupling:
             first = self._of_shape.stop
             mean[first:], precision[first:] = 0.0, _COUPLING_STD**-2
