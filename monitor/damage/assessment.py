@@ -20,6 +20,7 @@ import numpy as np
 from monitor.core import STRONG_MOTION, WHOLE, AlarmCondition, DamageReading, Level, ModalReading, Skipped, WindowResult
 from monitor.damage.detectable_loss import WITHIN_S
 from monitor.damage.modal_alarm import change_words
+from monitor.damage.origin import MOST_LISTED
 from monitor.model import FORMS
 
 _UNIT_FACTOR = 4.9
@@ -33,8 +34,6 @@ several stories and windows do not give by chance]"""
 
 _MOST_OUTAGES = 64
 """Most ended times without a channel that are kept. [count; cost]"""
-_MOST_TOLD = 3
-"""Most ended times without a channel that the state tells. [count; judgement]"""
 
 
 class State(StrEnum):
@@ -710,7 +709,7 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
     if course.skipped and course.judged is not None:
         reasons = "; ".join(f"{n}: {Skipped(reason).mend}" for reason, n in course.skip_reasons.items())
         says.append(f"{course.skipped} of {course.windows} windows could not be judged ({reasons})")
-    outages = [o for o in course.outages if o.t_last_ns is not None][-_MOST_TOLD:]
+    outages = [o for o in course.outages if o.t_last_ns is not None][-MOST_LISTED:]
     says += [
         f"channel {o.channel} was left out ({_without_numbers(o.reason)}) from {utc(o.t_first_ns)} to {utc(o.t_last_ns or 0)} UTC"
         for o in outages

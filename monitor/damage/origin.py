@@ -17,8 +17,8 @@ _DIGITS = 1e9
 _FAR_RANGES = 5.0
 """A healthy value further from the drawn one than so many times the prior's range (two standard deviations) is another
 structure's. [1; judgement: a mass stated to 10 % may be 1.6 times the drawn one, a stiffness stated to 40 % 7 times]"""
-_LISTED = 3
-"""Differences of one kind that a message lists. [1; judgement]"""
+MOST_LISTED = 3
+"""Most items of one kind that a message lists. [1; judgement]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +147,10 @@ def far_values(masses_kg: Sequence[float], stiffness_n_per_m: Sequence[float], h
 
 
 def _value_differences(sentence: str, there: Sequence[float], here: Sequence[float]) -> list[str]:
-    """Put unequal values into a sentence each, at most `_LISTED`, with as many digits as tell them apart."""
+    """Put unequal values into a sentence each, at most `MOST_LISTED`, with as many digits as tell them apart."""
     unequal = [(i, a, b) for i, (a, b) in enumerate(zip(there, here, strict=True), start=1) if a != b]
     says = []
-    for i, a, b in unequal[:_LISTED]:
+    for i, a, b in unequal[:MOST_LISTED]:
         digits = next((d for d in (4, 6, 9) if f"{a:.{d}g}" != f"{b:.{d}g}"), 17)
         says.append(sentence.format(i, f"{a:.{digits}g}", f"{b:.{digits}g}"))
     more = len(unequal) - len(says)

@@ -8,7 +8,7 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
-from monitor.inference import MapEstimate, Posterior, with_coordinates
+from monitor.inference import FEWEST_SEGMENTS, MapEstimate, Posterior, with_coordinates
 from monitor.signals import NORMAL_MAD
 
 _FIRST_MODE_BAND = 0.6, 1.6
@@ -16,8 +16,6 @@ _FIRST_MODE_BAND = 0.6, 1.6
 _MAX_LEFT_POWER = 0.1
 """Largest share of a segment's power near the mode that its equation of motion may leave unexplained. [ratio;
 judgement]"""
-_MIN_SEGMENTS = 6
-"""Fewest segments from which a dependence on amplitude is stated. [segments; judgement]"""
 _MIN_RELATIVE_CHANGE = 0.004
 """Smallest relative change of a frequency or damping ratio that is reported. [ratio; judgement]"""
 _MIN_CHANGE_STDS = 6.0
@@ -68,7 +66,7 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
         model_hz, _, model_unexplained = _fit_oscillator(predicted @ to_mode - r, u, w)
         if max(unexplained, model_unexplained) < _MAX_LEFT_POWER:
             rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
-    if len(rows) < _MIN_SEGMENTS:
+    if len(rows) < FEWEST_SEGMENTS:
         return None
     columns = np.array(sorted(rows)).T
     return Backbone(*columns)

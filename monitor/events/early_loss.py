@@ -13,14 +13,12 @@ from monitor.core import Array
 from monitor.events.motion import SEARCHED
 from monitor.events.record import Record
 from monitor.events.site import Site
-from monitor.identification import BELL_PARAMETERS, fit_bell
+from monitor.identification import BELL_PARAMETERS, CONVERGED_STDS, fit_bell
 
 _DAMPING = 0.02
 """Damping ratio from which the fit of a peak begins. [ratio; judgement: it has no influence on the converged fit]"""
 _STEPS = 20
 """Gauss-Newton steps from the ratios of frequencies to those of stiffness; half the stiffness lost takes five. [count; cost]"""
-_CONVERGED = 0.01
-"""Last step, over the standard deviation, below which the search has converged. [ratio; rounding]"""
 _NOTHING = 0.5
 """Standard deviation of a loss from which nothing is told. [ratio; definition: its interval then spans the whole stiffness]"""
 
@@ -131,5 +129,5 @@ def _losses(ratio: Array, variance: Array, told: Array, site: Site) -> tuple[Arr
         ln_kept = ln_kept + np.clip(step, -1.0, 1.0)
     kept = np.exp(ln_kept)
     std = kept * np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
-    known = (std < _NOTHING) & (np.abs(step) < _CONVERGED * std)
+    known = (std < _NOTHING) & (np.abs(step) < CONVERGED_STDS * std)
     return np.where(known, 1.0 - kept, np.nan), np.where(known, std, np.nan)

@@ -19,8 +19,6 @@ Engineering 25 (2005) 93: low orders ring less]"""
 _INTERPOLATION = 4
 """Factor by which motions are interpolated before their peak is taken. [ratio; a peak at a tenth of the rate lies less than 1 %
 above its nearest sample]"""
-_SMALLEST_DRIFT_M = 1e-12
-"""Least drift over which an error is taken. [m; rounding]"""
 _SPECTRUM_DAMPING = 0.05
 """Damping ratio of response spectra. [ratio; convention]"""
 _PERIODS = 50
@@ -157,7 +155,7 @@ def _peaks_above(drift_acceleration: Array, rate_hz: float, corner_hz: float, st
     quiet = drift[strong.start // 2 : strong.start]
     noise = np.sqrt((quiet**2).mean(axis=0)) if len(quiet) else np.zeros_like(peak)
     # The corner changes all stories by like shares, though that of one may happen to be none.
-    changes = np.array(others) / np.maximum(peak, _SMALLEST_DRIFT_M) - 1.0
+    changes = np.array(others) / np.maximum(peak, np.finfo(float).tiny) - 1.0
     changed = np.sqrt((changes**2).mean(axis=1).sum()) * peak
     return peak, np.hypot(noise, changed)
 

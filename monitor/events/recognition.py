@@ -39,7 +39,7 @@ _RAISED_BANDS = 3
 mode does not]"""
 FRAMES_IN_A_ROW = 3
 """Frames in a row that make an event. [count; a spike touches two]"""
-_DEAD = 1e-6
+DEAD = 1e-6
 """Share of the power of the strongest channel below which a channel is dead and has no vote. [ratio; -60 dB]"""
 _FRAMES = 2
 """Frames that one step of samples completes. [count; definition: they overlap by half]"""
@@ -210,7 +210,7 @@ def _voted_ratio(power: Array, long_term: Array, own: int) -> Array:
         Index of the band of the structure's lowest frequency.
     """
     strength = long_term.sum(axis=1)
-    live = strength > _DEAD * strength.max()
+    live = strength > DEAD * strength.max()
     if not live.all():
         if not live.any():
             return np.zeros(_FRAMES)

@@ -12,12 +12,10 @@ from scipy.interpolate import make_interp_spline
 from monitor.core import Array
 from monitor.events.ground import Ground
 from monitor.events.motion import without_filter
+from monitor.events.recognition import DEAD
 from monitor.events.site import Site
 from monitor.signals import Conditioner
 
-_STILL = 1e-3
-"""Range of a channel's motion in a second of strong motion, over the largest of all channels, below which it stood still.
-[ratio; -60 dB, as of dead channels]"""
 _SPLINE_S = 1.0
 """Time beyond an event's samples within which the ground's samples take part in their interpolation. [s; less than
 `_GROUND_LATE_S`, so that they are there however late they arrive]"""
@@ -88,7 +86,7 @@ def _still_channels(values: Array, strong: slice, rate_hz: float) -> NDArray[np.
     part = values[strong]
     seconds = part[: len(part) // n * n].reshape(-1, n, part.shape[1])
     ranges = np.ptp(seconds, axis=1)
-    return np.asarray((ranges < _STILL * ranges.max(axis=1, keepdims=True, initial=0.0)).any(axis=0))
+    return np.asarray((ranges < np.sqrt(DEAD) * ranges.max(axis=1, keepdims=True, initial=0.0)).any(axis=0))
 
 
 def _interpolated(

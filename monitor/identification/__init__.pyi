@@ -1,7 +1,7 @@
 from . import stabilization, tracking
 from .free_decay import with_decay_deviations
 from .model_free import identify_modes
-from .single_modes import BELL_PARAMETERS, SingleMode, fit_bell, fit_single_modes
+from .single_modes import BELL_PARAMETERS, CONVERGED_STDS, SingleMode, fit_bell, fit_single_modes
 from .ssi import SsiSettings
 from .stabilization import SelectionSettings, expected_modes, identify
 from .sub_array import SubArray
@@ -10,6 +10,7 @@ from .whittle import RefinementSettings, refine
 
 __all__ = [
     "BELL_PARAMETERS",
+    "CONVERGED_STDS",
     "RefinementSettings",
     "SelectionSettings",
     "SingleMode",

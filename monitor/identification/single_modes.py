@@ -29,8 +29,9 @@ BELL_PARAMETERS = 4
 """Parameters of a fitted bell: frequency, damping, size, noise; a fit takes more bins. [count; definition]"""
 _MAX_ITERATIONS = 50
 """Most steps of scoring. [count; cost]"""
-_TOLERANCE = 0.01
-"""Convergence when no parameter changes by more than this many of its standard deviations. [1; judgement]"""
+CONVERGED_STDS = 0.01
+"""A fit has converged when no parameter changes by more than this many of its standard deviations. [standard deviations;
+rounding]"""
 _MAX_STEP = 0.3
 """Largest change of a parameter in one step. [1; judgement]"""
 
@@ -156,7 +157,7 @@ def fit_bell(power: Array, bins: Array, bin_hz: float, start: Array, n_segments:
         step = np.linalg.solve(normal, information * d @ (power / np.exp(log_model(x)) - 1.0))
         std = np.sqrt(np.diag(np.linalg.inv(normal)))
         x = x + np.clip(step, -_MAX_STEP, _MAX_STEP)
-        if np.abs(step[:2] / std[:2]).max() < _TOLERANCE:
+        if np.abs(step[:2] / std[:2]).max() < CONVERGED_STDS:
             inside = bins[0] * bin_hz < np.exp(x[0]) < bins[-1] * bin_hz
             return (x[:2], std[:2]) if inside and x[1] < 0.0 else None
     return None

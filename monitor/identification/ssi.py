@@ -21,13 +21,11 @@ from monitor.core import Array, ComplexArray, LagSums, Settings
 
 Indices = NDArray[np.intp]
 _RANK_TOLERANCE = 1e-12
-"""Singular values below this share of the largest are zero. [ratio; rounding]"""
+"""Singular values, and differences of their squares, below this share of the largest are zero. [ratio; rounding]"""
 _SINGULAR_TOLERANCE = 1e-9
 """Smallest ratio of the eigenvalues of a weight that can be inverted. [ratio; rounding]"""
 _SQUARED_TOLERANCE = 1e-4
 """Smallest squared singular value, over the largest, that is found as an eigenvalue. [ratio; rounding]"""
-_MIN_SQUARED_DISTANCE = 1e-12
-"""Smallest distance of two such squares, over the largest. [ratio; rounding]"""
 _OUT_OF_BAND_NOISE = 0.03
 """Power of the noise that weights are formed with beyond the lowpass, over the channel's power. [ratio; judgement]"""
 _MAX_CVA_CHANNELS = 10
@@ -205,11 +203,7 @@ def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
         reflected, diagonal, off_diagonal, scales, _ = lapack.dsytrd(matrix.T @ matrix, lower=1)
         squares, failed = lapack.dsterf(diagonal, off_diagonal)
         apart = np.diff(squares[-count - 1 :]).min()
-        if (
-            not failed
-            and squares[-count] > _SQUARED_TOLERANCE * squares[-1]
-            and apart > _MIN_SQUARED_DISTANCE * squares[-1]
-        ):
+        if not failed and squares[-count] > _SQUARED_TOLERANCE * squares[-1] and apart > _RANK_TOLERANCE * squares[-1]:
             from monitor.identification.eigen import tridiagonal_vectors  # compiled code takes a while to load
 
             vectors = tridiagonal_vectors(diagonal, off_diagonal, squares[: -count - 1 : -1]).T

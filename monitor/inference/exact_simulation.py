@@ -13,7 +13,7 @@ from monitor.inference.cross_spectra import Band, channel_response, extended, gr
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
 from monitor.model import Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
-from monitor.signals import taper
+from monitor.signals import MAIN_LOBE_BINS, taper
 
 _STEPS_A_PERIOD = 14
 """Least samples of the simulation in a period of the band's last frequency. [count; accuracy of the integration]"""
@@ -27,8 +27,6 @@ _LEVEL_STRIDE = 16
 """Every so many samples are used to find a level. [samples; cost]"""
 _LEVEL_STEPS = 12
 """Iterations to find a level. [iterations; cost]"""
-_COHERENCE_BINS = 2
-"""Bins on either side over which the coherence of the two responses is measured. [bins; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -333,7 +331,8 @@ def _squared_regression(cross: ComplexArray, own: ComplexArray) -> Array:
     cross, own : ndarray, shape (n_bins, c, c)
         Cross-spectra of the two responses, and spectra of the second.
     """
-    ones = np.ones(2 * _COHERENCE_BINS + 1)
+    # The taper blurs bins within its main lobe together.
+    ones = np.ones(2 * MAIN_LOBE_BINS + 1)
     part, whole = (np.convolve((np.abs(a) ** 2).sum(axis=(1, 2)), ones, "same") for a in (cross, own))
     return np.asarray(part / whole)
 

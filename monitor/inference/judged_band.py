@@ -79,8 +79,7 @@ def find_judged_band(transforms: ComplexArray, hz: Array) -> JudgedBand:
     relative = np.median(periodograms.std(axis=0) / np.maximum(power, least))
     chance = float(relative * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(periodograms)))
     levels = [
-        median_filter(np.log(np.maximum(p, np.finfo(float).tiny)), size=(_MEDIAN_BINS, 1), mode="nearest")
-        for p in (second, power)
+        median_filter(np.log(np.maximum(p, least)), size=(_MEDIAN_BINS, 1), mode="nearest") for p in (second, power)
     ]
     u = np.log(hz)
     upper = _first(_steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE) for level in levels)

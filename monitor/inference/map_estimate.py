@@ -19,7 +19,9 @@ _MAX_DAMPING_STEP = 1.0
 """Longest step of the logarithm of a damping ratio or of a channel's noise. [1; judgement: a factor of e]"""
 _MAX_EFFECT_STEP = 0.5
 """Longest step of the parameters of effects that are part of the model already. [effect's own unit; judgement]"""
-_FIXED_SLOPES_GAIN = 1.0
+CONVERGED_NATS = 0.02
+"""Expected gain of the next step at which a fit has converged. [nats; judgement]"""
+FIXED_SLOPES_NATS = 1.0
 """Gain of a step below which the slopes are not computed again. [nats; judgement]"""
 
 
@@ -73,7 +75,7 @@ def maximize_posterior(
     effects: tuple[Effect, ...] = (),
     *,
     iterations: int = 12,
-    tolerance: float = 0.02,
+    tolerance: float = CONVERGED_NATS,
     frozen: Slopes | None = None,
     keep_slopes: bool = True,
 ) -> MapEstimate:
@@ -117,7 +119,7 @@ def maximize_posterior(
         move,
         iterations=iterations,
         tolerance=tolerance,
-        fixed_slopes_gain=_FIXED_SLOPES_GAIN,
+        fixed_slopes_gain=FIXED_SLOPES_NATS,
     )
     found = search.point
     last = search.linearization or _no_slopes(start.x.size)

@@ -33,8 +33,8 @@ LEVEL_STD = 5.0
 """Prior standard deviation of the logarithm of a class's level of excitation. [1; judgement: a factor of 150]"""
 MAX_EXCITATION_STEP = 2.0
 """Longest step of a fit in the logarithm of a force, a level or the noise. [1; judgement: a factor of 7]"""
-NUDGE = 1e-5
-"""Finite difference of a nuisance parameter, most of which are logarithms. [1; rounding]"""
+NUDGE = float(np.cbrt(np.finfo(float).eps))
+"""Finite difference of a nuisance parameter, most of which are logarithms: of a third of the digits."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

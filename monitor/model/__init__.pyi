@@ -1,8 +1,11 @@
 from . import prior_file
 from .effects import (
+    BAND_END,
     CALIBRATION_EFFECTS,
+    DAILY_CHANGE,
     EFFECTS,
     FORMS,
+    INTERVAL_STDS,
     Condition,
     Context,
     Effect,
@@ -41,9 +44,12 @@ from .structures.drawing import Drawing, LineTable, NodeTable, drawing_problems
 from .structures.tables import DrawnTable, Matrix, ModalTable, Positive, StructureTable
 
 __all__ = [
+    "BAND_END",
     "CALIBRATION_EFFECTS",
+    "DAILY_CHANGE",
     "EFFECTS",
     "FORMS",
+    "INTERVAL_STDS",
     "UNKNOWN_NOISE_STD",
     "Condition",
     "Context",

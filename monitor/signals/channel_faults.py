@@ -22,12 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
-from monitor.signals.neighbours import ASSUMED_NOISE, MOST_PREDICTORS, NORMAL_MAD
+from monitor.signals.neighbours import ASSUMED_NOISE, FILTER_LENGTH, MOST_PREDICTORS, NORMAL_MAD
 
 CELL = 100
 """Length of a cell, in which a channel is either at fault or not. [samples after resampling; five times the order]"""
-_ORDER = 20
-"""Order of the linear prediction: half a period at the band's lower end. [samples after resampling; judgement]"""
 FALSE_RATE = 0.01
 """Probability that chance makes a fault in a recording without one. [1; convention]"""
 _HIGHPASS = 0.02
@@ -77,7 +75,7 @@ class Fault:
     @property
     def begin(self) -> int:
         """First conditioned sample: what happens at the end of a cell shows in the next one."""
-        return self.first * CELL - _ORDER
+        return self.first * CELL - FILTER_LENGTH
 
     @property
     def end(self) -> int:
@@ -120,7 +118,7 @@ def find_faults(runs: Sequence[Array], facts: Sequence[Sequence[RawFacts]]) -> t
     n_cells = [max(0, min(run.shape[0] // CELL, len(own)) - 1) for run, own in zip(runs, facts, strict=True)]
     total, c = sum(n_cells), runs[0].shape[1]
     groups = _groups(smooth)
-    if total * CELL < _ROWS_A_COLUMN * (_ORDER + 1) * max(len(g) for g in groups):
+    if total * CELL < _ROWS_A_COLUMN * (FILTER_LENGTH + 1) * max(len(g) for g in groups):
         return ()
     scores, flags = np.zeros((total, c)), np.zeros((total, c), dtype=bool)
     for channel, group in enumerate(groups):
@@ -201,12 +199,12 @@ def _judge(
 
 
 def _regressors(runs: Sequence[Array], n_cells: Sequence[int]) -> Iterator[Array]:
-    """Yield the samples of some cells beside their past, shape (cells, CELL, g * (_ORDER + 1)), the present ones first."""
+    """Yield the samples of some cells beside their past, shape (cells, CELL, g * (FILTER_LENGTH + 1)), the present ones first."""
     for run, n in zip(runs, n_cells, strict=True):
         for first in range(1, n + 1, _CHUNK):
             cells = min(_CHUNK, n + 1 - first)
             begin, end = CELL * first, CELL * (first + cells)
-            past = [run[begin - lag : end - lag].astype(float) for lag in range(_ORDER + 1)]
+            past = [run[begin - lag : end - lag].astype(float) for lag in range(FILTER_LENGTH + 1)]
             yield np.concatenate(past, axis=1).reshape(cells, CELL, -1)
 
 
@@ -223,12 +221,12 @@ def _innovations(runs: Sequence[Array], n_cells: Sequence[int], weight: Array) -
         Of the neighbours, by the past of the neighbours alone.
     """
     g = runs[0].shape[1]
-    columns = g * (_ORDER + 1)
+    columns = g * (FILTER_LENGTH + 1)
     normal, at = np.zeros((columns, columns)), 0
     for z in _regressors(runs, n_cells):
         rows = (z * np.sqrt(weight[at : at + len(z)])[:, None, None]).reshape(-1, columns)
         normal, at = normal + rows.T @ rows, at + len(z)
-    ridge = np.tile(ASSUMED_NOISE * np.diag(normal)[:g], _ORDER + 1)
+    ridge = np.tile(ASSUMED_NOISE * np.diag(normal)[:g], FILTER_LENGTH + 1)
     normal += np.diag(np.maximum(ridge, np.finfo(float).tiny))
     past = np.arange(g, columns)
     filters = np.zeros((columns, 2 * g - 1))

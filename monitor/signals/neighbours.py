@@ -14,14 +14,16 @@ Processing 40 (2013) 208-221 (a sensor predicted by the others).
 from __future__ import annotations
 
 from functools import lru_cache
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, LagSums
 
-_HALF_LENGTH = 10
-"""Half the length of the filter on each neighbour. [samples after resampling; judgement: longer filters gain nothing]"""
+FILTER_LENGTH = 20
+"""Lags of the filter on each neighbour: half of them to either side, or all in the past. [samples after resampling; judgement:
+longer filters gain nothing]"""
 MOST_PREDICTORS = 5
 """Neighbours that predict a channel, those of the largest correlation. [count; cost]"""
 ASSUMED_NOISE = 1e-3
@@ -31,9 +33,9 @@ blocks below 10 000 samples a prediction from neighbours rests on more]"""
 _WHITER = 2.0
 """Share of a channel's power that its own past does not explain, over that of its only neighbour, from which the channel rather
 than the neighbour is noise. [ratio; judgement]"""
-_CERTAIN_STDS = 5.0
-"""Standard deviations by which the gains of two blocks must differ beyond the least ratio. [1; judgement: one block in some
-millions]"""
+FALSE_RATE_A_SPAN = 1e-6
+"""Probability that chance makes a step, a dropout, a hum or a loss of gain in one channel of one span: less than one a month for
+three channels and spans of 10 s. [1; judgement]"""
 NORMAL_MAD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation. [ratio; definition]"""
 _LEAST_PREDICTED = 0.1
@@ -96,8 +98,8 @@ def _of_the_last_two(
 
 
 def _block_covariances(sums: LagSums) -> Array:
-    """Form the lagged products of every block about the window's mean, shape (n_blocks, 2 _HALF_LENGTH + 1, c, c)."""
-    n = 2 * min(_HALF_LENGTH, (sums.products.shape[1] - 1) // 2) + 1  # as many lags to either side
+    """Form the lagged products of every block about the window's mean, shape (n_blocks, FILTER_LENGTH + 1, c, c)."""
+    n = 2 * min(FILTER_LENGTH // 2, (sums.products.shape[1] - 1) // 2) + 1  # as many lags to either side
     shifted, mean = sums.shifted[:, :n], sums.mean
     moved = shifted[:, :1, :, None] * mean + mean[:, None] * shifted[:, :, None, :]
     return np.asarray(sums.products[:, :n] - moved + sums.counts[:, None, None, None] * np.outer(mean, mean))
@@ -131,8 +133,8 @@ def _neighbours(power: Array, channel: int, channels: tuple[int, ...]) -> tuple[
 def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: tuple[int, ...]) -> tuple[float, float]:
     """Compute the share of a channel's power that its neighbours explain, and its least gain over its largest, in any block.
 
-    Both gains are taken `_CERTAIN_STDS` standard deviations nearer to each other.  Where no block has a gain the ratio is 1,
-    and where the lag sums admit no prediction both are 1.
+    Both gains are taken nearer to each other by the deviation that chance exceeds at the rate `FALSE_RATE_A_SPAN`.  Where no
+    block has a gain the ratio is 1, and where the lag sums admit no prediction both are 1.
     """
     from monitor.signals.kernels import extreme_gains  # compiled code takes a while to load
 
@@ -141,7 +143,7 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     gram = total.ravel()[pairs]
     # The products that reach over a block's ends count for one of the blocks alone, which large coefficients of opposite signs
     # magnify: a prediction may not rest on less than their share of the power.
-    gram.ravel()[:: len(gram) + 1] *= 1.0 + max(ASSUMED_NOISE, _HALF_LENGTH / float(counts.min()))
+    gram.ravel()[:: len(gram) + 1] *= 1.0 + max(ASSUMED_NOISE, FILTER_LENGTH // 2 / float(counts.min()))
     weights = np.linalg.solve(gram, total.ravel()[past])
     # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
     shown = np.bincount(past, weights, total.size)
@@ -157,7 +159,7 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
         covariances[:, 0, channel, channel],
         counts,
         _LEAST_PREDICTED * float(shares[:, 1].mean()),
-        _CERTAIN_STDS,
+        NormalDist().inv_cdf(1.0 - FALSE_RATE_A_SPAN),
         NORMAL_MAD,
     )
     return explained, least / most if most > 0.0 else 1.0

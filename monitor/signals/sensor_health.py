@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import Field
 
 from monitor.core import Array, Gap, Settings
-from monitor.signals.span_faults import SpanFaults, find_span_faults
+from monitor.signals.span_faults import BATCHES, SpanFaults, find_span_faults
 
 _MAX_SPAN_SAMPLES = 1 << 18
 """A span is cut shorter than this whatever the rate: it is kept in memory until it ends. [samples; cost]"""
@@ -31,8 +31,6 @@ _MIN_PILED_SAMPLES = 8
 """Samples at the largest magnitude that show a clipped channel. [samples; judgement]"""
 _PILED_RATIO = 4
 """Samples at the largest magnitude over those just below it, from which the channel is clipped. [ratio; judgement]"""
-_LEAST_FINITE = 16
-"""Fewest finite samples of a channel in a span that its figures are computed from. [samples; judgement]"""
 _FFT_N = 2048
 """Length of the periodograms from which noise is read. [samples; judgement]"""
 _LOWER_TENTH = -np.log(0.9)
@@ -254,8 +252,8 @@ def _channel_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tupl
         if has.all():
             found.append(replace(left.pop(0), channel=name))
             continue
-        known = has.sum() >= _LEAST_FINITE
-        (one,) = _finite_health((row[has] if known else np.zeros(_LEAST_FINITE))[None], rate_hz, (name,))
+        known = has.sum() >= BATCHES
+        (one,) = _finite_health((row[has] if known else np.zeros(BATCHES))[None], rate_hz, (name,))
         repeated = one.repeated if known else 0.0
         found.append(replace(one, repeated=repeated, lost=1.0 - float(has.mean())))
     return tuple(found)

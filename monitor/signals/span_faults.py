@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.signals import mains_hum
+from monitor.signals.neighbours import FALSE_RATE_A_SPAN
 
-_FALSE_RATE_A_SPAN = 1e-6
-"""Probability that chance makes a step, a dropout or a hum in one channel of one span: less than one a month for three channels
-and spans of 10 s. [1; judgement]"""
-_BATCHES = 20
+BATCHES = 20
 """Parts of a span whose medians show steps and drift. [count; judgement]"""
 _TAPERS = 8
 """Tapers of the test for a hum. [count; judgement]"""
@@ -70,24 +68,24 @@ def _wander(x: Array) -> list[tuple[float, float]]:
     """
     from scipy.special import stdtr  # takes a while to load
 
-    c, size = len(x), x.shape[1] // _BATCHES
+    c, size = len(x), x.shape[1] // BATCHES
     if size < 2:
         return [(0.0, 0.0)] * c
-    ordered = np.sort(x[:, : size * _BATCHES].reshape(c, _BATCHES, size), axis=2)
+    ordered = np.sort(x[:, : size * BATCHES].reshape(c, BATCHES, size), axis=2)
     levels = 0.5 * (
         ordered[:, :, (size - 1) // 2] + ordered[:, :, size // 2]
     )  # the medians; numpy.median takes seven times as long
     changes = np.diff(levels, axis=1)
     largest = np.abs(changes - changes.mean(axis=1, keepdims=True)).argmax(axis=1)
-    at_largest = largest[:, None] == np.arange(_BATCHES - 1)
+    at_largest = largest[:, None] == np.arange(BATCHES - 1)
     change, rest = changes[at_largest], changes[~at_largest].reshape(c, -1)
     scatter = rest.std(axis=1, ddof=1) * np.sqrt(1.0 + 1.0 / rest.shape[1])
     away = np.abs(change - rest.mean(axis=1)) / np.maximum(scatter, 1e-300)
     chance = 2.0 * changes.shape[1] * stdtr(rest.shape[1] - 1, -away)
-    time = (np.arange(_BATCHES) - 0.5 * (_BATCHES - 1)) / _BATCHES
+    time = (np.arange(BATCHES) - 0.5 * (BATCHES - 1)) / BATCHES
     drifts = np.vecdot(time, levels - levels[:, :1]) / (time @ time)
     out = [(0.0, drift) for drift in drifts.tolist()]
-    for i in np.flatnonzero(chance < _FALSE_RATE_A_SPAN).tolist():
+    for i in np.flatnonzero(chance < FALSE_RATE_A_SPAN).tolist():
         after = int(largest[i]) + 1
         step = float(levels[i, after:].mean() - levels[i, :after].mean())
         if step * change[i] > 0.0:
@@ -121,7 +119,7 @@ def _is_rare(lengths: NDArray[np.intp], n: int) -> NDArray[np.bool_]:
     for at in order[::-1].tolist():  # the longest is judged by those left
         total, runs = total - int(lengths[at]), runs - 1
         p = (total + 1.0) / (n - int(lengths[rare].sum()) - int(lengths[at]) + 2.0)
-        if n * p ** int(lengths[at]) >= _FALSE_RATE_A_SPAN:
+        if n * p ** int(lengths[at]) >= FALSE_RATE_A_SPAN:
             break
         rare[at] = True
     return rare
@@ -142,7 +140,7 @@ def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, No
     if not mains.size:
         return out
     chance = _chance_of_line(spectra[:, :, bins]) * c * width
-    has = np.minimum.reduceat(chance, begins, axis=1) < _FALSE_RATE_A_SPAN
+    has = np.minimum.reduceat(chance, begins, axis=1) < FALSE_RATE_A_SPAN
     ends = np.append(begins[1:], bins.size)
     for k in np.flatnonzero((has.sum(axis=0) == 1) | has.all(axis=0)).tolist() if c > 1 else ():
         for i in np.flatnonzero(has[:, k]).tolist():

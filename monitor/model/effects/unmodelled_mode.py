@@ -16,9 +16,9 @@ from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
-_BEYOND_BAND = 1.0 / 0.9
-"""Highest frequency of a mode, over the band's end. [ratio; the lowpass's cutoff, of which the band ends at 0.9: the foot of a
-peak beyond the band lies in it]"""
+BAND_END = 0.9
+"""Highest frequency at which models are compared, over the cutoff of the lowpass; the foot of a mode's peak beyond it lies in the
+band. [ratio; ripple of the lowpass]"""
 _MAX_MODE_DAMPING = 0.15
 """Damping ratio from which a peak is no mode of a structure. [1; as of the poles that identification accepts as modes]"""
 _DAILY_FREQUENCY = 0.02
@@ -33,9 +33,9 @@ _LN_FORCE_STD = 2.0
 _DAILY_FORCE = 4.0
 """Change of the mode's force from calibration that needs no cause: of the logarithm of its density, and of a shape that the force
 scales. [1; judgement: another direction of the wind, a factor of five to seven in amplitude]"""
-_DAILY_COUPLED_SHAPE = 0.05
-"""Relative change of a coupled mode's shape from calibration that needs no cause; its force is a parameter of its own. [ratio;
-judgement: as of the damping of the model's own modes]"""
+DAILY_CHANGE = 0.05
+"""Relative change from calibration that needs no cause: of the damping of the model's own modes, and of a coupled mode's shape,
+whose force is a parameter of its own. [ratio; judgement]"""
 _DAILY_COUPLING = 0.01
 """Change of a coupling from calibration that needs no cause. [1; judgement: a twentieth of the largest usual one]"""
 _SHAPE, _COUPLING = "shape_", "coupling_"
@@ -93,7 +93,7 @@ class UnmodelledMode(Effect):
         daily = (
             _DAILY_FREQUENCY,
             _DAILY_DAMPING,
-            *(_DAILY_COUPLED_SHAPE if of_floors else _DAILY_FORCE,) * len(self.shape),
+            *(DAILY_CHANGE if of_floors else _DAILY_FORCE,) * len(self.shape),
         )
         if of_floors:
             of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
@@ -251,7 +251,7 @@ class UnmodelledMode(Effect):
 
     def is_plausible(self, band_hz: Array) -> bool:
         """See `Effect.is_plausible`.  The peak reaches into the band, and the damping ratio is below the limit."""
-        in_band = band_hz[0] <= self.frequency_hz <= _BEYOND_BAND * band_hz[-1]
+        in_band = band_hz[0] <= self.frequency_hz <= band_hz[-1] / BAND_END
         return bool(in_band and self.damping_ratio < _MAX_MODE_DAMPING)
 
     @classmethod
