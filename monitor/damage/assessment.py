@@ -21,6 +21,7 @@ from monitor.core import STRONG_MOTION, WHOLE, AlarmCondition, DamageReading, Le
 from monitor.damage.detectable_loss import WITHIN_S
 from monitor.damage.modal_alarm import change_words
 from monitor.damage.origin import MOST_LISTED
+from monitor.damage.sequential_test import CHANCE_STDS
 from monitor.model import FORMS
 
 _UNIT_FACTOR = 4.9
@@ -28,9 +29,6 @@ _UNIT_FACTOR = 4.9
 by which g and m/s^2, the closest units in use, differ: the motion itself may be half as strong as at calibration]"""
 _MOST_UNSEEN = 0.3
 """Loss of a story that green leaves unseen at most, however high a site sets its alarm. [ratio; judgement]"""
-_RISE_STDS = 4.0
-"""Least rise of a story's stiffness that asks whether the baseline is a healthy one. [standard deviations; judgement: what
-several stories and windows do not give by chance]"""
 
 _MOST_OUTAGES = 64
 """Most ended times without a channel that are kept. [count; cost]"""
@@ -549,7 +547,7 @@ def _risen(course: Course, known: Known) -> list[str]:
         f"{_name(j, known)} is {-100 * change:.1f} ± {200 * std:.1f} % stiffer than at calibration: was it damaged then, or is "
         "a sensor, a mass or the temperature another?"
         for j, (change, std) in enumerate(changes, start=1)
-        if -change >= max(min(known.alarm_loss, _MOST_UNSEEN), _RISE_STDS * std)
+        if -change >= max(min(known.alarm_loss, _MOST_UNSEEN), CHANCE_STDS * std)
     ]
 
 
@@ -621,7 +619,7 @@ def _alike(course: Course, known: Known) -> list[Fact]:
         changes = tuple((-size if falls else size, std) for size, std in changes)
     least, std = min(changes)
     seen = [loss for loss in window.detectable or () if loss is not None]
-    if not seen or least < max(max(seen), _RISE_STDS * std):
+    if not seen or least < max(max(seen), CHANCE_STDS * std):
         return []
     what = f"{known.words.every} {'changed by' if window.modal else 'lost'} {100 * least:.1f} % alike"
     says = f"{what}, too little for an alarm (weather, mass, clock or stiffness)"

@@ -20,6 +20,7 @@ from scipy.special import fdtrc, ndtri, stdtr
 from monitor.core import Array, BadInputError, Level, Skipped
 from monitor.damage.common_change import EVERY_NS, WAIT_NS, CommonChange, Expected
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn
+from monitor.damage.sequential_test import STRETCHES
 from monitor.signals import NORMAL_MAD
 
 _LAGS_H = (0.0, 3.0, 6.0, 12.0, 24.0, 48.0)
@@ -34,8 +35,6 @@ _FOLDS = 8
 """Parts of the healthy time that are left out of the learning in turn. [1; convention: cross-validation by 5 to 10 folds]"""
 _MIN_READINGS = 40
 """Fewest healthy readings from which a feature is learned. [readings; judgement: five of each fold]"""
-_LONGEST = 64
-"""Longest stretch that is averaged. [readings; judgement]"""
 _LEAST_BLOCKS = 12
 """Fewest disjoint healthy stretches from which the scatter of their means is estimated. [1; judgement]"""
 _SHORTEST = 8
@@ -370,7 +369,7 @@ def _left_out(
 
 def _stretch_lengths() -> list[int]:
     """List the stretches that are tested, in readings."""
-    return [m for m in (2**k for k in range(20)) if _SHORTEST <= m <= _LONGEST]
+    return [_SHORTEST * m for m in STRETCHES]
 
 
 def _robust_std(x: Array) -> float:
@@ -433,7 +432,7 @@ def _judge(judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array]
                 unknown.append(model)
                 continue
             past.append((t_ns, residual, law_std))
-            del past[: -2 * _LONGEST]
+            del past[: -2 * _SHORTEST * max(STRETCHES)]
         judged = [s is not None for s in sigma]
         skipped = None
         if not any(judged):

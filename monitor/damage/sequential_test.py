@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from monitor.damage.common_change import Expected
 
 STRETCHES = (1, 2, 4, 8)
-"""Lengths over which windows are averaged. [windows; judgement: powers of two]"""
+"""Lengths over which windows, or the shortest stretches of readings, are averaged. [1; judgement: powers of two]"""
 _STD_MEMORY_S = 8 * 3600.0
 """Time over which standard deviations are smoothed. One window's standard deviation rests on some forty segments, too
 few for tails of six standard deviations. [s; judgement]"""
@@ -36,9 +36,8 @@ standard deviation scatters by 10 to 15 %]"""
 LOCAL_LOSS_CREDIT = 1.0
 """A loss in one story needs this much less evidence than a uniform change, which is the rarer explanation. [standard
 deviations; judgement]"""
-_MAX_DISAGREEMENT = 4.0
-"""Largest distance of a window from the mean of its stretch at which the windows agree. [standard deviations; not
-recorded]"""
+CHANCE_STDS = 4.0
+"""Deviation that several stories and windows do not give by chance. [standard deviations; judgement]"""
 SIGNIFICANT_STDS = 3.0
 """Size from which a change counts as significant. [standard deviations; convention: three sigma]"""
 
@@ -207,7 +206,7 @@ def average(
     readings = (last + 1).reshape(-1, *[1] * common.ndim)
     shared = np.cumsum(history.common[chain], axis=0)[last] / readings
     newest, own = np.where(shown[0], history.ddi[-1], 0.0), np.where(shown[0], history.variance[-1], 0.0)
-    agrees = np.abs(newest - means) <= _MAX_DISAGREEMENT * np.sqrt(own * (1.0 - 2.0 / counts) + variances)
+    agrees = np.abs(newest - means) <= CHANCE_STDS * np.sqrt(own * (1.0 - 2.0 / counts) + variances)
     agrees[0] = True
     return history, Averages(means, variances, shared, agrees)
 

@@ -19,23 +19,21 @@ from scipy.linalg import lapack
 
 from monitor.core import Array, ComplexArray, ModalEstimate, Settings
 from monitor.damage.sensitivity import fox_kapoor
+from monitor.identification import SelectionSettings
 from monitor.model import Model, Modes
 
 UNSEEN = 0.7
 """A parameter, or a direction, is not identified when the data leave more than this share of its prior standard
 deviation. [ratio; judgement: half of the prior variance is left at 0.7]"""
-_MIN_EIGENVALUE_RATIO = 1e-9
-"""Eigenvalues are kept above this share of the highest: a step may lead to a structure that would not stand. [ratio;
-rounding]"""
+_ROUNDED_TO_0 = 1e-9
+"""Share of the largest below which an eigenvalue, as of a structure that would not stand, or a pivot is not told from zero.
+[ratio; rounding]"""
 _MIN_SHAPE_RATIO = 1e-6
 """A channel at which a shape has less than this share of its largest component cannot normalize the shape. [ratio;
 rounding]"""
-_MIN_PIVOT = 1e-9
-"""Smallest pivot of the normal equations, scaled to a diagonal of one, that is not taken for zero. [1; rounding]"""
-_MIN_REORDERING_MAC = 0.5
-"""Modes are matched in another order than that of their frequencies when the mean of the modal assurance criterion
-rises by more than this. A mode that was matched at all (`SelectionSettings.min_model_mac`) so never leaves a model whose modes
-are in order. [1; judgement]"""
+_MIN_REORDERING_MAC = SelectionSettings().min_model_mac
+"""Modes are matched in another order than that of their frequencies when the mean of the modal assurance criterion rises by more
+than this.  A mode that was matched at all so never leaves a model whose modes are in order."""
 
 Penalty = Literal["least_squares", "weighted", "step", "initial", "minimum_norm"]
 
@@ -252,7 +250,7 @@ def _predict_selected(
     """Predict as `predict`, from modes and derivatives computed before."""
     modes, d_lambda, d_shapes = found
     used = list(observation.model_mode)
-    lam = np.maximum(modes.eigenvalues, _MIN_EIGENVALUE_RATIO * modes.eigenvalues[-1])[used]
+    lam = np.maximum(modes.eigenvalues, _ROUNDED_TO_0 * modes.eigenvalues[-1])[used]
     z = [np.log(lam) if observation.log else lam]
     rows = [d_lambda[used] / lam[:, None] if observation.log else d_lambda[used]]
     if observation.gauges:
@@ -434,7 +432,7 @@ def _solve_scaled(normal: Array, right: Array) -> Array:
     scale = 1.0 / np.sqrt(normal.diagonal())
     scaled, wanted = normal * scale[:, None] * scale, scale[:, None] * right
     factor, solution, failed = lapack.dposv(scaled, wanted)
-    if failed or factor.diagonal().min() ** 2 < _MIN_PIVOT:
+    if failed or factor.diagonal().min() ** 2 < _ROUNDED_TO_0:
         solution = np.linalg.lstsq(scaled, wanted, rcond=1e-13)[0]
     return np.asarray(scale[:, None] * solution)
 

@@ -28,8 +28,6 @@ FAR = 40
 far from flat. [iterations; cost]"""
 _FIRST_DAMPING = 0.05
 """Damping ratio at which the first fit to driven motion begins. [1; judgement]"""
-_SECOND_DAMPING = 0.015
-"""Damping ratio at which that fit goes on. [1; judgement]"""
 FIXED_STD = 1e-4
 """Standard deviation of what is held at its value. [1; rounding]"""
 _MAX_SLOPE_UPDATES = 4
@@ -108,7 +106,7 @@ def _fit_from_heavy_damping(posterior: Posterior) -> MapEstimate:
     precision = known.precision + np.diag(added_precision)
     heavily_damped = replace(posterior, prior=replace(known, mean=mean, precision=precision))
     x_start = maximize_posterior(heavily_damped, posterior.layout.with_structure(x, mean), iterations=LONG).x
-    x_start[modes] = np.log(_SECOND_DAMPING)
+    x_start[modes] = known.mean[modes]
     return maximize_posterior(posterior, x_start, iterations=FAR)
 
 

@@ -13,13 +13,11 @@ from monitor.events import ground
 from monitor.events.description import drift_accelerations, inertia_above
 from monitor.events.ground import Ground, GroundState
 from monitor.events.motion import integrated
+from monitor.events.recognition import STEP_S
 from monitor.events.record import Record, make_record
 from monitor.events.site import Site
 from monitor.signals import Conditioner, ConditionState, FrontEnd, LostState, alignment, lost_samples
 
-_SETTLED_S = 2.0
-"""Length of samples after a gap that are left out, while the filters, which begin at rest, settle. [s; a lowpass of 40 Hz
-settles in 1 s]"""
 _STRETCH_PERIODS = 10.0
 """Periods of the first mode in a stretch of which its frequency and damping are told. [count; judgement: a few, of which the
 standard deviation is stated]"""
@@ -140,7 +138,7 @@ def review_event(
     runs, pieces = _conditioned(blocks, front_end)
     for run in runs:
         conditioner, rate_hz = run.conditioner, run.conditioner.rate_hz
-        drop = round(_SETTLED_S * rate_hz)
+        drop = round(STEP_S * rate_hz)  # within a step the filters, which begin at rest, settle
         values = np.concatenate(run.values)[drop:] if run.values else np.zeros((0, 1))
         t_ns = run.t_ns + round((drop / rate_hz - conditioner.delay_s) * 1e9)
         begin, end = (round((at - t_ns) * 1e-9 * rate_hz) for at in (begin_ns, end_ns))

@@ -30,8 +30,7 @@ BELL_PARAMETERS = 4
 _MAX_ITERATIONS = 50
 """Most steps of scoring. [count; cost]"""
 CONVERGED_STDS = 0.01
-"""A fit has converged when no parameter changes by more than this many of its standard deviations. [standard deviations;
-rounding]"""
+"""A fit has converged when no parameter changes by more than this many of its standard deviations. [1; judgement]"""
 _MAX_STEP = 0.3
 """Largest change of a parameter in one step. [1; judgement]"""
 

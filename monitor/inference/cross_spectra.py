@@ -25,7 +25,7 @@ _TAPS = leakage()
 _MAX_GROUND_SHARE = 0.999
 """Largest share of the variance from the ground. [ratio; rounding]"""
 FREQUENCY_BLOCK = 64
-"""Frequencies whose systems are solved together. [count; cost]"""
+"""Frequencies that are computed together: they stay in the processor's cache. [count; cost]"""
 _LOWEST_HZ = 0.05
 """Frequency from which the ground's variance is integrated. [Hz; judgement]"""
 _LOG_STEPS = 4000

@@ -12,13 +12,11 @@ from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
-from monitor.model import Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
+from monitor.model import BAND_END, Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
 from monitor.signals import MAIN_LOBE_BINS, taper
 
 _STEPS_A_PERIOD = 14
 """Least samples of the simulation in a period of the band's last frequency. [count; accuracy of the integration]"""
-_KEPT_BAND = 1.3
-"""Highest frequency kept of the simulations, over the band's last. [ratio; judgement]"""
 _FRICTION_STEPS = 3
 """Steps a sample where a law is friction. [count; accuracy of the integration]"""
 _INERTIA_FREQUENCY = 1e3
@@ -355,7 +353,7 @@ def _apply_responses(transforms: ComplexArray, effects: Sequence[Effect], poster
 def _kept_samples(posterior: Posterior) -> int:
     """Choose the number of samples in half a segment of the resampled series, which contains the band only."""
     band = posterior.observed.band
-    fast = next_fast_len(int(np.ceil(_KEPT_BAND * band.hz[-1] / band.bin_hz)), real=True)
+    fast = next_fast_len(int(np.ceil(band.hz[-1] / BAND_END / band.bin_hz)), real=True)
     return int(min(fast, round(posterior.observed.rate_hz / band.bin_hz / 2)))
 
 

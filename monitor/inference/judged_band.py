@@ -29,12 +29,11 @@ _LEAST_ORDER_BELOW = 8.0
 _OCTAVE = float(np.log(2.0))
 """Range of frequencies, on the forces' side of a fall, that must lie wholly above what is beyond the fall. [1; definition: an
 octave]"""
+LINE_BINS = 3
+"""Half-width of the band around a machine's line. [bins; the taper's main lobe]"""
 _FLAT = float(np.log(0.9))
 """Logarithm of the share of the forces' end up to which they are flat. [1; judgement: a multisine or a filter falls a little
 before its end, by less than the steepest part shows]"""
-_MEDIAN_BINS = 13
-"""Bins over which the median is taken: the line of a machine, up to six bins wide, is narrower than half of that. [bins; Hann
-taper]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,8 +77,10 @@ def find_judged_band(transforms: ComplexArray, hz: Array) -> JudgedBand:
     least = np.finfo(float).tiny  # a dead channel's power has a logarithm too
     relative = np.median(periodograms.std(axis=0) / np.maximum(power, least))
     chance = float(relative * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(periodograms)))
+    # Of more than twice the bins of a machine's line the median does not show it.
     levels = [
-        median_filter(np.log(np.maximum(p, least)), size=(_MEDIAN_BINS, 1), mode="nearest") for p in (second, power)
+        median_filter(np.log(np.maximum(p, least)), size=(4 * LINE_BINS + 1, 1), mode="nearest")
+        for p in (second, power)
     ]
     u = np.log(hz)
     upper = _first(_steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE) for level in levels)

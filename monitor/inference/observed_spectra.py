@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from monitor.core import Array, ComplexArray
 from monitor.inference import input_response
@@ -22,8 +23,6 @@ _TEMPERATURE_CLASSES = 4
 """Most classes of temperature. [count; judgement]"""
 _MIN_RANGE_DEGC = 2.0
 """Range of temperature from which there are such classes. [K; judgement]"""
-_READINGS_A_SEGMENT = 21
-"""Times at which a segment's temperature is read. [count; cost]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -225,8 +224,10 @@ def _mean_temperature(readings: Array, t_s: Array, length_s: float, lag_s: float
             behind = lag_s * (value[i] - value[i - 1]) / (t[i] - t[i - 1])
             lagged[i] = value[i] - behind + keep * (lagged[i - 1] - value[i - 1] + behind)
         value = lagged
-    within = t_s[:, None] + length_s * np.linspace(-0.5, 0.5, _READINGS_A_SEGMENT)
-    return np.asarray(np.interp(within, t, value).mean(axis=1))
+    begins, ends = t_s - 0.5 * length_s, t_s + 0.5 * length_s
+    at = np.union1d(t, [begins.min(), ends.max()])  # held before the first reading and after the last
+    integral = make_interp_spline(at, np.interp(at, t, value), k=1).antiderivative()
+    return np.asarray((integral(ends) - integral(begins)) / length_s)
 
 
 def class_temperature(evidence: ObservedSpectra, k: int, lag_s: float) -> float | None:

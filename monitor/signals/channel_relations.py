@@ -8,18 +8,15 @@ J. S. Bendat, A. G. Piersol, Random Data, 4th ed., 2010, section 9.2: variance o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from statistics import NormalDist
 
 import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.signals.channel_faults import FALSE_RATE
-from monitor.signals.welch import overlap_correlation
+from monitor.signals.welch import bin_correlation, overlap_correlation
 
 _LEAST_COHERENCE = 0.5
 """Coherence of two channels from which a bin tells their phase. [1; judgement]"""
-_LEAST_BINS = 8
-"""Coherent bins from which a delay is told. [bins; judgement]"""
 _LEAST_DELAY = 0.1
 """Least delay that is told. [samples; judgement: shapes that are slightly complex look like less]"""
 _DELAY_STRETCHES = 8
@@ -69,6 +66,8 @@ def find_delays(transforms: ComplexArray, step_hz: float, rate_hz: float, stretc
     tuple of Delay
         Those that are significant among all channels.
     """
+    from scipy.special import stdtrit  # takes a while to load
+
     n, _, c = transforms.shape
     per = n // _DELAY_STRETCHES
     if c < 2 or per < _LEAST_STRETCH_SEGMENTS:
@@ -86,15 +85,16 @@ def find_delays(transforms: ComplexArray, step_hz: float, rate_hz: float, stretc
     informative = np.where(coherence >= _LEAST_COHERENCE, informative / (1.0 - informative), 0.0)
     informative[0] = 0.0
     total = informative.sum(axis=0) * (1.0 - np.eye(c))
-    limit = NormalDist().inv_cdf(1.0 - FALSE_RATE / (4.0 * c))
     found = []
     for a in range(c):
         b = int(total[a].argmax())
         if a > b and int(total[b].argmax()) == a:  # the same pair
             continue
         bins = np.flatnonzero(informative[:, a, b])
-        if len(bins) < _LEAST_BINS:
+        if len(bins) < 2:
             continue
+        # Student's quantile: fewer bins tell less of how uncertain their delay is.
+        limit = float(stdtrit(len(bins) / bin_correlation() - 1.0, 1.0 - FALSE_RATE / (4.0 * c)))
         independent = per / (1.0 + 2.0 * overlap_correlation())
         omega = np.asarray(2.0 * np.pi * step_hz * bins, dtype=float)
         # Of a phase, by Bendat and Piersol; neighbouring bins share half their data.

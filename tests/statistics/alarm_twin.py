@@ -107,7 +107,7 @@ def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
             continue
         covariance = (spread[at] + common)[:, :, None] * np.eye(n)
         z, _ = sequential_test.statistic(mean[at], covariance, AlarmSettings().model_form)
-        limit = sequential_test._MAX_DISAGREEMENT * np.sqrt(variance[at] * (1.0 - 2.0 / counts[at]) + spread[at])
+        limit = sequential_test.CHANCE_STDS * np.sqrt(variance[at] * (1.0 - 2.0 / counts[at]) + spread[at])
         agrees = (np.abs(ddi[at] - mean[at]) <= limit) | (stretch == 1)
         best[at] = np.maximum(best[at], np.where(agrees, z, -np.inf))
     return best

@@ -34,10 +34,8 @@ _DAILY_FORCE = 4.0
 """Change of the mode's force from calibration that needs no cause: of the logarithm of its density, and of a shape that the force
 scales. [1; judgement: another direction of the wind, a factor of five to seven in amplitude]"""
 DAILY_CHANGE = 0.05
-"""Relative change from calibration that needs no cause: of the damping of the model's own modes, and of a coupled mode's shape,
-whose force is a parameter of its own. [ratio; judgement]"""
-_DAILY_COUPLING = 0.01
-"""Change of a coupling from calibration that needs no cause. [1; judgement: a twentieth of the largest usual one]"""
+"""Relative change from calibration that needs no cause: of the damping of the model's own modes, of a coupled mode's shape, whose
+force is a parameter of its own, and of a coupling, over its prior standard deviation. [ratio; judgement]"""
 _SHAPE, _COUPLING = "shape_", "coupling_"
 _START = 0.1
 """Start of the shape's largest component, over the reciprocal of the mean floor mass. [ratio; judgement]"""
@@ -97,7 +95,7 @@ class UnmodelledMode(Effect):
         )
         if of_floors:
             of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
-            daily = (*daily, _DAILY_FORCE, *(_DAILY_COUPLING,) * len(self.coupling))
+            daily = (*daily, _DAILY_FORCE, *(DAILY_CHANGE * _COUPLING_STD,) * len(self.coupling))
         object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels, *of_floors))
         object.__setattr__(self, "daily", daily)
 
