@@ -24,8 +24,6 @@ WITHIN_S = 3600.0
 """Time after a sudden loss within which it is to be seen. [s; definition: holds the longest stretch, eight windows of 400 s]"""
 _TRIALS = 500
 """Simulated series of windows. [count; cost: the share seen errs by 1.3 percent]"""
-_AT_ONCE = 50
-"""Trials simulated at once. [count; cost: their arrays fit into a processor's cache]"""
 _LOOKS_A_WINDOW = 20
 """Looks simulated in a window's length. [count; cost: errors of windows a twentieth apart are correlated by 0.95]"""
 _LN_STEP = 0.1
@@ -145,14 +143,11 @@ def _simulated(
     stretches = [
         _Stretch.of(stretch * apart, looks, own / stretch + common, significance, model_form) for stretch in STRETCHES
     ]
-    wanted = [
-        _wanted(white[k : k + _AT_ONCE], root, sqrt(apart), off[k : k + _AT_ONCE], stretches, held, min_loss)
-        for k in range(0, _TRIALS, _AT_ONCE)
-    ]
+    wanted = _wanted(white, root, sqrt(apart), off, stretches, held, min_loss)
     with np.errstate(
         invalid="ignore"
     ):  # no loss is seen in some trials: the quantile between infinities is not a number
-        return np.asarray(np.quantile(np.concatenate(wanted), PROBABILITY, axis=0))
+        return np.asarray(np.quantile(wanted, PROBABILITY, axis=0))
 
 
 @lru_cache(maxsize=1)

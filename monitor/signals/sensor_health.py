@@ -25,8 +25,8 @@ from monitor.signals.span_faults import BATCHES, SpanFaults, find_span_faults
 
 _MAX_SPAN_SAMPLES = 1 << 18
 """A span is cut shorter than this whatever the rate: it is kept in memory until it ends. [samples; cost]"""
-_SPIKE_RMS = 12.0
-"""Size of a sample from which it is a spike. [RMS values; judgement]"""
+_SPIKE_STEPS = 12.0
+"""Difference of a sample from both neighbours from which it is a spike. [mean steps; judgement]"""
 _MIN_PILED_SAMPLES = 8
 """Samples at the largest magnitude that show a clipped channel. [samples; judgement]"""
 _PILED_RATIO = 4
@@ -263,7 +263,7 @@ def _finite_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple
     """Compute the health of the first channels, each a row of `x`, shape (c, n), m/s^2, of finite samples."""
     from monitor.signals.kernels import described  # compiled code takes a while to load
 
-    centred, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE_RMS, _MIN_PILED_SAMPLES, _PILED_RATIO)
+    centred, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE_STEPS, _MIN_PILED_SAMPLES, _PILED_RATIO)
     n = x.shape[1]
     repeated, floor = 1.0 - moves / max(n - 1, 1), _noise_floor(centred, rate_hz)
     fields = mean, rms, peak, spikes.astype(int), repeated, clipped / n, floor
