@@ -28,6 +28,10 @@ FAR = 40
 far from flat. [iterations; cost]"""
 _FIRST_DAMPING = 0.05
 """Damping ratio at which the first fit to driven motion begins. [1; judgement]"""
+_SECOND_DAMPING = 0.015
+"""Damping ratio at which that fit goes on. [1; judgement]"""
+_HELD_DAMPING_PRECISION = 1e4
+"""Precision that holds the first damping ratio. [1; rounding]"""
 FIXED_STD = 1e-4
 """Standard deviation of what is held at its value. [1; rounding]"""
 _MAX_SLOPE_UPDATES = 4
@@ -102,11 +106,11 @@ def _fit_from_heavy_damping(posterior: Posterior) -> MapEstimate:
     known, x = posterior.prior, first_guess(posterior)
     modes = posterior.layout.damping
     mean, added_precision = known.mean.copy(), np.zeros(known.mean.size)
-    mean[modes], added_precision[modes] = np.log(_FIRST_DAMPING), FIXED_STD**-2.0
+    mean[modes], added_precision[modes] = np.log(_FIRST_DAMPING), _HELD_DAMPING_PRECISION
     precision = known.precision + np.diag(added_precision)
     heavily_damped = replace(posterior, prior=replace(known, mean=mean, precision=precision))
     x_start = maximize_posterior(heavily_damped, posterior.layout.with_structure(x, mean), iterations=LONG).x
-    x_start[modes] = known.mean[modes]
+    x_start[modes] = np.log(_SECOND_DAMPING)
     return maximize_posterior(posterior, x_start, iterations=FAR)
 
 
