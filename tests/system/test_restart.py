@@ -177,14 +177,17 @@ def kept_s(out: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def last_loss(live: dict[int, str], alarm: dict[str, Any]) -> float:
-    """Loss of an alarm's story in the last line at the alarm's level where the loss is beyond two standard deviations."""
+    """Loss of an alarm's story in the last line at the alarm's level where the loss is beyond two standard deviations.
+
+    Without such a line it is that of the alarm's first.
+    """
     j, until = alarm["story"] - 1, alarm["t_last_ns"] or np.inf
     parsed = [json.loads(text) for text in live.values()]
     during = [line for line in parsed if alarm["t_first_ns"] <= line["t_end_ns"] < until and line["ddi"] is not None]
     stated = [
         line for line in during if line["alarm"]["level"] == alarm["level"] and line["ddi"][j] > 2 * line["ddi_std"][j]
     ]
-    return float(stated[-1]["ddi"][j])
+    return float((stated or during[:1])[-1]["ddi"][j])
 
 
 def alarms_in_history(out: Path) -> list[tuple[Any, ...]]:
