@@ -21,7 +21,6 @@ from monitor.runs.recordings import (
     OnWarning,
     Progress,
     RecordedSpan,
-    duration_s,
     overlaps,
     push_block,
     read_blocks,
@@ -205,7 +204,7 @@ def pass_through(
     paths : list of Path
         Recordings of the blocks, for messages.
     speed : float, optional
-        Speed as a multiple of real time; as fast as possible by default.
+        Speed as a multiple of real time; as fast as possible by default.  Time without samples is not waited for.
     event_suffices : bool
         Whether recordings shorter than a window are welcome where they hold an event, as those of earthquakes do.
 
@@ -223,7 +222,7 @@ def pass_through(
     for block in source:
         progress.add(block)
         if speed is not None:
-            _sleep_until_due(started, duration_s(progress.first, block) / speed)
+            _sleep_until_due(started, progress.data_s / speed)
         push_block(session, block, paths)
     factor = progress.data_s / max(time.monotonic() - started, 1e-9)
     session.finish()
