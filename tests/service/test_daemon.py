@@ -38,7 +38,7 @@ from monitor.service.daemon_health import losses, plain
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.requests import Request
-from monitor.service.status import look, tell
+from monitor.service.status import _source, look, tell, troubles_of
 from monitor.service.threads import BlockQueue, Reader
 from tests.conftest import T0_NS, Cli, Cut
 
@@ -436,6 +436,8 @@ def test_stages_and_latency_are_told(site: Path, record: np.ndarray, cut: Cut) -
     assert all(line["stream"]["availability"] == 1.0 for line in spans)
     assert sum(told[-1]["latency_ms"]["windows"].values()) == 9
     assert told[-1]["failed"] == told[-1]["lost"] == {}
+    assert (told[-1]["source"]["ended"], told[-1]["source"]["error"]) == (True, "")
+    assert not troubles_of(told[-1]) and "read to its end" in _source(told[-1]["source"], told[-1])
 
 
 @pytest.mark.parametrize(

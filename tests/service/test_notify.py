@@ -101,6 +101,12 @@ def test_source_and_recorder() -> None:
     assert said == [lost, ("recorder stopped", False), back, ("recorder goes on", True)]
 
 
+def test_the_end_of_the_recordings_is_no_loss_of_the_source() -> None:
+    line = health(data=False)
+    line["source"]["ended"] = True
+    assert of_health(Told(), line, 4000.0, SETTINGS)[1] == []
+
+
 def told_of(course: list[tuple[WindowResult, Assessment]], told: Told = Told()) -> tuple[Told, list[Notice]]:  # noqa: B008
     said: list[Notice] = []
     for result, present in course:
