@@ -655,10 +655,11 @@ def test_the_command_tells_what_became_of_a_test_message_at_every_address(
     table(hook.url, away, beat=beat)
     done = main("notify", site, "--test")
     assert done.returncode == 1, done.stderr
-    first, second, third = done.stdout.splitlines()
+    first, second, third, why = done.stdout.splitlines()
     assert re.fullmatch(r"address 1 \(json\): taken after [\d.]+ s \(exit code 0\)", first)
     assert second == "address 2 (json): refused, or not reached (exit code 1)"
     assert third.startswith("heartbeat: taken after") and hook.paths == ["/hush"]
+    assert "apprise -vv" in why
     assert hook.titles == ["[lab] test"] and "hush" not in done.stdout + done.stderr
     table(hook.url)
     told = main("notify", site, "--test", "--json")
