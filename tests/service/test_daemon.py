@@ -427,6 +427,21 @@ def test_an_alarm_is_in_the_summary_at_once_and_before_the_last_diagnosis_is_wai
     assert told[waited - 1] == told[-1] == (9, ["alarm"])
 
 
+def test_health_is_told_while_the_last_diagnosis_is_awaited(site: Path, record: np.ndarray, cut: Cut) -> None:
+    """A diagnosis of more than a minute made `status` and the web page call the daemon silent."""
+    told: list[Mapping[str, Any]] = []
+
+    class Desk(Outlet):
+        def health_line(self, line: Mapping[str, Any]) -> None:
+            told.append(line)
+
+    daemon = Daemon(site, Scripted(cut(record, RATE)), [Desk()], quiet_s=0.0)
+    waited: list[int] = []
+    daemon.session.finish = lambda stop: waited.extend(len(told) for _ in range(3) if not stop())  # type: ignore[method-assign]
+    daemon.run()
+    assert np.diff(waited).tolist() == [1, 1] and told[waited[-1] - 1]["source"]["ended"]
+
+
 def test_stages_and_latency_are_told(site: Path, record: np.ndarray, cut: Cut) -> None:
     Daemon(site, Scripted(cut(record, RATE))).run()
     told = health(site.parent / "out")
