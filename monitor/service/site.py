@@ -284,10 +284,16 @@ class Site(Publisher):
         self._requests.finish(self.session, _DURABLE_S)
         if self.reader.ended:
             self._write_summary()  # a diagnosis may take minutes
-            self.session.finish(lambda: self._stopping)
+            self.session.finish(self._is_stopping)
             self._keeper.forget()
         else:
             self._keeper.save(self.session)
+
+    def _is_stopping(self) -> bool:
+        """Return whether the site was asked to stop; write health when it is due, for a site that waits is not silent."""
+        if self._clock() - self._health_s >= self._quiet_s:
+            self.health(None)
+        return self._stopping
 
     def raise_failure(self) -> None:
         """Raise the error that ended reading for good, if one did.

@@ -16,7 +16,7 @@ from monitor.core import BadConfigurationError, BadInputError, Level, Samples, W
 from monitor.damage import ModalBaseline, load_baseline, load_modal_baseline, save_modal_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, PipelineState
-from monitor.publish.results.lines import facts_of_line, to_json, window_line
+from monitor.publish.results.lines import facts_of_line, replay_text, to_json, window_line
 from monitor.runs import calibrate_modes, load_healthy
 from monitor.runs.baselines import modal_origin
 from monitor.service.serialization import from_bytes, to_bytes
@@ -263,6 +263,7 @@ def test_the_commands_from_check_to_report(folder: Path, main: Cli, healthy: Mod
     assert summary["state"] in {"warning", "alarm"}
     assert summary["headline"].startswith("Changed since the baseline: ")
     assert "story" not in summary["headline"]
+    assert "diagnosis" not in replay_text(summary), "none is made without a model"
     assert all(a["story"] is None and a["ddi"] is None and a["change"] is not None for a in summary["alarms"])
     lines = [json.loads(line) for line in (folder / "out/results.jsonl").read_text().splitlines()]
     assert lines[0]["alarm"]["level"] == "normal"
