@@ -7,6 +7,10 @@ bands), and among them that of the structure's lowest frequency.  So one knocked
 doors and people, who shake floors at higher frequencies, are no motion of the whole structure.  A spike or a step touches two
 frames; an event takes three in a row.
 
+Disturbances that follow one another, or act on several floors at once, can raise three frames too.  So these three are looked at
+once more before they make an event (`is_whole`): the motion must fill them, and floors that move in one direction must move
+coherently.
+
 As long as the long-term average holds less than 60 s, its own scatter is larger, and the threshold higher: stationary Gaussian
 motion exceeds it as rarely as it exceeds `ratio_on` later (`_early_factor`).
 
@@ -15,6 +19,7 @@ References
 R. V. Allen, Automatic earthquake recognition and timing from single traces, BSSA 68 (1978) 1521-1532 (STA/LTA).
 A. Trnkoczy, Understanding and parameter setting of STA/LTA trigger algorithm, NMSOP-2 (2012), IS 8.1 (averages of some seconds
 and 60 s, threshold 4, the long-term average frozen during a trigger, votes of the channels).
+J. S. Bendat, A. G. Piersol, Random Data, 4th ed. (2010), ch. 9 (distribution of the coherence of unrelated signals).
 T. Goforth, E. Herrin, An automatic seismic signal detection algorithm based on the Walsh transform, BSSA 71 (1981) 1351-1360
 (weights from the noise's own spectrum).
 """
@@ -41,6 +46,9 @@ FRAMES_IN_A_ROW = 3
 """Frames in a row that make an event. [count; a spike touches two]"""
 _DEAD = 1e-6
 """Share of the power of the strongest channel below which a channel is dead and has no vote. [ratio; -60 dB]"""
+_PIECES = 4
+"""Pieces of a frame, without overlap, in which motion is looked for: a disturbance shorter than one touches one or two. [count;
+measurement: 8 tells the same of 1,200 pairs of disturbances and 280 quakes; 2 misses no quake and a third of the pairs of spikes]"""
 _FRAMES = 2
 """Frames that one step of samples completes. [count; definition: they overlap by half]"""
 
@@ -63,8 +71,8 @@ class RecognitionState:
 class Trigger:
     """What two frames say, in order; frame k begins ``(k - 1) / 2`` frames after the step's first sample."""
 
-    on: NDArray[np.bool_]
-    """Shape (2,): whether this and the two frames before are above the threshold."""
+    raised: NDArray[np.int64]
+    """Shape (2,): frames in a row above the threshold, this one included; from `FRAMES_IN_A_ROW` on they may be an event."""
     loud: NDArray[np.bool_]
     """Shape (2,): whether the frame is above the threshold that ends an event."""
 
@@ -138,8 +146,8 @@ def step(
     ...     span = level * rng.standard_normal((200, 3))
     ...     state, trigger = step(state, span, 100.0, 40.0, 2.0, settings, active=False)
     ...     found.append(trigger)
-    >>> bool(found[39].on.any()), bool(found[-1].on.all())
-    (False, True)
+    >>> found[39].raised.tolist(), found[-1].raised.tolist()
+    ([0, 0], [5, 6])
     """
     n = span.shape[0]
     bands = _bands(n, rate_hz, cutoff_hz)
@@ -155,19 +163,152 @@ def step(
     threshold = settings.ratio_on * _early_factor(state.steps, settings.ratio_on)
     above, loud = ratio >= threshold, ratio >= settings.ratio_off
     if settings.level_m_s2 is not None:
-        peaks = np.sort(np.abs(frames).max(axis=2), axis=1)
-        voted = peaks[:, (peaks.shape[1] - 1) // 2]
+        voted = _lower_median(np.abs(frames).max(axis=2))
         above, loud = above | (voted >= settings.level_m_s2), loud | (voted >= 0.5 * settings.level_m_s2)
-    raised, on = state.raised, np.zeros(_FRAMES, dtype=bool)
+    raised, row = state.raised, np.zeros(_FRAMES, dtype=np.int64)
     for k in range(_FRAMES):
-        raised = raised + 1 if above[k] else 0
-        on[k] = raised >= FRAMES_IN_A_ROW
+        row[k] = raised = raised + 1 if above[k] else 0
     long_term, steps = state.long_term, state.steps
     if not (active or above.any()):  # what may be an event is no part of the average before it
         steps = min(steps + 1, round(_LONG_TERM_S / STEP_S))
         long_term = long_term + (0.5 * (power[0] + power[1]) - long_term) / steps
     state = replace(state, tail=span[half:], long_term=long_term, steps=steps, raised=raised)
-    return state, Trigger(on, loud)
+    return state, Trigger(row, loud)
+
+
+def is_whole(
+    long_term: Array, span: Array, rate_hz: float, cutoff_hz: float, settings: EventSettings, *, one_direction: bool
+) -> bool:
+    """Say whether three frames in a row above the threshold are motion of the whole structure.
+
+    In more than half of their time, more than half of the live channels must exceed the threshold that ends an event, in more
+    than half of the bands that all three frames raise: two spikes or doors one after the other leave most of it quiet.  And
+    more than half of the live channels must be coherent with another one.  The coherence must be one that unrelated channels
+    reach as rarely as stationary motion exceeds `ratio_on`.  Disturbances of several floors at once, each with its own cause,
+    do not reach it.
+
+    Parameters
+    ----------
+    long_term : ndarray, shape (c, b)
+        Long-term average before the frames.
+    span : ndarray, shape (2 `step_n`, c), m/s^2
+        Conditioned samples of the frames.
+    rate_hz, cutoff_hz : float
+        Rate and cutoff of the samples.
+    one_direction : bool
+        Whether all channels measure motion in one direction, in which the structure ties the floors together; floors need
+        not move coherently in two directions, and are not asked to.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> settings, rng = EventSettings(), np.random.default_rng(0)
+    >>> state, quiet = start(2, 100.0, 40.0), rng.standard_normal((4000, 2))
+    >>> for i in range(20):
+    ...     span = quiet[200 * i : 200 * i + 200]
+    ...     state, _ = step(state, span, 100.0, 40.0, 2.0, settings, active=False)
+    >>> apart = 10.0 * rng.standard_normal((400, 2))
+    >>> [is_whole(state.long_term, x, 100.0, 40.0, settings, one_direction=True) for x in (apart, apart[:, [0, 0]])]
+    [False, True]
+    """
+    n = span.shape[0] // 2
+    bands = _bands(n, rate_hz, cutoff_hz)
+    span = span - np.median(span, axis=0)  # the mean of a spike would be an offset of all pieces
+    strength = long_term.sum(axis=1)
+    live = strength > _DEAD * strength.max()
+    if live.any():  # without a long-term average the absolute threshold alone says what an event is
+        span, long_term = span[:, live], np.maximum(long_term[live], np.finfo(float).tiny)
+    frames = np.array([span[:n], span[n // 2 : n // 2 + n], span[n:]])
+    transforms = _transforms(frames, bands.taper, bands)
+    raised = np.all(_lower_median(_power(transforms, bands) / long_term) >= settings.ratio_off**2, axis=0)
+    if not raised.any():
+        raised = np.ones_like(raised)
+    pieces, taper = _pieces(span, n)
+    ratio = _power(_transforms(pieces, taper, bands), bands) / (long_term @ _shares(n, rate_hz, cutoff_hz))
+    loud = _lower_median(_lower_median(ratio)[:, raised]) >= settings.ratio_off**2
+    if settings.level_m_s2 is not None:
+        loud |= _lower_median(np.abs(pieces).max(axis=1)) >= 0.5 * settings.level_m_s2
+    if 2 * np.count_nonzero(loud) <= loud.size:
+        return False
+    if not one_direction or span.shape[1] == 1:
+        return True
+    related = _related(transforms[[0, 2]], bands, raised, settings.ratio_on)
+    return bool(2 * np.count_nonzero(related.any(axis=1)) > len(related))
+
+
+def _related(
+    transforms: NDArray[np.complex128], bands: _Bands, raised: NDArray[np.bool_], ratio_on: float
+) -> NDArray[np.bool_]:
+    """Find the pairs of channels that are more coherent than unrelated ones, shape (c, c).
+
+    In a band of `w` bins of two frames, which the taper makes ``w + 1`` independent ones, minus `w` times the logarithm of one
+    minus the coherence of unrelated Gaussian channels has an exponential distribution with mean one; their sum over bands has a
+    gamma distribution.
+
+    Parameters
+    ----------
+    transforms : ndarray, shape (2, c, n_bins)
+        Transforms of two frames that do not overlap.
+    raised : ndarray, shape (b,)
+        Bands to take.
+    """
+    products = (transforms[:, :, None] * transforms[:, None].conj()).sum(axis=0)
+    spectra = np.add.reduceat(products, bands.edges, axis=2)[:, :, raised]
+    power = np.diagonal(spectra).real.T  # (c, b)
+    tiny = np.finfo(float).tiny
+    coherence = np.abs(spectra) ** 2 / np.maximum(power[:, None] * power[None], tiny)
+    widths = np.diff([*bands.edges, bands.end])[raised]
+    evidence = -(widths * np.log(np.maximum(1.0 - coherence, np.finfo(float).eps))).sum(axis=2)
+    np.fill_diagonal(evidence, 0.0)
+    tail, term = np.zeros_like(evidence), np.exp(-evidence)
+    for k in range(len(widths)):
+        tail, term = tail + term, term * evidence / (k + 1)
+    return np.asarray(tail <= _rarity(ratio_on))
+
+
+def _transforms(frames: Array, taper: Array, bands: _Bands) -> NDArray[np.complex128]:
+    """Transform tapered frames, shape (k, m, c), to the bins of whole frames, shape (k, c, n_bins)."""
+    return np.fft.rfft(frames * taper[:, None], bands.taper.size, axis=1)[:, : bands.end].swapaxes(1, 2)
+
+
+def _power(transforms: NDArray[np.complex128], bands: _Bands) -> Array:
+    """Sum the power of transforms in each band, shape (k, c, b)."""
+    return np.asarray(np.add.reduceat(transforms.real**2 + transforms.imag**2, bands.edges, axis=2))
+
+
+def _pieces(span: Array, n: int) -> tuple[Array, Array]:
+    """Cut frames of `n` samples into pieces that overlap by half, shape (k, m, c), and return their taper, shape (m,)."""
+    m = n // _PIECES
+    pieces = np.lib.stride_tricks.sliding_window_view(span, m, axis=0)[:: max(1, m // 2)]
+    return pieces.swapaxes(1, 2), np.hanning(m + 1)[:m]
+
+
+@lru_cache(maxsize=8)
+def _shares(n: int, rate_hz: float, cutoff_hz: float) -> Array:
+    """Compute the mean power of a piece in each band by that of a whole frame in each band, shape (b, b).
+
+    The taper of a piece is shorter, so that its power leaks farther.
+    """
+    bands = _bands(n, rate_hz, cutoff_hz)
+    widths = np.diff([*bands.edges, bands.end])
+    taper = _pieces(np.zeros((n, 1)), n)[1]
+    leaks = np.abs(np.fft.fft(taper, n)) ** 2 / (n * (bands.taper**2).sum())
+    at = np.arange(bands.end)
+    by_bin = leaks[np.subtract.outer(at, at) % n] + leaks[np.add.outer(at, at) % n]  # of negative frequencies too
+    by_band = np.add.reduceat(np.add.reduceat(by_bin, bands.edges, axis=0), bands.edges, axis=1)
+    return np.asarray(by_band / widths[:, None])
+
+
+def _lower_median(values: Array) -> Array:
+    """Return the value that more than half of the channels, or bands, reach; they lie along axis 1."""
+    ordered = np.sort(values, axis=1)
+    return np.asarray(ordered[:, (values.shape[1] - 1) // 2])
+
+
+def _rarity(ratio_on: float) -> float:
+    """Compute the probability by which one bin of stationary Gaussian motion exceeds the threshold (`_early_factor`)."""
+    full = _FRAMES * _LONG_TERM_S / STEP_S
+    return float((1.0 + ratio_on**2 / full) ** -full)
 
 
 @lru_cache(maxsize=64)
@@ -215,7 +356,6 @@ def _voted_ratio(power: Array, long_term: Array, own: int) -> Array:
         if not live.any():
             return np.zeros(_FRAMES)
         power, long_term = power[:, live], long_term[live]
-    ratios = np.sort(power / np.maximum(long_term, np.finfo(float).tiny), axis=1)
-    voted = ratios[:, (ratios.shape[1] - 1) // 2]
+    voted = _lower_median(power / np.maximum(long_term, np.finfo(float).tiny))
     several = np.sort(voted, axis=1)[:, -min(_RAISED_BANDS, voted.shape[1])]
     return np.asarray(np.sqrt(np.minimum(several, voted[:, own])))
