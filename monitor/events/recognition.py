@@ -53,6 +53,10 @@ _FRAMES = 2
 """Frames that one step of samples completes. [count; definition: they overlap by half]"""
 
 
+_TINY = float(np.finfo(float).tiny)
+"""Least power, so that there is always a ratio. [arbitrary units; definition]"""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class RecognitionState:
     """State between steps of samples."""
@@ -68,13 +72,27 @@ class RecognitionState:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Trigger:
-    """What two frames say, in order; frame k begins ``(k - 1) / 2`` frames after the step's first sample."""
+class Frames:
+    """Power of the two frames that a step of samples completes; frame k begins ``(k - 1) / 2`` frames after its first sample."""
 
-    raised: NDArray[np.int64]
-    """Shape (2,): frames in a row above the threshold, this one included; from `FRAMES_IN_A_ROW` on they may be an event."""
-    loud: NDArray[np.bool_]
-    """Shape (2,): whether the frame is above the threshold that ends an event."""
+    power: Array
+    """Shape (2, c, b): power in each band, in arbitrary units."""
+    mean: Array
+    """Shape (c, b): mean of the two."""
+    tail: Array
+    """Shape (n, c): the second half of the step, m/s^2."""
+    peaks: Array | None
+    """Shape (2, c): largest deviation from the mean, m/s^2; None where it is not asked for."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trigger:
+    """What the two frames of a step say, in order."""
+
+    raised: tuple[int, ...]
+    """Frames in a row above the threshold, this one included; from `FRAMES_IN_A_ROW` on they may be an event."""
+    loud: tuple[bool, ...]
+    """Whether the frame is above the threshold that ends an event."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -108,27 +126,100 @@ def start(n_channels: int, rate_hz: float, cutoff_hz: float) -> RecognitionState
     return RecognitionState(np.zeros((n // 2, n_channels)), np.zeros((n_channels, n_bands)))
 
 
+@lru_cache(maxsize=8)
+def own_band(n: int, rate_hz: float, cutoff_hz: float, lowest_hz: float) -> int:
+    """Find the index of the band of a structure's lowest frequency (Hz), in frames of `n` samples."""
+    edges = _bands(n, rate_hz, cutoff_hz).edges
+    own = int(np.searchsorted(edges, lowest_hz * n / rate_hz + 0.5, side="right")) - 1
+    return min(max(own, 0), edges.size - 1)
+
+
+def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, peaks: bool = False) -> list[Frames]:
+    """Measure the power of the frames that several steps of samples complete, all at once.
+
+    Parameters
+    ----------
+    tail : ndarray, shape (`step_n` / 2, c), m/s^2
+        The samples before.
+    samples : ndarray, shape (k `step_n`, c), m/s^2
+        The conditioned samples of whole steps.
+    rate_hz, cutoff_hz : float
+        Rate and cutoff of the samples.
+    peaks : bool
+        Whether the absolute threshold is asked for.
+
+    Returns
+    -------
+    list of Frames
+        One for each step.
+    """
+    n, half = step_n(rate_hz), step_n(rate_hz) // 2
+    bands = _bands(n, rate_hz, cutoff_hz)
+    known = np.concatenate([tail, samples])
+    by_time, by_channel = known.strides
+    shape, strides = (len(samples) // n, known.shape[1], n + half), (n * by_time, by_channel, by_time)
+    windows = np.lib.stride_tricks.as_strided(known, shape, strides, writeable=False)
+    joined = np.subtract(windows, np.add.reduce(windows, axis=2, keepdims=True) / (n + half), order="C")
+    pairs = joined[:, :, :n], joined[:, :, half:]
+    frames = np.empty((len(joined), _FRAMES, joined.shape[1], n))
+    for k, values in enumerate(pairs):
+        np.multiply(values, bands.taper, out=frames[:, k])
+    transforms = np.fft.rfft(frames)[..., : bands.end]
+    power = np.add.reduceat(transforms.real**2 + transforms.imag**2, bands.edges, axis=3)
+    mean = 0.5 * (power[:, 0] + power[:, 1])
+    peak = np.stack([np.abs(values).max(axis=2) for values in pairs], axis=1) if peaks else None
+    return [
+        Frames(power[k], mean[k], samples[(k + 1) * n - half : (k + 1) * n], None if peak is None else peak[k])
+        for k in range(len(power))
+    ]
+
+
+def pass_quiet(
+    state: RecognitionState, steps: list[Frames], own: int, settings: EventSettings
+) -> RecognitionState | None:
+    """Take several steps at once; None where one of them is above the threshold, or asks for more than this.
+
+    The state is that after `step` for each of them, to the last bit.
+    """
+    if state.raised or not state.steps or settings.level_m_s2 is not None:
+        return None
+    averages, known, thresholds = list[Array](), state, list[float]()
+    for frames in steps:
+        averages.append(known.long_term)
+        thresholds.append(settings.ratio_on * _early_factor(known.steps, settings.ratio_on))
+        known = _averaged(known, frames)
+    long_term = np.array(averages)
+    if not _live(long_term).all():
+        return None
+    ratio = _voted_ratio(np.array([frames.power for frames in steps]), long_term[:, None], own)
+    return None if (ratio >= np.array(thresholds)[:, None]).any() else known
+
+
+def _averaged(state: RecognitionState, frames: Frames) -> RecognitionState:
+    """Take a step that is part of the long-term average."""
+    steps = min(state.steps + 1, round(_LONG_TERM_S / STEP_S))
+    long_term = state.long_term + (frames.mean - state.long_term) / steps
+    return RecognitionState(frames.tail, long_term, steps, 0)
+
+
+def _live(long_term: Array) -> NDArray[np.bool_]:
+    """Find the channels that are not dead; channels lie along the last axis but one."""
+    strength = np.add.reduce(long_term, axis=-1)
+    return np.asarray(strength > _DEAD * np.maximum.reduce(strength, axis=-1, keepdims=True))
+
+
 def step(
-    state: RecognitionState,
-    span: Array,
-    rate_hz: float,
-    cutoff_hz: float,
-    lowest_hz: float,
-    settings: EventSettings,
-    *,
-    active: bool,
+    state: RecognitionState, frames: Frames, own: int, settings: EventSettings, *, active: bool
 ) -> tuple[RecognitionState, Trigger]:
     """Compare the two frames that a step of samples completes with the long-term average.
 
     Parameters
     ----------
     state : RecognitionState
-    span : ndarray, shape (`step_n`, c), m/s^2
-        The next conditioned samples.
-    rate_hz, cutoff_hz : float
-        Rate and cutoff of the samples.
-    lowest_hz : float
-        Lowest frequency of the structure.
+    frames : Frames
+        The next step's (`measure`).
+    own : int
+        Index of the band of the structure's lowest frequency (`own_band`).
     active : bool
         Whether an event is going on: the long-term average then stays as it is.
 
@@ -140,40 +231,35 @@ def step(
     Examples
     --------
     >>> import numpy as np
-    >>> settings, rng = EventSettings(), np.random.default_rng(0)
+    >>> settings, rng, own = EventSettings(), np.random.default_rng(0), own_band(200, 100.0, 40.0, 2.0)
     >>> state, found = start(3, 100.0, 40.0), []
     >>> for level in [1.0] * 40 + [20.0] * 3:
-    ...     span = level * rng.standard_normal((200, 3))
-    ...     state, trigger = step(state, span, 100.0, 40.0, 2.0, settings, active=False)
+    ...     (frames,) = measure(state.tail, level * rng.standard_normal((200, 3)), 100.0, 40.0)
+    ...     state, trigger = step(state, frames, own, settings, active=False)
     ...     found.append(trigger)
-    >>> found[39].raised.tolist(), found[-1].raised.tolist()
-    ([0, 0], [5, 6])
+    >>> found[39].raised, found[-1].raised
+    ((0, 0), (5, 6))
     """
-    n = span.shape[0]
-    bands = _bands(n, rate_hz, cutoff_hz)
-    half = n // 2
-    joined = np.concatenate([state.tail, span]).T
-    joined = joined - np.add.reduce(joined, axis=1, keepdims=True) / joined.shape[1]
-    frames = np.array([joined[:, :n], joined[:, half:]])
-    transforms = np.fft.rfft(frames * bands.taper)[:, :, : bands.end]
-    power = np.add.reduceat(transforms.real**2 + transforms.imag**2, bands.edges, axis=2)
-    own = int(np.searchsorted(bands.edges, lowest_hz * n / rate_hz + 0.5, side="right")) - 1
-    own = min(max(own, 0), bands.edges.size - 1)
-    ratio = _voted_ratio(power, state.long_term, own) if state.steps else np.zeros(_FRAMES)
+    ratio, live = [0.0] * _FRAMES, _live(state.long_term)
+    if state.steps and live.any():
+        ratio = _voted_ratio(frames.power[:, live], state.long_term[live], own).tolist()
     threshold = settings.ratio_on * _early_factor(state.steps, settings.ratio_on)
-    above, loud = ratio >= threshold, ratio >= settings.ratio_off
-    if settings.level_m_s2 is not None:
-        voted = _lower_median(np.abs(frames).max(axis=2))
-        above, loud = above | (voted >= settings.level_m_s2), loud | (voted >= 0.5 * settings.level_m_s2)
-    raised, row = state.raised, np.zeros(_FRAMES, dtype=np.int64)
-    for k in range(_FRAMES):
-        row[k] = raised = raised + 1 if above[k] else 0
-    long_term, steps = state.long_term, state.steps
-    if not (active or above.any()):  # what may be an event is no part of the average before it
-        steps = min(steps + 1, round(_LONG_TERM_S / STEP_S))
-        long_term = long_term + (0.5 * (power[0] + power[1]) - long_term) / steps
-    state = replace(state, tail=span[half:], long_term=long_term, steps=steps, raised=raised)
-    return state, Trigger(row, loud)
+    above, loud = [r >= threshold for r in ratio], [r >= settings.ratio_off for r in ratio]
+    if settings.level_m_s2 is not None and frames.peaks is not None:
+        level = settings.level_m_s2
+        voted = _lower_median(frames.peaks).tolist()
+        above, loud = (
+            [a or v >= x for a, v in zip(b, voted, strict=True)] for b, x in ((above, level), (loud, 0.5 * level))
+        )
+    row, raised = [], state.raised
+    for is_above in above:
+        raised = raised + 1 if is_above else 0
+        row.append(raised)
+    if active or any(above):  # what may be an event is no part of the average before it
+        state = RecognitionState(frames.tail, state.long_term, state.steps, raised)
+    else:
+        state = _averaged(state, frames)
+    return state, Trigger(tuple(row), tuple(loud))
 
 
 def is_whole(
@@ -205,8 +291,8 @@ def is_whole(
     >>> settings, rng = EventSettings(), np.random.default_rng(0)
     >>> state, quiet = start(2, 100.0, 40.0), rng.standard_normal((4000, 2))
     >>> for i in range(20):
-    ...     span = quiet[200 * i : 200 * i + 200]
-    ...     state, _ = step(state, span, 100.0, 40.0, 2.0, settings, active=False)
+    ...     (frames,) = measure(state.tail, quiet[200 * i : 200 * i + 200], 100.0, 40.0)
+    ...     state, _ = step(state, frames, 4, settings, active=False)
     >>> apart = 10.0 * rng.standard_normal((400, 2))
     >>> [is_whole(state.long_term, x, 100.0, 40.0, settings, one_direction=True) for x in (apart, apart[:, [0, 0]])]
     [False, True]
@@ -214,10 +300,9 @@ def is_whole(
     n = span.shape[0] // 2
     bands = _bands(n, rate_hz, cutoff_hz)
     span = span - np.median(span, axis=0)  # the mean of a spike would be an offset of all pieces
-    strength = long_term.sum(axis=1)
-    live = strength > _DEAD * strength.max()
+    live = _live(long_term)
     if live.any():  # without a long-term average the absolute threshold alone says what an event is
-        span, long_term = span[:, live], np.maximum(long_term[live], np.finfo(float).tiny)
+        span, long_term = span[:, live], np.maximum(long_term[live], _TINY)
     frames = np.array([span[:n], span[n // 2 : n // 2 + n], span[n:]])
     transforms = _transforms(frames, bands.taper, bands)
     raised = np.all(_lower_median(_power(transforms, bands) / long_term) >= settings.ratio_off**2, axis=0)
@@ -255,8 +340,7 @@ def _related(
     products = (transforms[:, :, None] * transforms[:, None].conj()).sum(axis=0)
     spectra = np.add.reduceat(products, bands.edges, axis=2)[:, :, raised]
     power = np.diagonal(spectra).real.T  # (c, b)
-    tiny = np.finfo(float).tiny
-    coherence = np.abs(spectra) ** 2 / np.maximum(power[:, None] * power[None], tiny)
+    coherence = np.abs(spectra) ** 2 / np.maximum(power[:, None] * power[None], _TINY)
     widths = np.diff([*bands.edges, bands.end])[raised]
     evidence = -(widths * np.log(np.maximum(1.0 - coherence, np.finfo(float).eps))).sum(axis=2)
     np.fill_diagonal(evidence, 0.0)
@@ -299,10 +383,9 @@ def _shares(n: int, rate_hz: float, cutoff_hz: float) -> Array:
     return np.asarray(by_band / widths[:, None])
 
 
-def _lower_median(values: Array) -> Array:
-    """Return the value that more than half of the channels, or bands, reach; they lie along axis 1."""
-    ordered = np.sort(values, axis=1)
-    return np.asarray(ordered[:, (values.shape[1] - 1) // 2])
+def _lower_median(values: Array, axis: int = 1) -> Array:
+    """Return the value that more than half of the channels, or bands, reach; they lie along `axis`."""
+    return np.asarray(np.sort(values, axis=axis).take((values.shape[axis] - 1) // 2, axis=axis))
 
 
 def _rarity(ratio_on: float) -> float:
@@ -341,21 +424,16 @@ def begin_anew(state: RecognitionState) -> RecognitionState:
 
 
 def _voted_ratio(power: Array, long_term: Array, own: int) -> Array:
-    """Compute the amplitude ratio that more than half of the live channels show in three bands and in one, shape (2,).
+    """Compute the amplitude ratio that more than half of the channels show in three bands and in one, shape (...).
 
     Parameters
     ----------
-    power : ndarray, shape (2, c, b)
-    long_term : ndarray, shape (c, b)
+    power : ndarray, shape (..., c, b)
+    long_term : ndarray, shape (..., c, b)
     own : int
         Index of the band of the structure's lowest frequency.
     """
-    strength = long_term.sum(axis=1)
-    live = strength > _DEAD * strength.max()
-    if not live.all():
-        if not live.any():
-            return np.zeros(_FRAMES)
-        power, long_term = power[:, live], long_term[live]
-    voted = _lower_median(power / np.maximum(long_term, np.finfo(float).tiny))
-    several = np.sort(voted, axis=1)[:, -min(_RAISED_BANDS, voted.shape[1])]
-    return np.asarray(np.sqrt(np.minimum(several, voted[:, own])))
+    voted = _lower_median(power / np.maximum(long_term, _TINY), axis=-2)
+    in_own = voted[..., own].copy()
+    voted.sort(axis=-1)
+    return np.asarray(np.sqrt(np.minimum(voted[..., -min(_RAISED_BANDS, voted.shape[-1])], in_own)))

@@ -29,6 +29,8 @@ of 40 Hz settles in 1 s]"""
 _KEPT_STEPS = 3
 """Steps before the last judged one in which an event may turn out to have begun. [steps; definition: the frames in a row that
 confirm it]"""
+_TOGETHER_STEPS = 30
+"""Most steps whose power is measured together. [steps; cost: the arrays stay small where a block is an hour long]"""
 _PRELIMINARY_S = 2.0
 """Quiet time after which the preliminary message is sent. [s; one step]"""
 _GROUND_LATE_S = 2.0
@@ -145,8 +147,10 @@ def step(
     t0_ns -= round(conditioner.delay_s * 1e9)
     state = replace(state, t0_ns=t0_ns, kept=np.concatenate([state.kept, values]))
     end = state.first + len(state.kept)
+    while state.settling and state.judged + n <= end:
+        state = _settle(state)
     while state.judged + n <= end:
-        state, new = _judge_step(state, conditioner.cutoff_hz, site)
+        state, new = _judge(state, min((end - state.judged) // n, _TOGETHER_STEPS), conditioner.cutoff_hz, site)
         told += new
     return _forget(_with_alarms(state, told, site), site), told
 
@@ -212,21 +216,56 @@ def _begin(state: EventState, first: int, conditioner: Conditioner, n_channels: 
     )
 
 
-def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventState, list[Event]]:
-    """Judge the next step of samples."""
+def _settle(state: EventState) -> EventState:
+    """Take a step while the filters settle, which is neither judged nor kept."""
     assert state.recognition is not None
+    n = recognition.step_n(state.rate_hz)
+    end = state.judged + n
+    tail = state.kept[end - n // 2 - state.first : end - state.first]
+    return replace(
+        state,
+        recognition=replace(state.recognition, tail=tail),
+        judged=end,
+        settling=state.settling - 1,
+        first=end,
+        kept=state.kept[end - state.first :],
+    )
+
+
+def _judge(state: EventState, count: int, cutoff_hz: float, site: Site) -> tuple[EventState, list[Event]]:
+    """Judge the next steps of samples, `count` of them, whose power is measured together."""
+    assert state.recognition is not None
+    settings, rate_hz, told = site.settings, state.rate_hz, list[Event]()
+    n = recognition.step_n(rate_hz)
+    own = recognition.own_band(n, rate_hz, cutoff_hz, site.lowest_hz)
+    samples = state.kept[state.judged - state.first :][: count * n]
+    known, judged = state.recognition, state.judged
+    peaks = settings.level_m_s2 is not None
+    steps = recognition.measure(known.tail, samples, rate_hz, cutoff_hz, peaks=peaks)
+    quiet = None if state.strong else recognition.pass_quiet(known, steps, own, settings)
+    if quiet is not None:  # as mostly
+        return replace(state, recognition=quiet, judged=judged + count * n), told
+    for frames in steps:
+        active = bool(state.strong) and not state.strong[-1].closed
+        known, found = recognition.step(known, frames, own, settings, active=active)
+        judged += n
+        if state.strong or any(found.raised):
+            state, new = _follow(replace(state, recognition=known, judged=judged), found, cutoff_hz, site)
+            assert state.recognition is not None
+            known, told = state.recognition, told + new
+    return replace(state, recognition=known, judged=judged), told
+
+
+def _follow(
+    state: EventState, found: recognition.Trigger, cutoff_hz: float, site: Site
+) -> tuple[EventState, list[Event]]:
+    """Follow events through the last judged step, of which the frames have `found` something, or during an event."""
+    known = state.recognition
+    assert known is not None
     settings, rate_hz = site.settings, state.rate_hz
     n = recognition.step_n(rate_hz)
-    first, end = state.judged, state.judged + n
-    span = state.kept[first - state.first : end - state.first]
-    if state.settling:
-        known, kept = replace(state.recognition, tail=span[n // 2 :]), state.kept[end - state.first :]
-        return replace(state, recognition=known, judged=end, settling=state.settling - 1, first=end, kept=kept), []
+    end, first = state.judged, state.judged - n
     going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
-    active = going is not None
-    known, found = recognition.step(
-        state.recognition, span, rate_hz, cutoff_hz, site.lowest_hz, settings, active=active
-    )
     half, told = n // 2, list[Event]()
     starts = [first - half, first]
     for k, at in enumerate(starts):
@@ -240,7 +279,6 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
                 going = Strong(begin, at + n)
         elif going is not None and found.loud[k]:
             going = replace(going, end=at + n)
-    state = replace(state, recognition=known, judged=end)
     # Of a recording that begins with a few seconds of quiet before strong motion, a test's, the windows are judged.
     if (going is not None or known.raised) and recognition.is_settled(known):
         state = replace(state, marks=(*state.marks, (first, end)))
@@ -261,8 +299,6 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
             going = replace(going, closed=True, end=end, note=note)
             state = replace(state, recognition=recognition.begin_anew(known))
     strong = before if going is None else (*before, going)
-    if not strong and not state.strong:  # as mostly
-        return state, told
     return _tell_final(replace(state, strong=strong), end, site, told)
 
 

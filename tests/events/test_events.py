@@ -157,8 +157,8 @@ def test_directions_that_do_not_move_coherently_are_motion_of_the_whole_structur
     rng, settings = np.random.default_rng(3), configuration().events
     state = recognition.start(2, 100.0, 40.0)
     for _ in range(30):
-        span = rng.standard_normal((200, 2))
-        state, _ = recognition.step(state, span, 100.0, 40.0, 2.0, settings, active=False)
+        (frames,) = recognition.measure(state.tail, rng.standard_normal((200, 2)), 100.0, 40.0)
+        state, _ = recognition.step(state, frames, 4, settings, active=False)
     apart = 10.0 * rng.standard_normal((400, 2))
     found = [
         recognition.is_whole(state.long_term, apart, 100.0, 40.0, settings, one_direction=one) for one in (True, False)
