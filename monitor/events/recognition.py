@@ -73,16 +73,24 @@ class RecognitionState:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frames:
-    """Power of the two frames that a step of samples completes; frame k begins ``(k - 1) / 2`` frames after its first sample."""
+    """Power of the two frames that each of k steps of samples completes.
+
+    Frame i of a step begins ``(i - 1) / 2`` frames after the step's first sample.
+    """
 
     power: Array
-    """Shape (2, c, b): power in each band, in arbitrary units."""
+    """Shape (k, 2, c, b): power in each band, in arbitrary units."""
     mean: Array
-    """Shape (c, b): mean of the two."""
-    tail: Array
-    """Shape (n, c): the second half of the step, m/s^2."""
+    """Shape (k, c, b): mean of the two."""
+    samples: Array
+    """Shape (k n, c), m/s^2."""
     peaks: Array | None
-    """Shape (2, c): largest deviation from the mean, m/s^2; None where it is not asked for."""
+    """Shape (k, 2, c): largest deviation from the mean, m/s^2; None where it is not asked for."""
+
+    def tail(self, k: int) -> Array:
+        """Return the second half of a step's samples, shape (n / 2, c), m/s^2."""
+        n = len(self.samples) // len(self.power)
+        return self.samples[k * n + n // 2 : (k + 1) * n]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -134,7 +142,7 @@ def own_band(n: int, rate_hz: float, cutoff_hz: float, lowest_hz: float) -> int:
     return min(max(own, 0), edges.size - 1)
 
 
-def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, peaks: bool = False) -> list[Frames]:
+def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, peaks: bool = False) -> Frames:
     """Measure the power of the frames that several steps of samples complete, all at once.
 
     Parameters
@@ -150,8 +158,7 @@ def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, pe
 
     Returns
     -------
-    list of Frames
-        One for each step.
+    Frames
     """
     n, half = step_n(rate_hz), step_n(rate_hz) // 2
     bands = _bands(n, rate_hz, cutoff_hz)
@@ -168,38 +175,35 @@ def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, pe
     power = np.add.reduceat(transforms.real**2 + transforms.imag**2, bands.edges, axis=3)
     mean = 0.5 * (power[:, 0] + power[:, 1])
     peak = np.stack([np.abs(values).max(axis=2) for values in pairs], axis=1) if peaks else None
-    return [
-        Frames(power[k], mean[k], samples[(k + 1) * n - half : (k + 1) * n], None if peak is None else peak[k])
-        for k in range(len(power))
-    ]
+    return Frames(power, mean, samples, peak)
 
 
-def pass_quiet(
-    state: RecognitionState, steps: list[Frames], own: int, settings: EventSettings
-) -> RecognitionState | None:
-    """Take several steps at once; None where one of them is above the threshold, or asks for more than this.
+def pass_quiet(state: RecognitionState, frames: Frames, own: int, settings: EventSettings) -> RecognitionState | None:
+    """Take all steps at once; None where one of them is above the threshold, or asks for more than this.
 
     The state is that after `step` for each of them, to the last bit.
     """
     if state.raised or not state.steps or settings.level_m_s2 is not None:
         return None
-    averages, known, thresholds = list[Array](), state, list[float]()
-    for frames in steps:
-        averages.append(known.long_term)
-        thresholds.append(settings.ratio_on * _early_factor(known.steps, settings.ratio_on))
-        known = _averaged(known, frames)
-    long_term = np.array(averages)
-    if not _live(long_term).all():
+    count, steps, thresholds = len(frames.power), state.steps, list[float]()
+    long_term = np.empty((count + 1, *state.long_term.shape))
+    long_term[0] = state.long_term
+    for k in range(count):
+        thresholds.append(settings.ratio_on * _early_factor(steps, settings.ratio_on))
+        long_term[k + 1], steps = _averaged(long_term[k], steps, frames.mean[k])
+    before = long_term[:-1]
+    if not _live(before).all():
         return None
-    ratio = _voted_ratio(np.array([frames.power for frames in steps]), long_term[:, None], own)
-    return None if (ratio >= np.array(thresholds)[:, None]).any() else known
+    ratio = _voted_ratio(frames.power, before[:, None], own).tolist()
+    if any(r >= threshold for pair, threshold in zip(ratio, thresholds, strict=True) for r in pair):
+        return None
+    return RecognitionState(frames.tail(count - 1), long_term[-1].copy(), steps, 0)
 
 
-def _averaged(state: RecognitionState, frames: Frames) -> RecognitionState:
-    """Take a step that is part of the long-term average."""
-    steps = min(state.steps + 1, round(_LONG_TERM_S / STEP_S))
-    long_term = state.long_term + (frames.mean - state.long_term) / steps
-    return RecognitionState(frames.tail, long_term, steps, 0)
+def _averaged(long_term: Array, steps: int, power: Array) -> tuple[Array, int]:
+    """Add the power of a step to the long-term average, and return it with the number of steps in it."""
+    steps = min(steps + 1, round(_LONG_TERM_S / STEP_S))
+    return long_term + (power - long_term) / steps, steps
 
 
 def _live(long_term: Array) -> NDArray[np.bool_]:
@@ -209,7 +213,7 @@ def _live(long_term: Array) -> NDArray[np.bool_]:
 
 
 def step(
-    state: RecognitionState, frames: Frames, own: int, settings: EventSettings, *, active: bool
+    state: RecognitionState, frames: Frames, k: int, own: int, settings: EventSettings, *, active: bool
 ) -> tuple[RecognitionState, Trigger]:
     """Compare the two frames that a step of samples completes with the long-term average.
 
@@ -217,7 +221,9 @@ def step(
     ----------
     state : RecognitionState
     frames : Frames
-        The next step's (`measure`).
+        Of this step and others (`measure`).
+    k : int
+        Index of this step.
     own : int
         Index of the band of the structure's lowest frequency (`own_band`).
     active : bool
@@ -234,20 +240,20 @@ def step(
     >>> settings, rng, own = EventSettings(), np.random.default_rng(0), own_band(200, 100.0, 40.0, 2.0)
     >>> state, found = start(3, 100.0, 40.0), []
     >>> for level in [1.0] * 40 + [20.0] * 3:
-    ...     (frames,) = measure(state.tail, level * rng.standard_normal((200, 3)), 100.0, 40.0)
-    ...     state, trigger = step(state, frames, own, settings, active=False)
+    ...     frames = measure(state.tail, level * rng.standard_normal((200, 3)), 100.0, 40.0)
+    ...     state, trigger = step(state, frames, 0, own, settings, active=False)
     ...     found.append(trigger)
     >>> found[39].raised, found[-1].raised
     ((0, 0), (5, 6))
     """
     ratio, live = [0.0] * _FRAMES, _live(state.long_term)
     if state.steps and live.any():
-        ratio = _voted_ratio(frames.power[:, live], state.long_term[live], own).tolist()
+        ratio = _voted_ratio(frames.power[k][:, live], state.long_term[live], own).tolist()
     threshold = settings.ratio_on * _early_factor(state.steps, settings.ratio_on)
     above, loud = [r >= threshold for r in ratio], [r >= settings.ratio_off for r in ratio]
     if settings.level_m_s2 is not None and frames.peaks is not None:
         level = settings.level_m_s2
-        voted = _lower_median(frames.peaks).tolist()
+        voted = _lower_median(frames.peaks[k]).tolist()
         above, loud = (
             [a or v >= x for a, v in zip(b, voted, strict=True)] for b, x in ((above, level), (loud, 0.5 * level))
         )
@@ -255,11 +261,10 @@ def step(
     for is_above in above:
         raised = raised + 1 if is_above else 0
         row.append(raised)
-    if active or any(above):  # what may be an event is no part of the average before it
-        state = RecognitionState(frames.tail, state.long_term, state.steps, raised)
-    else:
-        state = _averaged(state, frames)
-    return state, Trigger(tuple(row), tuple(loud))
+    long_term, steps = state.long_term, state.steps
+    if not (active or any(above)):  # what may be an event is no part of the average before it
+        long_term, steps = _averaged(long_term, steps, frames.mean[k])
+    return RecognitionState(frames.tail(k), long_term, steps, raised), Trigger(tuple(row), tuple(loud))
 
 
 def is_whole(
@@ -291,8 +296,8 @@ def is_whole(
     >>> settings, rng = EventSettings(), np.random.default_rng(0)
     >>> state, quiet = start(2, 100.0, 40.0), rng.standard_normal((4000, 2))
     >>> for i in range(20):
-    ...     (frames,) = measure(state.tail, quiet[200 * i : 200 * i + 200], 100.0, 40.0)
-    ...     state, _ = step(state, frames, 4, settings, active=False)
+    ...     frames = measure(state.tail, quiet[200 * i : 200 * i + 200], 100.0, 40.0)
+    ...     state, _ = step(state, frames, 0, 4, settings, active=False)
     >>> apart = 10.0 * rng.standard_normal((400, 2))
     >>> [is_whole(state.long_term, x, 100.0, 40.0, settings, one_direction=True) for x in (apart, apart[:, [0, 0]])]
     [False, True]
@@ -383,9 +388,9 @@ def _shares(n: int, rate_hz: float, cutoff_hz: float) -> Array:
     return np.asarray(by_band / widths[:, None])
 
 
-def _lower_median(values: Array, axis: int = 1) -> Array:
-    """Return the value that more than half of the channels, or bands, reach; they lie along `axis`."""
-    return np.asarray(np.sort(values, axis=axis).take((values.shape[axis] - 1) // 2, axis=axis))
+def _lower_median(values: Array) -> Array:
+    """Return the value that more than half of the channels, or bands, reach; they lie along axis 1."""
+    return np.asarray(np.sort(values, axis=1)[:, (values.shape[1] - 1) // 2])
 
 
 def _rarity(ratio_on: float) -> float:
@@ -433,7 +438,9 @@ def _voted_ratio(power: Array, long_term: Array, own: int) -> Array:
     own : int
         Index of the band of the structure's lowest frequency.
     """
-    voted = _lower_median(power / np.maximum(long_term, _TINY), axis=-2)
+    ratios = power / np.maximum(long_term, _TINY)
+    ratios.sort(axis=-2)
+    voted = ratios[..., (ratios.shape[-2] - 1) // 2, :]
     in_own = voted[..., own].copy()
     voted.sort(axis=-1)
     return np.asarray(np.sqrt(np.minimum(voted[..., -min(_RAISED_BANDS, voted.shape[-1])], in_own)))

@@ -163,6 +163,11 @@ def finish(state: EventState, site: Site) -> tuple[EventState, list[Event]]:
 
 def window(state: EventState, result: WindowResult, site: Site) -> tuple[EventState, list[Event]]:
     """Take what a window tells of stiffness and frequencies, and tell the lasting loss of events where an hour has passed."""
+    begin_ns = result.t_end_ns - round(result.window_s * 1e9)
+    if (
+        state.recent and begin_ns < state.recent[-1].end_ns and not state.awaiting
+    ):  # as mostly: none that overlaps is kept
+        return state, []
     reading = reading_of(result)
     if reading is None:
         return state, []
@@ -241,13 +246,13 @@ def _judge(state: EventState, count: int, cutoff_hz: float, site: Site) -> tuple
     samples = state.kept[state.judged - state.first :][: count * n]
     known, judged = state.recognition, state.judged
     peaks = settings.level_m_s2 is not None
-    steps = recognition.measure(known.tail, samples, rate_hz, cutoff_hz, peaks=peaks)
-    quiet = None if state.strong else recognition.pass_quiet(known, steps, own, settings)
+    frames = recognition.measure(known.tail, samples, rate_hz, cutoff_hz, peaks=peaks)
+    quiet = None if state.strong else recognition.pass_quiet(known, frames, own, settings)
     if quiet is not None:  # as mostly
         return replace(state, recognition=quiet, judged=judged + count * n), told
-    for frames in steps:
+    for k in range(count):
         active = bool(state.strong) and not state.strong[-1].closed
-        known, found = recognition.step(known, frames, own, settings, active=active)
+        known, found = recognition.step(known, frames, k, own, settings, active=active)
         judged += n
         if state.strong or any(found.raised):
             state, new = _follow(replace(state, recognition=known, judged=judged), found, cutoff_hz, site)

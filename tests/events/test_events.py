@@ -91,6 +91,30 @@ def test_any_block_size_tells_the_same() -> None:
     ]
 
 
+@pytest.mark.parametrize("n_channels", [1, 2, 3])
+def test_steps_measured_together_give_the_state_of_each_alone(n_channels: int) -> None:
+    settings, rng = configuration().events, np.random.default_rng(n_channels)
+    samples = rng.standard_normal((60 * 200, n_channels))
+    samples[9000:9600] *= 9.0
+    together = alone = recognition.start(n_channels, 100.0, 40.0)
+    own, quiet = recognition.own_band(200, 100.0, 40.0, 2.0), 0
+    for first in range(0, len(samples), 1000):
+        frames = recognition.measure(together.tail, samples[first : first + 1000], 100.0, 40.0)
+        passed = recognition.pass_quiet(together, frames, own, settings)
+        quiet += passed is not None
+        for k in range(5):
+            at = first + 200 * k
+            one = recognition.measure(alone.tail, samples[at : at + 200], 100.0, 40.0)
+            alone, _ = recognition.step(alone, one, 0, own, settings, active=False)
+            if passed is None:
+                together, _ = recognition.step(together, frames, k, own, settings, active=False)
+        together = together if passed is None else passed
+        assert together.long_term.tobytes() == alone.long_term.tobytes()
+        assert together.tail.tobytes() == alone.tail.tobytes()
+        assert (together.steps, together.raised) == (alone.steps, alone.raised)
+    assert 6 < quiet < 12
+
+
 def test_it_is_told_when_strong_motion_ends_and_again_within_a_minute() -> None:
     pipeline, told = Pipeline(configuration()), list[tuple[float, Event]]()
     for block in blocks(shaken(), n=10):
@@ -157,8 +181,8 @@ def test_directions_that_do_not_move_coherently_are_motion_of_the_whole_structur
     rng, settings = np.random.default_rng(3), configuration().events
     state = recognition.start(2, 100.0, 40.0)
     for _ in range(30):
-        (frames,) = recognition.measure(state.tail, rng.standard_normal((200, 2)), 100.0, 40.0)
-        state, _ = recognition.step(state, frames, 4, settings, active=False)
+        frames = recognition.measure(state.tail, rng.standard_normal((200, 2)), 100.0, 40.0)
+        state, _ = recognition.step(state, frames, 0, 4, settings, active=False)
     apart = 10.0 * rng.standard_normal((400, 2))
     found = [
         recognition.is_whole(state.long_term, apart, 100.0, 40.0, settings, one_direction=one) for one in (True, False)
