@@ -275,8 +275,8 @@ def _follow(
     starts = [first - half, first]
     for k, at in enumerate(starts):
         if going is None and found.raised[k] >= recognition.FRAMES_IN_A_ROW:
-            # The frames in a row that confirm an event belong to it.
-            begin = max(at - (int(found.raised[k]) - 1) * half, state.first)
+            # All frames in a row belong to the event, also those that did not confirm it yet.
+            begin = max(at - (found.raised[k] - 1) * half, state.first)
             frames = state.kept[max(0, at - 2 * half - state.first) : at + n - state.first]
             if len(frames) == 2 * n and recognition.is_whole(
                 known.long_term, frames, rate_hz, cutoff_hz, settings, one_direction=site.is_chain
@@ -287,9 +287,8 @@ def _follow(
     # Of a recording that begins with a few seconds of quiet before strong motion, a test's, the windows are judged.
     if (going is not None or known.raised) and recognition.is_settled(known):
         state = replace(state, marks=(*state.marks, (first, end)))
-    if (
-        going is None and known.raised * half >= settings.longest_s * rate_hz
-    ):  # the average is held, and no event ends it
+    # What is refused holds the average too, and no event ends it.
+    if going is None and known.raised * half >= settings.longest_s * rate_hz:
         state = replace(state, recognition=recognition.begin_anew(known))
     before = state.strong if not state.strong or state.strong[-1].closed else state.strong[:-1]
     if going is not None:
