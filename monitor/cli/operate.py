@@ -22,7 +22,8 @@ _APPLIED = "applied; what it changed is noted in ledger.jsonl"
 def status(
     place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
     verify: Annotated[
-        bool, typer.Option("--verify", help="Check the chain of hashes of ledger.jsonl first; 65: it is broken.")
+        bool,
+        typer.Option("--verify", help="Check ledger.jsonl and the event recordings that it names first; 65: changed."),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -37,8 +38,10 @@ def status(
     found = reader.look(folder)
     text = reader.tell(found)
     if verify:
-        found["ledger_lines"] = reader.verify_ledger(folder)
+        found["ledger_lines"], unchanged = reader.verify_ledger(folder)
         text += f"\nledger    {found['ledger_lines']} lines, the chain is whole; head {found['ledger_head'] or 'none'}"
+        if unchanged:
+            text += f"; event recordings unchanged: {unchanged}"
     say(text, found, as_json)
     raise typer.Exit(found["exit_code"])
 

@@ -197,7 +197,9 @@ class Site(Publisher):
             undo.callback(self._view.close, _END_S)
         publishers = (self,) if self._view is None else (self, self._view)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-        self._event_recordings = EventRecordings(self.out, settings.events, self._event_writer.do)
+        self._event_recordings = EventRecordings(
+            self.out, settings.events, self._event_writer.do, lambda *noted: self._requests.note_recording(*noted)
+        )
         store = None
         if self._lean and settings.recorder.enabled:
             store = RecordedBlocks(self.out / "recordings", self._recording, longest_diagnosis_s(settings))

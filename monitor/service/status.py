@@ -102,18 +102,19 @@ def look(out: Path) -> dict[str, Any]:
     }
 
 
-def verify_ledger(out: Path) -> int:
-    """Check the chain of the ledger in a daemon's output folder, and return its number of lines.
+def verify_ledger(out: Path) -> tuple[int, int]:
+    """Check the ledger in a daemon's output folder, and return its number of lines and of event recordings that are as it says.
 
     Raises
     ------
     BadInputError
-        The chain is broken, or lacks the line that the daemon named last.
+        The chain is broken, lacks the line that the daemon named last, or a recording of an event is another than it says.
     MissingInputError
-        The ledger cannot be read.
+        The ledger, or a recording that it names, cannot be read.
     """
     health = _last_line(out / "health.jsonl", _read_named_head, last=None)  # lines of a start name none
-    return ledger_chain.verify(out / ledger.LEDGER, [] if health is None else [health["ledger_head"]])
+    lines = ledger_chain.verify(out / ledger.LEDGER, [] if health is None else [health["ledger_head"]])
+    return lines, ledger.verify_recordings(out / ledger.LEDGER)
 
 
 def read_assessment(content: Mapping[str, Any]) -> Assessment:
