@@ -183,7 +183,7 @@ def watch(
         t_ns, seen = k * HOUR_NS, under(degc[k], level[k], case.names)
         added, relative, beyond, together = np.zeros((3, 3)), np.zeros(3), "", None
         if learning is not None:
-            together = learning.law.together() if case.separated else None
+            together = learning.law.together(SETTINGS.unevenness) if case.separated else None
             effect = learning.law.expected(seen)
             added, relative = effect.covariance, effect.relative
             hidden = ALARM.significance * float(np.sqrt(added.diagonal().max()))
