@@ -271,6 +271,22 @@ class Expected:
             along / np.sqrt(1.0 + np.maximum(square - along**2, 0.0) / self.stretches),
         )
 
+    def beyond_words(self, loss: Array, covariance: Array, most_std: float) -> str:
+        """Say that the stories lie where a loss of one is hidden by what was not learned; empty where they do not.
+
+        Parameters
+        ----------
+        loss : ndarray, shape (n,)
+        covariance : ndarray, shape (n, n)
+            As of `beside_others`.
+        most_std : float
+            Standard deviation, of what was not learned, up to which nothing is hidden.
+        """
+        if not (np.clip(loss, self.seen[0], self.seen[1]) != loss).any():
+            return ""
+        hidden = self.beside_others(loss, covariance).beyond.max() > most_std**2
+        return "what the stories do together goes beyond anything learned" if hidden else ""
+
     def take_out(self, reading: DamageReading, history: History) -> tuple[DamageReading, History]:
         """Take out of a window's damage index what the other stories let expect.
 

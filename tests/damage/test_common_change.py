@@ -116,11 +116,14 @@ def test_beyond_what_was_learned_the_stories_may_part_and_a_great_loss_is_seen(
     assert (narrow.loss / narrow.std).max() > 6.5
     beside = expected.beside_others(loss, NOISE)
     assert (beside.loss / beside.std).max() < 3.0
+    assert expected.beyond_words(loss, NOISE, 0.015) == "what the stories do together goes beyond anything learned"
     # Where the others stay within what was learned, a loss does not hide itself.
     loss = 5.0 * FOLLOWS
     loss[list(lost)] += 0.2
     beside = expected.beside_others(loss, NOISE)
     assert (beside.loss[list(lost)] > 6.5 * beside.std[list(lost)]).all()
+    # Beside two lost stories the third is compared with them alone, and little is known of it.
+    assert bool(expected.beyond_words(loss, NOISE, 0.015)) == (len(lost) == 2)
 
 
 def test_a_change_counts_as_learned_once_enough_stretches_went_as_far() -> None:

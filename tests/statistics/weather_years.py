@@ -197,6 +197,8 @@ def watch(
         for look in range(case.looks):
             row = y[k] if look == 0 else y[k] + more[k, look - 1]
             ddi = 1.0 - np.exp(row) / (1.0 + relative)
+            if together is not None and not beyond:
+                beyond = together.beyond_words(ddi, np.diag(STD**2) + shared, ALARM.alarm_loss / ALARM.significance)
             reading = DamageReading(ddi, np.diag(STD**2) + shared, ddi, ddi, common_covariance=shared, beyond=beyond)
             state, verdict = alarm.step(state, reading, t_ns + look * 400_000_000_000, ALARM, together)
             told |= {s for s, lv in verdict.active.items() if s != WHOLE and lv.rank >= Level.WARNING.rank}
