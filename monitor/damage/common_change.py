@@ -195,7 +195,9 @@ class Expected:
         Each of them, and the story itself, may have gone there by a share of its own.  How far the story itself has gone does not
         count: a loss does not hide itself.
         """
-        excess = losses - np.clip(losses, self.seen[0], self.seen[1])
+        excess = losses - np.minimum(np.maximum(losses, self.seen[0]), self.seen[1])
+        if not excess.any():  # as mostly
+            return np.zeros_like(losses)
         parts = weights * (1.0 - np.eye(losses.shape[-1])) * excess[:, None, :]
         return np.asarray(self.unevenness**2 * (parts.sum(axis=-1) ** 2 + (parts**2).sum(axis=-1)))
 
@@ -282,7 +284,7 @@ class Expected:
         most_std : float
             Standard deviation, of what was not learned, up to which nothing is hidden.
         """
-        if not (np.clip(loss, self.seen[0], self.seen[1]) != loss).any():
+        if not ((loss < self.seen[0]) | (loss > self.seen[1])).any():
             return ""
         hidden = self.beside_others(loss, covariance).beyond.max() > most_std**2
         return "what the stories do together goes beyond anything learned" if hidden else ""
