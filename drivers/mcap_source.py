@@ -26,7 +26,7 @@ class McapSettings(BaseModel):
     files: tuple[str, ...] = Field(min_length=1)
     """Recordings, relative to the site file; patterns such as ``recordings/*.mcap`` are allowed."""
     speed: float | None = Field(default=None, gt=0)
-    """Speed as a multiple of real time; as fast as possible by default."""
+    """Speed as a multiple of real time; as fast as possible by default.  Gaps, as between recordings, are not waited for."""
     topics: dict[str, str] = Field(default_factory=dict)
     """Channel of each ROS 2 Imu topic, as ``"/imu/top" = "a1.x"``."""
 
@@ -42,8 +42,9 @@ class McapSource:
         self._settings, self._context, self._clock = settings, context, clock
         self._blocks: Iterator[SampleBlock] | None = None
         self._next: SampleBlock | None = None
-        self._first_ns: int | None = None
         self._begun_s = 0.0
+        self._played_s = 0.0
+        """Length of the acceleration data given so far, s, from which the next block is due."""
         self._counts: Counter[str] = Counter(blocks=0, samples=0)
 
     def open(self) -> None:
@@ -56,7 +57,7 @@ class McapSource:
         """
         blocks = read_recordings(self._paths(), topic_map=self._settings.topics or None, on_warning=_log.warning)
         self._blocks = (block for block in blocks if not self._known(block))
-        self._next, self._first_ns, self._begun_s = None, None, self._clock()
+        self._next, self._begun_s, self._played_s = None, self._clock(), 0.0
 
     def read(self, timeout_s: float) -> SampleBlock | None:
         """Return the next block when it is due; None if it is not due within `timeout_s`.
@@ -71,14 +72,13 @@ class McapSource:
         block = self._next
         if block is None:
             raise EndOfStream("the recordings have ended")
+        end_s = self._played_s + (block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0)
         if self._settings.speed is not None:
-            self._first_ns = block.t_ns if self._first_ns is None else self._first_ns
-            end_s = (block.t_ns - self._first_ns) * 1e-9 + block.n_samples / block.sample_rate_hz
             wait_s = self._begun_s + end_s / self._settings.speed - self._clock()
             time.sleep(max(0.0, min(wait_s, timeout_s)))
             if wait_s > timeout_s:
                 return None
-        self._next = None
+        self._next, self._played_s = None, end_s
         self._counts["blocks"] += 1
         self._counts["samples"] += block.n_samples if block.topic == ACCELERATION else 0
         return block

@@ -219,7 +219,8 @@ class Pipeline:
     def _remember(self, result: WindowResult) -> list[Event]:
         """Keep what a window tells of the motion before and after events, and tell the lasting losses that are known now."""
         state, told = stage.window(self.state.events, result, self.site)
-        self.state = replace(self.state, events=state)
+        if state is not self.state.events:
+            self.state = replace(self.state, events=state)
         return told
 
     def _keep_ground(self, block: SampleBlock) -> None:

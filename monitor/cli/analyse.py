@@ -20,7 +20,7 @@ def replay(
     structure: Structure,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
     baseline: Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")] = None,
-    speed: Annotated[str, typer.Option(help="'max', or a multiple of real time.")] = "max",
+    speed: Annotated[str, typer.Option(help="'max', or a multiple of real time; gaps are not waited for.")] = "max",
     serve: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Serve Rerun viewers here, as 127.0.0.1:9876.")
     ] = None,

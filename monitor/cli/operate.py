@@ -22,7 +22,8 @@ _APPLIED = "applied; what it changed is noted in ledger.jsonl"
 def status(
     place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
     verify: Annotated[
-        bool, typer.Option("--verify", help="Check the chain of hashes of ledger.jsonl first; 65: it is broken.")
+        bool,
+        typer.Option("--verify", help="Check ledger.jsonl and the event recordings that it names first; 65: changed."),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -37,8 +38,10 @@ def status(
     found = reader.look(folder)
     text = reader.tell(found)
     if verify:
-        found["ledger_lines"] = reader.verify_ledger(folder)
+        found["ledger_lines"], unchanged = reader.verify_ledger(folder)
         text += f"\nledger    {found['ledger_lines']} lines, the chain is whole; head {found['ledger_head'] or 'none'}"
+        if unchanged:
+            text += f"; event recordings unchanged: {unchanged}"
     say(text, found, as_json)
     raise typer.Exit(found["exit_code"])
 
@@ -124,6 +127,8 @@ def notify(
     code = 0 if all(trial.exit_code == 0 for trial in trials) else 1
     content = [{"address": t.name, "exit_code": t.exit_code, "took_s": t.took_s, "says": t.says} for t in trials]
     lines = [f"{t.name}: {t.says} (exit code {t.exit_code})" for t in trials]
+    if any(t.exit_code != 0 and t.name.startswith("address") for t in trials):
+        lines.append("why, says the program that sends them: apprise -vv --title test --body test 'URL'")
     say("\n".join(lines), {"exit_code": code, "addresses": content}, as_json)
     raise typer.Exit(code)
 
@@ -150,7 +155,10 @@ def export(
     ] = None,
     structure: Annotated[
         Path | None,
-        typer.Option(metavar="S.toml", help="Structure file, for the names of the channels in mode shapes."),
+        typer.Option(
+            metavar="S.toml",
+            help="Structure file, for the names of the channels in mode shapes; by default those of the run.",
+        ),
     ] = None,
     begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
@@ -165,9 +173,9 @@ def export(
     span = time_ns("--from", begin) or 0, (1 << 63) - 1 if until_ns is None else until_ns
     form = writer.form_of(out, form)
     table = table or ("modes" if form == "uff" else "windows")
-    named = structure or (None if place.is_dir() else place)
-    channels = configuration.load(named).channels if named is not None else ()
-    rows = writer.export(_folder(place), table, out, span, form=form, channels=channels)
+    named, folder = structure or (None if place.is_dir() else place), _folder(place)
+    channels = configuration.load(named).channels if named is not None else writer.channels_of(folder)
+    rows = writer.export(folder, table, out, span, form=form, channels=channels)
     what = f"{rows} modes" if form == "uff" else f"{rows} rows of {table}"
     say(f"{what} in {out}", {"rows": rows, "table": table, "format": form, "out": str(out)}, as_json)
 

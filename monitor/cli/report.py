@@ -14,7 +14,12 @@ _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "l
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of 'replay --out' or of [output] dir.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Folder of 'replay --out', of [output] dir, or DIR/runs/NAME of 'reprocess'."
+        ),
+    ],
     out: Annotated[
         Path | None,
         typer.Option(metavar="REPORT.html", help="Page to write; of an event by default DIR/events/ID.html."),
@@ -38,6 +43,10 @@ def report(
     if not folder.is_dir():
         raise MissingInputError(
             f"{folder}: there is no such folder; give the one that 'replay --out' or [output] dir names"
+        )
+    if not (folder / "results.jsonl").exists() and (run := next(folder.glob("runs/*/results.jsonl"), None)) is not None:
+        raise MissingInputError(
+            f"{folder}: the runs of a 'reprocess', which are reported one by one; give one of {folder / 'runs'}, as {run.parent}"
         )
     if event is not None:
         if start is not None or end is not None:

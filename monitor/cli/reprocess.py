@@ -60,7 +60,7 @@ def reprocess(
     )
     for outcome in outcomes:
         for message in outcome.warnings:
-            warn(message)
+            warn(f"{outcome.name}: {message}")
     done, done_before = (sum(o.error is None and o.made is made for o in outcomes) for made in (True, False))
     errors = [o.error for o in outcomes if o.error is not None]
     text = f"{done} done, {done_before} done before; windows in {out / WINDOWS}"

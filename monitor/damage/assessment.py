@@ -675,7 +675,7 @@ def _seen(course: Course, known: Known) -> str:
     blind = sorted({*unseen, *known.unwatched})
     losses = [loss for j, loss in enumerate(window.detectable, start=1) if j not in blind and loss is not None]
     if all(loss is None for loss in window.detectable):
-        return f"no {known.words.loss} would have been seen in any {known.words.part}"
+        return f"no {known.words.loss} could have been confirmed in any {known.words.part}"
     notes = [_why_unseen(j, window, known) for j in blind]
     if not losses:
         return f"no {known.words.loss} would have been seen: " + "; ".join(notes)

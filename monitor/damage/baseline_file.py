@@ -65,6 +65,7 @@ class _Common(_Strict):
 
     square: Matrix
     windows: int
+    lowest: tuple[Matrix, Matrix] | None = None
 
 
 class Law(_Strict):

@@ -8,6 +8,9 @@ factors; that of the first may grow beyond anything learned.
 Each healthy window enters with its distance from the mean of the two days after it.  The distances hold neither the healthy
 stiffness nor a loss that grows over weeks.  Their noise is known from the windows; what exceeds it is the common change.
 
+How far each story went in healthy service is kept too.  Beyond that, as beyond the learned range of a covariate, each story may
+follow by a share of its own (frost), and the variance of what the others let expect grows with the distance.
+
 References
 ----------
 K. V. Mardia, J. T. Kent, J. M. Bibby, Multivariate analysis (1979), section 3.2.4 (conditional distributions); N. R. Draper, H.
@@ -46,10 +49,19 @@ class CommonChange:
     """Shape (n, n): sum of the squared distances, in the columns of `CovariateLaw.mixing`, where one window's noise is 1."""
     windows: int
     """Number of windows in the sum."""
+    lowest: Array
+    """Shape (2, n + 2, n): lowest values, over a stretch of two days, of the change of each quantity and of its negative: in the
+    stretch that goes on, then in the n + 1 others that went lowest."""
 
-    def add(self, distance: Array) -> CommonChange:
-        """Add the distance of a healthy window, shape (n,)."""
-        return CommonChange(self.square + np.outer(distance, distance), self.windows + 1)
+    def add(self, distance: Array, change: Array) -> CommonChange:
+        """Add a healthy window by its distance and by what the covariates leave of its change, shape (n,) each."""
+        now, others = np.stack([change, -change]), self.lowest[:, 1:]
+        if self.windows % (WAIT_NS // EVERY_NS):
+            now = np.minimum(now, self.lowest[:, 0])
+        else:  # another stretch begins
+            others = np.sort(self.lowest, axis=1)[:, :-1]
+        lowest = np.concatenate([now[:, None], others], axis=1)
+        return CommonChange(self.square + np.outer(distance, distance), self.windows + 1, lowest)
 
     @property
     def stretches(self) -> float:
@@ -61,16 +73,31 @@ class CommonChange:
         """Number of stretches from which a covariance of n quantities can be estimated at all."""
         return len(self.square) + 1
 
+    def seen(self) -> Array:
+        """Compute the least and greatest loss of each quantity that as many stretches reached as are wanted, shape (2, n).
+
+        Fewer of them do not teach what the quantities do there.  A loss of 0, the baseline, is always among them.
+        """
+        low, minus_high = np.sort(self.lowest, axis=1)[:, self.wanted - 1]
+        return np.asarray(-np.expm1(np.stack([-minus_high, low])))
+
     def words(self, mixing: Array) -> str:
         """Say for people if it is learned."""
-        if self.learned(mixing) is not None:
+        if self.learned(mixing, 0.0) is not None:
             return f"learned from {self.stretches:.3g} stretches of two days"
         if self.stretches < self.wanted:
             return f"not learned: {self.stretches:.3g} of {self.wanted} stretches of two days"
         return f"nothing beyond the noise of the windows, in {self.stretches:.3g} stretches of two days"
 
-    def learned(self, mixing: Array) -> Expected | None:
+    def learned(self, mixing: Array, unevenness: float) -> Expected | None:
         """Estimate the covariance of common changes, shape (n, n).
+
+        Parameters
+        ----------
+        mixing : ndarray, shape (n, n)
+            `CovariateLaw.mixing`.
+        unevenness : float
+            See `Expected`.
 
         Returns
         -------
@@ -85,7 +112,8 @@ class CommonChange:
         if not is_known(float((excess - np.log1p(excess)).sum()), n * (n + 1) // 2, self.stretches):
             return None
         root = mixing @ (directions * np.sqrt(excess))
-        return Expected(root @ root.T, root[:, -1] / np.linalg.norm(root[:, -1]), self.stretches)
+        leading = root[:, -1] / np.linalg.norm(root[:, -1])
+        return Expected(root @ root.T, leading, self.stretches, self.seen(), unevenness)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -99,10 +127,20 @@ class Expected:
     go farther than what was learned."""
     stretches: float
     """Independent stretches that it was learned from."""
+    seen: Array
+    """Shape (2, n): least and greatest loss of each quantity that was learned (`CommonChange.seen`)."""
+    unevenness: float
+    """Scatter of the quantities' shares beyond what was learned, about a common one, relative to its size."""
 
     def of(self, chosen: NDArray[np.intp]) -> Expected:
         """Return the same for some of the quantities (0 = first)."""
-        return Expected(self.covariance[np.ix_(chosen, chosen)], self.leading[chosen], self.stretches)
+        return Expected(
+            self.covariance[np.ix_(chosen, chosen)],
+            self.leading[chosen],
+            self.stretches,
+            self.seen[:, chosen],
+            self.unevenness,
+        )
 
     def beside_others(self, loss: Array, covariance: Array, *, either_side: bool = False) -> Beside:
         """Compare the loss of each story with what those others let expect that are not lost themselves.
@@ -147,8 +185,21 @@ class Expected:
             total[k], weights[k], inflation[k] = self._set_aside(
                 losses[k], learned[k], total[k], first, either_side=either_side
             )
-        std = np.sqrt(inflation * ((weights @ total) * weights).sum(axis=-1))
-        return Beside((weights @ losses[..., None])[..., 0], std, weights, inflation)
+        beyond = self._beyond(losses, weights)
+        std = np.sqrt(inflation * ((weights @ total) * weights).sum(axis=-1) + beyond)
+        return Beside((weights @ losses[..., None])[..., 0], std, weights, inflation, beyond)
+
+    def _beyond(self, losses: Array, weights: Array) -> Array:
+        """Compute the variance of what others let expect of each story that lie beyond what was learned, shape (k, n).
+
+        Each of them, and the story itself, may have gone there by a share of its own.  How far the story itself has gone does not
+        count: a loss does not hide itself.
+        """
+        excess = losses - np.minimum(np.maximum(losses, self.seen[0]), self.seen[1])
+        if not excess.any():  # as mostly
+            return np.zeros_like(losses)
+        parts = weights * (1.0 - np.eye(losses.shape[-1])) * excess[:, None, :]
+        return np.asarray(self.unevenness**2 * (parts.sum(axis=-1) ** 2 + (parts**2).sum(axis=-1)))
 
     def _set_aside(
         self, loss: Array, learned: Array, total: Array, found: _Compared, *, either_side: bool
@@ -222,6 +273,22 @@ class Expected:
             along / np.sqrt(1.0 + np.maximum(square - along**2, 0.0) / self.stretches),
         )
 
+    def beyond_words(self, loss: Array, covariance: Array, most_std: float) -> str:
+        """Say that the stories lie where a loss of one is hidden by what was not learned; empty where they do not.
+
+        Parameters
+        ----------
+        loss : ndarray, shape (n,)
+        covariance : ndarray, shape (n, n)
+            As of `beside_others`.
+        most_std : float
+            Standard deviation, of what was not learned, up to which nothing is hidden.
+        """
+        if not ((loss < self.seen[0]) | (loss > self.seen[1])).any():
+            return ""
+        hidden = self.beside_others(loss, covariance).beyond.max() > most_std**2
+        return "what the stories do together goes beyond anything learned" if hidden else ""
+
     def take_out(self, reading: DamageReading, history: History) -> tuple[DamageReading, History]:
         """Take out of a window's damage index what the other stories let expect.
 
@@ -245,9 +312,11 @@ class Expected:
         own, common = beside.left_of(
             np.stack([reading.ddi_covariance - reading.common_covariance, reading.common_covariance + self.covariance])
         )
+        common += np.diag(beside.beyond)
         shift = reading.ddi - beside.loss
         loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
         of_history = replace(intact, inflation=beside.inflation).left_of(of_history + self.covariance)
+        of_history += np.diag(beside.beyond)
         return replace(
             reading,
             ddi=beside.loss,
@@ -288,10 +357,14 @@ class Beside:
     """Shape (n, n): `loss` as a combination of the measured losses."""
     inflation: Array
     """Shape (n,): factor of the variance, since what was learned holds the less, the further the others are from it."""
+    beyond: Array
+    """Shape (n,): variance, in `std`, that comes of others that lie beyond what was learned."""
 
     def each(self) -> list[Beside]:
         """Return each of several measurements (`Expected.each_beside_others`)."""
-        return [Beside(*one) for one in zip(self.loss, self.std, self.weights, self.inflation, strict=True)]
+        return [
+            Beside(*one) for one in zip(self.loss, self.std, self.weights, self.inflation, self.beyond, strict=True)
+        ]
 
     def left_of(self, covariance: Array) -> Array:
         """Return what is left of a covariance of the measured losses, or of several, shape (..., n, n)."""
@@ -316,7 +389,7 @@ def is_known(divergence: float, unknowns: int, count: float) -> bool:
 
 def nothing_learned(n: int) -> CommonChange:
     """Return the sums of n quantities before the first window."""
-    return CommonChange(np.zeros((n, n)), 0)
+    return CommonChange(np.zeros((n, n)), 0, np.zeros((2, n + 2, n)))
 
 
 def distance(changes: Array, mixing: Array) -> Array:
@@ -345,5 +418,5 @@ def learn_common(changes: Array, t_ns: NDArray[np.int64], mixing: Array) -> Comm
         if int(t_ns[-1]) - int(t_ns[k]) < WAIT_NS:
             break
         if end - k > 1:
-            learned = learned.add(distance(changes[k:end], mixing))
+            learned = learned.add(distance(changes[k:end], mixing), changes[k])
     return learned

@@ -151,9 +151,15 @@ class CovariateLaw:
         basis = [a.basis(v) for a, v in zip(self.axes, values.T, strict=True)]
         return np.asarray((np.column_stack(basis) - self.centre) @ self.slopes.T)
 
-    def together(self) -> Expected | None:
-        """Return how far the quantities change together without a known cause; None where that is not learned."""
-        return _together(self)
+    def together(self, unevenness: float) -> Expected | None:
+        """Return how far the quantities change together without a known cause; None where that is not learned.
+
+        Parameters
+        ----------
+        unevenness : float
+            Scatter of their shares beyond what was learned, about a common one, relative to its size.
+        """
+        return _together(self, unevenness)
 
     def _covariance(self, away: Array, columns: slice = slice(None)) -> Array:
         """Compute the covariance of the change by a distance in the basis, shape (K,), along some of its columns."""
@@ -184,9 +190,9 @@ class CovariateLaw:
 
 
 @lru_cache(maxsize=16)
-def _together(law: CovariateLaw) -> Expected | None:
+def _together(law: CovariateLaw, unevenness: float) -> Expected | None:
     """Compute `CovariateLaw.together`, cached: one law serves all windows of an hour."""
-    return None if law.common is None else law.common.learned(law.mixing)
+    return None if law.common is None else law.common.learned(law.mixing, unevenness)
 
 
 def stories_prior(n: int, unevenness: float) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from monitor.core import Array, Settings
-from monitor.damage.common_change import CommonChange, learn_common
+from monitor.damage.common_change import CommonChange, learn_common, nothing_learned
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn, stories_prior
 from monitor.damage.level import drift_m
 from monitor.signals import LAGS_S
@@ -244,7 +244,7 @@ def to_plain(law: CovariateLaw | None) -> dict[str, Any] | None:
         return None
     content = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(law).items()}
     if law.common is not None:
-        content["common"] = {"square": law.common.square.tolist(), "windows": law.common.windows}
+        content["common"] = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(law.common).items()}
     content["axes"] = [
         {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in axis.items()} for axis in content["axes"]
     ]
@@ -274,8 +274,14 @@ def from_plain(content: dict[str, Any] | None, n: int) -> CovariateLaw | None:
         raise ValueError("its covariates are damaged")
     common = content.get("common")
     if common is not None:
-        common = CommonChange(np.array(common["square"], dtype=float), int(common["windows"]))
-        if common.square.shape != (n, n) or not np.isfinite(common.square).all() or common.windows < 0:
+        lowest = common.get("lowest")
+        common = replace(
+            nothing_learned(n), square=np.array(common["square"], dtype=float), windows=int(common["windows"])
+        )
+        if lowest is not None:  # a file of an older version does not say how far the stories went
+            common = replace(common, lowest=np.array(lowest, dtype=float))
+        fits = common.square.shape == (n, n) and common.lowest.shape == (2, n + 2, n) and common.windows >= 0
+        if not (fits and np.isfinite(common.square).all() and np.isfinite(common.lowest).all()):
             raise ValueError("its common change is damaged")
     return CovariateLaw(axes, **arrays, scatter=float(content["scatter"]), common=common)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc, ndtri, stdtr
 
 from monitor.core import Array, BadInputError, Level, Skipped
-from monitor.damage.common_change import EVERY_NS, WAIT_NS, CommonChange, Expected
+from monitor.damage.common_change import EVERY_NS, WAIT_NS, Expected, nothing_learned
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn
 from monitor.damage.sequential_test import STRETCHES
 from monitor.signals import NORMAL_MAD
@@ -298,9 +298,10 @@ def _learn_together(t_ns: NDArray[np.int64], away: Array) -> Together | None:
     size = np.array([_robust_std(column) for column in distances.T])
     distances = np.clip(distances, -4.0 * size, 4.0 * size)
     hours = int(min(len(rows) * float(np.median(np.diff(t_ns))), float(t_ns[-1] - t_ns[0])) / EVERY_NS)
-    learned = (
-        CommonChange(distances.T @ distances * (hours / len(rows)), hours).learned(np.diag(noise)) if hours else None
-    )
+    if not hours:
+        return None
+    common = replace(nothing_learned(k), square=distances.T @ distances * (hours / len(rows)), windows=hours)
+    learned = common.learned(np.diag(noise), 0.0)  # features have no shares that are alike before anything is learned
     return None if learned is None else Together(learned, np.diag(noise**2))
 
 

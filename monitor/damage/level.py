@@ -58,7 +58,55 @@ def drift_weights_of_some(
     -------
     ndarray, shape (k, k), s^4
     """
-    modes, chosen = model.modes(), list(channels)
+    drifts = model.structure.drift_matrix()
+    return _weights_of_some(model.modes(), drifts, sensors, channels, cutoff_hz, whole, motion)
+
+
+def displacement_weights(modes: Modes, channels: tuple[int, ...], motion: Array | None) -> Array:
+    """Compute the weights of some channels' covariance in the mean square displacement of all channels, as `drift_weights`.
+
+    Fewer channels than there are measure the same level as all of them (`drift_weights_of_some`).
+
+    Parameters
+    ----------
+    modes : Modes
+        Modes as the channels show them.
+    channels : tuple of int
+        Channels in use (0 = first), k of them.
+    motion : ndarray, shape (c, c), (m/s^2)^2, optional
+        As of `drift_weights_of_some`.
+
+    Returns
+    -------
+    ndarray, shape (k, k), s^4
+    """
+    every = np.eye(len(modes.shapes))
+    whole = _weights(modes, every, every, np.inf)
+    if len(channels) == len(every):
+        return whole
+    return _weights_of_some(modes, every, every, channels, np.inf, whole, motion)
+
+
+def _weights(modes: Modes, displayed: Array, sensors: Array, cutoff_hz: float) -> Array:
+    """Compute the weights, shape (c, c), of a mean square of motions that the rows of `displayed` make of the displacements."""
+    used = max(1, min(len(sensors), int(np.count_nonzero(modes.frequencies_hz < cutoff_hz))))
+    shapes = modes.shapes[:, :used]
+    resolved = np.linalg.pinv(sensors @ shapes, rcond=1e-6)
+    drift = ((displayed @ shapes) ** 2).mean(axis=0) / modes.eigenvalues[:used] ** 2
+    return np.asarray(resolved.T @ (drift[:, None] * resolved))
+
+
+def _weights_of_some(
+    modes: Modes,
+    displayed: Array,
+    sensors: Array,
+    channels: tuple[int, ...],
+    cutoff_hz: float,
+    whole: Array,
+    motion: Array | None,
+) -> Array:
+    """Compute the weights, shape (k, k), of the mean square in `_weights` by some of the channels (`drift_weights_of_some`)."""
+    chosen = list(channels)
     used = max(1, int(np.count_nonzero(modes.frequencies_hz < cutoff_hz)))
     shapes, eigenvalues = modes.shapes[:, :used], modes.eigenvalues[:used]
     seen = sensors @ shapes
@@ -70,34 +118,12 @@ def drift_weights_of_some(
         power = np.maximum(np.diag(resolved @ motion @ resolved.T), 0.0)
     shown = seen[chosen]
     resolved = (power[:, None] * shown.T) @ np.linalg.pinv((shown * power) @ shown.T, rcond=1e-9, hermitian=True)
-    drift = ((model.structure.drift_matrix() @ shapes) ** 2).mean(axis=0) / eigenvalues**2
+    drift = ((displayed @ shapes) ** 2).mean(axis=0) / eigenvalues**2
     weights = np.asarray(resolved.T @ (drift[:, None] * resolved))
     by_some, by_all = float(np.sum(weights * motion[np.ix_(chosen, chosen)])), float(np.sum(whole * motion))
     if not (by_some > 0.0 and by_all > 0.0):
-        return drift_weights(model, sensors[chosen], cutoff_hz)
+        return _weights(modes, displayed, sensors[chosen], cutoff_hz)
     return weights * (by_all / by_some)
-
-
-def displacement_weights(modes: Modes, sensors: Array) -> Array:
-    """Compute the weights of the accelerations' covariance in the mean square displacement of all channels, as `drift_weights`.
-
-    Parameters
-    ----------
-    modes : Modes
-        Modes as the channels show them.
-    sensors : ndarray, shape (c, n)
-        Channels in use by all channels.
-    """
-    return _weights(modes, np.eye(sensors.shape[1]), sensors, np.inf)
-
-
-def _weights(modes: Modes, displayed: Array, sensors: Array, cutoff_hz: float) -> Array:
-    """Compute the weights, shape (c, c), of a mean square of motions that the rows of `displayed` make of the displacements."""
-    used = max(1, min(len(sensors), int(np.count_nonzero(modes.frequencies_hz < cutoff_hz))))
-    shapes = modes.shapes[:, :used]
-    resolved = np.linalg.pinv(sensors @ shapes, rcond=1e-6)
-    drift = ((displayed @ shapes) ** 2).mean(axis=0) / modes.eigenvalues[:used] ** 2
-    return np.asarray(resolved.T @ (drift[:, None] * resolved))
 
 
 def level_db(weights: Array, covariance: Array) -> float:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from monitor.core import Array, ModalEstimate
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.covariates import TEMPERATURE, Change, CovariateSettings, learn_law
-from monitor.damage.level import displacement_weights
 from monitor.damage.observations import mean_observation
 from monitor.damage.updating import UpdatingSettings, observe
 from monitor.model import Modes
@@ -62,6 +61,9 @@ class ModalBaseline:
     """Dependence of the modal stiffnesses, the squares of the frequencies, on the covariates; None where none was learned."""
     shape_law: CovariateLaw | None = None
     """Dependence of the shapes' components but the gauges', mode by mode."""
+    motion: Array | None = None
+    """Shape (c, c), (m/s^2)^2: covariance of the windows' accelerations, by which fewer channels measure the same level;
+    None in a file of an older version."""
     recordings: tuple[dict[str, Any], ...] = field(default=())
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
@@ -90,6 +92,8 @@ def learn_modal_baseline(
     covariates: Sequence[Mapping[str, Array]],
     units: Mapping[str, str],
     compensation: CovariateSettings,
+    *,
+    motion: Sequence[Array] = (),
 ) -> ModalBaseline:
     """Learn the healthy modes from the windows of healthy recordings.
 
@@ -103,6 +107,8 @@ def learn_modal_baseline(
         Lagged values of each covariate that is known in each window.
     units : mapping
         Unit of each covariate, by its name.
+    motion : sequence of ndarray, shape (c, c), (m/s^2)^2
+        Covariance of the accelerations of windows (`WindowResult.motion`).
     """
     mean = mean_observation(windows, _DATA)
     m, c = len(mean.model_mode), len(channels)
@@ -143,6 +149,7 @@ def learn_modal_baseline(
         reference_temperature_degc=float(np.mean(degc)) if degc else None,
         law=law(slice(0, m), compensation, alike=True),
         shape_law=law(slice(m, None), _of_shapes(compensation), alike=False) if c > 1 else None,
+        motion=np.mean(motion, axis=0) if len(motion) else None,
         recordings=recordings,
         span_ns=span_ns,
     )
@@ -152,8 +159,3 @@ def _of_shapes(settings: CovariateSettings) -> CovariateSettings:
     """Return how far shapes may follow covariates: as the stiffnesses change unevenly, for what all do alike moves no shape."""
     names = ("level_per_doubling", "temperature_per_k", "frost_per_k", "other")
     return settings.model_copy(update={name: settings.unevenness * getattr(settings, name) for name in names})
-
-
-def level_weights(modes: Modes, channels: tuple[int, ...]) -> Array:
-    """Compute how the level of motion is measured with some channels (0 = first): RMS displacement, mean over all channels."""
-    return displacement_weights(modes, np.eye(len(modes.shapes))[list(channels)])

@@ -54,6 +54,7 @@ class _Content(Settings):
     reference_temperature_degc: float | None
     law: Law | None
     shape_law: Law | None
+    motion: Matrix | None = None
     recordings: tuple[dict[str, str], ...]
     span_ns: tuple[int, int]
 
@@ -138,6 +139,7 @@ def _build(c: _Content) -> ModalBaseline:
     m, n = len(c.frequencies_hz), len(c.channels)
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("frequencies_hz", "frequencies_std_hz", "damping_ratio"), (m,))
     shapes |= {"shapes": (m, n), "covariance": (m, m), "shape_variance": (m, n)}
+    shapes |= {"motion": (n, n)} if c.motion is not None else {}
     arrays: dict[str, Any] = {name: np.array(getattr(c, name), dtype=float) for name in shapes}
     if any(arrays[name].shape != shape or not np.isfinite(arrays[name]).all() for name, shape in shapes.items()):
         raise ValueError("its modes are damaged")

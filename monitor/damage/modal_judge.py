@@ -13,7 +13,8 @@ from monitor.damage import modal_alarm, slow_learning
 from monitor.damage.alarm import AlarmState
 from monitor.damage.covariate_law import Effect
 from monitor.damage.judge import LEAST_SHARE, Judged, JudgeSettings, Memory, View, explained, hidden_words
-from monitor.damage.modal_baseline import ModalBaseline, level_weights
+from monitor.damage.level import displacement_weights
+from monitor.damage.modal_baseline import ModalBaseline
 from monitor.identification import SubArray, identify, identify_modes, refine
 from monitor.model import Modes
 
@@ -55,7 +56,8 @@ class ModalJudge:
 
     def view(self, channels: tuple[int, ...]) -> View:
         """Return what windows of some channels (0 = first) are judged with."""
-        weights = None if self.reference is None else level_weights(self.reference, channels)
+        motion = None if self.baseline is None else self.baseline.motion
+        weights = None if self.reference is None else displacement_weights(self.reference, channels, motion)
         return View(SubArray.plain(channels, self._past, len(self._channels)), weights)
 
     def identify(

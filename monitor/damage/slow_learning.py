@@ -119,7 +119,8 @@ def _common_change(state: LearningState) -> CommonChange | None:
     law = state.law
     if law.common is None or len(state.changes) < 2:
         return law.common
-    return law.common.add(distance(state.changes - law.at(state.values), law.mixing))
+    left = state.changes - law.at(state.values)
+    return law.common.add(distance(left, law.mixing), left[0])
 
 
 def _wider(axis: Axis, value: float) -> Axis:

@@ -139,7 +139,11 @@ class StiffnessJudge:
         if self.baseline is None:
             nothing = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
             return memory, Judged(modes, nothing, stiffness, reading)
-        together = None if law is None else law.together()
+        together = None if law is None else law.together(settings.compensation.unevenness)
+        if together is not None and not reading.beyond:
+            most_std = settings.alarm.alarm_loss / settings.alarm.significance
+            words = together.beyond_words(reading.ddi, reading.ddi_covariance, most_std)
+            reading = replace(reading, beyond=words)
         alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, together)
         normal = verdict.level is Level.NORMAL
         learning = self._learn(memory, law, reading, covariates, t_end_ns, settings, normal=normal)

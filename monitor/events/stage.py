@@ -26,6 +26,8 @@ from monitor.signals import Conditioner
 _SETTLED_STEPS = 2
 """Steps after a gap that are neither judged nor kept, while the filters, which begin at rest, settle. [steps of 2 s; a lowpass
 of 40 Hz settles in 1 s]"""
+_TOGETHER_STEPS = 30
+"""Most steps whose power is measured together. [steps; cost: the arrays stay small where a block is an hour long]"""
 _GROUND_LATE_S = recognition.STEP_S
 """Time by which the ground's samples may arrive after the floors'. [s; the time after which the preliminary message is sent]"""
 
@@ -140,8 +142,10 @@ def step(
     t0_ns -= round(conditioner.delay_s * 1e9)
     state = replace(state, t0_ns=t0_ns, kept=np.concatenate([state.kept, values]))
     end = state.first + len(state.kept)
+    while state.settling and state.judged + n <= end:
+        state = _settle(state)
     while state.judged + n <= end:
-        state, new = _judge_step(state, conditioner.cutoff_hz, site)
+        state, new = _judge(state, min((end - state.judged) // n, _TOGETHER_STEPS), conditioner.cutoff_hz, site)
         told += new
     return _forget(_with_alarms(state, told, site), site), told
 
@@ -154,6 +158,11 @@ def finish(state: EventState, site: Site) -> tuple[EventState, list[Event]]:
 
 def window(state: EventState, result: WindowResult, site: Site) -> tuple[EventState, list[Event]]:
     """Take what a window tells of stiffness and frequencies, and tell the lasting loss of events where an hour has passed."""
+    begin_ns = result.t_end_ns - round(result.window_s * 1e9)
+    if (
+        state.recent and begin_ns < state.recent[-1].end_ns and not state.awaiting
+    ):  # as mostly: none that overlaps is kept
+        return state, []
     reading = reading_of(result)
     if reading is None:
         return state, []
@@ -207,33 +216,75 @@ def _begin(state: EventState, first: int, conditioner: Conditioner, n_channels: 
     )
 
 
-def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventState, list[Event]]:
-    """Judge the next step of samples."""
+def _settle(state: EventState) -> EventState:
+    """Take a step while the filters settle, which is neither judged nor kept."""
     assert state.recognition is not None
+    n = recognition.step_n(state.rate_hz)
+    end = state.judged + n
+    tail = state.kept[end - n // 2 - state.first : end - state.first]
+    return replace(
+        state,
+        recognition=replace(state.recognition, tail=tail),
+        judged=end,
+        settling=state.settling - 1,
+        first=end,
+        kept=state.kept[end - state.first :],
+    )
+
+
+def _judge(state: EventState, count: int, cutoff_hz: float, site: Site) -> tuple[EventState, list[Event]]:
+    """Judge the next steps of samples, `count` of them, whose power is measured together."""
+    assert state.recognition is not None
+    settings, rate_hz, told = site.settings, state.rate_hz, list[Event]()
+    n = recognition.step_n(rate_hz)
+    own = recognition.own_band(n, rate_hz, cutoff_hz, site.lowest_hz)
+    samples = state.kept[state.judged - state.first :][: count * n]
+    known, judged = state.recognition, state.judged
+    peaks = settings.level_m_s2 is not None
+    frames = recognition.measure(known.tail, samples, rate_hz, cutoff_hz, peaks=peaks)
+    quiet = None if state.strong else recognition.pass_quiet(known, frames, own, settings)
+    if quiet is not None:  # as mostly
+        return replace(state, recognition=quiet, judged=judged + count * n), told
+    for k in range(count):
+        active = bool(state.strong) and not state.strong[-1].closed
+        known, found = recognition.step(known, frames, k, own, settings, active=active)
+        judged += n
+        if state.strong or any(found.raised):
+            state, new = _follow(replace(state, recognition=known, judged=judged), found, cutoff_hz, site)
+            assert state.recognition is not None
+            known, told = state.recognition, told + new
+    return replace(state, recognition=known, judged=judged), told
+
+
+def _follow(
+    state: EventState, found: recognition.Trigger, cutoff_hz: float, site: Site
+) -> tuple[EventState, list[Event]]:
+    """Follow events through the last judged step, of which the frames have `found` something, or during an event."""
+    known = state.recognition
+    assert known is not None
     settings, rate_hz = site.settings, state.rate_hz
     n = recognition.step_n(rate_hz)
-    first, end = state.judged, state.judged + n
-    span = state.kept[first - state.first : end - state.first]
-    if state.settling:
-        known, kept = replace(state.recognition, tail=span[n // 2 :]), state.kept[end - state.first :]
-        return replace(state, recognition=known, judged=end, settling=state.settling - 1, first=end, kept=kept), []
+    end, first = state.judged, state.judged - n
     going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
-    active = going is not None
-    known, found = recognition.step(
-        state.recognition, span, rate_hz, cutoff_hz, site.lowest_hz, settings, active=active
-    )
     half, told = n // 2, list[Event]()
     starts = [first - half, first]
     for k, at in enumerate(starts):
-        if going is None and found.on[k]:
-            # The frames in a row that confirm an event belong to it.
-            going = Strong(max(at - (recognition.FRAMES_IN_A_ROW - 1) * half, state.first), at + n)
+        if going is None and found.raised[k] >= recognition.FRAMES_IN_A_ROW:
+            # All frames in a row belong to the event, also those that did not confirm it yet.
+            begin = max(at - (found.raised[k] - 1) * half, state.first)
+            frames = state.kept[max(0, at - 2 * half - state.first) : at + n - state.first]
+            if len(frames) == 2 * n and recognition.is_whole(
+                known.long_term, frames, rate_hz, cutoff_hz, settings, one_direction=site.is_chain
+            ):
+                going = Strong(begin, at + n)
         elif going is not None and found.loud[k]:
             going = replace(going, end=at + n)
-    state = replace(state, recognition=known, judged=end)
     # Of a recording that begins with a few seconds of quiet before strong motion, a test's, the windows are judged.
     if (going is not None or known.raised) and recognition.is_settled(known):
         state = replace(state, marks=(*state.marks, (first, end)))
+    # What is refused holds the average too, and no event ends it.
+    if going is None and known.raised * half >= settings.longest_s * rate_hz:
+        state = replace(state, recognition=recognition.begin_anew(known))
     before = state.strong if not state.strong or state.strong[-1].closed else state.strong[:-1]
     if going is not None:
         quiet_s, length_s = (end - going.end) / rate_hz, (end - going.begin) / rate_hz
@@ -247,8 +298,6 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
             going = replace(going, closed=True, end=end, note=note)
             state = replace(state, recognition=recognition.begin_anew(known))
     strong = before if going is None else (*before, going)
-    if not strong and not state.strong:  # as mostly
-        return state, told
     return _tell_final(replace(state, strong=strong), end, site, told)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
+from monitor.core import sha256
 from monitor.events import Event, EventSettings
 
 _log = logging.getLogger(__name__)
@@ -40,6 +41,8 @@ class EventRecordings:
     settings : EventSettings
     run : callable
         Does a job of some name that writes a file, now or in another thread.
+    note : callable, optional
+        Takes the name and the SHA-256 of each recording that is written, in the thread that wrote it.
 
     Attributes
     ----------
@@ -50,9 +53,13 @@ class EventRecordings:
     dropped = 0  # a recording that cannot be written is told by `failed`
 
     def __init__(
-        self, out: Path, settings: EventSettings, run: Callable[[str, Callable[[], None]], None] = at_once
+        self,
+        out: Path,
+        settings: EventSettings,
+        run: Callable[[str, Callable[[], None]], None] = at_once,
+        note: Callable[[str, str], None] | None = None,
     ) -> None:
-        self._out, self._settings, self._run = out, settings, run
+        self._out, self._settings, self._run, self._note = out, settings, run, note
         self.failed: str | None = None
         self._blocks: deque[SampleBlock] = deque()
         self._bytes = _used(out / FOLDER)
@@ -94,16 +101,19 @@ class EventRecordings:
                 for b in self._blocks
                 if b.t_ns + round(b.samples.shape[0] / b.sample_rate_hz * 1e9) >= first_ns and b.t_ns < last_ns
             ]
-            self._run(name, lambda: self._write(self._out / name, blocks, about))
+            self._run(name, lambda: self._write(name, blocks, about))
         return name
 
-    def _write(self, path: Path, blocks: list[SampleBlock], about: Mapping[str, str]) -> None:
+    def _write(self, name: str, blocks: list[SampleBlock], about: Mapping[str, str]) -> None:
         """Write blocks in the order of their times."""
+        path = self._out / name
         try:
             with McapWriter(path, {ABOUT: about}) as file:
                 for block in sorted(blocks, key=lambda b: b.t_ns):
                     file.write(block)
             self._bytes = _used(path.parent)
+            if self._note is not None:
+                self._note(name, sha256(path))
             self.failed = None
         except OSError as error:
             self.failed = f"{path}: {error.strerror}"

@@ -6,6 +6,7 @@ import getpass
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,12 @@ from monitor.config import Configuration
 from monitor.core import BadInputError, MissingInputError, sha256
 from monitor.diagnosis import effects_text, model_from_plain, structure_text
 from monitor.model import FORMS, Effect, EffectError
+from monitor.runs.event_recordings import FOLDER
 from monitor.runs.ledger_chain import append_lines
 
 LEDGER = "ledger.jsonl"
+_RECORDING = "recording"
+"""Role of an event's recording among the files of a line. [name; definition]"""
 
 
 def read_finding(path: Path) -> dict[str, Any]:
@@ -126,6 +130,48 @@ def entry(finding: Mapping[str, Any], files: Mapping[str, Path | None], who: str
         "causes": finding["causes"],
         "files": {role: {"file": str(p), "sha256": sha256(p)} for role, p in files.items() if p is not None},
     }
+
+
+def recording_entry(name: str, checksum: str) -> dict[str, Any]:
+    """Build the content of the line of an event's recording, of which the name is relative to the ledger's folder."""
+    line = entry({"says": f"{name} is written", "causes": []}, {}, None)
+    return line | {"files": {_RECORDING: {"file": name, "sha256": checksum}}}
+
+
+def verify_recordings(ledger: Path) -> int:
+    """Compare each event's recording that is still there with its checksum in the ledger, and return their number.
+
+    A recording that was written again, after a restart, has two lines, of which the later one counts.
+
+    Raises
+    ------
+    BadInputError
+        A recording was changed after it was written.
+    MissingInputError
+        The ledger, or a recording, cannot be read.
+    """
+    known, found = dict[str, str](), 0
+    try:
+        for row in ledger.read_bytes().splitlines() if ledger.exists() else []:
+            with suppress(ValueError, KeyError, TypeError, RecursionError):  # a line of another kind
+                recording = json.loads(row)["files"][_RECORDING]
+                known[Path(recording["file"]).name] = str(recording["sha256"])
+    except OSError as error:
+        raise MissingInputError(f"{ledger}: {error.strerror or error}") from error
+    for name, checksum in known.items():
+        path = ledger.parent / FOLDER / name
+        if not path.is_file():
+            continue
+        try:
+            present = sha256(path)
+        except OSError as error:
+            raise MissingInputError(f"{path}: {error.strerror or error}") from error
+        if present != checksum:
+            raise BadInputError(
+                f"{path}: its SHA-256 is not that of the ledger: it was changed after it was written; compare with a copy"
+            )
+        found += 1
+    return found
 
 
 def _user() -> str:

@@ -71,6 +71,7 @@ def calibrate_modes(
         [r.covariates for r in kept if r.modes is not None],
         covariate_units(config),
         config.compensation,
+        motion=[r.motion for r in kept if r.motion is not None],
     )
     warn_of_confounding(baseline, on_warning)
     return baseline

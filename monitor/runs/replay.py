@@ -14,14 +14,13 @@ from monitor.config import Configuration
 from monitor.core import MissingInputError, WindowResult, demand_place, write_atomically
 from monitor.damage import AnyBaseline
 from monitor.events import Event
-from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, RerunPublisher, event_text, to_json
+from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, event_text, to_json
 from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.recordings import (
     OnProgress,
     OnWarning,
     Progress,
     RecordedSpan,
-    duration_s,
     overlaps,
     push_block,
     read_blocks,
@@ -32,49 +31,78 @@ from monitor.runs.recordings import (
 from monitor.runs.session import Session
 from monitor.runs.viewer import open_viewer
 
-__all__ = ["RESULT_FILES", "pass_through", "recorded_content", "replay", "with_first_block_read"]
+__all__ = [
+    "RESULT_FILES",
+    "ResultFiles",
+    "pass_through",
+    "recorded_content",
+    "replay",
+    "warn_of_losses",
+    "with_first_block_read",
+]
 
 RESULT_FILES = ("results.jsonl", EVENTS, "results.mcap", "live.rrd", "summary.json")
 """Files that `replay` writes to its folder."""
 
 
-class _ResultFiles(Publisher):
-    """Publisher to the files of a replay; each file takes its final name when it is whole, after the last window."""
+class ResultFiles(Publisher):
+    """Publisher to the files of a replay; each file takes its final name when it is whole, after the last window.
 
-    def __init__(self, out: Path) -> None:
+    Parameters
+    ----------
+    out : Path
+        Folder of the files.
+    mcap : bool
+        Whether results.mcap is one of them.
+    """
+
+    def __init__(self, out: Path, *, mcap: bool = True) -> None:
         for name in RESULT_FILES:
             demand_place(out / name)
         self._out = out
         self._lines = LinesFile(out / "results.jsonl")
         self._events = LinesFile(out / EVENTS)
-        self._results = McapWriter(out / "results.mcap")
+        self._results = McapWriter(out / "results.mcap") if mcap else None
         self.told: dict[str, dict[str, str]] = {}
         """What was told last of each event, by its id."""
 
     def window(self, result: WindowResult, line: str) -> None:
+        """Write the line of a window."""
         self._lines.write(line)
-        self._results.write_json("/results", result.t_end_ns, line, LINE_SCHEMA)
+        if self._results is not None:
+            self._results.write_json("/results", result.t_end_ns, line, LINE_SCHEMA)
 
     def event(self, event: Event, line: str) -> None:
+        """Write the line of an event, but for a preliminary one."""
         if event.revision is not None:
             self._events.write(line)
             self.told[event.id] = {"id": event.id, "says": event_text(event)}
 
     def close(self, summary: dict[str, Any], findings: Iterable[dict[str, Any]]) -> None:
+        """Finish all files and write summary.json.
+
+        Raises
+        ------
+        MissingInputError
+            The folder cannot be written.
+        """
         try:
-            for finding in findings:
-                self._results.write_json("/findings", finding["t_ns"], to_json(finding))
             self._lines.close()
             self._events.close()
-            self._results.close()
+            if self._results is not None:
+                for finding in findings:
+                    self._results.write_json("/findings", finding["t_ns"], to_json(finding))
+                self._results.close()
             write_atomically(self._out / "summary.json", to_json(summary) + "\n")
         except OSError as error:
             raise MissingInputError(f"{self._out}: cannot be written: {error.strerror}") from error
 
     def abandon(self) -> None:
+        """Remove the unfinished files."""
         self._lines.abandon()
         self._events.abandon()
-        self._results.abort()
+        if self._results is not None:
+            self._results.abort()
 
 
 def replay(
@@ -118,7 +146,7 @@ def replay(
         read_blocks(paths, config, on_warning, **pieces)
     )  # bad input shows before any output is begun
     spans = recorded_spans(paths, config)
-    written = _ResultFiles(out)
+    written = ResultFiles(out)
     view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True, on_warning=on_warning)
     recordings = EventRecordings(out, config.events)
     publishers = (written,) if view is None else (written, view)
@@ -145,7 +173,9 @@ def replay(
         raise
     finally:
         session.online_diagnosis.close()
-    _warn_of_losses(session, view, out, spans, on_warning)
+    if view is not None and view.failed is not None:
+        on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
+    warn_of_losses(session, spans, on_warning)
     return content | {"events": list(written.told.values())}
 
 
@@ -174,7 +204,7 @@ def pass_through(
     paths : list of Path
         Recordings of the blocks, for messages.
     speed : float, optional
-        Speed as a multiple of real time; as fast as possible by default.
+        Speed as a multiple of real time; as fast as possible by default.  Time without samples is not waited for.
     event_suffices : bool
         Whether recordings shorter than a window are welcome where they hold an event, as those of earthquakes do.
 
@@ -192,7 +222,7 @@ def pass_through(
     for block in source:
         progress.add(block)
         if speed is not None:
-            _sleep_until_due(started, duration_s(progress.first, block) / speed)
+            _sleep_until_due(started, progress.data_s / speed)
         push_block(session, block, paths)
     factor = progress.data_s / max(time.monotonic() - started, 1e-9)
     session.finish()
@@ -210,15 +240,11 @@ def recorded_content(session: Session, spans: list[RecordedSpan]) -> dict[str, A
     }
 
 
-def _warn_of_losses(
-    session: Session, view: RerunPublisher | None, out: Path, spans: list[RecordedSpan], on_warning: OnWarning
-) -> None:
-    """Warn of failed diagnoses, a failed viewer file and dropped samples, which do not end the replay."""
+def warn_of_losses(session: Session, spans: list[RecordedSpan], on_warning: OnWarning) -> None:
+    """Warn of failed diagnoses, dropped samples and recordings of which nothing is judged, which do not end the replay."""
     for finding in session.online_diagnosis.findings:
         if "error" in finding:
             on_warning(f"finding {finding['id']} ({finding['reason']}) came to nothing: {finding['error']}")
-    if view is not None and view.failed is not None:
-        on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
     if session.dropped:
         on_warning(f"{session.dropped} samples were repeated, late or not finite and were dropped")
     processing = session.config.processing

@@ -132,7 +132,8 @@ class Vitals:
                     "counts": dict(source.counts),
                     "clocks": source.clocks,
                     "lost": 0 if reader is None else reader.lost,
-                    "error": _source_error(reader),
+                    "error": "the monitor is starting" if reader is None else reader.error,
+                    "ended": reader is not None and reader.ended,
                 },
                 "delay_s": self._delay_s,
                 "refused": {"blocks": self.refused, "latest": self.refusal},
@@ -146,13 +147,6 @@ class Vitals:
             }
         )
         return {"t_ns": stream.get("t_end_ns"), "stream": stream or None, "channels": channels, **own}
-
-
-def _source_error(reader: Reader | None) -> str:
-    """Say why no data come from the source; empty where nothing is wrong."""
-    if reader is None:
-        return "the monitor is starting"
-    return reader.error or ("its files are read to the end" if reader.ended and reader.failure is None else "")
 
 
 def failures(ways: Iterable[tuple[str, Way]]) -> dict[str, str]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from monitor.core import WrongUsageError, demand_place, finish, partial, require_extra
+from monitor.core import WrongUsageError, demand_place, finish, parse_json, partial, require_extra
 from monitor.service import line_protocol, universal_file
 from monitor.service.run_tables import MODES, open_table
 
@@ -45,6 +45,14 @@ def form_of(out: Path, form: str | None) -> str:
     if chosen not in FORMS:
         raise WrongUsageError(f"--format {form}: known: {', '.join(FORMS)}")
     return chosen
+
+
+def channels_of(folder: Path) -> tuple[str, ...]:
+    """Read the names of a run's channels from its summary.json; empty where it states none."""
+    try:
+        return tuple(map(str, parse_json((folder / "summary.json").read_bytes())["known"]["channels"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return ()
 
 
 def export(

@@ -229,6 +229,6 @@ def _troubles(health: Mapping[str, Any]) -> list[str]:
     """List what of a monitor does not work: no data, blocked outputs."""
     troubles = []
     source = health.get("source", {})
-    if source and not source.get("connected", True):
+    if source and not source.get("connected", True) and not source.get("ended"):
         troubles.append(f"no data: {source.get('detail') or source.get('error') or 'the source is away'}")
     return troubles + [f"{name}: {why}" for name, why in health.get("failed", {}).items() if why]

@@ -129,6 +129,18 @@ class RequestHandler:
         if self._batch is not None and self._batch.applied:
             self._answer(self._batch)
 
+    def note_recording(self, name: str, checksum: str) -> None:
+        """Have the SHA-256 of an event's recording written into the ledger."""
+        self._chores.do(f"ledger: {name}", partial(self._note_recording, name, checksum))
+
+    def _note_recording(self, name: str, checksum: str) -> None:
+        """Write the line of an event's recording into the ledger (in the worker's thread)."""
+        try:
+            self.head = ledger_chain.append_lines(self._place, [ledger.recording_entry(name, checksum)])
+        except MissingInputError as error:
+            _log.error("the checksum of %s is not noted: %s", name, error)
+            self._error, self._failed_s = str(error), self._clock()
+
     def _begin(self, session: Session) -> None:
         """Take the requests that wait, and have those that change something written into the ledger."""
         now, items = session.pipeline.state, []

@@ -127,7 +127,16 @@ def _with_common_change(tree: Any) -> Any:
     return tree
 
 
-VERSION = 8
+def _with_range_of_common_change(tree: Any) -> Any:
+    """Upgrade from version 8, which did not keep how far the stories went together: 0 until it is seen again."""
+    learning = tree["session"]["pipeline"]["learning"] if "session" in tree else None
+    if learning is not None and (common := learning["law"]["common"]) is not None:
+        n = len(common["square"])
+        common["lowest"] = np.zeros((2, n + 2, n))
+    return tree
+
+
+VERSION = 9
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
 UPGRADES: dict[int, Callable[[Any], Any]] = {
     1: _without_doubled_sums,
@@ -137,6 +146,7 @@ UPGRADES: dict[int, Callable[[Any], Any]] = {
     5: _with_modes_alone,
     6: _with_alarms_of_events,
     7: _with_common_change,
+    8: _with_range_of_common_change,
 }
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")

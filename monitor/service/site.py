@@ -197,7 +197,9 @@ class Site(Publisher):
             undo.callback(self._view.close, _END_S)
         publishers = (self,) if self._view is None else (self, self._view)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-        self._event_recordings = EventRecordings(self.out, settings.events, self._event_writer.do)
+        self._event_recordings = EventRecordings(
+            self.out, settings.events, self._event_writer.do, lambda *noted: self._requests.note_recording(*noted)
+        )
         store = None
         if self._lean and settings.recorder.enabled:
             store = RecordedBlocks(self.out / "recordings", self._recording, longest_diagnosis_s(settings))
@@ -284,10 +286,16 @@ class Site(Publisher):
         self._requests.finish(self.session, _DURABLE_S)
         if self.reader.ended:
             self._write_summary()  # a diagnosis may take minutes
-            self.session.finish(lambda: self._stopping)
+            self.session.finish(self._is_stopping)
             self._keeper.forget()
         else:
             self._keeper.save(self.session)
+
+    def _is_stopping(self) -> bool:
+        """Return whether the site was asked to stop; write health when it is due, for a site that waits is not silent."""
+        if self._clock() - self._health_s >= self._quiet_s:
+            self.health(None)
+        return self._stopping
 
     def raise_failure(self) -> None:
         """Raise the error that ended reading for good, if one did.

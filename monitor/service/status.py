@@ -76,7 +76,7 @@ def look(out: Path) -> dict[str, Any]:
         _read(out / "summary.json"),
         _last_line(out / "results.jsonl", partial(read_line, defaults={"alarm": {}})),
     )
-    assessment, troubles = read_assessment(summary or {}), _troubles(health) if is_running else []
+    assessment, troubles = read_assessment(summary or {}), troubles_of(health) if is_running else []
     code, process = exit_code(assessment.state, troubles), "running"
     if not (is_running and is_heard):
         code, process = DOWN, "silent" if is_running else "not running"
@@ -102,18 +102,19 @@ def look(out: Path) -> dict[str, Any]:
     }
 
 
-def verify_ledger(out: Path) -> int:
-    """Check the chain of the ledger in a daemon's output folder, and return its number of lines.
+def verify_ledger(out: Path) -> tuple[int, int]:
+    """Check the ledger in a daemon's output folder, and return its number of lines and of event recordings that are as it says.
 
     Raises
     ------
     BadInputError
-        The chain is broken, or lacks the line that the daemon named last.
+        The chain is broken, lacks the line that the daemon named last, or a recording of an event is another than it says.
     MissingInputError
-        The ledger cannot be read.
+        The ledger, or a recording that it names, cannot be read.
     """
     health = _last_line(out / "health.jsonl", _read_named_head, last=None)  # lines of a start name none
-    return ledger_chain.verify(out / ledger.LEDGER, [] if health is None else [health["ledger_head"]])
+    lines = ledger_chain.verify(out / ledger.LEDGER, [] if health is None else [health["ledger_head"]])
+    return lines, ledger.verify_recordings(out / ledger.LEDGER)
 
 
 def read_assessment(content: Mapping[str, Any]) -> Assessment:
@@ -182,7 +183,7 @@ def _monitor(status: dict[str, Any], health: dict[str, Any]) -> str:
 
 def _source(source: dict[str, Any], health: dict[str, Any]) -> str:
     connected = "connected" if source.get("connected") else f"NOT connected {source.get('error', '')}".rstrip()
-    return f"{connected}, lost {source.get('lost', 0)} times; {_delay(health)}"
+    return f"{'read to its end' if source.get('ended') else connected}, lost {source.get('lost', 0)} times; {_delay(health)}"
 
 
 def _reference(result: dict[str, Any]) -> tuple[str, str]:
@@ -252,14 +253,25 @@ def _age_s(health: dict[str, Any]) -> float | None:
     return age_s if age_s >= 0.0 else None
 
 
-def _troubles(health: dict[str, Any] | None) -> list[str]:
-    """List what does not work: the source, the recorder, outputs; each once."""
-    if health is None:
+def troubles_of(health: Mapping[str, Any] | None) -> list[str]:
+    """List what does not work by a line of health: the source, the recorder, outputs; each once.
+
+    A source that is read to its end is no fault.
+
+    Examples
+    --------
+    >>> troubles_of({"source": {"connected": False, "error": "bus off"}})
+    ['source: bus off']
+    >>> troubles_of({"source": {"connected": False, "error": "", "ended": True}})
+    []
+    """
+    if not health:
         return []
-    source, recorder = health["source"], health["recorder"]
-    troubles = {} if source.get("connected") else {"source": source.get("error") or "not connected"}
+    source, recorder = health.get("source") or {}, health.get("recorder")
+    at_work = source.get("connected") or source.get("ended")
+    troubles = {} if at_work else {"source": source.get("error") or "not connected"}
     troubles |= {} if recorder is None or recorder.get("recording") else {"recorder": recorder.get("detail")}
-    return [f"{name}: {why}" for name, why in (troubles | health["failed"]).items()]
+    return [f"{name}: {why}" for name, why in (troubles | (health.get("failed") or {})).items()]
 
 
 def _delay(health: dict[str, Any]) -> str:

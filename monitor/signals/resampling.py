@@ -71,9 +71,7 @@ class Conditioner:
     @property
     def delay_s(self) -> float:
         """Time by which slow motion is late after the lowpass, s: its group delay at 0 Hz."""
-        b, a = self.sos[:, :3], self.sos[:, 3:]
-        taps = np.arange(3)
-        return float(((b @ taps) / b.sum(axis=1) - (a @ taps) / a.sum(axis=1)).sum()) / self.rate_in_hz
+        return _delay_s(self)
 
     def response(self, hz: Array) -> ComplexArray:
         """Compute the lowpass's frequency response without its delay, shape (n_hz,), at frequencies in Hz."""
@@ -120,6 +118,14 @@ class Conditioner:
         output = interpolate(extended, first, phase, self.taps)
         history = extended[extended.shape[0] - (self.taps.shape[1] - 1) :]
         return ConditionState(memory, history, n_in, n_out), output
+
+
+@lru_cache(maxsize=16)  # asked for with every block
+def _delay_s(design: Conditioner) -> float:
+    """Compute the group delay of a lowpass at 0 Hz, s."""
+    b, a = design.sos[:, :3], design.sos[:, 3:]
+    taps = np.arange(3)
+    return float(((b @ taps) / b.sum(axis=1) - (a @ taps) / a.sum(axis=1)).sum()) / design.rate_in_hz
 
 
 @dataclass(frozen=True, eq=False, slots=True)

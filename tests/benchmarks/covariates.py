@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION
 from monitor.core.results import WindowResult
-from monitor.damage.common_change import CommonChange
+from monitor.damage.common_change import nothing_learned
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.synthetic_recording import cut_into_blocks
@@ -41,7 +41,8 @@ def main() -> None:
     law = baseline.law
     assert law is not None
     white = np.linalg.solve(law.mixing, [0.01, 0.015, 0.008])
-    common = CommonChange(1440.0 * (np.eye(3) + np.outer(white, white)), 1440)
+    square = 1440.0 * (np.eye(3) + np.outer(white, white))
+    common = replace(nothing_learned(3), square=square, windows=1440)
     kinds = {"with the law": law, "with common changes": replace(law, common=common), "without": None}
     pipelines = {name: Pipeline(config, replace(baseline, law=kind)) for name, kind in kinds.items()}
     spent: dict[str, list[float]] = {name: [] for name in pipelines}

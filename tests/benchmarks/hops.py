@@ -60,10 +60,11 @@ def worker(kind: str, samples: Path) -> None:
     if kind == "no_events":
         config = config.model_copy(update={"events": config.events.model_copy(update={"enabled": False})})
     if kind in ("together", "no_events"):
-        from monitor.damage.common_change import CommonChange
+        from monitor.damage.common_change import nothing_learned
 
         white = np.linalg.solve(baseline.law.mixing, [0.01, 0.015, 0.008])
-        common = CommonChange(1440.0 * (np.eye(3) + np.outer(white, white)), 1440)
+        square = 1440.0 * (np.eye(3) + np.outer(white, white))
+        common = replace(nothing_learned(3), square=square, windows=1440)
         baseline = replace(baseline, law=replace(baseline.law, common=common))
     pipeline = Pipeline(config, baseline)
     print("ready", flush=True)

@@ -1,7 +1,9 @@
 """Many emulated sites live over Zenoh at real pace: latency, losses, memory and processor of a host.
 
 ``python -m tests.benchmarks.host --sites 200 60 --rates 100 1024 --seconds 1800 [--workers 2] --out DIR`` starts a router,
-processes that emulate the sensors (counted apart) and ``shm-monitor host``, and prints one JSON object.  ``--arrivals`` simulates
+processes that emulate the sensors (counted apart) and ``shm-monitor host``, and prints one JSON object.  ``--spread 10`` lets the
+streams begin at different moments of ten seconds, as those of a city do.  ``--trouble`` adds three sites that are counted apart:
+one is sent garbage, one is flooded for a third of the time, and the sensor of one is killed halfway.  ``--arrivals`` simulates
 instead how long the windows of up to 2000 sites wait that are due together, from the measured cost of a block and of a window.
 """
 
@@ -34,6 +36,8 @@ from tests.support.zenoh_router import Router, free_port
 _BLOCK_S = 1.0
 _RECORD_S = 200.0
 _PER_EMULATOR = 150
+_TROUBLE = ("garbage", "flood", "killed")
+_TROUBLE_HZ = 100.0
 _SITE = """
 [site]
 name = "{name}"
@@ -61,13 +65,20 @@ def main() -> None:
     options.add_argument("--window", type=float, default=40.0, help="length of a window, s")
     options.add_argument("--workers", type=int, default=1)
     options.add_argument("--out", type=Path, default=Path("out/host"))
+    options.add_argument("--spread", type=float, default=1.0, help="seconds in which the streams begin")
+    options.add_argument("--trouble", action="store_true")
     options.add_argument("--arrivals", action="store_true")
+    options.add_argument("--make-trouble", nargs=3, metavar=("SITE", "ROUTER", "BEGIN_S"), help=argparse.SUPPRESS)
     options.add_argument("--emulate", nargs=4, metavar=("ROUTER", "BEGIN_S", "SHARE", "SHARES"), help=argparse.SUPPRESS)
     given = options.parse_args()
     sites = [(f"s{rate:g}-{k}", rate) for rate, n in zip(given.rates, given.sites, strict=True) for k in range(n)]
     if given.emulate:
         router, begin_s, share, shares = given.emulate
-        _emulate(router, float(begin_s), given.seconds, sites[int(share) :: int(shares)])
+        own = list(enumerate(sites))[int(share) :: int(shares)]
+        _emulate(router, float(begin_s), given.seconds, [(n, hz, given.spread * i / len(sites)) for i, (n, hz) in own])
+    elif given.make_trouble:
+        name, router, begin_s = given.make_trouble
+        _make_trouble(name, router, float(begin_s), given.seconds)
     elif given.arrivals:
         print(json.dumps(_arrivals(), indent=1))
     else:
@@ -84,41 +95,81 @@ def _tables() -> dict[str, Any]:
     return tomllib.loads(THREE_STORIES)
 
 
-def _emulate(router: str, begin_s: float, seconds: float, sites: list[tuple[str, float]]) -> None:
-    """Send the blocks of some sites at real pace, spread over each second."""
+def _session(router: str) -> Any:
     import zenoh
-
-    from drivers import codec
 
     config = zenoh.Config()
     for key, value in {"mode": "client", "connect/endpoints": [router], "scouting/multicast/enabled": False}.items():
         config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
+
+
+def _publisher(session: Any, name: str) -> Any:
+    import zenoh
+
+    return session.declare_publisher(f"shm/{name}/acceleration", congestion_control=zenoh.CongestionControl.BLOCK)
+
+
+def _record(rate_hz: float) -> np.ndarray:
     model = _frame().model()
-    records = {
-        rate: simulate(model, duration_s=_RECORD_S, rate_hz=rate, noise=0.03, seed=1).floors.astype(np.float32)
-        for rate in {rate for _, rate in sites}
-    }
-    late_s = 0.0
-    with zenoh.open(config) as session:
-        block = zenoh.CongestionControl.BLOCK
-        publishers = [
-            session.declare_publisher(f"shm/{name}/acceleration", congestion_control=block) for name, _ in sites
-        ]
-        for k in range(round(seconds / _BLOCK_S)):
-            for i, (_, rate) in enumerate(sites):
-                from_s = begin_s + (k + i / len(sites)) * _BLOCK_S
-                wait_s = from_s + _BLOCK_S - time.time()
+    return simulate(model, duration_s=_RECORD_S, rate_hz=rate_hz, noise=0.03, seed=1).floors.astype(np.float32)
+
+
+def _block(record: np.ndarray, rate_hz: float, begin_s: float, k: int, first: int = 0) -> SampleBlock:
+    """Return block k of a stream; `first` shifts the record, so that sites do not move alike."""
+    n = round(rate_hz * _BLOCK_S)
+    rows = (np.arange(k * n, (k + 1) * n) + first) % len(record)
+    t_ns = round((begin_s + k * _BLOCK_S) * 1e9)
+    return SampleBlock(ACCELERATION, t_ns, k * n, rate_hz, ("a1", "a2", "a3"), "m/s^2", record[rows])
+
+
+def _emulate(router: str, begin_s: float, seconds: float, sites: list[tuple[str, float, float]]) -> None:
+    """Send the blocks of some sites (name, rate in Hz, delay of the beginning in s) at real pace."""
+    from drivers import codec
+
+    records = {rate: _record(rate) for rate in {rate for _, rate, _ in sites}}
+    order, late_s = sorted(range(len(sites)), key=lambda i: sites[i][2] % _BLOCK_S), 0.0
+    with _session(router) as session:
+        publishers = [_publisher(session, name) for name, _, _ in sites]
+        for second in range(round(seconds / _BLOCK_S)):
+            for i in order:
+                _, rate, delay_s = sites[i]
+                k = second - int(delay_s // _BLOCK_S)
+                if k < 0:
+                    continue
+                wait_s = begin_s + delay_s + (k + 1) * _BLOCK_S - time.time()
                 late_s = max(late_s, -wait_s)
                 time.sleep(max(0.0, wait_s))
-                n, record = round(rate * _BLOCK_S), records[rate]
-                rows = (np.arange(k * n, (k + 1) * n) + 997 * i) % len(record)
-                sent = SampleBlock(
-                    ACCELERATION, round(from_s * 1e9), k * n, rate, ("a1", "a2", "a3"), "m/s^2", record[rows]
-                )
-                publishers[i].put(codec.encode(sent))
+                publishers[i].put(codec.encode(_block(records[rate], rate, begin_s + delay_s, k, 997 * i)))
         time.sleep(5.0)
     used = os.times()
     print(json.dumps({"cpu_s": used.user + used.system, "late_s": late_s}), flush=True)
+
+
+def _make_trouble(name: str, router: str, begin_s: float, seconds: float) -> None:
+    """Send what a site must not be sent, or send it too fast, or end without a word."""
+    from drivers import codec
+
+    record, draw, sent = _record(_TROUBLE_HZ), np.random.default_rng(1), 0
+    until_s = begin_s + seconds
+    with _session(router) as session:
+        publisher = _publisher(session, name)
+        for k in range(round(seconds / _BLOCK_S)):
+            time.sleep(max(0.0, begin_s + (k + 1) * _BLOCK_S - time.time()))
+            whole = codec.encode(_block(record, _TROUBLE_HZ, begin_s, k))
+            if name == "garbage":
+                for broken in (b"", whole[: len(whole) // 2], draw.bytes(1000), draw.bytes(1 << 20)):
+                    publisher.put(broken)
+            elif name == "killed" and k >= 0.5 * seconds / _BLOCK_S:
+                os.kill(os.getpid(), signal.SIGKILL)
+            elif name == "flood" and k == round(seconds / 3.0 / _BLOCK_S):  # from here on as fast as it is taken
+                while time.time() < until_s - seconds / 3.0:
+                    publisher.put(codec.encode(_block(record, _TROUBLE_HZ, begin_s, k + sent)))
+                    sent += 1
+                break
+            else:
+                publisher.put(whole)
+    print(json.dumps({"flood_blocks": sent}), flush=True)
 
 
 def _processes(pid: int) -> list[int]:
@@ -144,7 +195,7 @@ def _live(given: argparse.Namespace, sites: list[tuple[str, float]]) -> dict[str
     out.mkdir(parents=True)
     router = f"tcp/127.0.0.1:{free_port()}"
     process = Router(router)
-    for name, _ in sites:
+    for name in [*(name for name, _ in sites), *(_TROUBLE if given.trouble else ())]:
         text = _SITE.format(name=name, router=router, window_s=given.window) + THREE_STORIES
         (out / f"{name}.toml").write_text(text)
     begun_s = time.monotonic()
@@ -154,11 +205,17 @@ def _live(given: argparse.Namespace, sites: list[tuple[str, float]]) -> dict[str
         ready_s = time.monotonic() - begun_s
         before, begin_s = _used(host.process.pid), time.time() + 8.0
         emulators = _start_emulators(given, router, begin_s, len(sites))
+        own = [sys.executable, "-m", "tests.benchmarks.host", "--seconds", str(given.seconds), "--make-trouble"]
+        trouble = [
+            subprocess.Popen([*own, name, router, str(begin_s)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+            for name in (_TROUBLE if given.trouble else ())
+        ]
         course = []
         while any(one.poll() is None for one in emulators):
             time.sleep(10.0)
             course.append({"t_s": round(time.time() - begin_s), **_used(host.process.pid)})
         sent = [json.loads(one.communicate()[0]) for one in emulators]
+        told = [one.communicate()[0].strip() for one in trouble]
         after = _used(host.process.pid)
         code, end_s = host.stop(signal.SIGTERM)
     finally:
@@ -172,14 +229,14 @@ def _live(given: argparse.Namespace, sites: list[tuple[str, float]]) -> dict[str
         "rss_mb": round(after["rss_mb"]), "own_mb_at_ready": round(before["own_mb"]), "own_mb": round(after["own_mb"]),
         "threads": after["threads"], "emulator_cores": round(sum(s["cpu_s"] for s in sent) / given.seconds, 3),
         "emulators_late_s": round(max(s["late_s"] for s in sent), 2),
-        **_outcome(out, sites, given), "course": course[:: max(1, len(course) // 20)],
+        **_outcome(out, sites, given), "trouble": _trouble(out, told), "course": course[:: max(1, len(course) // 20)],
     }  # fmt: skip
 
 
 def _start_emulators(given: argparse.Namespace, router: str, begin_s: float, count: int) -> list[subprocess.Popen[str]]:
     shares = -(-count // _PER_EMULATOR)
     own = [sys.executable, "-m", "tests.benchmarks.host", "--seconds", str(given.seconds)]
-    own += ["--sites", *map(str, given.sites), "--rates", *map(str, given.rates)]
+    own += ["--sites", *map(str, given.sites), "--rates", *map(str, given.rates), "--spread", str(given.spread)]
     return [
         subprocess.Popen(
             [*own, "--emulate", router, str(begin_s), str(k), str(shares)], cwd=ROOT, stdout=subprocess.PIPE, text=True
@@ -210,13 +267,29 @@ def _outcome(out: Path, sites: list[tuple[str, float]], given: argparse.Namespac
     for edge, count in latency.items():
         below += count
         shares[edge] = round(100.0 * below / max(total, 1), 3)
-    due = int((given.seconds - given.window) // 10.0) + 1
+    due = int((given.seconds - given.spread - given.window) // 10.0) + 1
     quantiles = {f"{100 * q:g} %": round(float(np.quantile(delays, q)), 3) for q in (0.5, 0.9, 0.99, 0.999, 1.0)}
     return {
         "windows": total, "windows_a_site": [min(lines), max(lines)], "windows_due": due,
         "arrival_to_line_percent_within_ms": shares, "arrival_to_line_max_ms": most_ms,
         "last_sample_to_evaluation_s": quantiles, "lost": dict(lost), "equals_replay_of_recordings": replays,
     }  # fmt: skip
+
+
+def _trouble(out: Path, told: list[str]) -> dict[str, Any]:
+    """What became of the sites in trouble."""
+    found: dict[str, Any] = {}
+    for name, said in zip(_TROUBLE if told else (), told, strict=True):
+        folder = out / f"out-{name}"
+        health = [json.loads(line) for line in (folder / "health.jsonl").read_text().splitlines()]
+        results = folder / "results.jsonl"
+        found[name] = {
+            "said": said,
+            "windows": results.read_bytes().count(b"\n") if results.exists() else 0,
+            "counts": health[-1]["source"]["counts"],
+            "failed": health[-1].get("failed"),
+        }
+    return found
 
 
 def _is_replay(out: Path, name: str, window_s: float) -> bool:

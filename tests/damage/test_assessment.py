@@ -49,7 +49,7 @@ def test_a_story_in_which_no_alarm_would_be_raised_is_not_green(detectable: floa
         and "left bearing" in blind.headline
         and "no loss above 1 % in any other" in blind.headline
     )
-    assert said(replace(WELL, detectable=(None,) * 3)).headline.startswith("No loss would have been seen")
+    assert said(replace(WELL, detectable=(None,) * 3)).headline.startswith("No loss could have been confirmed")
 
 
 def test_what_the_owner_knows_to_be_unseen_is_named_and_green() -> None:

@@ -20,6 +20,9 @@ STD = np.array([1.0e-3, 1.7e-3, 1.8e-3])
 FOLLOWS = np.array([1.0e-3, 1.5e-3, 0.8e-3])
 """Relative change of the stories' stiffness a K, which no channel measures."""
 NOISE = np.diag(STD**2)
+UNEVENNESS = CovariateSettings().unevenness
+ANYWHERE = np.array([[-1.0] * 5, [1.0] * 5])
+"""Losses that were all seen."""
 
 
 def air(hours: np.ndarray) -> np.ndarray:
@@ -51,7 +54,7 @@ def law_of(days: int, seed: int = 1, follows: np.ndarray = FOLLOWS) -> Covariate
 
 @pytest.fixture(scope="module")
 def expected() -> Expected:
-    learned = law_of(60).together()
+    learned = law_of(60).together(UNEVENNESS)
     assert learned is not None
     return learned
 
@@ -63,16 +66,15 @@ def test_what_the_stories_do_together_is_learned(expected: Expected) -> None:
 
 def test_too_little_and_mere_noise_teach_nothing_and_it_is_said() -> None:
     short, still = law_of(8), law_of(20, follows=np.zeros(3))
-    assert short.together() is None and still.together() is None
+    assert short.together(UNEVENNESS) is None and still.together(UNEVENNESS) is None
     assert common_words(short) == "not learned: 3 of 4 stretches of two days"
     assert "nothing beyond the noise" in str(common_words(still))
     assert str(common_words(law_of(20))).startswith("learned from 9")
 
 
-@pytest.mark.parametrize("degc", [-40.0, 5.0, 40.0])
+@pytest.mark.parametrize("degc", [-5.0, 5.0, 15.0])
 @pytest.mark.parametrize("lost", [(), (0,), (1,), (2,), (0, 1), (1, 2), (0, 2)])
 def test_a_loss_is_seen_where_it_is_in_any_weather(expected: Expected, degc: float, lost: tuple[int, ...]) -> None:
-    """Colder and warmer, too, than anything that was learned, which was for two months."""
     loss = degc * FOLLOWS
     loss[list(lost)] += 0.05
     beside = expected.beside_others(loss, NOISE / 8.0)
@@ -90,17 +92,49 @@ def test_a_loss_of_all_as_in_the_weather_is_not_told_from_it(expected: Expected)
 def test_a_change_of_all_alike_is_no_storys() -> None:
     """Snow on a structure of five stories, whose weather has another pattern."""
     follows = np.array([1.0, 1.5, 0.8, 0.3, 1.2])
-    learned = Expected(1e-5 * np.outer(follows, follows), follows / np.linalg.norm(follows), 30.0)
+    learned = Expected(1e-5 * np.outer(follows, follows), follows / np.linalg.norm(follows), 30.0, ANYWHERE, UNEVENNESS)
     beside = learned.beside_others(0.004 * follows + 0.03, 1e-6 * np.eye(5))
     assert (np.abs(beside.loss / beside.std) < 3.0).all()
 
 
 def test_the_uncertainty_grows_with_the_weather_and_less_was_learned(expected: Expected) -> None:
     def std(degc: float, stretches: float) -> np.ndarray:
-        return replace(expected, stretches=stretches).beside_others(degc * FOLLOWS, NOISE).std
+        return replace(expected, stretches=stretches, unevenness=0.0).beside_others(degc * FOLLOWS, NOISE).std
 
     assert (std(30.0, 10.0) > 1.5 * std(3.0, 10.0)).all()
     assert (std(30.0, 10.0) > 1.5 * std(30.0, 100.0)).all()
+
+
+@pytest.mark.parametrize("lost", [(), (0,), (1,), (2,), (0, 1), (1, 2), (0, 2)])
+def test_beyond_what_was_learned_the_stories_may_part_and_a_great_loss_is_seen(
+    expected: Expected, lost: tuple[int, ...]
+) -> None:
+    """A frost of 10 K with 4, 2 and 6 times the slope, of which the months of learning had none."""
+    expected = replace(expected, stretches=150.0)
+    loss = -10.0 * FOLLOWS * np.array([4.0, 2.0, 6.0])
+    narrow = replace(expected, unevenness=0.0).beside_others(loss, NOISE)
+    assert (narrow.loss / narrow.std).max() > 6.5
+    beside = expected.beside_others(loss, NOISE)
+    assert (beside.loss / beside.std).max() < 3.0
+    assert expected.beyond_words(loss, NOISE, 0.015) == "what the stories do together goes beyond anything learned"
+    # Where the others stay within what was learned, a loss does not hide itself.
+    loss = 5.0 * FOLLOWS
+    loss[list(lost)] += 0.2
+    beside = expected.beside_others(loss, NOISE)
+    assert (beside.loss[list(lost)] > 6.5 * beside.std[list(lost)]).all()
+    # Beside two lost stories the third is compared with them alone, and little is known of it.
+    assert bool(expected.beyond_words(loss, NOISE, 0.015)) == (len(lost) == 2)
+
+
+def test_a_change_counts_as_learned_once_enough_stretches_went_as_far() -> None:
+    """Three stories: four stretches of two days, one after the other or with weather of another kind between them."""
+    common, per = nothing_learned(3), 48
+    for stretch in range(8):
+        for k in range(per):
+            cold = stretch % 2 == 0 and k == 7
+            common = common.add(np.zeros(3), np.array([0.03, 0.04, -0.02]) if cold else np.zeros(3))
+        reached = -np.expm1([0.03, 0.04, -0.02]) if stretch >= 6 else np.zeros(3)
+        np.testing.assert_allclose(common.seen(), [np.minimum(reached, 0.0), np.maximum(reached, 0.0)], atol=1e-12)
 
 
 def test_the_index_and_its_deviation_are_of_what_is_left(expected: Expected) -> None:
@@ -129,7 +163,7 @@ def test_a_slow_loss_is_not_learned() -> None:
         t_ns = int(t) * HOUR_NS
         healthy = slow_learning.step(healthy, under, one, t_ns, 0.5, normal=True)
         hurt = slow_learning.step(hurt, under, other, t_ns, 0.5, normal=True)
-    one_law, other_law = healthy.law.together(), hurt.law.together()
+    one_law, other_law = healthy.law.together(UNEVENNESS), hurt.law.together(UNEVENNESS)
     assert one_law is not None and other_law is not None
     assert one_law.stretches > 29.0
     assert float(one_law.leading @ other_law.leading) > 0.9999
@@ -163,12 +197,15 @@ def test_it_survives_the_baselines_file_and_older_files_and_checkpoints_have_non
     assert read is not None and read.common is not None and law.common is not None
     np.testing.assert_array_equal(read.common.square, law.common.square)
     assert read.common.windows == law.common.windows
+    np.testing.assert_array_equal(read.common.lowest, law.common.lowest)
+    before = from_plain({**content, "common": {k: content["common"][k] for k in ("square", "windows")}}, 3)
+    assert before is not None and before.common is not None and not before.common.lowest.any()
     older = from_plain({k: v for k, v in content.items() if k != "common"}, 3)
-    assert older is not None and older.together() is None
+    assert older is not None and older.together(UNEVENNESS) is None
     with pytest.raises(ValueError, match="common change is damaged"):
         from_plain({**content, "common": {"square": [[1.0]], "windows": 3}}, 3)
     tree = {"session": {"pipeline": {"learning": {"law": {"mixing": np.eye(3)}}, "alarm": {"shapes": None}}}}
-    upgraded = UPGRADES[7](tree)["session"]["pipeline"]["learning"]["law"]["common"]
+    upgraded = UPGRADES[8](UPGRADES[7](tree))["session"]["pipeline"]["learning"]["law"]["common"]
     assert CommonChange(**upgraded).words(np.eye(3)) == nothing_learned(3).words(np.eye(3))
 
 

@@ -237,7 +237,8 @@ def test_what_the_stories_do_together_is_taken_out_of_the_index_live_as_in_repla
     assert law is not None
     follows = np.array([1.0, 1.5, 0.8])
     white = np.linalg.solve(law.mixing, 0.01 * follows)  # by 1 % in a usual day
-    learned = CommonChange(1440.0 * (np.eye(3) + np.outer(white, white)), 1440)
+    square = 1440.0 * (np.eye(3) + np.outer(white, white))
+    learned = CommonChange(square, 1440, np.full((2, 5, 3), -0.05))
     knows = replace(healthy[1], law=replace(law, common=learned))
     model = site.model()
     soft = model.with_stiffness(model.structure.stiffness_n_per_m * (1.0 - 0.02 * follows) * np.array([1.0, 0.95, 1.0]))

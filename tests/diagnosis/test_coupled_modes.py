@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction
 from monitor.diagnosis.missing_modes import as_seen, couple_modes, is_stated, resonances
 from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.stepwise_selection import _find_other_direction
 from monitor.inference import Posterior, maximize_posterior
 from monitor.inference.cross_spectra import Band, Excitation, cross_spectra, extended
 from monitor.inference.map_estimate import _shortened
@@ -93,6 +95,28 @@ def test_forces_of_another_direction_vanish_on_the_floors(
     assert (said is not None) is found
     if said is not None:
         assert said.is_explained and "floor 2 is" in said.says and "nothing can be said of the structure" in said.says
+
+
+@pytest.mark.parametrize(("ratio", "silent"), [(1.01, False), (1.2, True)])
+def test_causes_that_move_a_coupled_mode_of_calibration_are_not_believed(ratio: float, silent: bool) -> None:
+    """Forces in the direction that is not measured made a clock and a stiffer frame out of nothing, beside such modes."""
+    at = posterior(np.ones(3))
+    known = at.prior
+    standing = replace(
+        known,
+        model=replace(known.model, effects=(COUPLED,)),
+        mean=np.append(known.mean, COUPLED.coordinates),
+        precision=block_diag(known.precision, np.eye(COUPLED.coordinates.size) / 0.02**2),
+        ln_forces=np.zeros(3),
+    )
+    there = replace(at, prior=standing)
+    x = there.layout.with_structure(np.zeros(there.layout.n_nuisance), standing.mean)
+    moved = np.log(ratio) * (np.arange(x.size) == there.layout.structure.stop - COUPLED.coordinates.size)
+    fit: Any = SimpleNamespace(x=x + moved, effects=(), n_effect=0)
+    said = _find_other_direction(there, fit, (), np.zeros(0), DiagnosisSettings())
+    assert (said is not None) is silent
+    if said is not None:
+        assert said.is_explained and said.says.endswith("nothing can be said of the structure beside it")
 
 
 def test_a_fit_stays_where_the_coupling_leaves_the_structure_stable(monkeypatch: pytest.MonkeyPatch) -> None:

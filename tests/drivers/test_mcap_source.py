@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,11 @@ import pytest
 from pydantic import ValidationError
 
 from drivers import mcap_source as module
-from drivers.base import EndOfStream, RecordingError, RecordingMissingError, SampleBlock, SourceContext
+from drivers.base import ACCELERATION, EndOfStream, RecordingError, RecordingMissingError, SampleBlock, SourceContext
 from drivers.mcap_file import McapWriter
 from drivers.mcap_source import McapSource
 from drivers.registry import source_type
-from tests.conftest import CHANNELS, Cut
+from tests.conftest import CHANNELS, T0_NS, Cut
 
 
 @pytest.fixture
@@ -83,6 +84,25 @@ def test_it_keeps_the_pace_and_waits_no_longer_than_asked(
             times.append(now[0])
     np.testing.assert_allclose(times, 0.5 * np.arange(1, 21))  # a block is there when its last sample is
     assert max(waits) <= 0.3
+
+
+def test_months_between_recordings_are_not_waited_for(
+    tmp_path: Path, cut: Cut, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, samples = [0.0], np.random.default_rng(1).normal(size=(1000, 3))
+    degc = SampleBlock("/temperature", T0_NS, 0, 1.0 / 60.0, ("t1",), "degC", np.ones((1, 1), np.float32))
+    for name, first_ns in (("a", T0_NS), ("b", T0_NS + 90 * 86400 * 10**9)):
+        with McapWriter(tmp_path / f"{name}.mcap") as writer:
+            writer.write(replace(degc, t_ns=first_ns))
+            for block in cut(samples, 100.0, t0_ns=first_ns):
+                writer.write(block)
+    monkeypatch.setattr(module.time, "sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    settings = source_type("mcap").Settings(kind="mcap", files=["*.mcap"], speed=1.0)
+    opened = McapSource(settings, SourceContext(CHANNELS, tmp_path), clock=lambda: now[0])
+    opened.open()
+    blocks = drain(opened)
+    assert sum(b.n_samples for b in blocks if b.topic == ACCELERATION) == 2000
+    assert now[0] == pytest.approx(20.0, abs=0.1)  # nor does a reading a minute hold up the accelerations beside it
 
 
 @pytest.mark.parametrize("files", [["none.mcap"], ["none*.mcap"]])

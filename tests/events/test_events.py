@@ -14,7 +14,7 @@ from scipy.signal import resample_poly
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import Configuration
 from monitor.core import Skipped, WindowResult
-from monitor.events import Event, stage
+from monitor.events import Event, recognition, stage
 from monitor.events.ambient import AmbientReading, lasting_loss
 from monitor.events.motion import instrumental_intensity, integrated, response_spectrum
 from monitor.pipeline import Pipeline, Result
@@ -91,6 +91,30 @@ def test_any_block_size_tells_the_same() -> None:
     ]
 
 
+@pytest.mark.parametrize("n_channels", [1, 2, 3])
+def test_steps_measured_together_give_the_state_of_each_alone(n_channels: int) -> None:
+    settings, rng = configuration().events, np.random.default_rng(n_channels)
+    samples = rng.standard_normal((60 * 200, n_channels))
+    samples[9000:9600] *= 9.0
+    together = alone = recognition.start(n_channels, 100.0, 40.0)
+    own, quiet = recognition.own_band(200, 100.0, 40.0, 2.0), 0
+    for first in range(0, len(samples), 1000):
+        frames = recognition.measure(together.tail, samples[first : first + 1000], 100.0, 40.0)
+        passed = recognition.pass_quiet(together, frames, own, settings)
+        quiet += passed is not None
+        for k in range(5):
+            at = first + 200 * k
+            one = recognition.measure(alone.tail, samples[at : at + 200], 100.0, 40.0)
+            alone, _ = recognition.step(alone, one, 0, own, settings, active=False)
+            if passed is None:
+                together, _ = recognition.step(together, frames, k, own, settings, active=False)
+        together = together if passed is None else passed
+        assert together.long_term.tobytes() == alone.long_term.tobytes()
+        assert together.tail.tobytes() == alone.tail.tobytes()
+        assert (together.steps, together.raised) == (alone.steps, alone.raised)
+    assert 6 < quiet < 12
+
+
 def test_it_is_told_when_strong_motion_ends_and_again_within_a_minute() -> None:
     pipeline, told = Pipeline(configuration()), list[tuple[float, Event]]()
     for block in blocks(shaken(), n=10):
@@ -123,6 +147,60 @@ def test_spikes_steps_a_knocked_sensor_a_dead_channel_and_a_gale_are_no_events()
     floors[round(450 * RATE) :, 2] = 0.0  # dead
     floors[round(500 * RATE) :, 0] += 4.0  # a step
     assert not events(run(configuration(), blocks(replace(motion, floors=floors), with_ground=False, n=500)))
+
+
+def _disturbed(kind: str, seed: int) -> Array:
+    """100 s of ambient motion on three floors, with two disturbances within 2 s of one another after 70 s."""
+    rng = np.random.default_rng(seed)
+    floors = shake(np.zeros(round(100.0 * RATE)), rng)[0].floors
+    first = round((70.0 + rng.uniform()) * RATE)
+    second = first + round(rng.uniform(1.0, 2.0) * RATE)
+    if kind == "two spikes":
+        floors[first, :2] += rng.uniform(1.0, 20.0)
+        floors[second] += rng.uniform(1.0, 20.0)
+    elif kind == "a spike and a door":
+        floors[first, :2] += rng.uniform(1.0, 20.0)
+        t = np.arange(200) / RATE
+        door = 3.0 * np.exp(-t / 0.1) * np.sin(2.0 * np.pi * rng.uniform(4.0, 12.0) * t)
+        floors[second : second + 200] += door[:, None] * rng.uniform(0.1, 1.0, 3)
+    else:
+        floors[first : first + 1200, 0] += rng.normal(0.0, 3.0, 1200)
+        floors[second : second + 1600, 2] += rng.normal(0.0, 5.0, 1600)
+    return floors
+
+
+@pytest.mark.parametrize("kind", ["two spikes", "a spike and a door", "work on two floors at once"])
+def test_disturbances_that_together_raise_three_frames_are_no_events(kind: str) -> None:
+    for seed in range(6):
+        motion = Shaken(_disturbed(kind, seed), np.zeros(0), np.zeros(0))
+        assert not events(run(configuration(), blocks(motion, with_ground=False, n=1000))), seed
+
+
+def test_directions_that_do_not_move_coherently_are_motion_of_the_whole_structure() -> None:
+    """An earthquake moves a building in two directions that have little to do with one another."""
+    rng, settings = np.random.default_rng(3), configuration().events
+    state = recognition.start(2, 100.0, 40.0)
+    for _ in range(30):
+        frames = recognition.measure(state.tail, rng.standard_normal((200, 2)), 100.0, 40.0)
+        state, _ = recognition.step(state, frames, 0, 4, settings, active=False)
+    apart = 10.0 * rng.standard_normal((400, 2))
+    found = [
+        recognition.is_whole(state.long_term, apart, 100.0, 40.0, settings, one_direction=one) for one in (True, False)
+    ]
+    assert found == [False, True]
+
+
+def test_a_disturbance_that_stays_is_ambient_motion_after_the_longest_event() -> None:
+    motion = shake(np.zeros(round(260.0 * RATE)), np.random.default_rng(5))[0]
+    floors, half = motion.floors.copy(), round(80.0 * RATE)
+    floors[half:, :2] += np.random.default_rng(6).normal(0.0, 3.0, (len(floors) - half, 2))
+    config = configuration(events={"longest_s": 30.0}, processing={"window_s": 50.0, "hop_s": 10.0})
+    results = run(config, blocks(replace(motion, floors=floors), with_ground=False, n=500))
+    assert not events(results)
+    skipped = [
+        w.skipped is not None and "strong motion" in w.skipped.reason for w in results if isinstance(w, WindowResult)
+    ]
+    assert any(skipped) and not any(skipped[-5:])
 
 
 def test_a_weak_quake_at_six_times_the_ambient_motion_is_recognized() -> None:

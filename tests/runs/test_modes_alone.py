@@ -16,7 +16,7 @@ from monitor.core import BadConfigurationError, BadInputError, Level, Samples, W
 from monitor.damage import ModalBaseline, load_baseline, load_modal_baseline, save_modal_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, PipelineState
-from monitor.publish.results.lines import facts_of_line, to_json, window_line
+from monitor.publish.results.lines import facts_of_line, replay_text, to_json, window_line
 from monitor.runs import calibrate_modes, load_healthy
 from monitor.runs.baselines import modal_origin
 from monitor.service.serialization import from_bytes, to_bytes
@@ -187,6 +187,67 @@ def test_motion_twice_as_strong_and_of_another_colour_is_no_change(
     assert {r.alarm.level for r in results} == {Level.NORMAL}
 
 
+@pytest.mark.parametrize("dead", [0, 1, 2])
+def test_a_dead_channel_leaves_the_level_of_motion_as_it_is(
+    folder: Path, site: Configuration, healthy: ModalBaseline, cut: Cut, dead: int
+) -> None:
+    """A level read from fewer channels as if there were fewer modes is a storm or a calm that never was."""
+    floors = motion(folder, 240, 8)
+    lacking = floors.copy()
+    lacking[:, dead] = np.nan
+    whole, some = (windows(Pipeline(site, healthy), cut(x, RATE_HZ, [128])) for x in (floors, lacking))
+    assert all([gone.channel for gone in r.left_out] == [CHANNELS[dead]] for r in some)
+    level, of_some = (np.mean([r.covariates["level"][0] for r in results]) for results in (whole, some))
+    assert abs(of_some - level) < 1.0
+
+
+def test_a_baseline_of_an_older_version_is_read_and_a_damaged_motion_is_refused(
+    folder: Path, site: Configuration, healthy: ModalBaseline, cut: Cut
+) -> None:
+    tree, path = json.loads((folder / "b.json").read_text()), folder / "other.json"
+    assert np.shape(tree["motion"]) == (len(CHANNELS),) * 2
+    path.write_text(json.dumps(tree | {"motion": [[1.0]]}))
+    with pytest.raises(BadInputError, match="its modes are damaged"):
+        load_modal_baseline(path, CHANNELS, modal_origin(site))
+    del tree["motion"]
+    path.write_text(json.dumps(tree))
+    older = load_modal_baseline(path, CHANNELS, modal_origin(site))
+    assert older.motion is None
+    np.testing.assert_array_equal(older.frequencies_hz, healthy.frequencies_hz)
+    floors = motion(folder, 60, 9)
+    floors[:, 1] = np.nan
+    assert all(
+        np.isfinite(r.covariates["level"]).all() for r in windows(Pipeline(site, older), cut(floors, RATE_HZ, [128]))
+    )
+
+
+@pytest.mark.engine
+@pytest.mark.parametrize("dead", [0, 2])
+def test_softening_by_motion_is_taken_out_with_a_dead_channel_too(
+    folder: Path, site: Configuration, cut: Cut, dead: int
+) -> None:
+    """The frame softens by 6 % from half to twice the motion; once learned, neither is a change, with fewer channels either."""
+
+    def blocks(factors: list[float], seed: int) -> list[SampleBlock]:
+        out = []
+        for k, factor in enumerate(factors):
+            loss = 0.03 * (1.0 + np.log2(factor))
+            floors = factor * motion(folder, 2 * WINDOW_S, seed + k, (loss,) * 3)
+            out += cut(floors, RATE_HZ, [128], first=round(2 * WINDOW_S * k * RATE_HZ))
+        return out
+
+    learned = calibrate_modes([write(folder / "levels.mcap", blocks([0.5, 1.0, 2.0] * 5, 300))], site)
+    for factor in (0.5, 2.0):
+        now = blocks([factor] * 6, 400)
+        for block in now:
+            block.samples[:, dead] = np.nan
+        results = windows(Pipeline(site, learned), now)
+        assert {r.alarm.level for r in results} == {Level.NORMAL}
+        left = np.array([r.modal.ln_frequency for r in results if r.modal is not None])
+        assert len(left) == len(results)
+        assert np.abs(left.mean(axis=0)).max() < 0.004
+
+
 def test_strong_motion_is_an_event_with_peaks_and_without_drifts(
     folder: Path, site: Configuration, healthy: ModalBaseline, cut: Cut
 ) -> None:
@@ -263,6 +324,7 @@ def test_the_commands_from_check_to_report(folder: Path, main: Cli, healthy: Mod
     assert summary["state"] in {"warning", "alarm"}
     assert summary["headline"].startswith("Changed since the baseline: ")
     assert "story" not in summary["headline"]
+    assert "diagnosis" not in replay_text(summary), "none is made without a model"
     assert all(a["story"] is None and a["ddi"] is None and a["change"] is not None for a in summary["alarms"])
     lines = [json.loads(line) for line in (folder / "out/results.jsonl").read_text().splitlines()]
     assert lines[0]["alarm"]["level"] == "normal"

@@ -24,6 +24,9 @@ from monitor.model.simulation import simulate
 from monitor.runs.archive.inventory import Survey, expand_patterns, group_into_runs
 from monitor.runs.archive.reprocess import reprocess
 from tests.conftest import T0_NS, Cli, Cut
+from tests.events.shaken import blocks
+from tests.events.test_events import shaken
+from tests.events.test_short_recording import STRUCTURE
 
 pytestmark = pytest.mark.system
 
@@ -133,6 +136,45 @@ def test_the_dataset_is_what_replay_says_bit_for_bit(archive: Path, done: Path, 
     }
 
 
+def test_a_run_is_reported_as_a_replay_is(archive: Path, done: Path, main: Cli, tmp_path: Path) -> None:
+    """The folder of a run holds what `replay` leaves, so that the other commands take it."""
+    (run,) = (done / "runs").glob("a-*")
+    replayed(archive, tmp_path / "a", main, "a/1.mcap", "a/2.mcap", "a/3.mcap")
+    for name in ("results.jsonl", "events.jsonl"):
+        assert (run / name).read_bytes() == (tmp_path / "a" / name).read_bytes()
+    said = []
+    for folder in (run, tmp_path / "a"):
+        ended = main("report", folder, "--out", tmp_path / "page.html", "--json")
+        assert ended.returncode == 0, ended.stderr
+        said.append(json.loads(ended.stdout))
+    assert said[0] == said[1] and said[0]["judged"] >= 10
+    whole = main("report", done, "--out", tmp_path / "page.html")
+    assert whole.returncode == 66 and "one by one" in whole.stderr and str(done / "runs") in whole.stderr
+    assert not list((done / "runs").glob("b-*/windows.part")) and len(list((done / "runs").iterdir())) == 2
+
+
+def test_events_of_an_archive_are_told(archive: Path, tmp_path: Path, main: Cli) -> None:
+    """A recording of an earthquake, shorter than a window, is a run with an event and without windows."""
+    (tmp_path / "site.toml").write_text(STRUCTURE)
+    with McapWriter(tmp_path / "quake.mcap") as writer:
+        for block in blocks(shaken(), n=200):
+            writer.write(block)
+    done = main(
+        "reprocess",
+        tmp_path / "quake.mcap",
+        "--structure",
+        tmp_path / "site.toml",
+        "--out",
+        tmp_path / "out",
+        "--workers",
+        1,
+    )
+    assert done.returncode == 0, done.stderr
+    (run,) = (tmp_path / "out/runs").iterdir()
+    told = main("report", run, "--event", "last")
+    assert told.returncode == 0 and list((run / "events").glob("*.html")), told.stderr
+
+
 def test_what_is_done_is_not_done_again_and_what_changed_is(archive: Path, done: Path, tmp_path: Path) -> None:
     recordings = [archive / "a/1.mcap", archive / "a/2.mcap", archive / "b/whole.mcap"]
     structure, out = tmp_path / "frame.toml", tmp_path / "out"
@@ -161,7 +203,7 @@ def test_an_interrupted_run_leaves_nothing_in_the_dataset(
 ) -> None:
     from monitor.runs.archive import jobs
 
-    def fails(*_: object) -> None:
+    def fails(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device", "results")
 
     monkeypatch.setattr(jobs, "pass_through", fails)

@@ -38,7 +38,7 @@ from monitor.service.daemon_health import losses, plain
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.requests import Request
-from monitor.service.status import look, tell
+from monitor.service.status import _source, look, tell, troubles_of
 from monitor.service.threads import BlockQueue, Reader
 from tests.conftest import T0_NS, Cli, Cut
 
@@ -427,6 +427,21 @@ def test_an_alarm_is_in_the_summary_at_once_and_before_the_last_diagnosis_is_wai
     assert told[waited - 1] == told[-1] == (9, ["alarm"])
 
 
+def test_health_is_told_while_the_last_diagnosis_is_awaited(site: Path, record: np.ndarray, cut: Cut) -> None:
+    """A diagnosis of more than a minute made `status` and the web page call the daemon silent."""
+    told: list[Mapping[str, Any]] = []
+
+    class Desk(Outlet):
+        def health_line(self, line: Mapping[str, Any]) -> None:
+            told.append(line)
+
+    daemon = Daemon(site, Scripted(cut(record, RATE)), [Desk()], quiet_s=0.0)
+    waited: list[int] = []
+    daemon.session.finish = lambda stop: waited.extend(len(told) for _ in range(3) if not stop())  # type: ignore[method-assign]
+    daemon.run()
+    assert np.diff(waited).tolist() == [1, 1] and told[waited[-1] - 1]["source"]["ended"]
+
+
 def test_stages_and_latency_are_told(site: Path, record: np.ndarray, cut: Cut) -> None:
     Daemon(site, Scripted(cut(record, RATE))).run()
     told = health(site.parent / "out")
@@ -436,6 +451,8 @@ def test_stages_and_latency_are_told(site: Path, record: np.ndarray, cut: Cut) -
     assert all(line["stream"]["availability"] == 1.0 for line in spans)
     assert sum(told[-1]["latency_ms"]["windows"].values()) == 9
     assert told[-1]["failed"] == told[-1]["lost"] == {}
+    assert (told[-1]["source"]["ended"], told[-1]["source"]["error"]) == (True, "")
+    assert not troubles_of(told[-1]) and "read to its end" in _source(told[-1]["source"], told[-1])
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 
 from monitor.damage import StoryState
 from monitor.events import Event, EventAlarm
+from monitor.runs import ledger, ledger_chain
 from monitor.service.daemon import Daemon
 from monitor.service.history import open_database
 from monitor.service.requests import Answer, Request
@@ -130,10 +131,48 @@ def test_the_request_is_in_ledger_and_history_and_takes_the_alarm_away(site: Pat
     desk, out = Operator(acts=True), site.parent / "out"
     first, second = run(site, desk)
     assert first.refusal is None and "event never has no alarm" in str(second.refusal)
-    assert [line["what"] for line in ledger_of(site)] == [f"acknowledge alarm of event {desk.seen.id}: went there"]
+    lines = [line["what"] for line in ledger_of(site) if not line["files"]]
+    assert lines == [f"acknowledge alarm of event {desk.seen.id}: went there"]
     status = look(out)
     (alarm,) = status["summary"]["event_alarms"]
     assert (alarm["condition"], alarm["by"]) == ("normal", "Ada")
     assert status["state"] != "alarm" and "to be acknowledged" not in tell(status)
     rows = open_database(out / "state" / "history.db").execute("SELECT story, note FROM requests").fetchall()
     assert [tuple(row) for row in rows] == [(None, f"event {desk.seen.id}: went there")]
+
+
+def test_the_checksum_of_its_recording_is_in_the_ledger_and_is_checked(site: Path, main: Cli) -> None:
+    desk, out = Operator(acts=True), site.parent / "out"
+    run(site, desk)
+    (line,) = [line for line in ledger_of(site) if line["files"]]
+    noted, recording = line["files"]["recording"], out / "events" / f"{desk.seen.id}.mcap"
+    assert noted == {"file": f"events/{recording.name}", "sha256": hashlib.sha256(recording.read_bytes()).hexdigest()}
+    status = look(out)
+    assert status["ledger_head"] == status["health"]["ledger_head"]
+    done = main("status", out, "--verify")
+    assert "2 lines, the chain is whole" in done.stdout and "event recordings unchanged: 1" in done.stdout
+    recording.write_bytes(recording.read_bytes()[:-1] + b"x")
+    done = main("status", out, "--verify")
+    assert done.returncode == 65 and str(recording) in done.stderr and done.stderr.count("\n") == 1
+    recording.unlink()
+    done = main("status", out, "--verify")
+    assert done.returncode == 12 and "event recordings" not in done.stdout
+
+
+def test_a_ledger_that_cannot_take_the_checksum_is_told_and_the_recording_is_kept(site: Path) -> None:
+    out = site.parent / "out"
+    (out / "ledger.jsonl").mkdir(parents=True)
+    desk = Operator(acts=False)
+    run(site, desk)
+    assert (out / "events" / f"{desk.seen.id}.mcap").is_file()
+    assert "ledger.jsonl: cannot be written" in look(out)["health"]["failed"]["ledger.jsonl"]
+
+
+def test_a_recording_that_was_written_again_is_as_its_later_line_says(tmp_path: Path) -> None:
+    place, recording = tmp_path / "ledger.jsonl", tmp_path / "events" / "e.mcap"
+    recording.parent.mkdir()
+    for text in (b"first", b"second"):
+        recording.write_bytes(text)
+        entry = ledger.recording_entry("events/e.mcap", hashlib.sha256(text).hexdigest())
+        ledger_chain.append_lines(place, [{"files": 3}, entry])
+        assert ledger.verify_recordings(place) == 1

@@ -195,6 +195,10 @@ def test_the_command_exports_a_replay(run: Path, tmp_path: Path, main: Cli, fram
     done = main("export", run, "--out", tmp_path / "m.parquet", "--table", "modes", "--structure", tmp_path / "s.toml")
     assert done.returncode == 0 and done.stdout.startswith("12 rows of modes"), done.stderr
     assert "shape_im_a3" in pyarrow.parquet.read_schema(tmp_path / "m.parquet").names
+    summary = json.loads((run / "summary.json").read_text())
+    (run / "summary.json").write_text(json.dumps({**summary, "known": {"channels": ["top", "mid", "low"]}}))
+    done = main("export", run, "--out", tmp_path / "n.parquet", "--table", "modes")
+    assert done.returncode == 0 and "shape_im_low" in pyarrow.parquet.read_schema(tmp_path / "n.parquet").names
     done = main("export", run, "--out", tmp_path / "m.txt", "--format", "influx", "--json")
     assert json.loads(done.stdout) == {
         "rows": 4,

@@ -73,6 +73,11 @@ def test_what_does_not_work_of_a_monitor_is_no_all_clear(answer: dict[str, Any],
     assert (found.state, found.says, code([found])) == (State.NORMAL, f"{WELL['headline']} {says}.", 11)
 
 
+def test_a_source_that_is_read_to_its_end_is_no_fault() -> None:
+    found = told(health={**HEALTH, "source": {"connected": False, "error": "", "ended": True}})
+    assert (found.says, code([found])) == (WELL["headline"], 0)
+
+
 @pytest.mark.parametrize("wall_ns", [NOW_NS - 86_400 * 10**9, NOW_NS + 86_400 * 10**9])
 def test_a_wrong_clock_hides_no_silence_and_makes_none(wall_ns: int) -> None:
     """The monitor's clock or this machine's is a day off; how long it has been silent the monitor counts itself."""

@@ -101,6 +101,12 @@ def test_source_and_recorder() -> None:
     assert said == [lost, ("recorder stopped", False), back, ("recorder goes on", True)]
 
 
+def test_the_end_of_the_recordings_is_no_loss_of_the_source() -> None:
+    line = health(data=False)
+    line["source"]["ended"] = True
+    assert of_health(Told(), line, 4000.0, SETTINGS)[1] == []
+
+
 def told_of(course: list[tuple[WindowResult, Assessment]], told: Told = Told()) -> tuple[Told, list[Notice]]:  # noqa: B008
     said: list[Notice] = []
     for result, present in course:
@@ -649,10 +655,11 @@ def test_the_command_tells_what_became_of_a_test_message_at_every_address(
     table(hook.url, away, beat=beat)
     done = main("notify", site, "--test")
     assert done.returncode == 1, done.stderr
-    first, second, third = done.stdout.splitlines()
+    first, second, third, why = done.stdout.splitlines()
     assert re.fullmatch(r"address 1 \(json\): taken after [\d.]+ s \(exit code 0\)", first)
     assert second == "address 2 (json): refused, or not reached (exit code 1)"
     assert third.startswith("heartbeat: taken after") and hook.paths == ["/hush"]
+    assert "apprise -vv" in why
     assert hook.titles == ["[lab] test"] and "hush" not in done.stdout + done.stderr
     table(hook.url)
     told = main("notify", site, "--test", "--json")

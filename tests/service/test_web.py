@@ -193,6 +193,16 @@ def test_the_answers_hold_what_was_published() -> None:
     ]
 
 
+def test_a_source_that_is_read_to_its_end_is_no_fault() -> None:
+    shown = filled()
+    for source, says in (({"error": "bus off"}, ["source: bus off"]), ({"error": "", "ended": True}, [])):
+        shown.health({**HEALTH, "recorder": None, "failed": {}, "source": {"connected": False, **source}})
+        ask = asking(shown)
+        assert content(ask, "/api/v1/status")["troubles"] == says
+    assert content(ask, "/api/v1/sensors")["source"]["ended"] is True
+    assert "Source read to its end" in (PAGES / "page.js").read_text()
+
+
 def test_a_site_without_a_model_and_skipped_windows_are_shown() -> None:
     shown = Snapshots("bench")
     none = dict.fromkeys(("ddi", "ddi_std", "stiffness_n_per_m", "stiffness_std"))

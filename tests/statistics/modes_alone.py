@@ -80,6 +80,7 @@ def calibrated(seconds: float, seed: int) -> ModalBaseline:
         [w.covariates for w in kept],
         covariate_units(SITE),
         SITE.compensation,
+        motion=[w.motion for w in kept if w.motion is not None],
     )
 
 

@@ -183,7 +183,7 @@ def watch(
         t_ns, seen = k * HOUR_NS, under(degc[k], level[k], case.names)
         added, relative, beyond, together = np.zeros((3, 3)), np.zeros(3), "", None
         if learning is not None:
-            together = learning.law.together() if case.separated else None
+            together = learning.law.together(SETTINGS.unevenness) if case.separated else None
             effect = learning.law.expected(seen)
             added, relative = effect.covariance, effect.relative
             hidden = ALARM.significance * float(np.sqrt(added.diagonal().max()))
@@ -197,6 +197,8 @@ def watch(
         for look in range(case.looks):
             row = y[k] if look == 0 else y[k] + more[k, look - 1]
             ddi = 1.0 - np.exp(row) / (1.0 + relative)
+            if together is not None and not beyond:
+                beyond = together.beyond_words(ddi, np.diag(STD**2) + shared, ALARM.alarm_loss / ALARM.significance)
             reading = DamageReading(ddi, np.diag(STD**2) + shared, ddi, ddi, common_covariance=shared, beyond=beyond)
             state, verdict = alarm.step(state, reading, t_ns + look * 400_000_000_000, ALARM, together)
             told |= {s for s, lv in verdict.active.items() if s != WHOLE and lv.rank >= Level.WARNING.rank}

@@ -176,6 +176,20 @@ def kept_s(out: Path) -> tuple[np.ndarray, np.ndarray]:
     return begin, end
 
 
+def last_loss(live: dict[int, str], alarm: dict[str, Any]) -> float:
+    """Loss of an alarm's story in the last line at the alarm's level where the loss is beyond two standard deviations.
+
+    Without such a line it is that of the alarm's first.
+    """
+    j, until = alarm["story"] - 1, alarm["t_last_ns"] or np.inf
+    parsed = [json.loads(text) for text in live.values()]
+    during = [line for line in parsed if alarm["t_first_ns"] <= line["t_end_ns"] < until and line["ddi"] is not None]
+    stated = [
+        line for line in during if line["alarm"]["level"] == alarm["level"] and line["ddi"][j] > 2 * line["ddi_std"][j]
+    ]
+    return float((stated or during[:1])[-1]["ddi"][j])
+
+
 def alarms_in_history(out: Path) -> list[tuple[Any, ...]]:
     with closing(sqlite3.connect(out / "state" / "history.db")) as database:
         rows = database.execute(
@@ -204,9 +218,14 @@ def check(site: Path, main: Cli, toll: Toll) -> None:
             toll.not_replayed += 1
         level = line["alarm"]["level"]
     told, wanted = (plain(json.loads((p / "summary.json").read_text())) for p in (out, again))
-    same = ("alarms", "gaps", "frequencies_hz", "quality", "dropped_samples")
+    same = ("gaps", "frequencies_hz", "quality", "dropped_samples")
     assert {k: told[k] for k in same} == {k: wanted[k] for k in same}
-    # The lines that a crash left without their samples are compared above; the summary counts them as they stand.
+    # The lines that a crash left without their samples are compared above; the summary counts them as they stand, and takes
+    # the size of an alarm from the last of its lines.
+    course = ("story", "level", "t_first_ns", "t_last_ns")
+    assert [{k: a[k] for k in course} for a in told["alarms"]] == [{k: a[k] for k in course} for a in wanted["alarms"]]
+    for alarm in told["alarms"]:
+        assert alarm["ddi"] == pytest.approx(last_loss(live, alarm), rel=1e-8)
     reasons = [
         re.sub(r" \([^()]*\)", "", why) for text in live.values() if (why := json.loads(text)["skipped"]) is not None
     ]

@@ -331,7 +331,7 @@ def _reading(line: Mapping[str, Any], story: int) -> tuple[float, float, float |
 
 def replay_text(summary: Mapping[str, Any]) -> str:
     """Describe a replay in words, from the content of its summary.json; the state stands last, where a terminal shows it."""
-    pace = f"{summary['realtime_factor']:.0f} x real time" + (", diagnosis apart" if summary["alarms"] else "")
+    pace = f"{summary['realtime_factor']:.0f} x real time" + (", diagnosis apart" if summary.get("findings") else "")
     text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
     if not_due := summary.get("windows_not_due"):
         text.append(f"{not_due} more reach into the time between recordings: not due, not counted")

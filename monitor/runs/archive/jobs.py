@@ -14,17 +14,18 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION, RecordingError
 from drivers.mcap_file import recording_info
 from monitor.config import configuration
-from monitor.core import UserError, WindowResult, keep_freed, write_atomically
+from monitor.core import UserError, WindowResult, keep_freed, no_empty_folder, write_atomically
 from monitor.damage import load_baseline
-from monitor.publish import WINDOWS_SCHEMA, Publisher, to_json, windows_table
+from monitor.publish import WINDOWS_SCHEMA, Publisher, windows_table
 from monitor.runs.archive.inventory import Survey
 from monitor.runs.baselines import load_healthy
-from monitor.runs.recordings import read_blocks, recorded_spans, times_between, without_window
-from monitor.runs.replay import pass_through, recorded_content, with_first_block_read
+from monitor.runs.event_recordings import EventRecordings
+from monitor.runs.recordings import read_blocks, recorded_spans, times_between
+from monitor.runs.replay import ResultFiles, pass_through, recorded_content, warn_of_losses, with_first_block_read
 from monitor.runs.session import Session
 
 WINDOWS, RUNS, DIAGNOSES = "windows", "runs", "diagnoses"
-"""Folders in the output: the Parquet dataset, summary and findings of each run, and the diagnosis of each recording."""
+"""Folders in the output: the Parquet dataset, the files of each run as a replay writes them, the diagnosis of each recording."""
 METADATA_KEY = b"shm-monitor"
 """Key of a Parquet file's metadata that holds its run."""
 _ROW_GROUP = 2048
@@ -103,11 +104,11 @@ def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
 
 
 def replay_run(task: Task) -> Outcome:
-    """Replay the recordings of one run, and write its summary, findings and windows."""
+    """Replay the recordings of one run, and write the files of a replay and its part of the dataset."""
     outcome = Outcome(task.name, task.paths)
     keep_freed()
     try:
-        with threadpool_limits(limits=1):
+        with threadpool_limits(limits=1), no_empty_folder(task.out / RUNS / task.name):
             _replay(task, outcome.warnings)
     except UserError as error:
         return replace(outcome, error=str(error))
@@ -125,20 +126,29 @@ def _replay(task: Task, warnings: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     kept = {"recordings": list(map(str, paths)), "stream": task.stream}
     rows = WindowsFile(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
+    written = ResultFiles(folder, mcap=False)  # the dataset holds the windows for tools that read no JSON lines
     spans = recorded_spans(paths, settings)
-    files = task.structure, task.baseline
-    session = Session(settings, healthy, (rows,), files, folder / "findings", between=times_between(spans))
+    session = Session(
+        settings,
+        healthy,
+        (rows, written),
+        (task.structure, task.baseline),
+        folder / "findings",
+        whole=True,
+        recordings=EventRecordings(folder, settings.events),
+        between=times_between(spans),
+    )
     try:
-        factor = pass_through(session, source, paths)
-        warnings += without_window(spans, settings.processing.window_s, settings.processing.hop_s)
-        content = session.content(factor) | recorded_content(session, spans) | kept
-        write_atomically(folder / "summary.json", to_json(content) + "\n")
-        rows.close()
+        factor = pass_through(session, source, paths, event_suffices=True)
+        written.close(session.content(factor) | recorded_content(session, spans) | kept, ())
+        rows.close()  # the run counts as done once this file is there, so it comes last
     except BaseException:
         rows.abandon()
+        written.abandon()
         raise
     finally:
         session.online_diagnosis.close()
+    warn_of_losses(session, spans, warnings.append)
 
 
 def diagnose_recording(task: Task) -> Outcome:

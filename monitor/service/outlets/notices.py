@@ -194,9 +194,9 @@ def of_health(
         The announced state after the notices, and the notices.
     """
     notices = []
-    lost = silent_s >= settings.source_lost_s
+    source = line["source"]
+    lost = silent_s >= settings.source_lost_s and not source.get("ended")
     if lost != told.lost and (lost or silent_s == 0.0):
-        source = line["source"]
         why = str(source["error"] or source["detail"] or ("connected" if source["connected"] else "not connected"))
         text = f"no data for {silent_s / 60:.0f} min: {why}" if lost else ""
         told = replace(told, lost=lost)

@@ -23,6 +23,7 @@ from monitor import __version__
 from monitor.core import BadInputError, parse_json
 from monitor.damage import Assessment, State, outdated
 from monitor.publish import EVENTS, closed_files, read_line, read_lines
+from monitor.service.status import troubles_of
 
 MOST_WINDOWS = 20_000
 """Number of windows kept; beyond it every second one of the older half is dropped. [1; cost: about 12 MB]"""
@@ -180,18 +181,13 @@ class Snapshots:
             silent = self._heard_s is not None and self._clock() - self._heard_s > _SILENT_S
             shown = outdated(self._assessment, "the monitor is silent") if silent else self._assessment
             health, known = self._health or {}, self._summary.get("known") or {}
-            source, recorder = health.get("source") or {}, health.get("recorder")
-            troubles = (
-                {} if not health or source.get("connected") else {"source": source.get("error") or "not connected"}
-            )
-            troubles |= {} if recorder is None or recorder.get("recording") else {"recorder": recorder.get("detail")}
             content = {
                 "site": self._site,
                 "version": __version__,
                 "begun_ns": self._begun,
                 **shown.content,
                 "monitor": "starting" if not health else "silent" if silent else "running",
-                "troubles": [f"{name}: {why}" for name, why in (troubles | (health.get("failed") or {})).items()],
+                "troubles": troubles_of(health),
                 "t_ns": health.get("t_ns"),
                 "uptime_s": health.get("uptime_s"),
                 "disk_free_bytes": health.get("disk_free_bytes"),
