@@ -9,9 +9,8 @@ from monitor.diagnosis.score_test import whitened_change
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference import MapEstimate, Posterior
 
-SAME_PREDICTION_NATS = 1.0
-"""Difference of two predictions, or random error of two gains, up to which they count as the same. [nats; convention: a
-likelihood ratio of e]"""
+_SAME_PREDICTION_NATS = 1.0
+"""Difference of two predictions that count as the same. [nats; convention: a likelihood ratio of e]"""
 
 
 def tied_candidates(candidates: list[RefittedCandidate], rival: float) -> list[RefittedCandidate]:
@@ -58,4 +57,4 @@ def predict_the_same(posterior: Posterior, one: MapEstimate, other: MapEstimate)
     change = whitened_change(
         posterior, posterior.predict(one.x, one.effects), posterior.predict(other.x, other.effects)
     )
-    return bool(0.5 * float(change @ change) < SAME_PREDICTION_NATS)
+    return bool(0.5 * float(change @ change) < _SAME_PREDICTION_NATS)

@@ -8,14 +8,18 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
-from monitor.inference import FEWEST_SEGMENTS, MapEstimate, Posterior, with_coordinates
-from monitor.signals import NORMAL_MAD
+from monitor.inference import MapEstimate, Posterior, with_coordinates
 
 _FIRST_MODE_BAND = 0.6, 1.6
 """Band in which the first mode's equation of motion is fitted, over the first frequency. [ratio; judgement]"""
 _MAX_LEFT_POWER = 0.1
 """Largest share of a segment's power near the mode that its equation of motion may leave unexplained. [ratio;
 judgement]"""
+_MIN_SEGMENTS = 6
+"""Fewest segments from which a dependence on amplitude is stated. [segments; judgement]"""
+_MEDIAN_STD_FACTOR = 1.4826 * 1.2533
+"""Standard deviation of a normal sample's median times the root of the sample's size, over the median absolute
+deviation. [1; definition: normal distribution]"""
 _MIN_RELATIVE_CHANGE = 0.004
 """Smallest relative change of a frequency or damping ratio that is reported. [ratio; judgement]"""
 _MIN_CHANGE_STDS = 6.0
@@ -66,7 +70,7 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
         model_hz, _, model_unexplained = _fit_oscillator(predicted @ to_mode - r, u, w)
         if max(unexplained, model_unexplained) < _MAX_LEFT_POWER:
             rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
-    if len(rows) < FEWEST_SEGMENTS:
+    if len(rows) < _MIN_SEGMENTS:
         return None
     columns = np.array(sorted(rows)).T
     return Backbone(*columns)
@@ -101,9 +105,7 @@ def _fit_oscillator(y: ComplexArray, force: ComplexArray, w: Array) -> tuple[flo
 def median_with_std(values: Array) -> tuple[float, float]:
     """Compute the median of values, shape (n,), and the standard deviation of the median, from their scatter."""
     middle = float(np.median(values))
-    scatter = NORMAL_MAD * float(np.median(np.abs(values - middle)))
-    # The variance of a normal sample's median is pi / 2 times that of its mean.
-    return middle, scatter * float(np.sqrt(np.pi / (2.0 * values.size)))
+    return middle, _MEDIAN_STD_FACTOR * float(np.median(np.abs(values - middle))) / np.sqrt(values.size)
 
 
 def find_level_dependence(found: Backbone | None) -> LackOfFit | None:

@@ -12,7 +12,6 @@ from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import FAR
 from monitor.diagnosis.missing_modes import effects_at_peak
 from monitor.diagnosis.score_test import (
-    ROUGH_FIT_NATS,
     Candidate,
     best_first,
     find_excess_peaks,
@@ -31,6 +30,8 @@ from monitor.inference import (
     maximize_posterior,
 )
 
+_LOCAL_OPTIMUM_NATS = 3.0
+"""Shortfall against the best fit of the same form from which a fit is repeated from another start. [nats; judgement]"""
 _CERTAIN = 10.0
 """Log evidence of a mode, over that which a cause needs, from which rough fits are enough. [ratio; judgement]"""
 _N_ALTERNATIVES = 3
@@ -58,7 +59,7 @@ def find_better_null_fit(
     """
     starts = [(p.candidate.fit.x[: fit.x.size], p.candidate.fit.effects[:-1]) for p in candidates]
     log_posteriors = [sum(posterior.score(*start)) for start in starts]
-    if not starts or not max(log_posteriors) > fit.log_posterior + ROUGH_FIT_NATS:
+    if not starts or not max(log_posteriors) > fit.log_posterior + _LOCAL_OPTIMUM_NATS:
         return None
     found = maximize_posterior(posterior, *starts[int(np.argmax(log_posteriors))])
     posterior = update_linearization(posterior, found)

@@ -9,8 +9,10 @@ import numpy as np
 
 from monitor.core import Array
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.model import INTERVAL_STDS, interval
+from monitor.model import interval
 
+_INTERVAL_STDS = 2.0
+"""Half width of the intervals. [standard deviations; convention: about 95 %]"""
 _MAX_STATED = 3
 """Most parameters that the headline names; the list has them all. [count; judgement]"""
 
@@ -44,7 +46,7 @@ def refit(diagnosis: Diagnosis, tolerance: Array, story_names: Sequence[str]) ->
         place, parameter = (f"story {j + 1}", "stiffness_n_per_m") if j < p else (f"floor {j - p + 1}", "mass_kg")
         relative = {"value": float(factor - 1.0), "std": float(error)}
         stated = bool(np.isfinite(limit))
-        beyond = abs(factor - 1.0) - INTERVAL_STDS * error > (limit if stated else 0.0)
+        beyond = abs(factor - 1.0) - _INTERVAL_STDS * error > (limit if stated else 0.0)
         name = story_names[j] if j < p else place
         words = ("softer", "stiffer") if j < p else ("lighter", "heavier")
         rows.append(
@@ -85,7 +87,7 @@ def other_optima(diagnosis: Diagnosis, story_names: Sequence[str]) -> list[dict[
 
 def _in_words(name: str, relative: dict[str, float], words: tuple[str, str]) -> str:
     """State the relative difference of a parameter from the drawing, without a full stop."""
-    size, half = abs(relative["value"]), INTERVAL_STDS * relative["std"]
+    size, half = abs(relative["value"]), _INTERVAL_STDS * relative["std"]
     if size < half:
         return f"{name} is as drawn to within {100.0 * (size + half):.2g} %"
     change = interval({"value": size, "std": relative["std"]}, 100.0, "%")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
-from monitor.diagnosis.initial_fit import FAR, LONG, fit_exact_slopes
+from monitor.diagnosis.initial_fit import fit_exact_slopes
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.inference import (
     Drive,
@@ -20,6 +20,11 @@ from monitor.inference import (
     maximize_posterior,
 )
 from monitor.model import Effect, Model
+
+_MAX_STEPS_AMBIENT = 12
+"""Most iterations of a fit to a part of a recording that begins at the fit to the whole. [iterations; cost]"""
+_MAX_STEPS_DRIVEN = 25
+"""The same where the ground motion is measured. [iterations; cost]"""
 
 _MIN_DAMPING = 1e-9
 """Least damping ratio of a fitted model. [1; rounding]"""
@@ -64,7 +69,9 @@ def refit_forms(
         own = posterior
         if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
             own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
-        fit = maximize_posterior(own, x, effects, iterations=LONG if part.drive is None else FAR)
+        fit = maximize_posterior(
+            own, x, effects, iterations=_MAX_STEPS_DRIVEN if part.drive is not None else _MAX_STEPS_AMBIENT
+        )
         if part.drive is not None and any(e.nonlinear for e in effects):
             own, fit = fit_exact_slopes(own, fit)
         excitation = ExcitationStart.at(own, fit.x, own.beyond(fit.x, fit.effects) if shared else None)

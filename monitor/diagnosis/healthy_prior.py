@@ -8,15 +8,18 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from monitor.core import Array
-from monitor.diagnosis.initial_fit import FIXED_STD
 from monitor.diagnosis.lack_of_fit import estimate_model_discrepancy
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.inference import ObservedSpectra, ParameterLayout, Posterior
-from monitor.model import DAILY_CHANGE, Context, StructuralPrior, correction_basis, inverse
+from monitor.model import Context, StructuralPrior, correction_basis, inverse
 
+_FIXED_STD = 1e-4
+"""Standard deviation of what is held at its value. [1; rounding]"""
 _CORRECTION_STD = 0.1
 """Prior standard deviation of the correction of the stiffness matrix that no effect explains. [1; not recorded]"""
+_DAMPING_DRIFT = 0.05
+"""Relative change of a mode's damping from calibration that needs no cause. [ratio; judgement]"""
 _NOISE_DRIFT = 0.2
 """Relative change of a channel's noise density over the others' that needs no cause: a channel's noise may follow its
 motion. [ratio; judgement]"""
@@ -62,8 +65,8 @@ def learn_prior(
     k, m, d, c, _ = known.sizes
     masses, damped_and_noisy = known.precision[layout.masses, layout.masses], slice(layout.damping.start, noise.stop)
     prior = block_diag(
-        np.eye(k) / FIXED_STD**2,
-        masses + 1.0 / (m * FIXED_STD) ** 2,  # the data do not show their common scale: fixed for now
+        np.eye(k) / _FIXED_STD**2,
+        masses + 1.0 / (m * _FIXED_STD) ** 2,  # the data do not show their common scale: fixed for now
         known.precision[damped_and_noisy, damped_and_noisy],
         np.eye(basis.shape[0]) / _CORRECTION_STD**2,
         known.precision[sizes, sizes] + np.diag(held),
@@ -86,7 +89,7 @@ def learn_prior(
     )
     # As the baseline's file holds it, so that a diagnosis from the file is the same.
     learnt = replace(learnt, model=replace(learnt.model, effects=learnt.effects(learnt.mean)))
-    learnt = learnt.with_looser_damping(np.full(d, DAILY_CHANGE)).with_looser_noise(np.full(c, _NOISE_DRIFT))
+    learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
     learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(masses).sum()) / m))
     return learnt, learnt.mean[ParameterLayout.of(learnt).correction]
 

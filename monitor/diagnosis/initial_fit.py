@@ -32,8 +32,6 @@ _SECOND_DAMPING = 0.015
 """Damping ratio at which that fit goes on. [1; judgement]"""
 _HELD_DAMPING_PRECISION = 1e4
 """Precision that holds the first damping ratio. [1; rounding]"""
-FIXED_STD = 1e-4
-"""Standard deviation of what is held at its value. [1; rounding]"""
 _MAX_SLOPE_UPDATES = 4
 """Most times that the slopes of the exact laws are computed again. [count; cost]"""
 ROUGHLY = 4

@@ -24,12 +24,15 @@ from monitor.diagnosis.score_test import (
 )
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.identification import SelectionSettings
-from monitor.inference import NUDGE, MapEstimate, Posterior, extra_mode_spectra, maximize_posterior
+from monitor.inference import MapEstimate, Posterior, extra_mode_spectra, maximize_posterior
 from monitor.model import EFFECTS, Effect, ExtraMode, Peak, locations
-from monitor.signals import MAIN_LOBE_BINS
 
+_RESOLUTION_BINS = 2.0
+"""Distance of two peaks that the segments resolve. [bins; half-width of the taper's main lobe]"""
 _PEAK_BINS = 3.0
 """Bins about a peak whose power `Peak.amplitude` sums. [count; definition]"""
+_RELATIVE_STEP = 1e-5
+"""Finite difference of a coordinate, over its unit. [ratio; rounding]"""
 MAX_DAMPING = SelectionSettings().max_damping_ratio
 """Damping ratio from which a mode of the model has no peak any more. [1; as of the poles that identification accepts]"""
 
@@ -103,7 +106,7 @@ def as_seen(posterior: Posterior, fit: MapEstimate, i: int, std: Array) -> tuple
     if not effect.repeatable or effect.coupled(posterior.context) is not None:  # it is seen as it is
         return effect, std
     here = seen(effect)
-    steps = np.diag(NUDGE * effect.units)
+    steps = np.diag(_RELATIVE_STEP * effect.units)
     moved = [seen(effect.at(effect.coordinates + step)).coordinates - here.coordinates for step in steps]
     slopes = np.array(moved) / steps.sum(axis=1)[:, None]
     covariance = slopes.T @ fit.covariance[these, these] @ slopes
@@ -221,7 +224,7 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
         return False
     found = resonances(posterior, fit.x, fit.effects)
     own, others = [r.mode for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
-    resolution_hz = MAIN_LOBE_BINS * posterior.observed.band.bin_hz
+    resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
     if any(_overlap(one, other, resolution_hz) for one in own for other in others):
         return False
     seen = fit.effects[i].uncoupled
@@ -249,7 +252,7 @@ def is_stated(posterior: Posterior, fit: MapEstimate, i: int) -> bool:
     if effect.repeatable:
         return not any(e.repeatable for e in before) and is_distinct(posterior, fit, i)
     own = _as_mode(effect)
-    resolution_hz = MAIN_LOBE_BINS * posterior.observed.band.bin_hz
+    resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
     lacking = (_as_mode(e) for e in (*before, *fit.effects) if e.repeatable)
     return own is None or not any(mode is not None and _overlap(own, mode, resolution_hz) for mode in lacking)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from math import ceil
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -20,6 +19,9 @@ from monitor.model import EFFECTS, Effect, Modes, Peak
 
 _RATE = 2.2
 """Sampling rate of the correlation functions, over the band's upper end. [ratio; Nyquist's 2, and a little more]"""
+_BLOCK_ROWS = 40
+"""Block rows of the subspace identification; lags of twice as many samples span two periods of the lowest frequency of the band.
+[count; the band begins at a twentieth of the lowpass's cutoff]"""
 _MAX_ORDER = 60
 """Largest order: thirty modes. [count; cost]"""
 _FREQUENCY_STD = 0.005
@@ -71,11 +73,8 @@ def identify_modes(observed: ObservedSpectra, drawn: Modes, sensors: Array) -> t
 
     The correlation functions, inverse transforms of the spectra, take the place of lag sums in the subspace identification.
     """
-    whole = observed.segments.whole
-    # Lags of twice as many samples span two periods of the lowest frequency.
-    block_rows = ceil(_RATE * float(whole.hz[-1] / whole.hz[0]))
-    window = _window(observed, 2 * block_rows)
-    ssi = SsiSettings(uncertainty=False, block_rows=block_rows, max_order=_MAX_ORDER)
+    window = _window(observed)
+    ssi = SsiSettings(uncertainty=False, block_rows=_BLOCK_ROWS, max_order=_MAX_ORDER)
     select = SelectionSettings(min_frequency_hz=float(observed.band.hz[0]), max_modes=drawn.frequencies_hz.size)
     past = tuple(range(sensors.shape[0]))
     found = identify(window, past, drawn, sensors, ssi, select, cutoff_hz=float(observed.band.hz[-1]))
@@ -89,11 +88,11 @@ def identify_modes(observed: ObservedSpectra, drawn: Modes, sensors: Array) -> t
     return tuple(sorted(modes, key=lambda m: m.frequency_hz))
 
 
-def _window(observed: ObservedSpectra, lags: int) -> Window:
+def _window(observed: ObservedSpectra) -> Window:
     """Transform the mean spectra of all classes to correlation functions, in the form of a window's lag sums."""
     band, n = observed.band, observed.samples
     spectra = np.tensordot(observed.counts / observed.counts.sum(), observed.spectra, axes=1) / band.gain[:, None, None]
-    rate_hz = _RATE * float(band.hz[-1])
+    rate_hz, lags = _RATE * float(band.hz[-1]), 2 * _BLOCK_ROWS
     waves = np.exp(2.0j * np.pi * np.outer(np.arange(lags) / rate_hz, band.hz))
     # The first factor of a lag sum is the earlier one: the transpose of the correlation.
     total = 2.0 * band.bin_hz * n * np.einsum("fab,tf->tba", spectra, waves).real

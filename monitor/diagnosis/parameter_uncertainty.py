@@ -6,7 +6,11 @@ import numpy as np
 
 from monitor.core import Array
 from monitor.inference import MapEstimate, Posterior
-from monitor.model import INTERVAL_STDS, Effect, FittedModel
+from monitor.model import Effect, FittedModel
+
+_SIGNIFICANT_SIZE_STDS = 2.0
+"""Smallest distance from zero at which an effect's size counts as determined. [standard deviations; convention: two
+sigma]"""
 
 
 def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array) -> list[Array]:
@@ -45,7 +49,7 @@ def is_significant(effect: Effect, deviation: Array) -> bool:
         Standard deviations of the effect's coordinates.
     """
     significant = [
-        abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= INTERVAL_STDS * std
+        abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= _SIGNIFICANT_SIZE_STDS * std
         for p, x, std in zip(effect.parameters, effect.coordinates, deviation, strict=True)
         if p.absent is not None
     ]

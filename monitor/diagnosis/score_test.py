@@ -11,32 +11,31 @@ from itertools import chain
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.initial_fit import COARSE, FAR, FIXED_STD, LONG, ROUGHLY, first_guess, fit_exact_slopes
-from monitor.inference import (
-    CONVERGED_NATS,
-    SLOPE_DIFFERENCE,
-    MapEstimate,
-    Posterior,
-    Prediction,
-    join_coordinates,
-    maximize_posterior,
-    tone_log_odds,
-)
+from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY, first_guess, fit_exact_slopes
+from monitor.inference import MapEstimate, Posterior, Prediction, join_coordinates, maximize_posterior, tone_log_odds
 from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, inverse, locations
 
 _log = logging.getLogger(__name__)
 
 _MAX_STEPS_ROUGH = 5
 """Most iterations of a rough fit without a measured ground. [iterations; cost]"""
+_AMBIENT_TOLERANCE_NATS = 0.02
+"""Expected gain of the next step at which a fit ends where the ground was not measured. [nats; judgement]"""
 _MIN_LOG_PRIOR = -20.0
 """Log prior below which the model without the effect lies so far from its prior that a fit starts better from the
 prior. [nats; judgement]"""
-ROUGH_FIT_NATS = 3.0
+_ROUGH_FIT_NATS = 3.0
 """Gain that a rough fit may miss. [nats; judgement]"""
+_HELD_STRUCTURE_PRECISION = 1e8
+"""Precision that holds the structure while an effect's size is found. [1; rounding]"""
 _LEAST_VARIANCE = 1e-12
 """Least variance of a pattern's coordinate, over that of its prior. [ratio; rounding]"""
+_RELATIVE_DIFFERENCE = 0.01
+"""Share of an effect's first size over which its slope is taken. [ratio; judgement]"""
+_MIN_START_FACTOR = 0.05
+"""Smallest factor on an effect's start size at which it is first tried. [ratio; judgement]"""
 _MAX_START_FACTOR = 20.0
-"""Largest factor on an effect's start size at which it is first tried; its reciprocal is the least. [ratio; judgement]"""
+"""Largest such factor. [ratio; judgement]"""
 _MAX_SECANT_CHANGE = 0.9
 """Share of a story's stiffness that a law may take away where a fit starts. [ratio; judgement: the rest is positive]"""
 _ONE_SIDED_95 = 1.645
@@ -66,9 +65,9 @@ class Candidate:
     def may_reach(self, min_log_evidence: float) -> bool:
         """Decide if a better fit may reach an evidence.
 
-        A rough fit is assumed to find half of the whole gain, or all but `ROUGH_FIT_NATS`.
+        A rough fit is assumed to find half of the whole gain, or all but `_ROUGH_FIT_NATS`.
         """
-        return self.log_evidence + max(self.delta_log_posterior, ROUGH_FIT_NATS) > min_log_evidence
+        return self.log_evidence + max(self.delta_log_posterior, _ROUGH_FIT_NATS) > min_log_evidence
 
 
 def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
@@ -293,11 +292,11 @@ def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Pre
 
     Where noise is low, even a small effect's change is far from linear.
     """
-    slight = _scale_size(effect, SLOPE_DIFFERENCE ** (1.0 / effect.order))
+    slight = _scale_size(effect, _RELATIVE_DIFFERENCE ** (1.0 / effect.order))
     assert slight is not None, "nearer to nothing than one that is possible"
     return np.asarray(
         whitened_change(posterior, prediction, posterior.predict(null_fit.x, (*null_fit.effects, slight)))
-        / SLOPE_DIFFERENCE
+        / _RELATIVE_DIFFERENCE
     )
 
 
@@ -311,7 +310,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
     """Fit with the structure held at its prior mean, with further effects if given; return the held posterior and the fit."""
     known = posterior.prior
     held = replace(
-        posterior, prior=replace(known, precision=known.precision + np.diag((FIXED_STD * known.units) ** -2.0))
+        posterior, prior=replace(known, precision=known.precision + np.diag(_HELD_STRUCTURE_PRECISION / known.units**2))
     )
     effects = (*null_fit.effects, *more)
     nuisances = (null_fit.x[posterior.layout.nuisances], first_guess(posterior))
@@ -361,7 +360,7 @@ def whitened_change(posterior: Posterior, reference: Prediction, changed: Predic
 
 def _scale_amplitude(effect: Effect, amount: float) -> Effect | None:
     """Scale an effect's amplitude by `amount`, limited to the range of start factors; return None where its bounds forbid it."""
-    size = float(np.clip(abs(amount) ** (1.0 / effect.order), 1.0 / _MAX_START_FACTOR, _MAX_START_FACTOR))
+    size = float(np.clip(abs(amount) ** (1.0 / effect.order), _MIN_START_FACTOR, _MAX_START_FACTOR))
     return _scale_size(effect, float(np.copysign(size, amount)))
 
 
@@ -423,7 +422,7 @@ def fit_candidate(
         maximize_posterior,
         posterior,
         iterations=few if quick else many,
-        tolerance=COARSE if driven else CONVERGED_NATS,
+        tolerance=COARSE if driven else _AMBIENT_TOLERANCE_NATS,
         keep_slopes=not quick,
     )
     if driven and effect.nonlinear:

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from monitor.core import parallel_map
-from monitor.diagnosis.ambiguity import SAME_PREDICTION_NATS, tied_candidates
+from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.missing_modes import is_credible
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
@@ -44,6 +44,8 @@ _N_BEST_SCORES = 12
 """With a measured ground: effects of the best scores that are fitted roughly, of any kind. [count; cost]"""
 _ROUGH_GAIN_ERROR = 0.1
 """Relative error of a gain from a rough simulation. [ratio; judgement]"""
+_SIMULATION_NATS = 1.0
+"""Random error of simulated gains from which competing effects are simulated again. [nats; judgement]"""
 
 
 def run_selection_round(
@@ -192,7 +194,7 @@ def _simulate_contenders(
     simulated |= {p.candidate.key: p for p in finer}
     compared = _compare_moments(posterior, candidates, simulated, added, measured)
     tied = tied_candidates(compared, settings.rival)
-    noisy = [p.candidate.key for p in tied if p.log_evidence_std > SAME_PREDICTION_NATS and len(tied) > 1]
+    noisy = [p.candidate.key for p in tied if p.log_evidence_std > _SIMULATION_NATS and len(tied) > 1]
     if not noisy:
         return compared
     finest = parallel_map(

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference import FEWEST_SEGMENTS, MapEstimate, Posterior
+from monitor.inference import MapEstimate, Posterior
 from monitor.signals import taper
 
-CONTRADICTS_STDS = 3.0
-"""Distance of what was measured from the model, from which on it contradicts the model. [standard deviations; convention: three
-sigma]"""
+_LEAST_SEGMENTS = 6
+"""Fewest segments whose thirds are compared. [segments; definition: two in each third]"""
+_STATED_STDS = 3.0
+"""Change with the level, beyond the model's, from which it is stated. [standard deviations; convention: three sigma]"""
 _FINER = 8
 """Points of a loop for a sample. [ratio; to draw smooth curves]"""
 
@@ -69,15 +70,12 @@ class StoryLaw:
         (k, stiffer), (model_k, model_stiffer) = self.stiffness_n_per_m, self.model_stiffness_n_per_m
         (eta, lossier), (model_eta, model_lossier) = self.loss, self.model_loss
         found = []
-        beyond, visible = (
-            (stiffer - k) - (model_stiffer - model_k),
-            CONTRADICTS_STDS * float(np.hypot(*self.stiffness_std)),
-        )
+        beyond, visible = (stiffer - k) - (model_stiffer - model_k), _STATED_STDS * float(np.hypot(*self.stiffness_std))
         if abs(beyond) > visible:
             trend = "hardens" if beyond > 0.0 else "softens"
             found.append(f"{trend} by {100.0 * abs(beyond) / k:.1f} % more than the model")
         gained = (lossier - eta) - (model_lossier - model_eta)
-        if abs(gained) > CONTRADICTS_STDS * float(np.hypot(*self.loss_std)):
+        if abs(gained) > _STATED_STDS * float(np.hypot(*self.loss_std)):
             more = "more" if gained > 0.0 else "less"
             found.append(f"its loss factor grows by {100.0 * abs(gained):.1f} % {more} than the model's")
         low, high = 1e3 * self.drift_m
@@ -106,7 +104,7 @@ def story_laws(diagnosis: Diagnosis) -> tuple[StoryLaw, ...]:
     drive, context = posterior.observed.drive, posterior.context
     drifts, n = context.structure.drift_matrix(), context.structure.n_dofs
     whole = drive is not None and drifts.shape == (n, n) == context.sensors.shape
-    if not whole or posterior.observed.segments.t_s.size < FEWEST_SEGMENTS:
+    if not whole or posterior.observed.segments.t_s.size < _LEAST_SEGMENTS:
         return ()
     measured = _forces_and_drifts(posterior, fit, posterior.observed.segments.values)
     null = diagnosis.null_fit

@@ -14,21 +14,26 @@ from typing import Any, Literal
 import numpy as np
 
 from monitor.core import Array, ComplexArray
-from monitor.diagnosis.story_forces import CONTRADICTS_STDS
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
-from monitor.inference import FEWEST_SEGMENTS
-from monitor.model import INTERVAL_STDS, Condition, Context, Effect, Model, ShearFrame, interval
-from monitor.signals import MAIN_LOBE_BINS
+from monitor.model import Condition, Context, Effect, Model, ShearFrame, interval
 
 _SEGMENT_PERIODS = 20.0
 """Length of a segment, in periods of the lowest mode. [1; judgement: modes a tenth apart are told apart, and short segments
 give many]"""
+_HALF_WIDTH = 2
+"""Bins on either side of a mode that belong to it. [bins; the Hann taper, whose main lobe is that wide]"""
+_LEAST_JACKKNIFE = 6
+"""Fewest segments that tell a standard deviation. [segments; judgement]"""
 _FACTOR = 2.0
 """Factor within which a rotation is as the model says. [ratio; judgement: where on a joint a sensor sits, and how wide joints
 are, changes it by some ten percent, and without flexible joints it would be nothing]"""
 _RIGID = 0.05
 """Rotation over that of the chord of the columns, up to which joints count as rigid. [ratio; judgement: joints that turn so
 much take about as large a share of a story's stiffness]"""
+_AGREES_STDS = 2.0
+"""Half width of the intervals that are stated, and within which a witness agrees. [standard deviations; convention: 95 %]"""
+_CONTRADICTS_STDS = 3.0
+"""Distance from which on a witness contradicts. [standard deviations; convention: three sigma]"""
 
 NOT_DETERMINED = 1e300
 """Standard deviation where none can be told. [1; definition: JSON has no infinity]"""
@@ -108,7 +113,7 @@ def compare_witnesses(
     modes = extended.modes()
     data = record.transforms(_SEGMENT_PERIODS / float(modes.frequencies_hz[0]))
     # Where the rate is so low that no mode lies in the band, there are hardly any bins.
-    if data is None or len(data.floors) < FEWEST_SEGMENTS or len(data.hz) <= 2 * MAIN_LOBE_BINS:
+    if data is None or len(data.floors) < _LEAST_JACKKNIFE or len(data.hz) <= 2 * _HALF_WIDTH:
         why = "too few segments of the recording hold the floors, the witnesses and a mode at one rate"
         return [Witness(s, "cannot say", f"{s.channel} cannot say: {why}") for s in sensors]
     comparison = _Comparison(data, before, extended, context, condition)
@@ -124,7 +129,7 @@ class _Comparison:
         self.data, self.before, self.extended, self.context = data, before, extended, context
         self.floors = _relative_motion(data, extended.effects, context, condition)
         self.modes, self.structure = extended.modes(), extended.structure
-        last_hz = float(data.hz[-1 - MAIN_LOBE_BINS])
+        last_hz = float(data.hz[-1 - _HALF_WIDTH])
         self.numbers = [k for k, hz in enumerate(self.modes.frequencies_hz.tolist()) if hz < last_hz]
         own = [(e.name, _own_frequency(e)) for e in extended.effects]
         self.others = [(name, hz) for name, hz in own if hz is not None and hz < last_hz]
@@ -241,7 +246,7 @@ class _Comparison:
     def _bins(self, hz: float) -> slice:
         """Return the bins that belong to a mode."""
         at = round(hz / float(self.data.hz[1]))
-        return slice(max(1, at - MAIN_LOBE_BINS), at + MAIN_LOBE_BINS + 1)
+        return slice(max(1, at - _HALF_WIDTH), at + _HALF_WIDTH + 1)
 
 
 def _own_frequency(effect: Effect) -> float | None:
@@ -325,9 +330,9 @@ def _judge_rotation(sensor: WitnessSensor, mode: WitnessedMode, chord: float | N
 
 def _placed(value: float, std: float, low: float, high: float) -> Verdict:
     """Say whether a value lies within bounds, or outside them; to contradict takes more certainty than to agree."""
-    if low < value - INTERVAL_STDS * std and value + INTERVAL_STDS * std < high:
+    if low < value - _AGREES_STDS * std and value + _AGREES_STDS * std < high:
         return "agrees"
-    outside = value + CONTRADICTS_STDS * std < low or value - CONTRADICTS_STDS * std > high
+    outside = value + _CONTRADICTS_STDS * std < low or value - _CONTRADICTS_STDS * std > high
     return "contradicts" if outside else "cannot say"
 
 
@@ -346,7 +351,7 @@ def _judge_other_motion(
         return None, f"{what}: {usual or 'no mode lies in the band'}; {rest}"
     # A mode of the other direction moves more that way than this.  What a twist is, only the model's own modes tell, and of
     # them what is certain: where the structure moves little, noise makes any ratio.
-    certain = max((m.ratio - CONTRADICTS_STDS * m.std for m in own), default=0.0)
+    certain = max((m.ratio - _CONTRADICTS_STDS * m.std for m in own), default=0.0)
     least = 1.0 if sensor.quantity == "acceleration" else _FACTOR * max(certain, 0.0)
     told: list[tuple[Verdict, str]] = []
     for mode in others:
@@ -356,7 +361,7 @@ def _judge_other_motion(
             told.append(("cannot say", f"{name} is too near to {near.of} to be told from it"))
             continue
         verdict = _placed(mode.ratio, mode.std, least, np.inf)
-        if verdict == "agrees" and mode.ratio - CONTRADICTS_STDS * mode.std < least:  # a magnitude of noise is never 0
+        if verdict == "agrees" and mode.ratio - _CONTRADICTS_STDS * mode.std < least:  # a magnitude of noise is never 0
             verdict = "cannot say"
         ratio = interval({"value": mode.ratio, "std": mode.std}, 1.0, unit)
         size = f"{ratio} (coherence {mode.coherence:.2f})"

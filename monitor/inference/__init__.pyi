@@ -1,4 +1,4 @@
-from .corrected_posterior import SLOPE_DIFFERENCE, CorrectedPosterior, correct_posterior
+from .corrected_posterior import CorrectedPosterior, correct_posterior
 from .cross_spectra import Band, extra_mode_spectra
 from .driven_posterior import DrivenPosterior
 from .exact_simulation import draw_forces, linearization_error, simulate_exact, simulate_spectra
@@ -6,22 +6,18 @@ from .excitation_fit import ExcitationStart, fit_excitation, forces_from_quiet_s
 from .force_levels import fit_levels, spectra_by_force
 from .forward_model import Prediction
 from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments, simulate_moments, tone_log_odds
-from .input_response import FEWEST_SEGMENTS, Between, Drive
+from .input_response import Between, Drive
 from .linearization import linearize
-from .map_estimate import CONVERGED_NATS, MapEstimate, maximize_posterior
+from .map_estimate import MapEstimate, maximize_posterior
 from .observed_spectra import ObservedSpectra, class_temperature, classify, information_weight
 from .parameter_layout import ParameterLayout
-from .posterior import FORCE_STD, NUDGE, Posterior, join_coordinates, with_coordinates
+from .posterior import FORCE_STD, Posterior, join_coordinates, with_coordinates
 from .segments import LeftOut, Segments, gather
 from .starting_point import FORCED, guess_levels, make_posterior
 
 __all__ = [
-    "CONVERGED_NATS",
-    "FEWEST_SEGMENTS",
     "FORCED",
     "FORCE_STD",
-    "NUDGE",
-    "SLOPE_DIFFERENCE",
     "Band",
     "Between",
     "CorrectedPosterior",

@@ -22,7 +22,7 @@ _SMOOTHING_WIDTH = 0.006
 _MIN_CORRECTION = -0.85
 """Largest share of a predicted spectrum that the correction may take away, as a negative number. [ratio; judgement]"""
 
-SLOPE_DIFFERENCE = 0.01
+_CORRECTION_DIFFERENCE = 0.01
 """Relative change of a size over which slopes are taken. [ratio; judgement]"""
 
 
@@ -235,7 +235,7 @@ def correct_posterior(
     known = np.zeros((centre.size, *offset.shape), dtype=complex)
     known[: len(slopes)] = slopes
     by_size = []
-    for i, step in enumerate(np.diag(SLOPE_DIFFERENCE * np.abs(centre))):
+    for i, step in enumerate(np.diag(_CORRECTION_DIFFERENCE * np.abs(centre))):
         by_size.append((relative_at(centre + step, offset + known[i] * step[i])[1] - at_centre) / step[i])
     return CorrectedPosterior(
         **plain | {"offset": offset},

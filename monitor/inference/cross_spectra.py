@@ -22,10 +22,12 @@ from monitor.model import Condition, Context, Effect, ExtraMode, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
 _TAPS = leakage()
+_MIN_GROUND_SHARE = 1e-9
+"""Share of the variance from the ground below which it is zero. [ratio; rounding]"""
 _MAX_GROUND_SHARE = 0.999
 """Largest share of the variance from the ground. [ratio; rounding]"""
-FREQUENCY_BLOCK = 64
-"""Frequencies that are computed together: they stay in the processor's cache. [count; cost]"""
+_FREQUENCY_BLOCK = 64
+"""Frequencies whose systems are solved together. [count; cost]"""
 _LOWEST_HZ = 0.05
 """Frequency from which the ground's variance is integrated. [Hz; judgement]"""
 _LOG_STEPS = 4000
@@ -318,7 +320,7 @@ def ground_density(
     by_force, by_ground, above = variances(system, force, effects, context, condition.band_hz)
     by_force = by_force + (condition.beyond - 1.0) * above
     share = min(share, _MAX_GROUND_SHARE)
-    if share <= 0.0:
+    if share < _MIN_GROUND_SHARE:
         return 0.0
 
     def excess(ln_density: float) -> float:
@@ -375,10 +377,10 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
     size, columns = right.shape
     out = np.empty((omega.size, size, columns), dtype=np.complex128)
     # Each step of the elimination is done for a block of frequencies, since the processor works on several numbers at once.
-    re, im = np.empty((2, size, size + columns, FREQUENCY_BLOCK))
-    by_re, by_im = np.empty((2, FREQUENCY_BLOCK))
-    for first in range(0, omega.size, FREQUENCY_BLOCK):
-        w = omega[first : first + FREQUENCY_BLOCK]
+    re, im = np.empty((2, size, size + columns, _FREQUENCY_BLOCK))
+    by_re, by_im = np.empty((2, _FREQUENCY_BLOCK))
+    for first in range(0, omega.size, _FREQUENCY_BLOCK):
+        w = omega[first : first + _FREQUENCY_BLOCK]
         m = w.size
         for i in range(size):
             for j in range(size):

@@ -12,11 +12,13 @@ from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
-from monitor.model import BAND_END, Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
-from monitor.signals import MAIN_LOBE_BINS, taper
+from monitor.model import Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
+from monitor.signals import taper
 
 _STEPS_A_PERIOD = 14
 """Least samples of the simulation in a period of the band's last frequency. [count; accuracy of the integration]"""
+_KEPT_BAND = 1.3
+"""Highest frequency kept of the simulations, over the band's last. [ratio; judgement]"""
 _FRICTION_STEPS = 3
 """Steps a sample where a law is friction. [count; accuracy of the integration]"""
 _INERTIA_FREQUENCY = 1e3
@@ -25,6 +27,8 @@ _LEVEL_STRIDE = 16
 """Every so many samples are used to find a level. [samples; cost]"""
 _LEVEL_STEPS = 12
 """Iterations to find a level. [iterations; cost]"""
+_COHERENCE_BINS = 2
+"""Bins on either side over which the coherence of the two responses is measured. [bins; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -329,8 +333,7 @@ def _squared_regression(cross: ComplexArray, own: ComplexArray) -> Array:
     cross, own : ndarray, shape (n_bins, c, c)
         Cross-spectra of the two responses, and spectra of the second.
     """
-    # The taper blurs bins within its main lobe together.
-    ones = np.ones(2 * MAIN_LOBE_BINS + 1)
+    ones = np.ones(2 * _COHERENCE_BINS + 1)
     part, whole = (np.convolve((np.abs(a) ** 2).sum(axis=(1, 2)), ones, "same") for a in (cross, own))
     return np.asarray(part / whole)
 
@@ -353,7 +356,7 @@ def _apply_responses(transforms: ComplexArray, effects: Sequence[Effect], poster
 def _kept_samples(posterior: Posterior) -> int:
     """Choose the number of samples in half a segment of the resampled series, which contains the band only."""
     band = posterior.observed.band
-    fast = next_fast_len(int(np.ceil(band.hz[-1] / BAND_END / band.bin_hz)), real=True)
+    fast = next_fast_len(int(np.ceil(_KEPT_BAND * band.hz[-1] / band.bin_hz)), real=True)
     return int(min(fast, round(posterior.observed.rate_hz / band.bin_hz / 2)))
 
 

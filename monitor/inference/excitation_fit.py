@@ -16,7 +16,6 @@ from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
 from monitor.inference.input_response import Between
 from monitor.inference.linearization import linearize
-from monitor.inference.map_estimate import CONVERGED_NATS, FIXED_SLOPES_NATS
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.posterior import (
@@ -31,6 +30,10 @@ from monitor.inference.starting_point import FORCED, guess_levels, make_posterio
 from monitor.inference.wishart import grown_by
 from monitor.model import Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
 
+_MIN_GAIN_NATS = 0.01
+"""Expected gain of the next step at which the fit ends. [nats; judgement]"""
+_FIXED_SLOPES_NATS = 10.0
+"""Gain of a step below which the slopes are not computed again. [nats; judgement]"""
 _N_FIT_SIMULATIONS = 4
 """Simulations of nonlinear laws: a single one tells little of rare events. [count; cost]"""
 _NO_LIKELIHOOD = 1e30
@@ -254,8 +257,8 @@ def _fit_by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] 
             fit.with_excitation(at.x[fit.free] + np.clip(step, -MAX_EXCITATION_STEP, MAX_EXCITATION_STEP))
         ),
         iterations=iterations,
-        tolerance=CONVERGED_NATS,
-        fixed_slopes_gain=FIXED_SLOPES_NATS,
+        tolerance=_MIN_GAIN_NATS,
+        fixed_slopes_gain=_FIXED_SLOPES_NATS,
     ).point.x
 
 

@@ -11,7 +11,7 @@ from monitor.core import Array, ComplexArray
 from monitor.inference.posterior import Posterior
 from monitor.model import Effect
 
-LOG_NOTHING = -100.0
+_LOG_NOTHING = -100.0
 """Logarithm of the density of a force or of noise that is absent. [1; definition]"""
 _MIN_SPECTRAL_DIFFERENCE = 1e-6
 """How different the spectra that forces cause must be for each force to have a level of its own. [ratio; rounding]"""
@@ -47,7 +47,7 @@ def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) 
         linear.scatter(noiseless, effects) - calm.scatter(noiseless, effects),
     )
     none = noiseless.copy()
-    none[layout.forces] = LOG_NOTHING
+    none[layout.forces] = _LOG_NOTHING
     alone, unforced = [], calm.scatter(none, effects)
     for j in range(n):
         one = none.copy()
@@ -107,5 +107,5 @@ def fit_levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> 
 def _without_noise(posterior: Posterior, x: Array) -> Array:
     """Return the parameters with no noise, shape (n_x,)."""
     noiseless = x.copy()
-    noiseless[posterior.layout.noise] = LOG_NOTHING
+    noiseless[posterior.layout.noise] = _LOG_NOTHING
     return noiseless

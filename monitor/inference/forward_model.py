@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import extended, modally_damped
-from monitor.inference.judged_band import LINE_BINS
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.wishart import grown_by
 from monitor.model import Condition, Context, Effect, Model, ModelDiscrepancy, StructuralPrior, System
 
+_LINE_BINS = 3.0
+"""Half-width of the band around a known machine's line that is not compared. [bins; the taper's main lobe]"""
 _LINE_SHARE = 0.01
-"""Half-width of the band around a known machine's line that is not compared, over its frequency. [ratio; judgement:
-motors slip]"""
+"""The same as a share of the line's frequency. [ratio; judgement: motors slip]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -95,7 +95,7 @@ class ForwardModel(ABC):
         band = self.observed.band
         out = np.ones(band.n_bins)
         for line in self.prior.known_lines_hz:
-            out[np.abs(band.hz - line) <= max(LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
+            out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
         for low, high in (ends for item in self.observed.segments.left_out for ends in item.hz):
             out[(band.hz > low - 0.5 * band.bin_hz) & (band.hz < high + 0.5 * band.bin_hz)] = 0.0
         if self.left_out is not None:

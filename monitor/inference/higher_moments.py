@@ -19,7 +19,7 @@ from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import relative_level
 from monitor.inference.posterior import Posterior
 from monitor.model import Line
-from monitor.signals import MAIN_LOBE_BINS, overlap_correlation, taper
+from monitor.signals import overlap_correlation, taper
 
 _MODE_BAND = 0.15
 """Half-width of a mode's band, over its frequency. [ratio; judgement]"""
@@ -27,6 +27,8 @@ _MIN_KURTOSIS_STD = 0.03
 """Least standard deviation of the kurtosis that forces of changing level give all modes. [1; judgement]"""
 _MIN_BAND_WIDTH = 0.1
 """Least width of a band between modes, over its frequency. [ratio; judgement]"""
+_TONE_BINS = 2.0
+"""Half-width of the band in which a tone's kurtosis is measured. [bins; the taper's main lobe]"""
 _TONE_KURTOSIS = -1.5
 """Excess kurtosis of a tone. [1; definition]"""
 _STUDENT_FREEDOM = 10.0
@@ -131,7 +133,7 @@ def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
         The line; only its frequency is used.
     """
     band = posterior.observed.band
-    near = np.flatnonzero(np.abs(band.hz - line.frequency_hz) <= MAIN_LOBE_BINS * band.bin_hz)
+    near = np.flatnonzero(np.abs(band.hz - line.frequency_hz) <= _TONE_BINS * band.bin_hz)
     if not near.size:
         return 0.0
     others = tuple(e for e in at.effects if line not in e.lines())

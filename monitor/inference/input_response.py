@@ -29,9 +29,8 @@ Between = Literal["smooth", "straight", "held"]
 
 _IMAGES = (0, -1, 1)
 """Images of the spectrum that sampling folds into the band. [count; definition]"""
-DECAY_S = 60.0
-"""Time in which motion dies out: of the inputs kept before a segment, whose response it still holds, and of zeros after a run,
-before its last motion wraps around. [s; judgement]"""
+_PAD_S = 40.0
+"""Zeros after a run, in which its last motion dies out before it wraps around. [s; judgement]"""
 _MAX_MISALIGNMENT = 0.02
 """Largest difference of the instants of the inputs and of the floors. [samples; judgement]"""
 _OVERSAMPLING = 4
@@ -45,9 +44,8 @@ _HIGHPASS_ORDER = 12
 """Order of the highpass that removes tilt. [1; judgement]"""
 _MIN_FILTER_GAIN = 0.05
 """Least gain of the anti-alias filter that is compensated. [ratio; judgement]"""
-FEWEST_SEGMENTS = 6
-"""Fewest segments of a diagnosis, and fewest that tell a scatter or a dependence on the level. [segments; judgement: two in each
-third]"""
+_MIN_RUN_SEGMENTS = 6
+"""Fewest segments that a run without gaps must cover. [segments; judgement]"""
 _SMOOTH_HZ = 12.0
 """Width over which the error of the response is smoothed. [Hz; not recorded]"""
 _MEAN_ROWS = 2.0
@@ -243,11 +241,11 @@ def locate(
                 break
         else:
             covered[s] = False
-    if len(which) < max(FEWEST_SEGMENTS, 0.5 * covered.size):
+    if len(which) < max(_MIN_RUN_SEGMENTS, 0.5 * covered.size):
         return None
     transformed = []
     for _, samples in runs:
-        n = next_fast_len(round(len(samples) + DECAY_S * design.rate_hz), real=True)
+        n = next_fast_len(round(len(samples) + _PAD_S * design.rate_hz), real=True)
         hz = np.arange(n // 2 + 1) * (design.rate_hz / n)
         transformed.append(Run(np.asarray(rfft(samples, n=n, axis=0)), n, len(samples), filtered(hz)))
     run, begins = np.array(which, dtype=np.intp), np.array(first, dtype=np.intp)

@@ -26,14 +26,17 @@ _LEAST_ORDER_ABOVE = 4.0
 1.3 at most where an octave before lies wholly above what is beyond, and a first-order colour of the forces adds 1]"""
 _LEAST_ORDER_BELOW = 8.0
 """The same towards low frequencies. [1; judgement: there a mode falls with an order of 5.3 at most, and a colour adds 1]"""
+_NO_POWER = 1e-300
+"""Stands for the power of a dead channel, so that it has a logarithm. [(m/s^2)^2/Hz; rounding]"""
 _OCTAVE = float(np.log(2.0))
 """Range of frequencies, on the forces' side of a fall, that must lie wholly above what is beyond the fall. [1; definition: an
 octave]"""
-LINE_BINS = 3
-"""Half-width of the band around a machine's line. [bins; the taper's main lobe]"""
 _FLAT = float(np.log(0.9))
 """Logarithm of the share of the forces' end up to which they are flat. [1; judgement: a multisine or a filter falls a little
 before its end, by less than the steepest part shows]"""
+_MEDIAN_BINS = 13
+"""Bins over which the median is taken: the line of a machine, up to six bins wide, is narrower than half of that. [bins; Hann
+taper]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -74,13 +77,10 @@ def find_judged_band(transforms: ComplexArray, hz: Array) -> JudgedBand:
     spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms)
     second, power = np.linalg.eigvalsh(spectra)[:, -2:][:, :1], np.einsum("kaa->ka", spectra).real
     periodograms = np.abs(transforms) ** 2
-    least = np.finfo(float).tiny  # a dead channel's power has a logarithm too
-    relative = np.median(periodograms.std(axis=0) / np.maximum(power, least))
+    relative = np.median(periodograms.std(axis=0) / np.maximum(power, _NO_POWER))
     chance = float(relative * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(periodograms)))
-    # Of more than twice the bins of a machine's line the median does not show it.
     levels = [
-        median_filter(np.log(np.maximum(p, least)), size=(4 * LINE_BINS + 1, 1), mode="nearest")
-        for p in (second, power)
+        median_filter(np.log(np.maximum(p, _NO_POWER)), size=(_MEDIAN_BINS, 1), mode="nearest") for p in (second, power)
     ]
     u = np.log(hz)
     upper = _first(_steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE) for level in levels)

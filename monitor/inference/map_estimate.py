@@ -17,11 +17,11 @@ _MAX_STRUCTURE_STEP = 0.1
 """Longest step of the logarithm of a stiffness or a mass, and of the stiffness correction. [1; judgement: ten percent]"""
 _MAX_DAMPING_STEP = 1.0
 """Longest step of the logarithm of a damping ratio or of a channel's noise. [1; judgement: a factor of e]"""
+_MAX_SIZE_STEP = 0.5
+"""Longest step of the logarithm of a size of an effect. [1; judgement: a factor of 1.6]"""
 _MAX_EFFECT_STEP = 0.5
 """Longest step of the parameters of effects that are part of the model already. [effect's own unit; judgement]"""
-CONVERGED_NATS = 0.02
-"""Expected gain of the next step at which a fit has converged. [nats; judgement]"""
-FIXED_SLOPES_NATS = 1.0
+_FIXED_SLOPES_GAIN = 1.0
 """Gain of a step below which the slopes are not computed again. [nats; judgement]"""
 
 
@@ -75,7 +75,7 @@ def maximize_posterior(
     effects: tuple[Effect, ...] = (),
     *,
     iterations: int = 12,
-    tolerance: float = CONVERGED_NATS,
+    tolerance: float = 0.02,
     frozen: Slopes | None = None,
     keep_slopes: bool = True,
 ) -> MapEstimate:
@@ -119,7 +119,7 @@ def maximize_posterior(
         move,
         iterations=iterations,
         tolerance=tolerance,
-        fixed_slopes_gain=FIXED_SLOPES_NATS,
+        fixed_slopes_gain=_FIXED_SLOPES_GAIN,
     )
     found = search.point
     last = search.linearization or _no_slopes(start.x.size)
@@ -212,6 +212,6 @@ def _shortened(posterior: Posterior, step: Array, effects: Sequence[Effect]) -> 
     bound[layout.persistent] = _MAX_EFFECT_STEP * posterior.prior.units[layout.persistent]
     bound[layout.excitation] = MAX_EXCITATION_STEP
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
-    bound[layout.effects] = np.where(logarithms, _MAX_EFFECT_STEP, np.inf)
+    bound[layout.effects] = np.where(logarithms, _MAX_SIZE_STEP, np.inf)
     longest = float((np.abs(step) / bound).max())
     return (step,) if longest <= 1.0 else (np.clip(step, -bound, bound), step / longest)

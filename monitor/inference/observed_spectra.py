@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 
 from monitor.core import Array, ComplexArray
 from monitor.inference import input_response
 from monitor.inference.cross_spectra import Band
 from monitor.inference.input_response import Drive
 from monitor.inference.segments import Segments
-from monitor.signals import bin_correlation, overlap_correlation
+from monitor.signals import overlap_correlation
 
 _LEVEL_CLASSES = 5
 """Most classes of vibration level. [count; judgement]"""
@@ -23,6 +22,8 @@ _TEMPERATURE_CLASSES = 4
 """Most classes of temperature. [count; judgement]"""
 _MIN_RANGE_DEGC = 2.0
 """Range of temperature from which there are such classes. [K; judgement]"""
+_READINGS_A_SEGMENT = 21
+"""Times at which a segment's temperature is read. [count; cost]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,9 +77,13 @@ class ObservedSpectra:
         return float(self.weight * self.counts.sum() * n_bins)
 
 
+_BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
+"""Squared correlations of neighbouring bins, one and two apart. [1; definition: Hann taper]"""
+
+
 def information_weight() -> float:
     """Compute the independent pieces of information in a segment and bin."""
-    return 1.0 / (bin_correlation() * (1.0 + 2.0 * overlap_correlation()))
+    return 1.0 / ((1.0 + 2.0 * sum(_BIN_CORRELATION)) * (1.0 + 2.0 * overlap_correlation()))
 
 
 def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> ObservedSpectra:
@@ -224,10 +229,8 @@ def _mean_temperature(readings: Array, t_s: Array, length_s: float, lag_s: float
             behind = lag_s * (value[i] - value[i - 1]) / (t[i] - t[i - 1])
             lagged[i] = value[i] - behind + keep * (lagged[i - 1] - value[i - 1] + behind)
         value = lagged
-    begins, ends = t_s - 0.5 * length_s, t_s + 0.5 * length_s
-    at = np.union1d(t, [begins.min(), ends.max()])  # held before the first reading and after the last
-    integral = make_interp_spline(at, np.interp(at, t, value), k=1).antiderivative()
-    return np.asarray((integral(ends) - integral(begins)) / length_s)
+    within = t_s[:, None] + length_s * np.linspace(-0.5, 0.5, _READINGS_A_SEGMENT)
+    return np.asarray(np.interp(within, t, value).mean(axis=1))
 
 
 def class_temperature(evidence: ObservedSpectra, k: int, lag_s: float) -> float | None:

@@ -25,16 +25,19 @@ from monitor.inference.forward_model import ForwardModel, Prediction
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.spectral_slopes import RowSlopes, Slopes
 from monitor.inference.wishart import log_det_and_trace, whiten
-from monitor.model import UNKNOWN_NOISE_STD, Effect
+from monitor.model import Effect
 
 FORCE_STD = 1.0
 """Prior standard deviation of the logarithm of a floor's force about the floors' mean. [1; judgement: a factor of e]"""
 LEVEL_STD = 5.0
 """Prior standard deviation of the logarithm of a class's level of excitation. [1; judgement: a factor of 150]"""
+_NOISE_STD = 3.0
+"""Prior standard deviation of the logarithm of the noise density that the channels share. [1; judgement: a factor
+of 20]"""
 MAX_EXCITATION_STEP = 2.0
 """Longest step of a fit in the logarithm of a force, a level or the noise. [1; judgement: a factor of 7]"""
-NUDGE = float(np.cbrt(np.finfo(float).eps))
-"""Finite difference of a nuisance parameter, most of which are logarithms: of a third of the digits."""
+NUDGE = 1e-5
+"""Finite difference of a nuisance parameter, most of which are logarithms. [1; rounding]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,7 +80,7 @@ class Posterior(ForwardModel):
             self.prior.precision,
             force_precision,
             np.eye(self.n_classes) / LEVEL_STD**2,
-            np.eye(1) / UNKNOWN_NOISE_STD**2,
+            np.eye(1) / _NOISE_STD**2,
             *[np.diag(precision) for _, precision in known],
         )
         mean = np.concatenate(

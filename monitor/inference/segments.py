@@ -16,7 +16,6 @@ from monitor.inference import input_response
 from monitor.inference.cross_spectra import Band
 from monitor.inference.input_response import Drive, Input
 from monitor.inference.judged_band import JudgedBand, find_judged_band
-from monitor.model import BAND_END
 from monitor.signals import (
     Conditioner,
     ConditionState,
@@ -37,13 +36,19 @@ Located = tuple[Drive, NDArray[np.bool_]]
 """Inputs, and mask of the segments that they cover, shape (n_segments,)."""
 _BAND_START = 0.05
 """Lowest frequency of the band, over the cutoff. [ratio; judgement]"""
+_BAND_END = 0.9
+"""Highest frequency of the band, over the cutoff. [ratio; ripple of the lowpass]"""
 _DRIVEN_SEGMENT_S = 5.0
 """Length of a segment where the inputs are measured. [s; judgement: a measured input needs no resolution, and short
 segments follow its level]"""
 _DRIVEN_SEGMENTS = 72
 """Most segments of such a recording: a known input tells so much that more would only take time. [segments; cost]"""
+_LEAD_S = 60.0
+"""Stretch of the inputs that is kept before them, whose response they still hold. [s; judgement]"""
 _INPUT_TEST_BLOCKS = 64
 """Blocks among which measured inputs are looked for. [count; cost]"""
+_FEWEST_SEGMENTS = 6
+"""Fewest segments of a diagnosis. [segments; judgement]"""
 MIN_PILED = 20
 """Samples at the largest magnitude that show a clipped signal. [samples; judgement]"""
 _CLIPPED_TOLERANCE = 1e-6
@@ -109,7 +114,7 @@ class Segments:
         """Leave out the segments in which a clipped channel reaches its limit, unless too few would remain for a diagnosis."""
         cut = self.piled >= MIN_PILED
         whole = np.asarray((self.peaks[:, cut] < self.peak[cut] * (1.0 - _CLIPPED_TOLERANCE)).all(axis=1))
-        return self if whole.all() or np.count_nonzero(whole) < input_response.FEWEST_SEGMENTS else self.part(whole)
+        return self if whole.all() or np.count_nonzero(whole) < _FEWEST_SEGMENTS else self.part(whole)
 
     def within(self, range_hz: tuple[float, float] | None) -> Segments:
         """Narrow the judged band to a range of frequencies, Hz; None narrows nothing.
@@ -186,7 +191,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         elif block.topic == TEMPERATURE:
             step_ns = 1e9 / block.sample_rate_hz
             temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
-    if len(floors.segments) < input_response.FEWEST_SEGMENTS:
+    if len(floors.segments) < _FEWEST_SEGMENTS:
         raise BadInputError(
             f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
             f"{floors.silent_channels()}"
@@ -194,14 +199,14 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     assert floors.design is not None
     n_all = len(floors.segments)
     left_out = floors.leave_out_faults()
-    if len(floors.segments) < input_response.FEWEST_SEGMENTS:
+    if len(floors.segments) < _FEWEST_SEGMENTS:
         reasons = "; ".join(item.says for item in left_out)
         raise BadInputError(
             f"{len(floors.segments)} segments of {1.0 / floors.design.step_hz:g} s hold no fault of a sensor; a diagnosis "
-            f"takes at least {input_response.FEWEST_SEGMENTS} ({reasons})"
+            f"takes at least {_FEWEST_SEGMENTS} ({reasons})"
         )
     design, conditioner = floors.design, floors.conditioner
-    first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_BAND_START, BAND_END))
+    first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_BAND_START, _BAND_END))
     first = max(first, 4)
     t0 = floors.t0_ns
     gain = _filter_gain(conditioner, last + 1, design.step_hz)
@@ -275,10 +280,7 @@ def _keep_strongest(
     rate_hz, times = drive.design.rate_hz, [t_ns[i] for i in chosen]
     cut = []
     for begin, samples in runs:
-        ends_s = np.array([times[0] - begin, times[-1] - begin]) * 1e-9 + [
-            -input_response.DECAY_S,
-            drive.design.n / rate_hz,
-        ]
+        ends_s = np.array([times[0] - begin, times[-1] - begin]) * 1e-9 + [-_LEAD_S, drive.design.n / rate_hz]
         low, high = np.clip(np.rint(ends_s * rate_hz).astype(int), 0, len(samples))
         if high > low:
             cut.append((begin + round(low / rate_hz * 1e9), samples[low:high]))

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray, compiled
-from monitor.inference.cross_spectra import FREQUENCY_BLOCK
 from monitor.inference.wishart import cholesky, invert_lower
 
+_BINS = 32
+"""Bins that are whitened together. [count; cost: their rows stay in the processor's cache]"""
 _JOINT = 1e-7
 """Share of the diagonal up to which what stands beside it is zero. [ratio; rounding]"""
 
@@ -144,8 +145,8 @@ def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) ->
     out = np.zeros((p, p))
     re, im = np.ascontiguousarray(root.real), np.ascontiguousarray(root.imag)
     ones = np.ones(len(own))
-    for first in range(0, bins, FREQUENCY_BLOCK):
-        rows = np.empty((p, c * c, min(FREQUENCY_BLOCK, bins - first)))
+    for first in range(0, bins, _BINS):
+        rows = np.empty((p, c * c, min(_BINS, bins - first)))
         for k in range(classes):
             _whiten(re[k], im[k], shared, scale[k], first, rows[:n])
             _whiten(re[k], im[k], own[:, k], ones, first, rows[n:])
@@ -199,8 +200,8 @@ def _joint_information(shared: Array, scale: Array, own: Array, directions: Comp
     twice = np.repeat([(i, j) for i, j in zip(rows, columns, strict=True)], np.where(rows == columns, 1, 2), axis=0)
     factor = np.where(twice[:, 0] == twice[:, 1], 1.0, 2.0)[:, None]
     ordered = np.zeros((p, p))
-    for at in range(0, bins, FREQUENCY_BLOCK):
-        m = min(FREQUENCY_BLOCK, bins - at)
+    for at in range(0, bins, _BINS):
+        m = min(_BINS, bins - at)
 
         def turned(slopes: Array, at: int = at, m: int = m) -> Array:
             out = np.empty((len(slopes), c * c, m))

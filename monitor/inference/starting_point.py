@@ -7,7 +7,6 @@ import numpy as np
 from monitor.core import Array
 from monitor.inference.ambient_posterior import AmbientPosterior
 from monitor.inference.driven_posterior import DrivenPosterior
-from monitor.inference.force_levels import LOG_NOTHING
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior
 from monitor.model import Condition, Context, StructuralPrior
@@ -18,6 +17,8 @@ _QUIETEST_QUANTILE = 0.02
 """Quantile of the power over frequency in which noise shows. [ratio; judgement]"""
 _NOISE_SHARE = 0.3
 """Share of the power in this quantile that is noise. [ratio; judgement]"""
+_LITTLE_NOISE = 10.0
+"""How far below that, as a logarithm, the noise lies while the forces' level is found. [1; judgement]"""
 
 
 def make_posterior(observed: ObservedSpectra, prior: StructuralPrior, context: Context) -> Posterior:
@@ -42,14 +43,14 @@ def guess_levels(posterior: Posterior) -> tuple[Array, Array]:
     x : ndarray, shape (n_nuisance,)
         The prior's start, with the guessed noise; forces and levels are zero.
     ratio : ndarray, shape (classes,)
-        Measured over predicted power at `x` without noise.
+        Measured over predicted power at `x` with nearly no noise.
     """
     layout, c = posterior.layout, len(posterior.context.channels)
     power = np.einsum("kfaa->kfa", posterior.observed.spectra[:, :, :c, :c]).real
     quiet = float(np.quantile(power.mean(axis=(0, 2)), _QUIETEST_QUANTILE))
     noise = np.log(max(_NOISE_SHARE * quiet, 1e-300))
     x = np.zeros(layout.n_nuisance)
-    x[layout.structure], x[layout.noise] = posterior.prior.start, LOG_NOTHING
+    x[layout.structure], x[layout.noise] = posterior.prior.start, noise - _LITTLE_NOISE
     predicted = np.einsum("kfaa->kfa", posterior.scatter(x, ())[:, :, :c, :c]).real
     x[layout.noise] = noise
     return x, np.asarray(np.median(power / predicted, axis=(1, 2)))

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.cross_spectra import (
-    FREQUENCY_BLOCK,
     Band,
     accelerance,
     clock_ratio,
@@ -29,6 +28,8 @@ from monitor.model import Condition, Context, Effect, System
 from monitor.signals import leakage
 
 _TAPS = leakage()
+_BLOCK = 64
+"""Frequencies that are computed together. [count; cost]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -170,12 +171,12 @@ def _sum_changes(
     n_bins = gain.size
     out = np.empty((start.size - 1, c * c, n_bins))
     x_re, x_im = np.empty((2, c, c, n_fine))
-    v_re, v_im = np.empty((2, c, FREQUENCY_BLOCK))
-    z_re, z_im, h_re, h_im = np.empty(FREQUENCY_BLOCK), np.empty(FREQUENCY_BLOCK), np.empty(n_fine), np.empty(n_fine)
+    v_re, v_im = np.empty((2, c, _BLOCK))
+    z_re, z_im, h_re, h_im = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(n_fine), np.empty(n_fine)
     for q in range(start.size - 1):
         x_re[:], x_im[:] = 0.0, 0.0
-        for first in range(0, n_fine, FREQUENCY_BLOCK):
-            m = min(FREQUENCY_BLOCK, n_fine - first)
+        for first in range(0, n_fine, _BLOCK):
+            m = min(_BLOCK, n_fine - first)
             e = start[q]
             while e < start[q + 1]:
                 b = at[e, 0]

@@ -1,11 +1,8 @@
 from . import prior_file
 from .effects import (
-    BAND_END,
     CALIBRATION_EFFECTS,
-    DAILY_CHANGE,
     EFFECTS,
     FORMS,
-    INTERVAL_STDS,
     Condition,
     Context,
     Effect,
@@ -29,7 +26,7 @@ from .effects import (
 from .instrumented import InstrumentedModel
 from .integration import loaded, march
 from .model import Model, Modes
-from .prior import UNKNOWN_NOISE_STD, ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
+from .prior import ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
 from .simulation import (
     ExcitationKind,
     Motion,
@@ -44,13 +41,9 @@ from .structures.drawing import Drawing, LineTable, NodeTable, drawing_problems
 from .structures.tables import DrawnTable, Matrix, ModalTable, Positive, StructureTable
 
 __all__ = [
-    "BAND_END",
     "CALIBRATION_EFFECTS",
-    "DAILY_CHANGE",
     "EFFECTS",
     "FORMS",
-    "INTERVAL_STDS",
-    "UNKNOWN_NOISE_STD",
     "Condition",
     "Context",
     "Drawing",

@@ -16,7 +16,7 @@ from monitor.model.model import Model
 
 _STATED_STD = 1e-6
 """Relative standard deviation of what the structure file states of effects. [ratio; rounding]"""
-UNKNOWN_NOISE_STD = 3.0
+_UNKNOWN_NOISE_STD = 3.0
 """Standard deviation of the logarithm of a noise density that is not known. [1; judgement: a factor of 20]"""
 
 
@@ -213,7 +213,7 @@ class StructuralPrior:
 
     def with_any_noise(self) -> StructuralPrior:
         """Add uncertainty of the noise that all channels share, relative to the noise of the ground's sensor."""
-        return self._loosen_jointly(self.channel_noises, UNKNOWN_NOISE_STD)
+        return self._loosen_jointly(self.channel_noises, _UNKNOWN_NOISE_STD)
 
     def _loosen_jointly(self, these: slice, std: float) -> StructuralPrior:
         """Add uncertainty of a change that the given coordinates have in common."""

@@ -94,7 +94,7 @@ def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_
 ) -> None:
     whole = recorded(seed=12, rate_hz=200.0)
     monkeypatch.setattr("monitor.inference.segments._DRIVEN_SEGMENTS", 12)
-    monkeypatch.setattr("monitor.inference.input_response.DECAY_S", 30.0)
+    monkeypatch.setattr("monitor.inference.segments._LEAD_S", 30.0)
     part = recorded(seed=12, rate_hz=200.0)
     assert whole.drive is not None and part.drive is not None
     assert part.t_s.size == part.values.shape[0] == part.drive.first.size == 12 < whole.t_s.size

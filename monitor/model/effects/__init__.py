@@ -40,7 +40,7 @@ from monitor.model.effects.hysteretic_slip import HystereticSlip
 from monitor.model.effects.joint_flexibility import JointFlexibility
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.quadratic_damping import QuadraticDamping
-from monitor.model.effects.report_face import INTERVAL_STDS, FittedSizes, LawFamily, ParameterEstimates, interval, unit
+from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates, interval, unit
 from monitor.model.effects.sensor_clipping import SensorClipping
 from monitor.model.effects.sensor_gain import SensorGain
 from monitor.model.effects.sensor_noise import SensorNoise
@@ -49,7 +49,7 @@ from monitor.model.effects.stiffness_change import StiffnessChange
 from monitor.model.effects.story_damper import StoryDamper
 from monitor.model.effects.temperature_stiffness import TemperatureStiffness
 from monitor.model.effects.time_offset import TimeOffset
-from monitor.model.effects.unmodelled_mode import BAND_END, DAILY_CHANGE, UnmodelledMode
+from monitor.model.effects.unmodelled_mode import UnmodelledMode
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
@@ -88,12 +88,9 @@ FORMS: Mapping[str, type[Effect]] = ChainMap(EFFECTS, CALIBRATION_EFFECTS)
 """Effects that a file may state: the catalogue, with whatever is added to it, and those that calibration alone looks for."""
 
 __all__ = [
-    "BAND_END",
     "CALIBRATION_EFFECTS",
-    "DAILY_CHANGE",
     "EFFECTS",
     "FORMS",
-    "INTERVAL_STDS",
     "Condition",
     "Context",
     "Effect",

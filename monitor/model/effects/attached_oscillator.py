@@ -17,7 +17,7 @@ _OSCILLATOR_DAMPING = 0.03
 """Damping ratio that is expected of what swings on a floor. [1; judgement: a few percent]"""
 _START_MASS = 0.03
 """Start of the mass, over that of the floor. [ratio; judgement: what is hung on a floor is much lighter]"""
-LN_DAMPING_STD = 0.8
+_LN_DAMPING_STD = 0.8
 """Standard deviation of the logarithm of that ratio. [1; judgement: a factor of two]"""
 _MAX_OSCILLATOR_DAMPING = 0.5
 """Damping ratio from which a mass no longer swings by itself: a heavy one that hardly moves imitates a damper. [1;
@@ -67,7 +67,7 @@ class AttachedOscillator(Effect):
         """See `Effect.known`.  The damping ratio is a few percent, within a factor of two."""
         mean = self.coordinates
         mean[2] = np.log(_OSCILLATOR_DAMPING)
-        return mean, np.array([0.0, 0.0, LN_DAMPING_STD**-2])
+        return mean, np.array([0.0, 0.0, _LN_DAMPING_STD**-2])
 
     def is_plausible(self, band_hz: Array) -> bool:
         """See `Effect.is_plausible`.  The natural frequency lies in the band, and the damping ratio is below the limit."""

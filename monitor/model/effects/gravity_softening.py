@@ -7,13 +7,15 @@ from math import inf
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from scipy.constants import g
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
+
+_GRAVITY_M_S2 = 9.80665
+"""Acceleration of gravity. [m/s^2; definition: standard gravity]"""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class GravitySoftening(Effect):
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
         """See `Effect.structural`."""
         assert structure.story_heights_m is not None, "refused by `check`"
-        weight = g * np.cumsum(mass.sum(axis=1))
+        weight = _GRAVITY_M_S2 * np.cumsum(mass.sum(axis=1))
         lost = self.factor * weight / structure.story_heights_m
         return mass, np.asarray(stiffness - np.einsum("j,jab->ab", lost, structure.stiffness_derivatives()))
 

@@ -30,9 +30,9 @@ _UNITS = (
     ("per_degc", "1/K"),
 )
 """Pairs of a parameter name's suffix and its unit; the first suffix that fits counts."""
-INTERVAL_STDS = 2.0
-"""Half width of the intervals that are stated, and smallest distance from no effect at which a size is. [standard deviations;
-convention: 95 %]"""
+_SIZED_STDS = 2.0
+"""Smallest distance of a size from that of no effect at which a sentence states the size. [standard deviations; convention:
+two sigma]"""
 _MOST_PERCENT = 1000.0
 """Largest percentage that is written as a number. [percent; judgement]"""
 
@@ -129,7 +129,7 @@ class FittedSizes:
 
     def is_sized(self, name: str, *, above: float = 0.0) -> bool:
         """Decide if a parameter differs from `above` by more than chance, so that a sentence may state its size."""
-        return abs(self.value(name) - above) >= INTERVAL_STDS * self.std(name)
+        return abs(self.value(name) - above) >= _SIZED_STDS * self.std(name)
 
     def sized(self, name: str, text: str, unsized: str = ", too little to be sized", *, above: float = 0.0) -> str:
         """Return `text`, which states a parameter's size, where `is_sized`, and `unsized` elsewhere."""

@@ -10,15 +10,17 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from monitor.core import Array
-from monitor.model.effects.attached_oscillator import LN_DAMPING_STD
 from monitor.model.effects.base import Condition, Context, CoupledMode, Effect, EffectError, ExtraMode, Peak, System
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
-BAND_END = 0.9
-"""Highest frequency at which models are compared, over the cutoff of the lowpass; the foot of a mode's peak beyond it lies in the
-band. [ratio; ripple of the lowpass]"""
+_MODE_DAMPING_LN_STD = 0.8
+"""Standard deviation of the logarithm of the mode's damping ratio about the structure's. [1; judgement: a factor of two, as
+of an attached oscillator]"""
+_BEYOND_BAND = 1.0 / 0.9
+"""Highest frequency of a mode, over the band's end. [ratio; the lowpass's cutoff, of which the band ends at 0.9: the foot of a
+peak beyond the band lies in it]"""
 _MAX_MODE_DAMPING = 0.15
 """Damping ratio from which a peak is no mode of a structure. [1; as of the poles that identification accepts as modes]"""
 _DAILY_FREQUENCY = 0.02
@@ -33,9 +35,11 @@ _LN_FORCE_STD = 2.0
 _DAILY_FORCE = 4.0
 """Change of the mode's force from calibration that needs no cause: of the logarithm of its density, and of a shape that the force
 scales. [1; judgement: another direction of the wind, a factor of five to seven in amplitude]"""
-DAILY_CHANGE = 0.05
-"""Relative change from calibration that needs no cause: of the damping of the model's own modes, of a coupled mode's shape, whose
-force is a parameter of its own, and of a coupling, over its prior standard deviation. [ratio; judgement]"""
+_DAILY_COUPLED_SHAPE = 0.05
+"""Relative change of a coupled mode's shape from calibration that needs no cause; its force is a parameter of its own. [ratio;
+judgement: as of the damping of the model's own modes]"""
+_DAILY_COUPLING = 0.01
+"""Change of a coupling from calibration that needs no cause. [1; judgement: a twentieth of the largest usual one]"""
 _SHAPE, _COUPLING = "shape_", "coupling_"
 _START = 0.1
 """Start of the shape's largest component, over the reciprocal of the mean floor mass. [ratio; judgement]"""
@@ -91,11 +95,11 @@ class UnmodelledMode(Effect):
         daily = (
             _DAILY_FREQUENCY,
             _DAILY_DAMPING,
-            *(DAILY_CHANGE if of_floors else _DAILY_FORCE,) * len(self.shape),
+            *(_DAILY_COUPLED_SHAPE if of_floors else _DAILY_FORCE,) * len(self.shape),
         )
         if of_floors:
             of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
-            daily = (*daily, _DAILY_FORCE, *(DAILY_CHANGE * _COUPLING_STD,) * len(self.coupling))
+            daily = (*daily, _DAILY_FORCE, *(_DAILY_COUPLING,) * len(self.coupling))
         object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels, *of_floors))
         object.__setattr__(self, "daily", daily)
 
@@ -143,7 +147,7 @@ class UnmodelledMode(Effect):
         the size.
         """
         out = np.full(len(self.parameters), np.nan)
-        out[1] = LN_DAMPING_STD
+        out[1] = _MODE_DAMPING_LN_STD
         if self.shape:
             out[self._of_shape] = np.sqrt(np.mean(np.square(self.shape)))
             out[2 + int(np.abs(self.shape).argmax())] = np.nan
@@ -240,7 +244,7 @@ class UnmodelledMode(Effect):
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
         """See `Effect.known`.  The damping ratio is that of the structure, within a factor of two."""
         mean, precision = self.coordinates, np.zeros(len(self.parameters))
-        mean[1], precision[1] = np.log(context.structure.damping_ratio), LN_DAMPING_STD**-2
+        mean[1], precision[1] = np.log(context.structure.damping_ratio), _MODE_DAMPING_LN_STD**-2
         if self.coupling:
             first = self._of_shape.stop
             mean[first:], precision[first:] = 0.0, _COUPLING_STD**-2
@@ -249,7 +253,7 @@ class UnmodelledMode(Effect):
 
     def is_plausible(self, band_hz: Array) -> bool:
         """See `Effect.is_plausible`.  The peak reaches into the band, and the damping ratio is below the limit."""
-        in_band = band_hz[0] <= self.frequency_hz <= band_hz[-1] / BAND_END
+        in_band = band_hz[0] <= self.frequency_hz <= _BEYOND_BAND * band_hz[-1]
         return bool(in_band and self.damping_ratio < _MAX_MODE_DAMPING)
 
     @classmethod

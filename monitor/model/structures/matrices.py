@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from monitor.core import Array
 
-STATED_DIGITS = 1e-6
-"""Share of a stated matrix that its rounding explains: of its asymmetry, and of the other eigenvalues of a single spring's dK_j.
-[ratio; rounding]"""
+_SINGLE_SPRING = 1e-6
+"""Sum of the other eigenvalues of dK_j over the largest, below which dK_j is one spring. [ratio; rounding]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,7 +96,7 @@ class MatrixStructure:
         """See `Structure.single_springs`.  A bending element is none: it is bent in two ways, and rotations are no drift."""
         values = np.abs(np.linalg.eigvalsh(self.slopes))
         values.sort(axis=1)
-        return np.asarray(values[:, :-1].sum(axis=1) < STATED_DIGITS * values[:, -1])
+        return np.asarray(values[:, :-1].sum(axis=1) < _SINGLE_SPRING * values[:, -1])
 
     def mass_matrix(self) -> Array:
         """Assemble the mass matrix, shape (N, N), kg."""

@@ -10,13 +10,15 @@ from pydantic import Field, model_validator
 from monitor.core import Array, Settings
 from monitor.model.structures.base import Structure
 from monitor.model.structures.drawing import Drawing
-from monitor.model.structures.matrices import STATED_DIGITS, MatrixStructure
+from monitor.model.structures.matrices import MatrixStructure
 from monitor.model.structures.shear_frame import ShearFrame
 
 Positive = Annotated[float, Field(gt=0, le=1e30)]
 """Positive number; the square of one above the limit could exceed the range of a float."""
 Range = tuple[Positive, Positive]
 Matrix = tuple[tuple[float, ...], ...]
+_SYMMETRY_TOLERANCE = 1e-6
+"""Largest asymmetry of a matrix that counts as symmetric. [ratio; rounding]"""
 
 
 class _Drawing(Settings):
@@ -201,6 +203,6 @@ def _symmetric(name: str, rows: Matrix, n: int) -> Array:
         widths = sorted({len(row) for row in rows})
         raise ValueError(f"{name} has {len(rows)} rows of {', '.join(map(str, widths))} values, not {n} of {n}")
     matrix = np.array(rows)
-    if np.abs(matrix - matrix.T).max() > STATED_DIGITS * np.abs(matrix).max():
+    if np.abs(matrix - matrix.T).max() > _SYMMETRY_TOLERANCE * np.abs(matrix).max():
         raise ValueError(f"{name} is not symmetric")
     return np.asarray(0.5 * (matrix + matrix.T))
