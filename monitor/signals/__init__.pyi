@@ -23,7 +23,6 @@ from .settings import ProcessingSettings
 from .temperature import LAGS_S, TemperatureSettings
 from .welch import (
     LEAKAGE_OFFSETS,
-    MAIN_LOBE_BINS,
     SegmentDesign,
     bin_correlation,
     hann_amplitude,
@@ -39,7 +38,6 @@ __all__ = [
     "FALSE_RATE",
     "LAGS_S",
     "LEAKAGE_OFFSETS",
-    "MAIN_LOBE_BINS",
     "NORMAL_MAD",
     "ConditionState",
     "Conditioner",
