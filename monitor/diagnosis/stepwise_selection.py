@@ -532,13 +532,14 @@ def _find_other_direction(
     """Find that the forces act in another direction than at calibration, by the fit with the causes at the sensors alone.
 
     Other causes may stand in for the direction; a channel that is exchanged changes the forces that are fitted without it.
-    Where such causes have forced a coupled mode away from what it was at calibration, they are not believed either.
+    Where the causes have forced an effect away from what it was at calibration, as a coupled mode, they are not believed either.
     """
     if not knows_direction(posterior):
         return None
-    for changed in find_changed_effects(posterior, fit, settings):
-        says = f"{changed.says}; nothing can be said of the structure beside it"
-        return replace(changed, says=says, is_explained=True)
+    changed = find_changed_effects(posterior, fit, settings)
+    if changed:
+        says = f"{changed[0].says}; nothing can be said of the structure beside it"
+        return replace(changed[0], says=says, is_explained=True)
     at_sensors = [e.family == "sensor" for e in fit.effects]
     posterior, fit, _, _ = _keep_effects(posterior, fit, accepted, simulation_std, at_sensors)
     return find_other_direction(posterior, fit, settings)

@@ -342,6 +342,8 @@ def _related(
     raised : ndarray, shape (b,)
         Bands to take.
     """
+    from scipy.special import gammaincc  # takes a while to load
+
     products = (transforms[:, :, None] * transforms[:, None].conj()).sum(axis=0)
     spectra = np.add.reduceat(products, bands.edges, axis=2)[:, :, raised]
     power = np.diagonal(spectra).real.T  # (c, b)
@@ -349,10 +351,7 @@ def _related(
     widths = np.diff([*bands.edges, bands.end])[raised]
     evidence = -(widths * np.log(np.maximum(1.0 - coherence, np.finfo(float).eps))).sum(axis=2)
     np.fill_diagonal(evidence, 0.0)
-    tail, term = np.zeros_like(evidence), np.exp(-evidence)
-    for k in range(len(widths)):
-        tail, term = tail + term, term * evidence / (k + 1)
-    return np.asarray(tail <= _rarity(ratio_on))
+    return np.asarray(gammaincc(len(widths), evidence) <= _rarity(ratio_on))
 
 
 def _transforms(frames: Array, taper: Array, bands: _Bands) -> NDArray[np.complex128]:
