@@ -70,21 +70,12 @@ def run_selection_round(
     starts = rank_by_score(posterior, fit, excluded, settings.favourites)
     ranked = [item for item in best_of_each(starts) if item[0] > min_gain]
     if posterior.observed.drive is None:
-        chosen, rough, min_log_evidence = _shortlist_ambient(posterior, fit, ranked, settings)
+        valid = _fit_ambient(posterior, fit, ranked, settings)
     else:
-        chosen, rough = _shortlist_driven(posterior, fit, ranked, [effect for _, effect in starts])
-        min_log_evidence = -np.inf
-    rough_by_key = {c.key: c for c in rough}
-
-    def fit_chosen(key: tuple[str, str]) -> Candidate:
-        found = fit_candidate(
-            posterior, fit, chosen[key], min_log_evidence=min_log_evidence, rough=rough_by_key.get(key)
-        )
-        return with_tone_evidence(posterior, found)
-
-    fitted = best_first(filter(partial(_is_valid_cause, posterior), parallel_map(fit_chosen, chosen)))
+        valid = _fit_driven(posterior, fit, ranked, [effect for _, effect in starts])
     return sorted(
-        _simulate_contenders(posterior, fit, fitted, added, settings), key=lambda p: -p.candidate.log_evidence
+        _simulate_contenders(posterior, fit, best_first(valid), added, settings),
+        key=lambda p: -p.candidate.log_evidence,
     )
 
 
@@ -100,28 +91,73 @@ def _is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
     return effect.nonlinear or is_significant(effect, std[std.size - len(effect.parameters) :])
 
 
-def _shortlist_ambient(
+def _fit_ambient(
     posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
-) -> tuple[dict[tuple[str, str], Effect], list[Candidate], float]:
+) -> list[Candidate]:
+    """Fit the best effects fully, and return those that are valid causes.
+
+    A rough fit that turns out to be no valid cause keeps no other effect out: the effects that it outdid are fitted too.
+    """
+    rough = _fit_roughly(posterior, fit, [e for _, e in ranked[: settings.ranked]])
+    fitted: dict[tuple[str, str], Candidate] = {}
+    while True:
+        chosen, min_log_evidence = _shortlist_ambient(ranked, rough, settings)
+        new = {key: effect for key, effect in chosen.items() if key not in fitted}
+        fitted |= _fit_fully(posterior, fit, new, rough, min_log_evidence)
+        valid = {key: c for key, c in fitted.items() if _is_valid_cause(posterior, c)}
+        invalid = fitted.keys() - valid.keys()
+        if not rough or rough[0].key not in invalid:
+            return list(valid.values())
+        rough = [c for c in rough if c.key not in invalid]
+
+
+def _fit_driven(
+    posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], starts: list[Effect]
+) -> list[Candidate]:
+    """Fit the best effects fully where the ground is measured, and return those that are valid causes."""
+    chosen, rough = _shortlist_driven(posterior, fit, ranked, starts)
+    fitted = _fit_fully(posterior, fit, chosen, rough, -np.inf)
+    return [c for c in fitted.values() if _is_valid_cause(posterior, c)]
+
+
+def _fit_fully(
+    posterior: Posterior,
+    fit: MapEstimate,
+    effects: dict[tuple[str, str], Effect],
+    rough: list[Candidate],
+    min_log_evidence: float,
+) -> dict[tuple[str, str], Candidate]:
+    """Fit effects, given by name and place, from their rough fits."""
+    rough_by_key = {c.key: c for c in rough}
+
+    def fit_chosen(key: tuple[str, str]) -> Candidate:
+        found = fit_candidate(
+            posterior, fit, effects[key], min_log_evidence=min_log_evidence, rough=rough_by_key.get(key)
+        )
+        return with_tone_evidence(posterior, found)
+
+    return dict(zip(effects, parallel_map(fit_chosen, effects), strict=True))
+
+
+def _shortlist_ambient(
+    ranked: list[tuple[float, Effect]], rough: list[Candidate], settings: DiagnosisSettings
+) -> tuple[dict[tuple[str, str], Effect], float]:
     """Choose the effects that are fitted fully.
 
     Returns
     -------
     chosen : dict
         Effects by name and place.
-    rough : list of Candidate
-        The rough fits.
     min_log_evidence : float
         Evidence below which a cause does not matter, nats.
     """
-    rough = _fit_roughly(posterior, fit, [e for _, e in ranked[: settings.ranked]])
     min_log_evidence = max(rough[0].log_evidence - settings.rival, settings.margin) if rough else 0.0
     near = [c for c in rough if c.may_reach(min_log_evidence)]
     # The rivals of a small effect gain nearly as much, so all of them are fitted.
     small = len(ranked) > 0 and ranked[0][0] < _SMALL_EFFECT_NATS
     chosen = {c.key: c.effect for c in (near if small else near[: settings.tried])}
     # A rough fit may fail from far away, so the best candidates of the score test are fitted too.
-    return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen, rough, min_log_evidence
+    return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen, min_log_evidence
 
 
 def _fit_roughly(posterior: Posterior, fit: MapEstimate, effects: list[Effect]) -> list[Candidate]:

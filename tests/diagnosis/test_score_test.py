@@ -126,6 +126,27 @@ def test_a_law_whose_simulation_diverges_is_no_candidate(monkeypatch: pytest.Mon
     assert tied_candidates([], 3.0) == [], "none may be left"
 
 
+def test_a_rough_fit_that_is_no_valid_cause_keeps_no_rival_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of 2 % lost in the lowest story and a soft base, which no data tell apart, beside a mode at the band's end."""
+    posterior, fit = cast(Posterior, SimpleNamespace(observed=SimpleNamespace(drive=None))), cast(MapEstimate, None)
+    best, base, loss, weak = (
+        replace(candidate(evidence, place, nonlinear=False), delta_log_posterior=5.0)
+        for evidence, place in ((60.0, "story 4"), (20.0, "story 3"), (20.0, "story 2"), (-20.0, "story 1"))
+    )
+    rough = {c.key: c for c in (best, base, loss, weak)}
+    monkeypatch.setattr(selection_round, "_fit_roughly", lambda *a: list(rough.values()))
+    monkeypatch.setattr(selection_round, "_fit_fully", lambda p, f, chosen, *a: {key: rough[key] for key in chosen})
+    ranked = [(40.0, best.effect), (21.0, base.effect), (20.0, loss.effect), (1.0, weak.effect)]
+    settings = DiagnosisSettings(favourites=2)
+
+    def found(invalid: Candidate | None) -> list[Candidate]:
+        monkeypatch.setattr(selection_round, "_is_valid_cause", lambda p, c: c is not invalid)
+        return selection_round._fit_ambient(posterior, fit, ranked, settings)
+
+    assert found(invalid=None) == [best, base], "a valid cause that explains far more keeps its rivals out"
+    assert found(invalid=best) == [base, loss]
+
+
 def test_a_drift_that_no_sensor_moves_with_says_nothing_of_its_skewness() -> None:
     transforms = np.random.default_rng(1).normal(size=(20, 30, 2)) + 0j
     band = SimpleNamespace(hz=np.arange(1.0, 31.0), first=1, n_bins=30)
