@@ -26,7 +26,10 @@ def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> 
         with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
             arrays, held = dict[str, AnyArray](), 0
             for name in archive.files:
-                arrays[name] = array = archive[name]
+                array = archive[name]
+                if not isinstance(array, np.ndarray):  # numpy hands over as bytes what has no header of an array
+                    raise ValueError(f"{name!r} is no array")
+                arrays[name] = array
                 held += max(array.nbytes, VALUE_BYTES * array.size)
                 if held > most_bytes:
                     raise ValueError(f"its arrays take more than {most_bytes >> 20} MiB; cut it into several files")
