@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from monitor.core import Array
 from monitor.model.effects import FORMS
 from monitor.model.model import Model
 from monitor.model.prior import ModelDiscrepancy, StructuralPrior, as_stated
@@ -49,11 +50,11 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     """
     if content is None:
         return None
-    effects = tuple(FORMS[e["effect"]].create(e["location"], e["parameters"]) for e in content["effects"])
     n, p = model.structure.n_dofs, model.structure.n_stories
     mean, precision = (np.array(content[name], dtype=float) for name in ("mean", "precision"))
     basis = np.array(content["basis"], dtype=float).reshape(-1, n, n)
-    size = p + 2 * n + len(channels) + basis.shape[0] + sum(len(e.parameters) for e in effects)
+    first = p + 2 * n + len(channels) + basis.shape[0]
+    size = first + sum(len(e["parameters"]) for e in content["effects"])
     degc, forces = content["reference_degc"], content.get("ln_forces")  # baselines of before do not have the forces
     ln_forces = None if forces is None else np.array(forces, dtype=float)
     if ln_forces is not None and (ln_forces.shape != (n,) or not np.isfinite(ln_forces).all()):
@@ -67,21 +68,63 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     if not (np.isfinite(sizes) & (sizes > 0.0)).all():
         raise ValueError("the reference holds stiffnesses or masses that are not finite, above zero")
     healthy = model.with_stiffness(sizes[:p]).with_masses(sizes[p:])
+    corrected = replace(healthy, correction=np.tensordot(mean[first - basis.shape[0] : first], basis, axes=1))
+    stated, mean, precision = _with_eccentricities(content["effects"], mean, precision, first, corrected)
+    effects = tuple(FORMS[e["effect"]].create(e["location"], e["parameters"]) for e in stated)
     for effect in effects:
         effect.check(healthy.structure, channels)
     known = {(e.name, e.location) for e in effects}
     added = tuple(e for e in model.effects if (e.name, e.location) not in known)
-    stated = np.concatenate([[], *[e.coordinates for e in added]])
+    more = np.concatenate([[], *[e.coordinates for e in added]])
     return StructuralPrior(
         model=replace(model, effects=effects + added),
-        mean=np.concatenate([mean, stated]),
-        precision=block_diag(precision, np.diag(as_stated(added))) if stated.size else precision,
+        mean=np.concatenate([mean, more]),
+        precision=block_diag(precision, np.diag(as_stated(added))) if more.size else precision,
         basis=basis,
         reference_degc=None if degc is None else float(degc),
         error=None if content["error"] is None else _error_from_plain(content["error"], len(channels)),
         judged_hz=None if content["judged_hz"] is None else tuple(content["judged_hz"]),
         ln_forces=ln_forces,
     ).with_known_lines()
+
+
+def _with_eccentricities(
+    effects: list[dict[str, Any]], mean: Array, precision: Array, first: int, healthy: Model
+) -> tuple[list[dict[str, Any]], Array, Array]:
+    """Convert the couplings of modes, which baselines held before they held eccentricities, in effects as a file has them.
+
+    A coupling c_j was a stiffness ``-c_j w^2 sqrt(m m_j)`` between floor j and a mode of angular frequency w; m is the mean mass.
+
+    Parameters
+    ----------
+    mean, precision : ndarray, shape (p,) and (p, p)
+        Of all coordinates; those of the effects begin at `first`.
+    healthy : Model
+        The structure at `mean`, without effects.
+
+    Returns
+    -------
+    effects : list of dict
+    mean, precision : ndarray, shape (p,) and (p, p)
+    """
+    masses, stiffness = healthy.structure.masses_kg, healthy.structural_matrices()[1]
+    mean, slopes, out, n = mean.copy(), np.eye(mean.size), [], masses.size
+    for effect in effects:
+        values, end = dict(effect["parameters"]), first + len(effect["parameters"])
+        names = [name for name in values if name.startswith("coupling_")]
+        if names:
+            squared = (2.0 * np.pi * values["frequency_hz"]) ** 2
+            by_coupling = np.linalg.solve(stiffness, np.diag(-squared * np.sqrt(masses.mean() * masses)))
+            own = slice(end - n, end)
+            mean[own] = by_coupling @ [values.pop(name) for name in names]
+            slopes[own, own], slopes[own, first] = by_coupling, 2.0 * mean[own]  # by the logarithm of the frequency
+            values |= {f"eccentricity_{j + 1}": float(e) for j, e in enumerate(mean[own])}
+        out.append({**effect, "parameters": values})
+        first = end
+    if out == effects:
+        return effects, mean, precision
+    back = np.linalg.inv(slopes)
+    return out, mean, back.T @ precision @ back
 
 
 def _error_to_plain(error: ModelDiscrepancy) -> dict[str, Any]:

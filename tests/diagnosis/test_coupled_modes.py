@@ -26,7 +26,7 @@ from tests.diagnosis.test_modal_start import CONTEXT, RATE, TORSION, TRUTH, diag
 
 COUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45,"
-    "force_ratio=0.6,coupling_1=0.1,coupling_2=0.12,coupling_3=0.08"
+    "force_ratio=0.6,eccentricity_1=-0.361,eccentricity_2=-0.325,eccentricity_3=-0.167"
 )
 UNCOUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45"
@@ -180,7 +180,7 @@ def test_a_coupling_is_found_and_stated_as_the_mode_that_is_seen() -> None:
     ]
     (cause,) = found.causes
     assert abs(cause.effect.values()["frequency_hz"] - own.frequency_hz) < 3.0 * cause.std["frequency_hz"]
-    assert "coupling_1" not in cause.effect.values()
+    assert "eccentricity_1" not in cause.effect.values()
     assert not find_lack_of_fit(found.posterior, found.final_fit, found.settings)
 
 
@@ -206,9 +206,9 @@ def test_a_weak_mode_s_shape_costs_less_than_a_strong_one_s() -> None:
 @pytest.mark.parametrize(
     ("parameters", "says"),
     [
-        ("coupling_1=0.1,coupling_2=0.1,coupling_3=0.1", "needs its shape"),
-        ("shape_1=1.0,shape_2=1.0,shape_3=1.0,coupling_1=0.1", "1 couplings for 3 floors"),
-        ("shape_1=1.0,shape_2=1.0,shape_3=1.0,coupling_1=5.0,coupling_2=5.0,coupling_3=5.0", "unstable"),
+        ("eccentricity_1=0.1,eccentricity_2=0.1,eccentricity_3=0.1", "needs its shape"),
+        ("shape_1=1.0,shape_2=1.0,shape_3=1.0,eccentricity_1=0.1", "1 eccentricities for 3 floors"),
+        ("shape_1=1.0,shape_2=1.0,shape_3=1.0,eccentricity_1=5.0,eccentricity_2=5.0,eccentricity_3=5.0", "unstable"),
     ],
 )
 def test_a_coupling_that_no_structure_has_is_refused(parameters: str, says: str) -> None:

@@ -224,9 +224,9 @@ def test_a_reference_from_its_file_is_the_one_that_was_learned() -> None:
 
 TURNING = (
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=2.0,shape_2=1.5,shape_3=-0.9,"
-    "force_ratio=0.6,coupling_1=0.1,coupling_2=0.12,coupling_3=-0.08",
+    "force_ratio=0.6,eccentricity_1=-0.275,eccentricity_2=-0.238,eccentricity_3=-0.081",
     "unmodelled_mode:frame:frequency_hz=17.0,damping_ratio=0.01,shape_1=1.0,shape_2=-2.0,shape_3=0.6,"
-    "force_ratio=0.9,coupling_1=-0.1,coupling_2=0.1,coupling_3=0.05",
+    "force_ratio=0.9,eccentricity_1=0.02,eccentricity_2=-0.1,eccentricity_3=-0.1",
 )
 
 

@@ -115,6 +115,13 @@ class System:
     """Shape (N, N), N/m."""
     coupled: tuple[CoupledMode, ...] = ()
     """Modes among the appended degrees of freedom; the others are masses that ride on the structure."""
+    springs: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Stiffness of the structure alone, shape (n, n), N/m; by default `stiffness`, before effects append and add to it."""
+
+    def __post_init__(self) -> None:
+        """Keep the stiffness of the structure alone."""
+        if self.springs.size == 0:
+            object.__setattr__(self, "springs", self.stiffness)
 
     @property
     def inertia(self) -> Array:

@@ -28,8 +28,9 @@ _DAILY_FREQUENCY = 0.02
 describes moves this mode too, by up to half the lost share of a story's stiffness]"""
 _DAILY_DAMPING = 0.3
 """The same of its damping ratio. [ratio; judgement]"""
-_COUPLING_STD = 0.2
-"""Prior standard deviation of a coupling with a floor. [1; judgement: eccentricities of up to a tenth of the plan's width]"""
+_USUAL_ECCENTRICITY = 0.12
+"""Prior standard deviation of the distance between the centres of mass and of stiffness, over a floor's radius of gyration.
+[1; EN 1998-1, 4.3.2: an accidental eccentricity of 5 % of the width, here of a square plan]"""
 _LN_FORCE_STD = 2.0
 """Prior standard deviation of the logarithm of the density of the mode's own force, over the floors'. [1; judgement]"""
 _DAILY_FORCE = 4.0
@@ -38,9 +39,9 @@ scales. [1; judgement: another direction of the wind, a factor of five to seven 
 _DAILY_COUPLED_SHAPE = 0.05
 """Relative change of a coupled mode's shape from calibration that needs no cause; its force is a parameter of its own. [ratio;
 judgement: as of the damping of the model's own modes]"""
-_DAILY_COUPLING = 0.01
-"""Change of a coupling from calibration that needs no cause. [1; judgement: a twentieth of the largest usual one]"""
-_SHAPE, _COUPLING = "shape_", "coupling_"
+_DAILY_ECCENTRICITY = 0.05
+"""Change of an eccentricity from calibration that needs no cause, over its prior standard deviation. [ratio; judgement]"""
+_SHAPE, _ECCENTRICITY = "shape_", "eccentricity_"
 _START = 0.1
 """Start of the shape's largest component, over the reciprocal of the mean floor mass. [ratio; judgement]"""
 
@@ -52,8 +53,10 @@ class UnmodelledMode(Effect):
     The channels move by ``shape h(f) g`` in addition to the model's motion, where h is the accelerance of an oscillator of one
     kilogram and g a random force of the floors' mean force density.
 
-    A mode of torsion of an eccentric building is coupled to the floors.  It is a degree of freedom q of the floors' mean mass m,
-    with the stiffness ``-coupling_j w^2 sqrt(m m_j)`` between q and floor j.  The channels move by ``m shape`` times the
+    A mode of torsion of an eccentric building is coupled to the floors.  It is a degree of freedom q of the floors' mean mass m.
+    Where q moves by 1, the stories are strained as if floor j had moved by ``eccentricity_j``: by the distance of its centre of
+    mass from the centre of stiffness times its rotation in the mode.  So the stiffness between q and the floors is the floors'
+    stiffness matrix times the eccentricities; a loss of stiffness weakens it too.  The channels move by ``m shape`` times the
     acceleration of q, and the density of g is `force_ratio` times the floors'.
     """
 
@@ -69,7 +72,7 @@ class UnmodelledMode(Effect):
         Parameter("damping_ratio", 0.0, 1.0, "log"),
     )
     """Parameters of the class; an instance adds one for every channel, `shape_1` and so on, and a coupled one `force_ratio` and
-    one for every floor, `coupling_1` and so on."""
+    one for every floor, `eccentricity_1` and so on."""
     signature: ClassVar[str] = (
         "one peak more, as wide as the structure's own, of another shape, with normal kurtosis; the model's modes stay"
     )
@@ -83,14 +86,14 @@ class UnmodelledMode(Effect):
     """Acceleration of every channel by a unit force on the mode, 1/kg; empty: alike on all channels, over the total mass."""
     force_ratio: float = 1.0
     """Density of the mode's own force over the floors' mean."""
-    coupling: tuple[float, ...] = ()
-    """Coupling with every floor; empty for none."""
+    eccentricity: tuple[float, ...] = ()
+    """Of every floor; empty for a mode that is not coupled."""
 
     def __post_init__(self) -> None:
-        """Add the parameters of the shape and of the coupling to those of the class, and their changes from day to day."""
-        nothing = None if self.coupling else 0.0  # the size of a coupled mode is in its coupling too
+        """Add the parameters of the shape and the eccentricities to those of the class, and their changes from day to day."""
+        nothing = None if self.eccentricity else 0.0  # the size of a coupled mode is in its eccentricities too
         of_channels = tuple(Parameter(f"{_SHAPE}{i + 1}", -inf, inf, absent=nothing) for i in range(len(self.shape)))
-        of_floors = tuple(Parameter(f"{_COUPLING}{j + 1}", -inf, inf) for j in range(len(self.coupling)))
+        of_floors = tuple(Parameter(f"{_ECCENTRICITY}{j + 1}", -inf, inf) for j in range(len(self.eccentricity)))
         # The forces on the mode change from day to day.  They scale the shape where the mode is not coupled.
         daily = (
             _DAILY_FREQUENCY,
@@ -99,15 +102,15 @@ class UnmodelledMode(Effect):
         )
         if of_floors:
             of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
-            daily = (*daily, _DAILY_FORCE, *(_DAILY_COUPLING,) * len(self.coupling))
+            daily = (*daily, _DAILY_FORCE, *(_DAILY_ECCENTRICITY,) * len(self.eccentricity))
         object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels, *of_floors))
         object.__setattr__(self, "daily", daily)
 
     @classmethod
     def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
-        """See `Effect.create`.  The shape, `shape_1` and so on, and the coupling may be left out."""
+        """See `Effect.create`.  The shape, `shape_1` and so on, and the eccentricities may be left out."""
         listed = {}
-        for prefix, what in ((_SHAPE, "channel"), (_COUPLING, "floor")):
+        for prefix, what in ((_SHAPE, "channel"), (_ECCENTRICITY, "floor")):
             own = {name: value for name, value in parameters.items() if name.startswith(prefix)}
             wanted = [f"{prefix}{i + 1}" for i in range(len(own))]
             if set(own) != set(wanted):
@@ -116,21 +119,21 @@ class UnmodelledMode(Effect):
                 if not isfinite(value):
                     raise EffectError(f"{cls.name}: {name} = {value:g} must be finite")
             listed[prefix] = tuple(own[name] for name in wanted)
-        force_ratio = parameters.get("force_ratio", 1.0) if listed[_COUPLING] else 1.0
+        force_ratio = parameters.get("force_ratio", 1.0) if listed[_ECCENTRICITY] else 1.0
         if not (isfinite(force_ratio) and force_ratio > 0.0):
             raise EffectError(f"{cls.name}: force_ratio = {force_ratio:g} must be finite, above 0")
-        more = (_SHAPE, _COUPLING, *(["force_ratio"] if listed[_COUPLING] else []))
+        more = (_SHAPE, _ECCENTRICITY, *(["force_ratio"] if listed[_ECCENTRICITY] else []))
         bare = super().create(location, {n: value for n, value in parameters.items() if not n.startswith(tuple(more))})
         hz, ratio = bare.values().values()
-        return cls(location, hz, ratio, listed[_SHAPE], force_ratio, listed[_COUPLING])
+        return cls(location, hz, ratio, listed[_SHAPE], force_ratio, listed[_ECCENTRICITY])
 
     def values(self) -> dict[str, float]:
         """See `Effect.values`."""
         own = {"frequency_hz": self.frequency_hz, "damping_ratio": self.damping_ratio}
         own |= {f"{_SHAPE}{i + 1}": component for i, component in enumerate(self.shape)}
-        if self.coupling:
+        if self.eccentricity:
             own["force_ratio"] = self.force_ratio
-        return own | {f"{_COUPLING}{j + 1}": component for j, component in enumerate(self.coupling)}
+        return own | {f"{_ECCENTRICITY}{j + 1}": component for j, component in enumerate(self.eccentricity)}
 
     @property
     def units(self) -> Array:
@@ -151,10 +154,18 @@ class UnmodelledMode(Effect):
         if self.shape:
             out[self._of_shape] = np.sqrt(np.mean(np.square(self.shape)))
             out[2 + int(np.abs(self.shape).argmax())] = np.nan
-        if self.coupling:
-            out[self._of_shape.stop :] = _COUPLING_STD
+        if self.eccentricity:
+            out[self._of_shape.stop :] = self._eccentricity_std
             out[self._of_shape.stop] = _LN_FORCE_STD
         return out
+
+    @property
+    def _eccentricity_std(self) -> float:
+        """Prior standard deviation of an eccentricity.
+
+        Where q moves by 1, n equal floors turn by 1 / (r sqrt(n)) in the quadratic mean, with the radius of gyration r.
+        """
+        return float(_USUAL_ECCENTRICITY / np.sqrt(len(self.eccentricity)))
 
     @property
     def _of_shape(self) -> slice:
@@ -166,26 +177,26 @@ class UnmodelledMode(Effect):
         values = [p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
         hz, ratio, *rest = values
         shape, rest = rest[: len(self.shape)], rest[len(self.shape) :]
-        force_ratio, *coupling = rest or [1.0]
+        force_ratio, *eccentricity = rest or [1.0]
         return replace(
             self,
             frequency_hz=hz,
             damping_ratio=ratio,
             shape=tuple(shape),
             force_ratio=force_ratio,
-            coupling=tuple(coupling),
+            eccentricity=tuple(eccentricity),
         )
 
     def coupled(self, context: Context) -> Self | None:
         """See `Effect.coupled`."""
-        if self.coupling:
+        if self.eccentricity:
             return None
         shape = tuple(self._shape_on(context).tolist())
-        return replace(self, shape=shape, coupling=(0.0,) * context.structure.n_dofs)
+        return replace(self, shape=shape, eccentricity=(0.0,) * context.structure.n_dofs)
 
     def reversed_coupling(self) -> Self:
         """See `Effect.reversed_coupling`."""
-        return replace(self, coupling=tuple(-coupling for coupling in self.coupling))
+        return replace(self, eccentricity=tuple(-e for e in self.eccentricity))
 
     def uncoupled(self, resonance: ExtraMode) -> Self:
         """See `Effect.uncoupled`."""
@@ -194,28 +205,26 @@ class UnmodelledMode(Effect):
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
         """See `Effect.extend`.  Only a coupled mode is a degree of freedom of the system."""
-        if not self.coupling:
+        if not self.eccentricity:
             return system
-        mean, size = float(context.structure.masses_kg.mean()), system.mass.shape[0]
-        own, link = self._springs(context.structure)
+        mean, size, n = float(context.structure.masses_kg.mean()), system.mass.shape[0], len(self.eccentricity)
+        own, link = self._springs(context.structure, system.springs)
         larger = system.enlarged()
         mass, damping, stiffness = larger.mass, larger.damping, larger.stiffness
         mass[size, size], damping[size, size] = mean, 2.0 * self.damping_ratio * np.sqrt(own * mean)
         stiffness[size, size] = own
-        stiffness[: link.size, size] = stiffness[size, : link.size] = link
+        stiffness[:n, size] = stiffness[size, :n] = link
         mode = CoupledMode(size, mean * np.array(self.shape), self.force_ratio)
         return replace(larger, coupled=(*system.coupled, mode))
 
-    def _springs(self, structure: Structure) -> tuple[float, Array]:
+    def _springs(self, structure: Structure, stiffness: Array) -> tuple[float, Array]:
         """Return the stiffness of a coupled mode's degree of freedom, N/m, and that between it and every floor, shape (n,)."""
-        masses = structure.masses_kg
-        squared = (2.0 * pi * self.frequency_hz) ** 2
-        mean = float(masses.mean())
-        return mean * squared, -squared * np.sqrt(mean * masses) * self.coupling
+        own = float(structure.masses_kg.mean()) * (2.0 * pi * self.frequency_hz) ** 2
+        return own, stiffness @ np.array(self.eccentricity)
 
     def extra_modes(self, context: Context) -> tuple[ExtraMode, ...]:
         """See `Effect.extra_modes`."""
-        if self.coupling:
+        if self.eccentricity:
             return ()
         return (ExtraMode(self.frequency_hz, self.damping_ratio, self._shape_on(context)),)
 
@@ -230,24 +239,24 @@ class UnmodelledMode(Effect):
         super().check(structure, channels)
         if self.shape and len(self.shape) != len(channels):
             raise EffectError(f"{self.name}: {len(self.shape)} components of the shape for {len(channels)} channels")
-        if self.coupling and not self.shape:
+        if self.eccentricity and not self.shape:
             raise EffectError(
                 f"{self.name}: a coupled mode needs its shape, {_SHAPE}1 and so on, one for every channel"
             )
-        if self.coupling and len(self.coupling) != structure.n_dofs:
-            raise EffectError(f"{self.name}: {len(self.coupling)} couplings for {structure.n_dofs} floors")
-        if self.coupling:
-            own, link = self._springs(structure)
-            if own <= link @ np.linalg.solve(structure.stiffness_matrix(), link):
-                raise EffectError(f"{self.name}: the coupling is so strong that the structure is unstable")
+        if self.eccentricity and len(self.eccentricity) != structure.n_dofs:
+            raise EffectError(f"{self.name}: {len(self.eccentricity)} eccentricities for {structure.n_dofs} floors")
+        if self.eccentricity:
+            own, link = self._springs(structure, structure.stiffness_matrix())
+            if own <= link @ np.array(self.eccentricity):
+                raise EffectError(f"{self.name}: the eccentricities are so large that the structure is unstable")
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
         """See `Effect.known`.  The damping ratio is that of the structure, within a factor of two."""
         mean, precision = self.coordinates, np.zeros(len(self.parameters))
         mean[1], precision[1] = np.log(context.structure.damping_ratio), _MODE_DAMPING_LN_STD**-2
-        if self.coupling:
+        if self.eccentricity:
             first = self._of_shape.stop
-            mean[first:], precision[first:] = 0.0, _COUPLING_STD**-2
+            mean[first:], precision[first:] = 0.0, self._eccentricity_std**-2
             precision[first] = _LN_FORCE_STD**-2
         return mean, precision
 
