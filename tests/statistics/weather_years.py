@@ -2,12 +2,12 @@
 
     .venv/bin/python -m tests.statistics.weather_years FILE.jsonl [YEARS] [SEED] [CASE ...]
 
-A year in hourly windows of 400 s: temperature with seasons, days, spells and ten days of frost (slope four times that above
-0 degC: some 8 %), gales up to five times the day's level (joints that give by up to 2.4, 7.2, 4.8 %, half of it at three
-times), and rain (mass +0.5 %, unmeasured).  The readings scatter as the raw windows of `thirty_days`.  Calibration: the fourteen
-days before.  Each year is run intact, with 2 and with 5 % of a story lost at a random hour, with 5 % of two stories, and with 1 %
-of a story lost in each month from then on.  Cases: what is measured, and what is done with the rest (`CASES`).  FILE holds one
-line a run; what it holds is not run again.
+A year in hourly windows of 400 s: temperature with seasons, days, spells and ten days of frost (slope four times that above 0
+degC: some 8 %), gales up to five times the day's level (joints that give by up to 2.4, 7.2, 4.8 %, half of it at three
+times), rain (mass +0.5 %, unmeasured), and sensors that die and drift.  The readings scatter as the raw windows of
+`thirty_days`.  Calibration: the fourteen days before.  Each year is run intact, with 2 and with 5 % of a story lost at a
+random hour, with 5 % of two stories, and with 1 % of a story lost in each month from then on.  Cases: what is measured, and
+what is done with the rest (`CASES`).  FILE holds one line a run; what it holds is not run again.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ from monitor.signals import LAGS_S
 HOUR_NS, CALIBRATION_H, YEAR_H = 3_600_000_000_000, 14 * 24, 365 * 24
 STD = np.array([0.0010, 0.0017, 0.0018])
 """Standard deviation of the index of a raw window (docs/temperature.md, thirty days)."""
+LESS = np.array([1.6, 2.8, 2.2])
+"""Largest scatter of a window without one of the channels, over that of one with all (docs/running.md, fewer sensors)."""
+FAILURES, LONGEST_H = 4, 72
 SLOPES = np.array([1.0e-3, 1.5e-3, 0.8e-3])
 FROST = 4.0
 SOFT = np.array([0.024, 0.072, 0.048])
@@ -47,6 +50,8 @@ class Case(NamedTuple):
     looks: int = 1
     """Windows an hour."""
     calibration_h: int = CALIBRATION_H
+    failing: bool = False
+    """Sensors die or drift: each of the three `FAILURES` times a year, for an hour to three days."""
 
 
 class Loss(NamedTuple):
@@ -64,6 +69,9 @@ CASES = {
     "level, alike": Case(("level",), separated=False),
     "level, uneven": Case(("level",), uneven=True),
     "level, uneven, alike": Case(("level",), separated=False, uneven=True),
+    "level and temperature, failing sensors": Case(("level", "temperature"), failing=True),
+    "level, failing sensors": Case(("level",), failing=True),
+    "none, failing sensors": Case((), separated=False, failing=True),
     "level, 8 looks an hour": Case(("level",), looks=8),
     "level, two days of calibration": Case(("level",), calibration_h=48),
     "level, two days of calibration, alike": Case(("level",), separated=False, calibration_h=48),
@@ -112,6 +120,15 @@ def change(degc: np.ndarray, level: np.ndarray, rain: np.ndarray, *, uneven: boo
     return np.asarray(-warm * SLOPES + np.log1p(-gives) - RAIN * rain[:, None])
 
 
+def scatter(rng: np.random.Generator, n: int, *, failing: bool) -> np.ndarray:
+    """Standard deviation of the index hour by hour, shape (n, 3); channels that fail after calibration are left out."""
+    out = np.tile(STD, (n, 1))
+    if failing:
+        for begin in rng.integers(CALIBRATION_H, n, size=3 * FAILURES):
+            out[begin : begin + int(LONGEST_H ** rng.random())] = STD * LESS
+    return out
+
+
 def lagged(values: np.ndarray, hours: float) -> np.ndarray:
     """Values behind a first-order lag."""
     if hours == 0.0:
@@ -134,7 +151,8 @@ def one(year: int, seed: int, case: Case, loss: Loss) -> dict[str, object]:
     n, names = CALIBRATION_H + YEAR_H, case.names
     degc, level, rain = weather(rng, n, float(rng.integers(365)))
     x = change(degc, level, rain, uneven=case.uneven)
-    noise = STD * rng.standard_normal((n, 3))
+    std = scatter(np.random.default_rng([seed, year, 2]), n, failing=case.failing)
+    noise = std * rng.standard_normal((n, 3))
     y = x + noise
     onset, story = CALIBRATION_H + int(rng.integers(24 * 30, YEAR_H - 24 * 30)), int(rng.integers(3))
     lost = tuple((story + k) % 3 for k in range(loss.stories))
@@ -160,8 +178,10 @@ def one(year: int, seed: int, case: Case, loss: Loss) -> dict[str, object]:
     units = {"level": "dB", "temperature": "degC"}
     law = learn_law(changes, 0.0, {name: units[name] for name in names}, SETTINGS) if names else None
     shape = (n if case.looks > 1 else 0, case.looks - 1, 3)
-    more = STD * np.random.default_rng([seed, year, 1]).standard_normal(shape) - noise[: shape[0], None]
-    return watch(law, case, degc, level, y, more, onset, lost)
+    more = (
+        std[: shape[0], None] * np.random.default_rng([seed, year, 1]).standard_normal(shape) - noise[: shape[0], None]
+    )
+    return watch(law, case, degc, level, y, std, more, onset, lost)
 
 
 def watch(
@@ -170,6 +190,7 @@ def watch(
     degc: np.ndarray,
     level: np.ndarray,
     y: np.ndarray,
+    std: np.ndarray,
     more: np.ndarray,
     onset: int,
     lost: tuple[int, ...],
@@ -191,15 +212,15 @@ def watch(
                 skipped += 1
                 continue
             beyond = "beyond calibration" if hidden > ALARM.alarm_loss else ""
-        shared = common + added
+        own, shared = np.diag(std[k] ** 2), common + added
         told: set[int] = set()
         whole, normal = False, True
         for look in range(case.looks):
             row = y[k] if look == 0 else y[k] + more[k, look - 1]
             ddi = 1.0 - np.exp(row) / (1.0 + relative)
             if together is not None and not beyond:
-                beyond = together.beyond_words(ddi, np.diag(STD**2) + shared, ALARM.alarm_loss / ALARM.significance)
-            reading = DamageReading(ddi, np.diag(STD**2) + shared, ddi, ddi, common_covariance=shared, beyond=beyond)
+                beyond = together.beyond_words(ddi, own + shared, ALARM.alarm_loss / ALARM.significance)
+            reading = DamageReading(ddi, own + shared, ddi, ddi, common_covariance=shared, beyond=beyond)
             state, verdict = alarm.step(state, reading, t_ns + look * 400_000_000_000, ALARM, together)
             told |= {s for s, lv in verdict.active.items() if s != WHOLE and lv.rank >= Level.WARNING.rank}
             whole, normal = whole or WHOLE in verdict.active, normal and verdict.level is Level.NORMAL
