@@ -28,7 +28,7 @@ _DAILY_FREQUENCY = 0.02
 describes moves this mode too, by up to half the lost share of a story's stiffness]"""
 _DAILY_DAMPING = 0.3
 """The same of its damping ratio. [ratio; judgement]"""
-_USUAL_ECCENTRICITY = 0.12
+_ACCIDENTAL_ECCENTRICITY = 0.12
 """Prior standard deviation of the distance between the centres of mass and of stiffness, over a floor's radius of gyration.
 [1; EN 1998-1, 4.3.2: an accidental eccentricity of 5 % of the width, here of a square plan]"""
 _LN_FORCE_STD = 2.0
@@ -39,8 +39,9 @@ scales. [1; judgement: another direction of the wind, a factor of five to seven 
 _DAILY_COUPLED_SHAPE = 0.05
 """Relative change of a coupled mode's shape from calibration that needs no cause; its force is a parameter of its own. [ratio;
 judgement: as of the damping of the model's own modes]"""
-_DAILY_ECCENTRICITY = 0.05
-"""Change of an eccentricity from calibration that needs no cause, over its prior standard deviation. [ratio; judgement]"""
+_DAILY_ECCENTRICITY = 0.1
+"""Change of an eccentricity from calibration that needs no cause, over its prior standard deviation. [ratio; judgement: people
+and goods are a twelfth of the mass; a fifth of them on one side moves the centre of mass by 0.5 % of the width]"""
 _SHAPE, _ECCENTRICITY = "shape_", "eccentricity_"
 _START = 0.1
 """Start of the shape's largest component, over the reciprocal of the mean floor mass. [ratio; judgement]"""
@@ -102,7 +103,7 @@ class UnmodelledMode(Effect):
         )
         if of_floors:
             of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
-            daily = (*daily, _DAILY_FORCE, *(_DAILY_ECCENTRICITY,) * len(self.eccentricity))
+            daily = (*daily, _DAILY_FORCE, *(_DAILY_ECCENTRICITY * self._eccentricity_std,) * len(self.eccentricity))
         object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels, *of_floors))
         object.__setattr__(self, "daily", daily)
 
@@ -165,7 +166,7 @@ class UnmodelledMode(Effect):
 
         Where q moves by 1, n equal floors turn by 1 / (r sqrt(n)) in the quadratic mean, with the radius of gyration r.
         """
-        return float(_USUAL_ECCENTRICITY / np.sqrt(len(self.eccentricity)))
+        return float(_ACCIDENTAL_ECCENTRICITY / np.sqrt(len(self.eccentricity)))
 
     @property
     def _of_shape(self) -> slice:
