@@ -28,9 +28,9 @@ _DAILY_FREQUENCY = 0.02
 describes moves this mode too, by up to half the lost share of a story's stiffness]"""
 _DAILY_DAMPING = 0.3
 """The same of its damping ratio. [ratio; judgement]"""
-_ACCIDENTAL_ECCENTRICITY = 0.12
+_ECCENTRICITY_RADII = 0.3
 """Prior standard deviation of the distance between the centres of mass and of stiffness, over a floor's radius of gyration.
-[1; EN 1998-1, 4.3.2: an accidental eccentricity of 5 % of the width, here of a square plan]"""
+[1; EN 1998-1, 4.2.3.2: a building is regular in plan up to 0.30 torsional radii]"""
 _LN_FORCE_STD = 2.0
 """Prior standard deviation of the logarithm of the density of the mode's own force, over the floors'. [1; judgement]"""
 _DAILY_FORCE = 4.0
@@ -39,9 +39,9 @@ scales. [1; judgement: another direction of the wind, a factor of five to seven 
 _DAILY_COUPLED_SHAPE = 0.05
 """Relative change of a coupled mode's shape from calibration that needs no cause; its force is a parameter of its own. [ratio;
 judgement: as of the damping of the model's own modes]"""
-_DAILY_ECCENTRICITY = 0.1
-"""Change of an eccentricity from calibration that needs no cause, over its prior standard deviation. [ratio; judgement: people
-and goods are a twelfth of the mass; a fifth of them on one side moves the centre of mass by 0.5 % of the width]"""
+_DAILY_RADII = 0.012
+"""Change of that distance from calibration that needs no cause, over the radius. [1; judgement: people and goods are a twelfth of
+the mass; a fifth of them on one side moves the centre of mass by 0.5 % of a square plan's width]"""
 _SHAPE, _ECCENTRICITY = "shape_", "eccentricity_"
 _START = 0.1
 """Start of the shape's largest component, over the reciprocal of the mean floor mass. [ratio; judgement]"""
@@ -103,7 +103,7 @@ class UnmodelledMode(Effect):
         )
         if of_floors:
             of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
-            daily = (*daily, _DAILY_FORCE, *(_DAILY_ECCENTRICITY * self._eccentricity_std,) * len(self.eccentricity))
+            daily = (*daily, _DAILY_FORCE, *(_DAILY_RADII * self._mean_rotation,) * len(self.eccentricity))
         object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels, *of_floors))
         object.__setattr__(self, "daily", daily)
 
@@ -156,17 +156,14 @@ class UnmodelledMode(Effect):
             out[self._of_shape] = np.sqrt(np.mean(np.square(self.shape)))
             out[2 + int(np.abs(self.shape).argmax())] = np.nan
         if self.eccentricity:
-            out[self._of_shape.stop :] = self._eccentricity_std
+            out[self._of_shape.stop :] = _ECCENTRICITY_RADII * self._mean_rotation
             out[self._of_shape.stop] = _LN_FORCE_STD
         return out
 
     @property
-    def _eccentricity_std(self) -> float:
-        """Prior standard deviation of an eccentricity.
-
-        Where q moves by 1, n equal floors turn by 1 / (r sqrt(n)) in the quadratic mean, with the radius of gyration r.
-        """
-        return float(_ACCIDENTAL_ECCENTRICITY / np.sqrt(len(self.eccentricity)))
+    def _mean_rotation(self) -> float:
+        """Quadratic mean of the rotations of n equal floors by a motion of 1, over the reciprocal of their radius of gyration."""
+        return float(len(self.eccentricity) ** -0.5)
 
     @property
     def _of_shape(self) -> slice:
@@ -257,7 +254,7 @@ class UnmodelledMode(Effect):
         mean[1], precision[1] = np.log(context.structure.damping_ratio), _MODE_DAMPING_LN_STD**-2
         if self.eccentricity:
             first = self._of_shape.stop
-            mean[first:], precision[first:] = 0.0, self._eccentricity_std**-2
+            mean[first:], precision[first:] = 0.0, (_ECCENTRICITY_RADII * self._mean_rotation) ** -2
             precision[first] = _LN_FORCE_STD**-2
         return mean, precision
 
