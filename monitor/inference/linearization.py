@@ -129,8 +129,9 @@ def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], law
     poles, vectors = np.linalg.eig(np.array(states))
     back = np.linalg.inv(vectors)
     decay = -(poles[:, :, None] + poles[:, None, :].conj())
-    decay[decay == 0.0] = np.nan  # a pole that rounds to 0, as of damping beyond all measure: no stationary motion
-    inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / decay
+    still = decay == 0.0  # a pole that rounds to 0, as of damping beyond all measure: no stationary motion
+    inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / np.where(still, 1.0, decay)
+    inner[still] = np.nan
     rows = np.array([law.direction(context.structure) for law in laws]) @ vectors[:, :n]
     variance = 0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real
     # Too strong a coupling makes the system unstable: it has no stationary motion, and the spectra no likelihood.
