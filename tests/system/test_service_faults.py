@@ -179,6 +179,7 @@ def test_a_full_disk_costs_recordings_and_no_result(site: Path, record: np.ndarr
         disk.sh(f"head -c 100m /dev/zero > {site.parent}/out/filler")
         before = disk.given
         until(lambda: disk.given >= before + 120, "a minute of data")  # blocks of half a second
+        until(lambda: "no checkpoint" in (site.parent / "log").read_text(), "a checkpoint fails")
         disk.sh(f"rm {site.parent}/out/filler")
         came = len(lines(disk.out))
         until(lambda: len(lines(disk.out)) >= came + 6, "lines go on")
