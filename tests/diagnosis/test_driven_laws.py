@@ -18,6 +18,7 @@ from tests.inference.test_input_response import FORCED, pushed
 pytestmark = pytest.mark.engine
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize(("place", "force_n", "relative"), [("frame", 0.6, 0.06), ("story 3", 1.0, 0.12)])
 def test_slip_is_named_at_its_place_with_its_size(place: str, force_n: float, relative: float) -> None:
     hidden = f"hysteretic_slip:{place}:force_n={force_n},relative={relative}"

@@ -230,6 +230,7 @@ TURNING = (
 )
 
 
+@pytest.mark.timeout(UNEXPLAINED_S)
 def test_a_channel_that_reads_low_is_named_in_a_structure_that_turns() -> None:
     """The modes carried from calibration must not bend to what one channel reads, nor the fit start without them."""
     known = through_its_file(learn_healthy_prior(recorded(1, *TURNING), CONFIG), CONFIG)
