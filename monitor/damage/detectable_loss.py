@@ -7,12 +7,10 @@ simulation of the errors of the windows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monitor.core import Array, DamageReading
 from monitor.damage.alarm import AlarmSettings
@@ -130,6 +128,8 @@ def _simulated(
     `hop` is the time between looks, `windows` the length of the data after the loss and `confirm` the on-delay, all in window
     lengths.
     """
+    from monitor.damage.kernels import least_seen  # compiled code takes a while to load
+
     own = _covariance(own_steps, _LN_STEP, correlation)
     common = _covariance(common_steps, _LN_COMMON_STEP, correlation)
     n = len(own)
@@ -138,12 +138,16 @@ def _simulated(
     held = max(2, 1 + ceil(confirm * apart - 1e-9))  # looks in a row at which the loss must be significant
     if looks.size < held:
         return np.full(n, np.inf)
-    white, white_off = _draws(max(STRETCHES) * apart + looks.size, n)
-    root, off = np.asarray(np.linalg.cholesky(own).T), white_off @ np.linalg.cholesky(common).T
-    stretches = [
-        _Stretch.of(stretch * apart, looks, own / stretch + common, significance, model_form) for stretch in STRETCHES
-    ]
-    wanted = _wanted(white, root, sqrt(apart), off, stretches, held, min_loss)
+    total, white_off = _draws(max(STRETCHES) * apart + looks.size, n)
+    scale = sqrt(apart)  # of the errors' increment from look to look, over those of a window
+    against_none, contrast, leak, square = map(
+        np.array,
+        zip(*(_significant(own / stretch + common, significance, model_form) for stretch in STRETCHES), strict=True),
+    )
+    lengths = np.array(STRETCHES) * apart
+    share = np.minimum(looks / lengths[:, None], 1.0)
+    root, off = scale * np.ascontiguousarray(np.linalg.cholesky(own).T), white_off @ np.linalg.cholesky(common).T
+    wanted = least_seen(total, root, off, lengths, share, against_none, contrast, leak, square, held, min_loss)
     with np.errstate(
         invalid="ignore"
     ):  # no loss is seen in some trials: the quantile between infinities is not a number
@@ -152,79 +156,32 @@ def _simulated(
 
 @lru_cache(maxsize=1)
 def _draws(length: int, n: int) -> tuple[Array, Array]:
-    """Draw standard normal errors of each trial: of the increments, shape (trials, length, n), and common, (trials, 1, n)."""
+    """Draw standard normal errors of each trial: sums of increments, shape (trials, n, 1 + length), and common, (trials, n)."""
     rng = np.random.default_rng(0)
-    return rng.standard_normal((_TRIALS, length, n)), rng.standard_normal((_TRIALS, 1, n))
+    total = np.zeros((_TRIALS, n, 1 + length))
+    np.cumsum(rng.standard_normal((_TRIALS, length, n)).transpose(0, 2, 1), axis=2, out=total[:, :, 1:])
+    return total, rng.standard_normal((_TRIALS, n))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Stretch:
-    """What a loss of each story alone must reach so that the alarm's statistic is significant over a stretch of windows."""
-
-    looks: int
-    """Number of looks in the stretch."""
-    share: Array
-    """Shape (looks after the loss,): share of the stretch that lies behind the loss."""
-    against_none: Array
-    """Shape (n,): mean that is significant against no change."""
-    contrast: Array
-    """Shape (n, n): each story less what the others say that all stories have in common."""
-    leak: Array
-    """Shape (n,): with `square`, coefficients of the quadratic equation for the mean that is significant against a change of
-    all stories alike; not positive where no mean is."""
-    square: Array
-    """Shape (n,)."""
-
-    @classmethod
-    def of(
-        cls, length: int, looks: NDArray[np.int_], covariance: Array, significance: float, model_form: float
-    ) -> _Stretch:
-        """Prepare a stretch of `length` looks whose mean has a covariance, shape (n, n)."""
-        n, std = len(covariance), np.sqrt(np.diag(covariance))
-        share = np.minimum(looks / length, 1.0)
-        if n == 1:
-            return cls(length, share, significance * std, np.zeros((1, 1)), np.ones(1), np.zeros(1))
-        # Against "all stories changed alike": the loss of the others may be this story's, by the model's form.
-        contrast = np.eye(n) - (1.0 - np.eye(n)) / std**2 / ((1.0 - np.eye(n)) / std**2).sum(axis=1, keepdims=True)
-        threshold = significance - LOCAL_LOSS_CREDIT
-        square = threshold**2 * np.einsum("ij,jk,ik->i", contrast, covariance, contrast)
-        leak = 1.0 - threshold**2 * model_form**2 * ((contrast**2).sum(axis=1) - 1.0)
-        return cls(length, share, significance * std, contrast, leak, square)
-
-
-def _wanted(
-    white: Array, root: Array, scale: float, off: Array, stretches: list[_Stretch], held: int, min_loss: float
-) -> Array:
-    """Compute the smallest loss that is seen in each of some trials, shape (trials, n).
+def _significant(covariance: Array, significance: float, model_form: float) -> tuple[Array, Array, Array, Array]:
+    """Compute what a loss of each story alone must reach so that the alarm's statistic is significant over a stretch.
 
     Parameters
     ----------
-    white : ndarray, shape (trials, before + looks, n)
-        Standard normal increments of the windows' own errors: of the healthy data, then after the loss.
-    root : ndarray, shape (n, n)
-        Their covariance's root, on the right.
-    scale : float
-        Their standard deviation at a look over that of a window.
-    off : ndarray, shape (trials, 1, n)
-        Errors that all windows have in common.
-    held : int
-        Looks in a row at which the loss must be significant.
-    """
-    from monitor.damage.kernels import least_held, lower_to_needed  # compiled code takes a while to load
+    covariance : ndarray, shape (n, n)
+        Of the stretch's mean.
 
-    trials, length, n = white.shape
-    looks = stretches[0].share.size
-    # All is done in place: new arrays of this size cost more than what is computed in them.
-    increments, total = np.matmul(white, root), np.zeros((trials, 1 + length, n))
-    increments *= scale
-    np.cumsum(increments, axis=1, out=total[:, 1:])
-    wanted = np.full((trials, looks, n), np.inf)
-    error, alone = np.empty_like(wanted), np.empty_like(wanted)
-    for s in stretches:
-        begun = 1 + length - looks - s.looks
-        np.subtract(total[:, 1 + length - looks :], total[:, begun : begun + looks], out=error)
-        error /= s.looks
-        error += off
-        np.matmul(error, s.contrast.T, out=alone)
-        lower_to_needed(wanted, error, alone, s.share, s.against_none, s.leak, s.square, min_loss)
-    return least_held(wanted, held)
+    Returns
+    -------
+    against_none, contrast, leak, square : ndarray, shape (n,), (n, n), (n,), (n,)
+        As `kernels.least_seen` takes them.
+    """
+    n, std = len(covariance), np.sqrt(np.diag(covariance))
+    if n == 1:
+        return significance * std, np.zeros((1, 1)), np.zeros(1), np.zeros(1)
+    # Against "all stories changed alike": the loss of the others may be this story's, by the model's form.
+    contrast = np.eye(n) - (1.0 - np.eye(n)) / std**2 / ((1.0 - np.eye(n)) / std**2).sum(axis=1, keepdims=True)
+    threshold = significance - LOCAL_LOSS_CREDIT
+    square = threshold**2 * np.einsum("ij,jk,ik->i", contrast, covariance, contrast)
+    leak = 1.0 - threshold**2 * model_form**2 * ((contrast**2).sum(axis=1) - 1.0)
+    return significance * std, contrast, leak, square

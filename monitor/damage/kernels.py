@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, compiled
 
@@ -61,68 +62,86 @@ def evidence_of_loss(
     return z, std
 
 
-@compiled()
-def lower_to_needed(
-    wanted: Array,
-    error: Array,
-    alone: Array,
+@compiled(error_model="numpy")
+def least_seen(
+    total: Array,
+    root: Array,
+    off: Array,
+    lengths: NDArray[np.int64],
     share: Array,
     against_none: Array,
+    contrast: Array,
     leak: Array,
     square: Array,
+    held: int,
     min_loss: float,
-) -> None:
-    """Lower the losses wanted so far to those that the alarm's statistic sees over one more stretch, in place.
+) -> Array:
+    """Compute the smallest loss of each story that is significant in `held` looks in a row, shape (trials, n).
+
+    At each look the loss must be significant over one of some stretches of windows, whose number is s.
 
     Parameters
     ----------
-    wanted : ndarray, shape (trials, looks, n)
-        Smallest loss of each story at which any stretch so far is significant.
-    error : ndarray, shape (trials, looks, n)
-        Errors of the means over the stretch.
-    alone : ndarray, shape (trials, looks, n)
-        Error of each story beyond what the others say that all stories have in common; of no use for one story.
-    share : ndarray, shape (looks,)
+    total : ndarray, shape (trials, n, before + looks)
+        Sums of standard normal increments up to each look: of the healthy data, then after the loss.
+    root : ndarray, shape (n, n)
+        Root of the increments' covariance, upper triangular, on the right.
+    off : ndarray, shape (trials, n)
+        Errors that all windows have in common.
+    lengths : ndarray of int, shape (s,)
+        Looks in each stretch; at most `before`.
+    share : ndarray, shape (s, looks)
         Share of the stretch that lies behind the loss.
-    against_none : ndarray, shape (n,)
+    against_none : ndarray, shape (s, n)
         Mean that is significant against no change.
-    leak, square : ndarray, shape (n,)
-        Coefficients of the quadratic equation for the mean that is significant against a change of all stories alike.
+    contrast : ndarray, shape (s, n, n)
+        Each story less what the others say that all stories have in common.
+    leak, square : ndarray, shape (s, n)
+        Coefficients of the quadratic equation for the mean that is significant against a change of all stories alike; where
+        `leak` is not positive, no mean is.
+    held : int
+        At most `looks`.
     min_loss : float
         Least loss that is announced.
     """
-    trials, looks, n = wanted.shape
+    trials, n, end = total.shape
+    looks = share.shape[1]
+    at = end - looks
+    least, wanted = np.full((trials, n), np.inf), np.empty((n, looks))
+    error, alone = np.empty((n, looks)), np.empty(looks)
     for t in range(trials):
-        for k in range(looks):
+        wanted[:] = np.inf
+        for s in range(lengths.size):
+            before = at - lengths[s]
             for j in range(n):
-                e = error[t, k, j]
-                loss = max(against_none[j] - e, min_loss - e)
-                if n > 1:
-                    if leak[j] > 0.0:
-                        a = alone[t, k, j]
-                        root = np.sqrt(max(a * a - leak[j] * (a * a - square[j]), 0.0))
-                        loss = max(loss, (root - a) / leak[j])
-                    else:
-                        loss = np.inf
-                wanted[t, k, j] = min(wanted[t, k, j], loss / share[k])
-
-
-@compiled()
-def least_held(wanted: Array, held: int) -> Array:
-    """Compute the smallest loss that is significant in `held` looks in a row, shape (trials, n).
-
-    Parameters
-    ----------
-    wanted : ndarray, shape (trials, looks, n)
-        Smallest loss that is significant at each look; `held` <= looks.
-    """
-    trials, looks, n = wanted.shape
-    least = np.full((trials, n), np.inf)
-    for t in range(trials):
+                error[j] = off[t, j]
+                for i in range(j + 1):
+                    factor = root[i, j] / lengths[s]
+                    for k in range(looks):
+                        error[j, k] += factor * (total[t, i, at + k] - total[t, i, before + k])
+            for j in range(n):
+                fraction, largest = leak[s, j], square[s, j]
+                if n > 1 and not fraction > 0.0:
+                    continue
+                needed = max(against_none[s, j], min_loss)
+                alone[:] = 0.0
+                for i in range(n):
+                    weight = contrast[s, j, i]
+                    for k in range(looks):
+                        alone[k] += weight * error[i, k]
+                for k in range(looks):
+                    loss = needed - error[j, k]
+                    if fraction > 0.0:
+                        a = alone[k]
+                        under = a * a - fraction * (a * a - largest)
+                        beyond = (np.sqrt(under if under > 0.0 else 0.0) - a) / fraction
+                        loss = beyond if beyond > loss else loss
+                    loss /= share[s, k]
+                    wanted[j, k] = loss if loss < wanted[j, k] else wanted[j, k]
         for j in range(n):
             for k in range(looks - held + 1):
-                largest = wanted[t, k, j]
+                highest = wanted[j, k]
                 for i in range(k + 1, k + held):
-                    largest = max(largest, wanted[t, i, j])
-                least[t, j] = min(least[t, j], largest)
+                    highest = wanted[j, i] if wanted[j, i] > highest else highest
+                least[t, j] = min(least[t, j], highest)
     return least

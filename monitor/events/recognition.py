@@ -39,6 +39,7 @@ STEP_S = 2.0
 """Length of a frame, the short-term average, and of the samples of one step. [s; Trnkoczy 2012: some periods of the signal]"""
 _LONG_TERM_S = 60.0
 """Time constant of the long-term average. [s; Trnkoczy 2012]"""
+_FULL = round(_LONG_TERM_S / STEP_S)
 _RAISED_BANDS = 3
 """Bands of half an octave that must be raised together. [count; earthquakes span more than an octave, a machine's line or one
 mode does not]"""
@@ -160,22 +161,20 @@ def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, pe
     -------
     Frames
     """
-    n, half = step_n(rate_hz), step_n(rate_hz) // 2
-    bands = _bands(n, rate_hz, cutoff_hz)
-    known = np.concatenate([tail, samples])
-    by_time, by_channel = known.strides
-    shape, strides = (len(samples) // n, known.shape[1], n + half), (n * by_time, by_channel, by_time)
+    n = step_n(rate_hz)
+    half, bands = n // 2, _bands(n, rate_hz, cutoff_hz)
+    known = np.ascontiguousarray(np.concatenate([tail, samples]).T)
+    by_channel, by_time = known.strides
+    count = len(samples) // n
+    shape, strides = (len(known), _FRAMES * count, n), (by_channel, half * by_time, by_time)
     windows = np.lib.stride_tricks.as_strided(known, shape, strides, writeable=False)
-    joined = np.subtract(windows, np.add.reduce(windows, axis=2, keepdims=True) / (n + half), order="C")
-    pairs = joined[:, :, :n], joined[:, :, half:]
-    frames = np.empty((len(joined), _FRAMES, joined.shape[1], n))
-    for k, values in enumerate(pairs):
-        np.multiply(values, bands.taper, out=frames[:, k])
-    transforms = np.fft.rfft(frames)[..., : bands.end]
-    power = np.add.reduceat(transforms.real**2 + transforms.imag**2, bands.edges, axis=3)
-    mean = 0.5 * (power[:, 0] + power[:, 1])
-    peak = np.stack([np.abs(values).max(axis=2) for values in pairs], axis=1) if peaks else None
-    return Frames(power, mean, samples, peak)
+    frames = windows - np.add.reduce(windows, axis=2, keepdims=True) / n
+    peaks_at = np.abs(frames).max(axis=2).T.reshape(count, _FRAMES, -1) if peaks else None
+    frames *= bands.taper
+    parts = np.fft.rfft(frames).view(float)[..., : 2 * bands.end]  # real and imaginary in turn
+    power = np.add.reduceat(parts * parts, 2 * bands.edges, axis=2)
+    power = power.transpose(1, 0, 2).reshape(count, _FRAMES, len(known), -1)
+    return Frames(power, 0.5 * (power[:, 0] + power[:, 1]), samples, peaks_at)
 
 
 def pass_quiet(state: RecognitionState, frames: Frames, own: int, settings: EventSettings) -> RecognitionState | None:
@@ -185,24 +184,24 @@ def pass_quiet(state: RecognitionState, frames: Frames, own: int, settings: Even
     """
     if state.raised or not state.steps or settings.level_m_s2 is not None:
         return None
-    count, steps, thresholds = len(frames.power), state.steps, list[float]()
-    long_term = np.empty((count + 1, *state.long_term.shape))
-    long_term[0] = state.long_term
-    for k in range(count):
-        thresholds.append(settings.ratio_on * _early_factor(steps, settings.ratio_on))
-        long_term[k + 1], steps = _averaged(long_term[k], steps, frames.mean[k])
-    before = long_term[:-1]
+    steps, factors = state.steps, list[float]()
+    before = np.empty_like(frames.mean)
+    long_term = state.long_term
+    for k, mean in enumerate(frames.mean):
+        before[k] = long_term
+        factors.append(_early_factor(steps, settings.ratio_on))
+        long_term, steps = _averaged(long_term, steps, mean)
     if not _live(before).all():
         return None
-    ratio = _voted_ratio(frames.power, before[:, None], own).tolist()
-    if any(r >= threshold for pair, threshold in zip(ratio, thresholds, strict=True) for r in pair):
+    ratio = _voted_ratio(frames.power, before[:, None], own)
+    if (ratio.max(axis=1) >= settings.ratio_on * np.array(factors)).any():
         return None
-    return RecognitionState(frames.tail(count - 1), long_term[-1].copy(), steps, 0)
+    return RecognitionState(frames.tail(len(before) - 1), long_term, steps, 0)
 
 
 def _averaged(long_term: Array, steps: int, power: Array) -> tuple[Array, int]:
     """Add the power of a step to the long-term average, and return it with the number of steps in it."""
-    steps = min(steps + 1, round(_LONG_TERM_S / STEP_S))
+    steps = min(steps + 1, _FULL)
     return long_term + (power - long_term) / steps, steps
 
 

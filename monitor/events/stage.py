@@ -7,7 +7,7 @@ loss after an hour of ambient motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -67,8 +67,8 @@ class EventState:
     """UTC of grid index 0, less the delay of the floors' filter."""
     first: int = 0
     """Grid index of the first sample in `kept`."""
-    kept: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Shape (n, c): latest samples, m/s^2."""
+    kept: tuple[Array, ...] = ()
+    """Latest samples in pieces of shape (n, c), m/s^2: to join all of them at every step costs more than to judge one."""
     judged: int = 0
     """Grid index of the end of the last judged step."""
     settling: int = 0
@@ -90,6 +90,21 @@ class EventState:
     def rate_hz(self) -> float:
         """Rate of the samples; 0 before the first."""
         return 0.0 if self.conditioner is None else self.conditioner.rate_hz
+
+    @property
+    def end(self) -> int:
+        """Grid index past the latest sample."""
+        return self.first + sum(map(len, self.kept))
+
+    def samples(self, begin: int, end: int) -> Array:
+        """Return the kept samples from one grid index up to another, shape (n, c), m/s^2."""
+        parts, last = list[Array](), self.end
+        for piece in reversed(self.kept):
+            first = last - len(piece)
+            if first < end and last > begin:
+                parts.append(piece[max(begin - first, 0) : end - first])
+            last = first
+        return np.ascontiguousarray(np.concatenate(parts[::-1]))
 
 
 def start() -> EventState:
@@ -135,13 +150,16 @@ def step(
     """
     rate_hz = conditioner.rate_hz
     n, told = recognition.step_n(rate_hz), list[Event]()
-    follows = state.recognition is not None and rate_hz == state.rate_hz and first == state.first + len(state.kept)
+    follows = state.recognition is not None and rate_hz == state.rate_hz and first == state.end
     if not follows:
         state, told = _break_off(state, site, "a gap in the data cut it")
         state = _begin(state, first, conditioner, values.shape[1])
     t0_ns -= round(conditioner.delay_s * 1e9)
-    state = replace(state, t0_ns=t0_ns, kept=np.concatenate([state.kept, values]))
-    end = state.first + len(state.kept)
+    pieces = (*state.kept, values)
+    if len(pieces) > 1 and len(pieces[-2]) < n:
+        pieces = (*pieces[:-2], np.concatenate(pieces[-2:]))
+    state = replace(state, t0_ns=t0_ns, kept=pieces)
+    end = state.end
     while state.settling and state.judged + n <= end:
         state = _settle(state)
     while state.judged + n <= end:
@@ -209,7 +227,7 @@ def _begin(state: EventState, first: int, conditioner: Conditioner, n_channels: 
         recognition=replace(known, raised=0),
         conditioner=conditioner,
         first=first,
-        kept=np.zeros((0, n_channels)),
+        kept=(),
         judged=aligned,
         settling=_SETTLED_STEPS,
         marks=state.marks if same else (),
@@ -221,14 +239,14 @@ def _settle(state: EventState) -> EventState:
     assert state.recognition is not None
     n = recognition.step_n(state.rate_hz)
     end = state.judged + n
-    tail = state.kept[end - n // 2 - state.first : end - state.first]
+    tail = state.samples(end - n // 2, end)
     return replace(
         state,
         recognition=replace(state.recognition, tail=tail),
         judged=end,
         settling=state.settling - 1,
         first=end,
-        kept=state.kept[end - state.first :],
+        kept=_dropped(state.kept, end - state.first),
     )
 
 
@@ -238,7 +256,7 @@ def _judge(state: EventState, count: int, cutoff_hz: float, site: Site) -> tuple
     settings, rate_hz, told = site.settings, state.rate_hz, list[Event]()
     n = recognition.step_n(rate_hz)
     own = recognition.own_band(n, rate_hz, cutoff_hz, site.lowest_hz)
-    samples = state.kept[state.judged - state.first :][: count * n]
+    samples = state.samples(state.judged, state.judged + count * n)
     known, judged = state.recognition, state.judged
     peaks = settings.level_m_s2 is not None
     frames = recognition.measure(known.tail, samples, rate_hz, cutoff_hz, peaks=peaks)
@@ -272,7 +290,7 @@ def _follow(
         if going is None and found.raised[k] >= recognition.FRAMES_IN_A_ROW:
             # All frames in a row belong to the event, also those that did not confirm it yet.
             begin = max(at - (found.raised[k] - 1) * half, state.first)
-            frames = state.kept[max(0, at - 2 * half - state.first) : at + n - state.first]
+            frames = state.samples(max(state.first, at - 2 * half), at + n)
             if len(frames) == 2 * n and recognition.is_whole(
                 known.long_term, frames, rate_hz, cutoff_hz, settings, one_direction=site.is_chain
             ):
@@ -319,7 +337,7 @@ def _break_off(state: EventState, site: Site, note: str) -> tuple[EventState, li
     told = list[Event]()
     for item in state.strong:
         cut = item if item.closed else replace(item, note=note)
-        state, final = _final(state, cut, state.first + len(state.kept), site)
+        state, final = _final(state, cut, state.end, site)
         told.append(final)
     return replace(state, strong=()), told
 
@@ -345,7 +363,7 @@ def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> E
     before = tuple(r for r in state.recent if r.end_ns <= begin_ns)
     quiet_s = (item.begin - first) / rate_hz
     early = f"only {quiet_s:.0f} s of motion before it are known" if quiet_s < settings.pre_s - 1.0 / rate_hz else ""
-    values = state.kept[first - state.first : last - state.first]
+    values = state.samples(first, last)
     strong = slice(item.begin - first, item.end - first)
     record = make_record(values, t_ns, state.conditioner, (state.ground, state.ground_filter), strong, site)
     name = datetime.fromtimestamp(begin_ns // 10**9, UTC).strftime("%Y%m%dT%H%M%S") + f".{begin_ns // 10**7 % 100:02d}Z"
@@ -372,7 +390,16 @@ def _forget(state: EventState, site: Site) -> EventState:
     marks = state.marks if not state.marks or state.marks[0][1] > old else tuple(m for m in state.marks if m[1] > old)
     if not drop:
         return replace(state, marks=marks)
-    return replace(state, first=state.first + drop, kept=state.kept[drop:], marks=marks)
+    return replace(state, first=state.first + drop, kept=_dropped(state.kept, drop), marks=marks)
+
+
+def _dropped(kept: tuple[Array, ...], n: int) -> tuple[Array, ...]:
+    """Drop the first `n` samples of pieces."""
+    for i, piece in enumerate(kept):
+        if n < len(piece):
+            return (piece[n:], *kept[i + 1 :])
+        n -= len(piece)
+    return ()
 
 
 def _joined(readings: tuple[AmbientReading, ...], new: AmbientReading, length_s: float) -> tuple[AmbientReading, ...]:

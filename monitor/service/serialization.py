@@ -136,7 +136,15 @@ def _with_range_of_common_change(tree: Any) -> Any:
     return tree
 
 
-VERSION = 9
+def _with_kept_pieces(tree: Any) -> Any:
+    """Upgrade from version 9, in which the events' latest samples were one array."""
+    if "session" in tree:
+        events = tree["session"]["pipeline"]["events"]
+        events["kept"] = [events["kept"]] if len(events["kept"]) else []
+    return tree
+
+
+VERSION = 10
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
 UPGRADES: dict[int, Callable[[Any], Any]] = {
     1: _without_doubled_sums,
@@ -147,6 +155,7 @@ UPGRADES: dict[int, Callable[[Any], Any]] = {
     6: _with_alarms_of_events,
     7: _with_common_change,
     8: _with_range_of_common_change,
+    9: _with_kept_pieces,
 }
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
