@@ -180,10 +180,9 @@ class Expected:
         # Mostly nothing is to be set aside, and one comparison of all does.
         most = (np.abs(found.z) if either_side else found.z).max(axis=-1)
         aside = (most >= SIGNIFICANT_STDS) | (found.z_alike > np.maximum(most + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS))
-        for k in np.flatnonzero(aside):
-            first = _Compared(found.z[k], weights[k], inflation[k], found.z_alike[k])
+        for k in np.flatnonzero(aside).tolist():
             total[k], weights[k], inflation[k] = self._set_aside(
-                losses[k], learned[k], total[k], first, either_side=either_side
+                losses[k], learned[k], total[k], found.of(k), either_side=either_side
             )
         beyond = self._beyond(losses, weights)
         std = np.sqrt(inflation * ((weights @ total) * weights).sum(axis=-1) + beyond)
@@ -209,7 +208,7 @@ class Expected:
         Parameters
         ----------
         learned, total : ndarray, shape (n, n)
-            As of `_compare`.
+            Covariance of the losses: as learned, and with what is of any size.
         found : _Compared
             Comparison of all stories.
 
@@ -242,36 +241,16 @@ class Expected:
         return total, weights, inflation
 
     def _compare_some(self, loss: Array, learned: Array, total: Array, chosen: list[int]) -> _Compared:
-        """Compare the chosen stories, each with the other chosen ones, as `_compare`."""
+        """Compare the chosen stories, each with the other chosen ones."""
         rows = np.array(chosen)
-        return self._compare(loss[rows], learned[rows[:, None], rows], total[rows[:, None], rows])
+        square = rows[:, None], rows
+        return self._compare(loss[None, rows], learned[square][None], total[square][None]).of(0)
 
-    def _compare(self, loss: Array, learned: Array, total: Array) -> _Compared:
-        """Compare stories, each with the others, for one measurement or several, whose number then is the first dimension.
+    def _compare(self, losses: Array, learned: Array, total: Array) -> _Compared:
+        """Compare stories, each with the others, in each of k measurements (`kernels.beside_each_other`)."""
+        from monitor.damage.kernels import beside_each_other  # compiled code takes a while to load
 
-        Parameters
-        ----------
-        loss : ndarray, shape (..., n)
-        learned, total : ndarray, shape (..., n, n)
-            Covariance of the losses: as learned, and with what is of any size.
-        """
-        inverse = np.linalg.inv(total)
-        precision, gap = np.diagonal(inverse, 0, -2, -1), np.matvec(inverse, loss)
-        of_learned = np.linalg.inv(learned)
-        distances = np.matvec(of_learned, loss)
-        square = np.vecdot(loss, distances)
-        beyond = square[..., None] - distances**2 / np.diagonal(of_learned, 0, -2, -1)
-        inflation = 1.0 + beyond / self.stretches
-        evidence, information = np.abs(gap.sum(axis=-1)), inverse.sum(axis=(-2, -1))
-        # A change alike that is larger than what was measured of any story is no explanation.
-        possible = evidence <= information * np.abs(loss).max(axis=-1)
-        along = np.where(possible, evidence / np.sqrt(information), 0.0)
-        return _Compared(
-            gap / np.sqrt(precision * inflation),
-            inverse / precision[..., None],
-            inflation,
-            along / np.sqrt(1.0 + np.maximum(square - along**2, 0.0) / self.stretches),
-        )
+        return _Compared(*beside_each_other(losses, learned, total, self.stretches))
 
     def beyond_words(self, loss: Array, covariance: Array, most_std: float) -> str:
         """Say that the stories lie where a loss of one is hidden by what was not learned; empty where they do not.
@@ -343,6 +322,10 @@ class _Compared(NamedTuple):
     """Shape (..., n): factor of its variance, as in `Beside`."""
     z_alike: Array
     """Shape (...): size of the z-score of a change of all alike."""
+
+    def of(self, k: int) -> _Compared:
+        """Return the comparison of one of several measurements."""
+        return _Compared(self.z[k], self.weights[k], self.inflation[k], self.z_alike[k])
 
 
 @dataclass(frozen=True, eq=False, slots=True)

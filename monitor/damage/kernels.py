@@ -145,3 +145,58 @@ def least_seen(
                     highest = wanted[j, i] if wanted[j, i] > highest else highest
                 least[t, j] = min(least[t, j], highest)
     return least
+
+
+@compiled(error_model="numpy")
+def beside_each_other(
+    losses: Array, learned: Array, total: Array, stretches: float
+) -> tuple[Array, Array, Array, Array]:
+    """Compare each of n stories with the others, in k measurements.
+
+    Parameters
+    ----------
+    losses : ndarray, shape (k, n)
+    learned, total : ndarray, shape (k, n, n), contiguous
+        Covariance of the losses: as learned, and with what is of any size.
+    stretches : float
+        Independent stretches that the covariance was learned from.
+
+    Returns
+    -------
+    z : ndarray, shape (k, n)
+        z-score of each loss beyond what the others let expect.
+    weights : ndarray, shape (k, n, n)
+        That loss as a combination of the measured ones.
+    inflation : ndarray, shape (k, n)
+        Factor of its variance.
+    z_alike : ndarray, shape (k,)
+        Size of the z-score of a change of all alike.
+    """
+    count, n = losses.shape
+    z, weights, inflation, z_alike = (
+        np.empty((count, n)),
+        np.empty((count, n, n)),
+        np.empty((count, n)),
+        np.empty(count),
+    )
+    for k in range(count):
+        inverse, of_learned, loss = np.linalg.inv(total[k]), np.linalg.inv(learned[k]), losses[k]
+        square, information, evidence, largest = 0.0, 0.0, 0.0, 0.0
+        distances, gap = np.zeros(n), np.zeros(n)
+        for j in range(n):
+            for i in range(n):
+                distances[j] += of_learned[j, i] * loss[i]
+                gap[j] += inverse[j, i] * loss[i]
+                information += inverse[j, i]
+            square += loss[j] * distances[j]
+            evidence += gap[j]
+            largest = max(largest, abs(loss[j]))
+        for j in range(n):
+            inflation[k, j] = 1.0 + (square - distances[j] ** 2 / of_learned[j, j]) / stretches
+            z[k, j] = gap[j] / np.sqrt(inverse[j, j] * inflation[k, j])
+            for i in range(n):
+                weights[k, j, i] = inverse[j, i] / inverse[j, j]
+        # A change alike that is larger than what was measured of any story is no explanation.
+        along = abs(evidence) / np.sqrt(information) if abs(evidence) <= information * largest else 0.0
+        z_alike[k] = along / np.sqrt(1.0 + max(square - along**2, 0.0) / stretches)
+    return z, weights, inflation, z_alike

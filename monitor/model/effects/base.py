@@ -304,7 +304,9 @@ class Effect(ReportFace, ABC):
             raise EffectError(f"{cls.name}: no place {location!r}; allowed: {allowed}")
         wanted = [p.name for p in cls.parameters]
         if set(parameters) != set(wanted):
-            raise EffectError(f"{cls.name}: needs exactly {', '.join(wanted) or 'no parameters'}")
+            said = f"{cls.name}: needs exactly {', '.join(wanted) or 'no parameters'}"
+            unknown = [name for name in parameters if name not in wanted]
+            raise EffectError(f"{said}; there is no {', '.join(unknown)}" if unknown else said)
         for p in cls.parameters:
             value = parameters[p.name]
             if not p.allows(value):
