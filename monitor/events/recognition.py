@@ -81,8 +81,6 @@ class Frames:
 
     power: Array
     """Shape (k, 2, c, b): power in each band, in arbitrary units."""
-    mean: Array
-    """Shape (k, c, b): mean of the two."""
     samples: Array
     """Shape (k n, c), m/s^2."""
     peaks: Array | None
@@ -161,20 +159,16 @@ def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, pe
     -------
     Frames
     """
+    from monitor.events.kernels import band_power, tapered_frames  # compiled code takes a while to load
+
     n = step_n(rate_hz)
-    half, bands = n // 2, _bands(n, rate_hz, cutoff_hz)
-    known = np.ascontiguousarray(np.concatenate([tail, samples]).T)
-    by_channel, by_time = known.strides
-    count = len(samples) // n
-    shape, strides = (len(known), _FRAMES * count, n), (by_channel, half * by_time, by_time)
-    windows = np.lib.stride_tricks.as_strided(known, shape, strides, writeable=False)
-    frames = windows - np.add.reduce(windows, axis=2, keepdims=True) / n
-    peaks_at = np.abs(frames).max(axis=2).T.reshape(count, _FRAMES, -1) if peaks else None
-    frames *= bands.taper
-    parts = np.fft.rfft(frames).view(float)[..., : 2 * bands.end]  # real and imaginary in turn
-    power = np.add.reduceat(parts * parts, 2 * bands.edges, axis=2)
-    power = power.transpose(1, 0, 2).reshape(count, _FRAMES, len(known), -1)
-    return Frames(power, 0.5 * (power[:, 0] + power[:, 1]), samples, peaks_at)
+    bands = _bands(n, rate_hz, cutoff_hz)
+    power = band_power(np.fft.rfft(tapered_frames(tail, samples, bands.taper)), bands.edges, bands.end)
+    peaks_at = None
+    if peaks:
+        frames = tapered_frames(tail, samples, np.ones(n))
+        peaks_at = np.abs(frames).max(axis=2).T.reshape(len(power), _FRAMES, -1)
+    return Frames(power, samples, peaks_at)
 
 
 def pass_quiet(state: RecognitionState, frames: Frames, own: int, settings: EventSettings) -> RecognitionState | None:
@@ -184,25 +178,18 @@ def pass_quiet(state: RecognitionState, frames: Frames, own: int, settings: Even
     """
     if state.raised or not state.steps or settings.level_m_s2 is not None:
         return None
-    steps, factors = state.steps, list[float]()
-    before = np.empty_like(frames.mean)
-    long_term = state.long_term
-    for k, mean in enumerate(frames.mean):
-        before[k] = long_term
-        factors.append(_early_factor(steps, settings.ratio_on))
-        long_term, steps = _averaged(long_term, steps, mean)
-    if not _live(before).all():
-        return None
-    ratio = _voted_ratio(frames.power, before[:, None], own)
-    if (ratio.max(axis=1) >= settings.ratio_on * np.array(factors)).any():
-        return None
-    return RecognitionState(frames.tail(len(before) - 1), long_term, steps, 0)
+    from monitor.events.kernels import average_while_quiet
+
+    quiet, long_term, steps = average_while_quiet(
+        frames.power, state.long_term, state.steps, _thresholds(settings.ratio_on), own, _RAISED_BANDS, DEAD, _TINY
+    )
+    return RecognitionState(frames.tail(len(frames.power) - 1), long_term, steps, 0) if quiet else None
 
 
 def _averaged(long_term: Array, steps: int, power: Array) -> tuple[Array, int]:
-    """Add the power of a step to the long-term average, and return it with the number of steps in it."""
+    """Add the power of a step's two frames to the long-term average, and return it with the number of steps in it."""
     steps = min(steps + 1, _FULL)
-    return long_term + (power - long_term) / steps, steps
+    return long_term + (0.5 * (power[0] + power[1]) - long_term) / steps, steps
 
 
 def _live(long_term: Array) -> NDArray[np.bool_]:
@@ -262,7 +249,7 @@ def step(
         row.append(raised)
     long_term, steps = state.long_term, state.steps
     if not (active or any(above)):  # what may be an event is no part of the average before it
-        long_term, steps = _averaged(long_term, steps, frames.mean[k])
+        long_term, steps = _averaged(long_term, steps, frames.power[k])
     return RecognitionState(frames.tail(k), long_term, steps, raised), Trigger(tuple(row), tuple(loud))
 
 
@@ -414,6 +401,12 @@ def _early_factor(steps: int, ratio_on: float) -> float:
     k = float(_FRAMES * max(steps, 1))
     rarity = (1.0 + ratio_on**2 / full) ** (full / k)
     return float(np.sqrt(k * (rarity - 1.0)) / ratio_on)
+
+
+@lru_cache(maxsize=8)
+def _thresholds(ratio_on: float) -> Array:
+    """Compute the threshold for each number of steps in the long-term average, shape (full + 1,)."""
+    return np.array([ratio_on * _early_factor(steps, ratio_on) for steps in range(_FULL + 1)])
 
 
 def is_settled(state: RecognitionState) -> bool:
