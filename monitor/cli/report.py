@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, say, time_ns, warn
-from monitor.core import MissingInputError, demand_place, spare_inputs
+from monitor.core import MissingInputError, demand_place, require_extra, spare_inputs
 
 _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "ledger.jsonl")
 
@@ -33,6 +33,10 @@ def report(
     event: Annotated[
         str | None, typer.Option(metavar="ID", help="Report one event of events.jsonl instead; 'last' for the latest.")
     ] = None,
+    motion: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.rrd", help="With --event: the frame's motion too, in slow motion for the viewer."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Report a period of a run as one page.  It shows availability, damage, alarms, modes, quality and findings.
@@ -51,25 +55,38 @@ def report(
     if event is not None:
         if start is not None or end is not None:
             raise typer.BadParameter("--event goes without --from and --to")
-        _report_event(folder, event, out, as_json)
+        _report_event(folder, event, out, motion, as_json)
+    elif motion is not None:
+        raise typer.BadParameter("--motion goes with --event")
     elif out is None:
         raise typer.BadParameter("missing: name the page to write", param_hint="--out")
     else:
         _report_period(folder, out, start, end, as_json)
 
 
-def _report_event(folder: Path, wanted: str, out: Path | None, as_json: bool) -> None:
-    """Write the page of one event."""
-    from monitor.publish import EVENTS, event_text
-    from monitor.runs import page_of, read_event_line, write_event_page
+def _report_event(folder: Path, wanted: str, out: Path | None, motion: Path | None, as_json: bool) -> None:
+    """Write the page of one event, and its motion where a file for that is named."""
+    from monitor.publish import EVENTS, event_text, write_event
+    from monitor.runs import page_of, read_event_line, read_event_page, write_event_motion
 
     line = read_event_line(folder, wanted)
     place = out or page_of(folder, line["id"])
-    spare_inputs([place], [folder / EVENTS, *([folder / str(line["recording"])] if line.get("recording") else [])])
-    demand_place(place)
-    event = write_event_page(folder, line, place)
+    wanted_files = [place] if motion is None else [place, motion]
+    spare_inputs(wanted_files, [folder / EVENTS, *([folder / str(line["recording"])] if line.get("recording") else [])])
+    for path in wanted_files:
+        demand_place(path)
+    if motion is not None:
+        require_extra("viewer", "--motion")
+    page = read_event_page(folder, line)
+    event = page.event
+    write_event(place, page)
     content = {"report": str(place), "id": event.id, "revision": event.revision, "verdict": event.verdict}
-    say(f"{event.id}: {event_text(event)}\nreport in {place}", {**content, "exceeded": list(event.exceeded)}, as_json)
+    text = f"{event.id}: {event_text(event)}\nreport in {place}"
+    if motion is not None:
+        write_event_motion(page, motion)
+        content["motion"] = str(motion)
+        text += f"\nmotion in {motion}: shm-monitor view {motion}"
+    say(text, {**content, "exceeded": list(event.exceeded)}, as_json)
 
 
 def _report_period(folder: Path, out: Path, start: str | None, end: str | None, as_json: bool) -> None:

@@ -21,6 +21,7 @@ from .results.recorded_time import between_recordings, reaches_between, recorded
 from .results.schema import LINE_SCHEMA
 from .results.summary import Quality, Summary, episode_content
 from .viewer.diagnosis_view import write_view
+from .viewer.event_motion import write_motion
 from .viewer.output import Output
 from .viewer.publisher import RerunPublisher
 from .viewer.scene import make_modal_scene, make_scene, utc
@@ -67,6 +68,7 @@ __all__ = [
     "windows_table",
     "write_event",
     "write_look",
+    "write_motion",
     "write_period",
     "write_report",
     "write_view",

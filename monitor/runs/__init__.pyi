@@ -16,7 +16,7 @@ from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
 from .baselines import load_healthy
 from .emulate import send_all
-from .event_page import page_of, read_event_line, write_event_page
+from .event_page import page_of, read_event_line, read_event_page, write_event_motion, write_event_page
 from .event_recordings import EventRecordings
 from .importers import ImportedChannel, acceleration_unit, import_files
 from .modal_calibration import calibrate_modes
@@ -55,11 +55,13 @@ __all__ = [
     "page_of",
     "paper_tables",
     "read_event_line",
+    "read_event_page",
     "replay",
     "reprocess",
     "require_stable",
     "send_all",
     "synthetic_recording",
     "warm_up",
+    "write_event_motion",
     "write_event_page",
 ]

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drivers.base import ACCELERATION, GROUND, RecordingError, RecordingMissingError
 from drivers.mcap_file import read_metadata, read_recordings
 from monitor.core import BadInputError, MissingInputError, Skipped, WrongUsageError, parse_json, sha256
@@ -69,10 +71,8 @@ def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
 
     Parameters
     ----------
-    folder : Path
-        Folder of the results.
-    line : mapping
-        The event's line of events.jsonl.
+    folder, line
+        As of `read_event_page`.
     out : Path
 
     Raises
@@ -81,6 +81,43 @@ def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
         The line or the recording is damaged.
     OSError
         The page cannot be written.
+    """
+    page = read_event_page(folder, line)
+    write_event(out, page)
+    return page.event
+
+
+def write_event_motion(page: EventPage, out: Path) -> None:
+    """Write the motion of an event for the Rerun viewer.
+
+    Raises
+    ------
+    MissingInputError
+        No drifts are known: there are no samples of the event, or no chain of stories.
+    """
+    if page.site is None or page.review is None:
+        raise MissingInputError(f"event {page.event.id} cannot be shown in motion. {page.why_not}")
+    if not np.isfinite(page.review.drift_m).any():
+        raise MissingInputError(f"event {page.event.id} cannot be shown in motion: no story's drift is known")
+    from monitor.publish import write_motion
+
+    write_motion(out, page.name, page.event, page.site, page.review)
+
+
+def read_event_page(folder: Path, line: Mapping[str, Any]) -> EventPage:
+    """Read what the page of an event shows.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the results.
+    line : mapping
+        The event's line of events.jsonl.
+
+    Raises
+    ------
+    BadInputError
+        The line or the recording is damaged.
     """
     try:
         event = read_event(line)
@@ -95,8 +132,7 @@ def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
             (None, f"{found.reason[:1].upper()}{found.reason[1:]}.") if isinstance(found, Skipped) else (found, "")
         )
     checksum = None if path is None or not path.exists() else sha256(path)
-    write_event(out, EventPage(name or folder.resolve().name, event, recording, checksum, site, seen, why_not))
-    return event
+    return EventPage(name or folder.resolve().name, event, recording, checksum, site, seen, why_not)
 
 
 def _read_recording(path: Path, event: Event) -> tuple[str, Site | None, Review | Skipped]:

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from drivers.mcap_file import recording_info
 from monitor.core import BadInputError, MissingInputError, WrongUsageError
@@ -17,7 +18,7 @@ from monitor.events import Event, Review, Site, review_event
 from monitor.pipeline import Pipeline
 from monitor.publish import EventPage, Publisher, event_line, read_event, to_json
 from monitor.publish.reports.event_report import event_html
-from monitor.runs import page_of, read_event_line, write_event_page
+from monitor.runs import page_of, read_event_line, write_event_motion, write_event_page
 from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.session import Session
 from tests.conftest import Cli
@@ -186,3 +187,47 @@ def test_where_the_budget_is_full_the_line_and_peaks_are_kept_and_it_is_told(tmp
     line = json.loads(got[-1][1])
     assert line["revision"] == 0 and line["recording"] is None and "keep_gb is full" in line["note"]
     assert min(line["peak_acceleration_m_s2"].values()) > 0.5 and len(list((tmp_path / "events").iterdir())) == 1
+
+
+def test_the_motion_is_drawn_in_time_with_the_drifts(tmp_path: Path) -> None:
+    event, site, seen = told()
+    file = tmp_path / "motion.rrd"
+    write_event_motion(EventPage("house", event, "events/x.mcap", "ab" * 32, site, seen), file)
+    strips, times, drawn = list[np.ndarray](), list[int](), list[float]()
+    for chunk in RrdReader(file).stream():
+        batch = chunk.to_record_batch()
+        columns = dict(zip(batch.schema.names, batch.columns, strict=True))
+        if chunk.entity_path == "/frame/moving":
+            times += columns["event"].cast("int64").to_pylist()
+            strips += [np.array(row) for row in columns["LineStrips3D:strips"].to_pylist()]
+        elif chunk.entity_path == r"/drift/story\ 1" and "event" in columns:
+            drawn += [row[0] for row in columns["Scalars:scalars"].to_pylist()]
+    shown = np.isin(np.round(seen.t_s * 1e9).astype(np.int64), times)
+    assert shown.sum() == len(times) > 100
+    np.testing.assert_allclose(drawn, 1e3 * seen.drift_m[shown, 0])
+    # The first column's top moves by the sum of all drifts, the largest of all floors' by 0.15 of the height.
+    top = np.array([points[0, 0, 0] for points in strips])
+    moved, of_floors = seen.drift_m[shown].sum(axis=1), np.cumsum(seen.drift_m[shown][:, ::-1], axis=1)
+    np.testing.assert_allclose(top, 0.15 * moved / np.abs(of_floors).max(), atol=1e-6)
+
+
+def test_motion_is_asked_for_of_an_event_that_has_samples(
+    folder: tuple[Path, Event], main: Cli, tmp_path: Path
+) -> None:
+    out, _ = folder
+    file = tmp_path / "motion.rrd"
+    done = main("report", out, "--event", "last", "--motion", file, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["motion"] == str(file) and file.exists()
+    (tmp_path / "events.jsonl").write_text((out / "events.jsonl").read_text())
+    (tmp_path / "results.jsonl").touch()
+    arguments = (
+        ("report", tmp_path, "--event", "last", "--motion", tmp_path / "none.rrd"),
+        ("report", out, "--motion", file),
+    )
+    for command, code, says in zip(arguments, (66, 2), ("is not there", "--event"), strict=True):
+        wrong = main(*command)
+        assert (wrong.returncode, says in wrong.stderr, "Traceback" in wrong.stderr) == (code, True, False), (
+            wrong.stderr
+        )
+    assert not (tmp_path / "none.rrd").exists()

@@ -6,6 +6,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from monitor.core import Array
 from monitor.publish.viewer.scene import STABILISATION, Scene
 from monitor.publish.viewer.state import LAMP
 
@@ -40,14 +41,18 @@ def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
 
 def _frame(scene: Scene) -> rrb.Spatial3DView:
     """Make the 3D view of the structure and its mode shapes, seen from the front."""
-    plan = scene.plan
-    centre, (width, _, height) = 0.5 * (plan.low + plan.high), plan.high - plan.low
+    name = "Stiffness lost and mode shapes" if scene.n_stories else "Mode shapes"
+    return view_from_front("/frame", name, scene.plan.low, scene.plan.high)
+
+
+def view_from_front(origin: str, name: str, low: Array, high: Array) -> rrb.Spatial3DView:
+    """Make the 3D view of a box between two corners, seen from the front."""
+    centre, (width, _, height) = 0.5 * (low + high), high - low
     away = max(_DISTANCE_TO_WIDTH * width, _DISTANCE_TO_HEIGHT * height)
     eye = rrb.EyeControls3D(position=centre + away * np.array([0.0, -1.0, 0.15]), look_target=centre)
     return rrb.Spatial3DView(
-        origin="/frame", name="Stiffness lost and mode shapes" if scene.n_stories else "Mode shapes", eye_controls=eye,
-        line_grid=rrb.LineGrid3D(visible=False), background=DARK,
-    )  # fmt: skip
+        origin=origin, name=name, eye_controls=eye, line_grid=rrb.LineGrid3D(visible=False), background=DARK
+    )
 
 
 def _canvas(path: str, name: str) -> rrb.Spatial2DView:
