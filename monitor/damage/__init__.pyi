@@ -20,7 +20,7 @@ from .assessment import (
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
-from .common_change import UNMEASURED
+from .common_change import UNMEASURED, Expected
 from .covariate_law import CovariateLaw
 from .covariates import LEVEL, CovariateSettings, LearnedRange, common_words, law_lines, learned_ranges
 from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
@@ -45,6 +45,7 @@ __all__ = [
     "Course",
     "CovariateLaw",
     "CovariateSettings",
+    "Expected",
     "FeatureJudge",
     "FeatureTable",
     "FeatureVerdict",

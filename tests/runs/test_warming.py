@@ -60,6 +60,7 @@ def test_no_window_compiles_anything(main: Cli, tmp_path: Path, with_baseline: b
     warm, after, windows = json.loads(done.stdout)
     assert windows > 0 and len(warm) > 10
     assert after == warm
+    assert not with_baseline or "monitor.damage.kernels.beside_each_other" in warm
 
 
 def test_a_window_of_each_kind_is_judged() -> None:
