@@ -29,6 +29,7 @@ def diagnose(
     from monitor.damage import load_baseline
     from monitor.diagnosis import structure_text
     from monitor.runs import diagnose as job
+    from monitor.runs import local_copies
 
     names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
     content, report, updated, extended, view = (out / name for name in names)
@@ -40,7 +41,8 @@ def diagnose(
     with no_empty_folder(out):
         for path in (content, report, updated, extended, view):
             demand_place(path)
-        found = job.diagnose(recordings, settings, healthy, warn, progress("diagnose"))
+        with local_copies(recordings) as (copies, named):
+            found = job.diagnose(copies, settings, healthy, lambda text: warn(named(text)), progress("diagnose"))
     for doubt in found.content["doubts"]:
         warn(doubt)
     text = structure.read_text(encoding="utf-8")

@@ -15,7 +15,10 @@ from monitor.core import BadInputError, require_extra
 
 def reprocess(
     recordings: Annotated[
-        list[str], typer.Argument(metavar="GLOB...", help="Recordings, or patterns as 'archive/**/*.mcap'.")
+        list[str],
+        typer.Argument(
+            metavar="GLOB...", help="Recordings, or patterns as 'archive/**/*.mcap' or 's3://archive/*.mcap'."
+        ),
     ],
     structure: Structure,
     out: Annotated[

@@ -20,6 +20,7 @@ from .event_page import page_of, read_event_line, read_event_page, write_event_m
 from .event_recordings import EventRecordings
 from .importers import ImportedChannel, acceleration_unit, import_files
 from .modal_calibration import calibrate_modes
+from .object_storage import local_copies
 from .online_diagnosis import RecentBlocks, longest_diagnosis_s
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
@@ -49,6 +50,7 @@ __all__ = [
     "ledger",
     "ledger_chain",
     "load_healthy",
+    "local_copies",
     "longest_diagnosis_s",
     "look",
     "open_viewer",

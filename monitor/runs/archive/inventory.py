@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from monitor import __version__
+from monitor.runs.object_storage import is_remote, remote_paths, remote_version
 
 _OVERLAP_NS = 1_000_000_000
 """Overlap, ns, below which two recordings may belong to one stream; with a larger overlap they were made in parallel."""
@@ -57,7 +58,9 @@ def fingerprint(*parts: str) -> str:
 
 
 def file_version(path: Path) -> str:
-    """Identify the present version of a file by its path, its size and the time of its last change."""
+    """Identify the present version of a file by its path, its size and the time of its last change; of an object by its ETag."""
+    if is_remote(path):
+        return remote_version(path)
     status = path.stat()
     return f"{path} {status.st_size} {status.st_mtime_ns}"
 
@@ -91,9 +94,14 @@ def _continues(before: Survey, after: Survey, longest_gap_s: float) -> bool:
 def expand_patterns(patterns: Sequence[str]) -> list[Path]:
     """List the absolute paths of the files that patterns (``*``, ``?``, ``**``) or names denote, each once.
 
-    A pattern that matches no file is kept as a name.
+    A pattern that matches no file is kept as a name.  ``s3://`` patterns denote objects.
     """
     import glob
 
-    found = [name for pattern in patterns for name in (sorted(glob.glob(pattern, recursive=True)) or [pattern])]
-    return [path for path in dict.fromkeys(Path(name).resolve() for name in found)]
+    found = list[Path]()
+    for pattern in patterns:
+        if pattern.startswith("s3://"):
+            found += remote_paths(pattern)
+        else:
+            found += [Path(name).resolve() for name in sorted(glob.glob(pattern, recursive=True)) or [pattern]]
+    return list(dict.fromkeys(found))

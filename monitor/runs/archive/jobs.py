@@ -20,7 +20,8 @@ from monitor.publish import WINDOWS_SCHEMA, Publisher, windows_table
 from monitor.runs.archive.inventory import Survey
 from monitor.runs.baselines import load_healthy
 from monitor.runs.event_recordings import EventRecordings
-from monitor.runs.recordings import read_blocks, recorded_spans, times_between
+from monitor.runs.object_storage import address, local_copies
+from monitor.runs.recordings import OnWarning, read_blocks, recorded_spans, times_between
 from monitor.runs.replay import ResultFiles, pass_through, recorded_content, warn_of_losses, with_first_block_read
 from monitor.runs.session import Session
 
@@ -96,11 +97,12 @@ def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
     """Survey a recording, given with its map of ROS 2 topics; return an error message if it cannot be used."""
     path, topics = item
     try:
-        info = recording_info(path, topic_map=topics or None)
-    except RecordingError as error:
+        with local_copies([path]) as ((copy,), _):
+            info = recording_info(copy, topic_map=topics or None)
+    except (RecordingError, UserError) as error:
         return str(error)
     channels = info.channels[ACCELERATION]
-    return Survey(str(path.parent), channels, info.sample_rate_hz, info.t_start_ns, info.t_end_ns, path)
+    return Survey(address(path.parent), channels, info.sample_rate_hz, info.t_start_ns, info.t_end_ns, path)
 
 
 def replay_run(task: Task) -> Outcome:
@@ -108,8 +110,12 @@ def replay_run(task: Task) -> Outcome:
     outcome = Outcome(task.name, task.paths)
     keep_freed()
     try:
-        with threadpool_limits(limits=1), no_empty_folder(task.out / RUNS / task.name):
-            _replay(task, outcome.warnings)
+        with (
+            threadpool_limits(limits=1),
+            no_empty_folder(task.out / RUNS / task.name),
+            local_copies(task.paths) as (paths, named),
+        ):
+            _replay(task, paths, lambda text: outcome.warnings.append(named(text)))
     except UserError as error:
         return replace(outcome, error=str(error))
     except OSError as error:
@@ -117,14 +123,14 @@ def replay_run(task: Task) -> Outcome:
     return outcome
 
 
-def _replay(task: Task, warnings: list[str]) -> None:
-    """Replay a run as `replay_run`; errors are raised."""
+def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
+    """Replay a run, of which `paths` are the files to read, as `replay_run`; errors are raised."""
     settings = configuration.load(task.structure)
     healthy = None if task.baseline is None else load_healthy(task.baseline, settings)
-    paths, folder = list(task.paths), task.out / RUNS / task.name
-    source = with_first_block_read(read_blocks(paths, settings, warnings.append))
+    folder = task.out / RUNS / task.name
+    source = with_first_block_read(read_blocks(paths, settings, on_warning))
     folder.mkdir(parents=True, exist_ok=True)
-    kept = {"recordings": list(map(str, paths)), "stream": task.stream}
+    kept = {"recordings": list(map(address, task.paths)), "stream": task.stream}
     rows = WindowsFile(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
     written = ResultFiles(folder, mcap=False)  # the dataset holds the windows for tools that read no JSON lines
     spans = recorded_spans(paths, settings)
@@ -148,7 +154,7 @@ def _replay(task: Task, warnings: list[str]) -> None:
         raise
     finally:
         session.online_diagnosis.close()
-    warn_of_losses(session, spans, warnings.append)
+    warn_of_losses(session, spans, on_warning)
 
 
 def diagnose_recording(task: Task) -> Outcome:
@@ -161,8 +167,8 @@ def diagnose_recording(task: Task) -> Outcome:
         healthy = (
             None if task.baseline is None else load_baseline(task.baseline, settings.instrumented(), settings.updating)
         )
-        with threadpool_limits(limits=1):
-            found = diagnose.diagnose(list(task.paths), settings, healthy, outcome.warnings.append)
+        with threadpool_limits(limits=1), local_copies(task.paths) as (paths, named):
+            found = diagnose.diagnose(paths, settings, healthy, lambda text: outcome.warnings.append(named(text)))
         final = task.out / DIAGNOSES / f"{task.name}.json"
         write_atomically(final, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     except UserError as error:

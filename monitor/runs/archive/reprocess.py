@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from dask.callbacks import Callback
 
 from monitor.config import configuration as config
-from monitor.core import MissingInputError, parse_json, spare_inputs, write_atomically
+from monitor.core import MissingInputError, UserError, parse_json, spare_inputs, write_atomically
 from monitor.runs.archive.inventory import Run, Survey, file_version, fingerprint, group_into_runs
 from monitor.runs.archive.jobs import (
     DIAGNOSES,
@@ -36,6 +36,7 @@ from monitor.runs.archive.jobs import (
     survey_recording,
 )
 from monitor.runs.baselines import load_healthy
+from monitor.runs.object_storage import address
 
 Job = TypeVar("Job")
 Done = TypeVar("Done")
@@ -191,6 +192,9 @@ def _survey_recordings(
         except OSError as error:
             failed.append(Outcome(str(path), (path,), f"{path}: cannot be opened: {error.strerror}"))
             continue
+        except UserError as error:
+            failed.append(Outcome(address(path), (path,), str(error)))
+            continue
         if known is None:
             new.append((key, path))
         else:
@@ -213,7 +217,7 @@ def _survey_from_json(kept: dict[str, Any]) -> Survey:
 
 def _remove_superseded(out: Path, now: dict[str, Run], failed: list[str]) -> None:
     """Remove files of the dataset whose recordings are part of another run now, so that no window is in it twice."""
-    covered = {str(path) for name, run in now.items() if name not in failed for path in run.paths}
+    covered = {address(path) for name, run in now.items() if name not in failed for path in run.paths}
     for file in (out / WINDOWS).glob("*.parquet"):
         if file.stem not in now:
             metadata = pq.read_schema(file).metadata or {}
