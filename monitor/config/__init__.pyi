@@ -1,5 +1,5 @@
 from . import configuration, security_check
-from .configuration import Configuration, OutputSettings, read_toml
+from .configuration import Configuration, OutputSettings, SensorTable, read_toml
 from .log_settings import LogSettings
 from .state_settings import StateSettings
 
@@ -7,6 +7,7 @@ __all__ = [
     "Configuration",
     "LogSettings",
     "OutputSettings",
+    "SensorTable",
     "StateSettings",
     "configuration",
     "read_toml",

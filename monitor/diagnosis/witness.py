@@ -209,11 +209,8 @@ class _Comparison:
         if moved == 0.0:
             return None
         if isinstance(structure, ShearFrame):
-            turned = float(structure.joint_rotations()[sensor.floor - 1] @ shape)
-            if turned == 0.0:
-                return 0.0
-            # A girder in double curvature turns in its middle by half as much as at its ends, the other way.
-            return (-0.5 if sensor.mounted == "midspan" else 1.0) * turned / moved
+            turned = float(structure.girder_rotation(sensor.floor, sensor.mounted) @ shape)
+            return turned / moved if turned else 0.0
         return float(shape[sensor.floor - 1]) / moved
 
     def _judge_motion_in_modes(self, sensor: WitnessSensor) -> Witness:

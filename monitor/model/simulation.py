@@ -34,6 +34,8 @@ class Motion:
     """Measured ground acceleration, shape (n_samples,), m/s^2; None where it was not measured."""
     force: Array | None = None
     """Measured forces, shape (n_samples, k), N; None where none was measured."""
+    rotation_rate: Array | None = None
+    """Rates of rotation, shape (n_samples, g), rad/s; None where none was measured."""
 
 
 def linear_system(model: Model) -> System:
@@ -135,6 +137,7 @@ def simulate(
     context: Context | None = None,
     excess_degc: Array | None = None,
     forced: Sequence[int] = (),
+    turning: Array | None = None,
 ) -> Motion:
     """Simulate a recording of a model under random forces, hammer blows, ground motion or measured forces.
 
@@ -158,12 +161,14 @@ def simulate(
         Temperature above the reference, K; none by default.
     forced : sequence of int, optional
         Floor on which each measured force acts, counted from 1.
+    turning : ndarray, shape (g, n), rad/m, optional
+        Rotation at each gyroscope by the floors' displacements relative to the ground; none by default.
 
     Returns
     -------
     Motion
         Accelerations of the channels, shape (n_samples, c), and of a measured ground, shape (n_samples,), m/s^2;
-        measured forces, shape (n_samples, k), N.
+        measured forces, shape (n_samples, k), N, and rates of rotation, shape (n_samples, g), rad/s.
 
     Raises
     ------
@@ -198,7 +203,9 @@ def simulate(
         _unmeasured_ground(model, forces, level[:, 0], true_rate_hz, context, effects_rng) if ground is None else ground
     )
     own = own_forces(model, level[:, 0], true_rate_hz, effects_rng)
-    clean = channel_motion(model, with_own_forces(model, forces, own), true_ground, true_rate_hz, context, excess_degc)
+    system, all_forces = linear_system(model), with_own_forces(model, forces, own)
+    moved = respond(model, all_forces, true_ground, true_rate_hz, excess_degc, appended=bool(system.coupled))
+    clean = _seen(moved, system, context)
     clean += _extra_motion(model, level[:, 0], true_rate_hz, context, effects_rng)
     rms = noise * float(np.sqrt((clean**2).mean(axis=0)).mean())
     samples = clean + rms * rng.standard_normal(clean.shape)
@@ -206,7 +213,21 @@ def simulate(
         ground = ground + rms * rng.standard_normal(n_samples)
     for effect in model.effects:
         samples = effect.measure(samples, true_rate_hz, context, effects_rng)
-    return Motion(rate_hz, samples, ground, measured)
+    rotation_rate = None
+    if turning is not None:
+        relative = moved[:, :n] if true_ground is None else moved[:, :n] - true_ground[:, None]
+        rotation_rate = _integrated(relative @ turning.T, true_rate_hz)
+        own_rms = noise * float(np.sqrt((rotation_rate**2).mean(axis=0)).mean())
+        rotation_rate = rotation_rate + own_rms * effects_rng.standard_normal(rotation_rate.shape)
+    return Motion(rate_hz, samples, ground, measured, rotation_rate)
+
+
+def _integrated(values: Array, rate_hz: float) -> Array:
+    """Integrate samples over time from rest, by cubic splines, shape (n_samples, k)."""
+    from scipy.interpolate import CubicSpline  # takes most of a second to load
+
+    t_s = np.arange(len(values)) / rate_hz
+    return np.asarray(CubicSpline(t_s, values).antiderivative()(t_s))
 
 
 def own_forces(model: Model, level: Array, rate_hz: float, rng: np.random.Generator) -> Array:
@@ -251,10 +272,13 @@ def channel_motion(
 ) -> Array:
     """Simulate the channels' true accelerations, shape (n_samples, c), m/s^2; the parameters are those of `respond`."""
     system = linear_system(model)
-    if not system.coupled:
-        return respond(model, forces, ground, rate_hz, excess_degc, step_hz) @ context.sensors.T
-    moved = respond(model, forces, ground, rate_hz, excess_degc, step_hz, appended=True)
-    return np.asarray(moved @ system.sensors(context.sensors).T)
+    moved = respond(model, forces, ground, rate_hz, excess_degc, step_hz, appended=bool(system.coupled))
+    return _seen(moved, system, context)
+
+
+def _seen(moved: Array, system: System, context: Context) -> Array:
+    """Compute what the channels see of accelerations as `respond` gives them: with appended ones where modes are coupled."""
+    return np.asarray(moved @ (system.sensors(context.sensors) if system.coupled else context.sensors).T)
 
 
 def _extra_motion(

@@ -13,9 +13,9 @@ from typing import cast, get_args
 
 import numpy as np
 
-from drivers.base import ACCELERATION, FORCE, GROUND, TEMPERATURE, SampleBlock
+from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
-from monitor.config import Configuration
+from monitor.config import Configuration, SensorTable
 from monitor.core import Array, BadConfigurationError, MissingInputError
 from monitor.model import (
     Effect,
@@ -23,6 +23,7 @@ from monitor.model import (
     ExcitationKind,
     Model,
     Motion,
+    ShearFrame,
     parse_effect,
     simulate,
     story_damage,
@@ -207,6 +208,7 @@ def write_simulated_recording(
             context=config.instrumented().context(rate_hz),
             excess_degc=None if weather is None else weather.degc(n_samples, rate_hz) - weather.reference_degc,
             forced=[i.floor for i in config.inputs],
+            turning=_turning(config, truth),
         )
     except ValueError as error:  # includes EffectError
         raise BadConfigurationError(str(error)) from error
@@ -221,6 +223,36 @@ def write_simulated_recording(
     if weather is not None:
         metadata["reference_degc"] = repr(weather.reference_degc)
     _write_blocks(out, _sample_blocks(motion, config, weather, t0_ns), {"simulated": metadata})
+
+
+def _turning(config: Configuration, truth: Model) -> Array | None:
+    """Compute the rotation at each gyroscope by the floors' displacements, shape (g, n), rad/m; None without gyroscopes.
+
+    Joints of a frame turn about y, by the bending of columns and girders; of another structure a degree of freedom may be a
+    rotation.  The model knows no other one.
+
+    Raises
+    ------
+    ValueError
+        The heights of the stories are not known.
+    """
+    if not (gyroscopes := _gyroscopes(config)):
+        return None
+    structure = truth.altered_structure()
+    out = np.zeros((len(gyroscopes), structure.n_dofs))
+    for row, sensor in zip(out, gyroscopes, strict=True):
+        if not sensor.floor:
+            continue
+        if not isinstance(structure, ShearFrame):
+            row[sensor.floor - 1] = 1.0
+        elif sensor.axis == "y":
+            row[:] = structure.girder_rotation(sensor.floor, sensor.mounted)
+    return out
+
+
+def _gyroscopes(config: Configuration) -> list[SensorTable]:
+    """List the gyroscopes of a structure file."""
+    return [sensor for sensor in config.witnesses if sensor.quantity == "rotation_rate"]
 
 
 def require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
@@ -242,7 +274,7 @@ def require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
 def _sample_blocks(
     motion: Motion, config: Configuration, weather: TemperatureCycle | None, t0_ns: int
 ) -> Iterator[SampleBlock]:
-    """Cut the accelerations, the inputs and the temperature into blocks of one second, in time order."""
+    """Cut accelerations, inputs, rates of rotation and temperature into blocks of one second, in time order."""
     rate_hz, n_samples = motion.rate_hz, len(motion.floors)
     block_n = max(1, round(rate_hz))
     streams = [cut_into_blocks(ACCELERATION, motion.floors, config.channels, rate_hz, t0_ns, block_n)]
@@ -251,6 +283,10 @@ def _sample_blocks(
     if motion.force is not None:
         names = tuple(i.channel for i in config.inputs)
         streams.append(cut_into_blocks(FORCE, motion.force, names, rate_hz, t0_ns, block_n, unit="N"))
+    if motion.rotation_rate is not None:
+        names = tuple(sensor.channel for sensor in _gyroscopes(config))
+        rates = motion.rotation_rate
+        streams.append(cut_into_blocks(ROTATION_RATE, rates, names, rate_hz, t0_ns, block_n, unit="rad/s"))
     if weather is not None:
         degc = weather.degc(int((n_samples - 1) / rate_hz * _TEMPERATURE_HZ) + 1, _TEMPERATURE_HZ)
         streams.append(cut_into_blocks(TEMPERATURE, degc[:, None], ("air",), _TEMPERATURE_HZ, t0_ns, 1, unit="degC"))

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.base import ROTATION_RATE, SampleBlock
+from drivers.base import ACCELERATION, GROUND, ROTATION_RATE, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
 from monitor.core import BadConfigurationError
+from monitor.model import ShearFrame, parse_effect
 from tests.conftest import Cli
 
 FRAME = """
@@ -180,3 +181,51 @@ def test_a_block_of_rates_of_rotation_has_their_unit() -> None:
     assert SampleBlock(ROTATION_RATE, 0, 0, 1.0, ("r1",), "rad/s", samples).unit == "rad/s"
     with pytest.raises(ValueError, match="unknown unit 'deg/s'"):
         SampleBlock(ROTATION_RATE, 0, 0, 1.0, ("r1",), "deg/s", samples)
+
+
+GYROSCOPES = """
+[[sensors]]
+channel = "r1"
+floor = 1
+quantity = "rotation_rate"
+axis = "y"
+
+[[sensors]]
+channel = "m2"
+floor = 2
+quantity = "rotation_rate"
+axis = "y"
+mounted = "midspan"
+
+[[sensors]]
+channel = "across"
+floor = 2
+quantity = "rotation_rate"
+axis = "x"
+"""
+
+
+@pytest.mark.parametrize("excitation", ["ambient", "ground"])
+def test_simulated_gyroscopes_turn_with_the_joints(tmp_path: Path, main: Cli, excitation: str) -> None:
+    """By an integration of the floors' recorded accelerations in the frequency domain, where the motion is."""
+    path, out = tmp_path / "s.toml", tmp_path / "s.mcap"
+    path.write_text(FRAME.partition('[[sensors]]\nchannel = "r')[0] + GYROSCOPES)
+    effect = "joint_flexibility:frame:girder_to_column_ratio=0.5"
+    options = ("--duration", 100, "--rate", 200, "--noise", 0, "--excitation", excitation, "--effect", effect)
+    done = main("simulate", "--structure", path, "--out", out, *options)
+    assert done.returncode == 0, done.stderr
+    read = {t: np.concatenate([b.samples for b in read_recordings([out], (t,))]) for t in (ACCELERATION, ROTATION_RATE)}
+    moved, turned = read[ACCELERATION].astype(float), read[ROTATION_RATE].astype(float)
+    if excitation == "ground":
+        moved -= np.concatenate([b.samples for b in read_recordings([out], (GROUND,))])
+    model = configuration.load(path).model()
+    frame = replace(model, effects=(parse_effect(effect),)).altered_structure()
+    assert isinstance(frame, ShearFrame)
+    rotations = frame.joint_rotations()
+    taper, omega = np.hanning(len(moved))[:, None], 2j * np.pi * np.fft.rfftfreq(len(moved), 1 / 200.0)
+    inside = (np.abs(omega) > 2.0 * np.pi * 3.0) & (np.abs(omega) < 2.0 * np.pi * 30.0)
+    speed = np.fft.rfft(moved * taper, axis=0)[inside] / omega[inside, None]
+    rates = np.fft.rfft(turned * taper, axis=0)[inside]
+    wanted = speed @ np.array([rotations[0], -0.5 * rotations[1]]).T
+    assert np.abs(rates[:, :2] - wanted).max() < 0.02 * np.abs(wanted).max()
+    assert not turned[:, 2].any() and np.abs(turned.mean(axis=0)).max() < 0.05 * turned[:, 0].std()

@@ -117,6 +117,20 @@ class ShearFrame:
         coupling, k_theta = self._rotation_terms()
         return np.asarray(-np.linalg.solve(k_theta, coupling.T))
 
+    def girder_rotation(self, floor: int, mounted: str) -> Array:
+        """Compute how the girders of a floor turn where a gyroscope is, as `joint_rotations`, shape (n,), rad/m.
+
+        A girder in double curvature turns in its middle by half as much as at its ends, the other way.
+
+        Parameters
+        ----------
+        floor : int
+            1 = top.
+        mounted : str
+            ``joint`` or ``midspan``.
+        """
+        return np.asarray((-0.5 if mounted == "midspan" else 1.0) * self.joint_rotations()[floor - 1])
+
     def _stiffness_lost_by_rotation(self) -> Array:
         """Compute the stiffness that the joints' rotation takes away, by static condensation, shape (n, n), N/m."""
         coupling, k_theta = self._rotation_terms()
