@@ -250,7 +250,8 @@ class Expected:
         """Compare stories, each with the others, in each of k measurements (`kernels.beside_each_other`)."""
         from monitor.damage.kernels import beside_each_other  # compiled code takes a while to load
 
-        return _Compared(*beside_each_other(losses, learned, total, self.stretches))
+        of_learned, of_total = (np.asarray(np.linalg.inv(m), dtype=float) for m in (learned, total))
+        return _Compared(*beside_each_other(np.ascontiguousarray(losses), of_learned, of_total, self.stretches))
 
     def beyond_words(self, loss: Array, covariance: Array, most_std: float) -> str:
         """Say that the stories lie where a loss of one is hidden by what was not learned; empty where they do not.

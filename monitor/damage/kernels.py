@@ -149,15 +149,15 @@ def least_seen(
 
 @compiled(error_model="numpy")
 def beside_each_other(
-    losses: Array, learned: Array, total: Array, stretches: float
+    losses: Array, of_learned: Array, of_total: Array, stretches: float
 ) -> tuple[Array, Array, Array, Array]:
     """Compare each of n stories with the others, in k measurements.
 
     Parameters
     ----------
     losses : ndarray, shape (k, n)
-    learned, total : ndarray, shape (k, n, n), contiguous
-        Covariance of the losses: as learned, and with what is of any size.
+    of_learned, of_total : ndarray, shape (k, n, n)
+        Inverse covariance of the losses: as learned, and with what is of any size.
     stretches : float
         Independent stretches that the covariance was learned from.
 
@@ -180,19 +180,19 @@ def beside_each_other(
         np.empty(count),
     )
     for k in range(count):
-        inverse, of_learned, loss = np.linalg.inv(total[k]), np.linalg.inv(learned[k]), losses[k]
+        inverse, loss = of_total[k], losses[k]
         square, information, evidence, largest = 0.0, 0.0, 0.0, 0.0
         distances, gap = np.zeros(n), np.zeros(n)
         for j in range(n):
             for i in range(n):
-                distances[j] += of_learned[j, i] * loss[i]
+                distances[j] += of_learned[k, j, i] * loss[i]
                 gap[j] += inverse[j, i] * loss[i]
                 information += inverse[j, i]
             square += loss[j] * distances[j]
             evidence += gap[j]
             largest = max(largest, abs(loss[j]))
         for j in range(n):
-            inflation[k, j] = 1.0 + (square - distances[j] ** 2 / of_learned[j, j]) / stretches
+            inflation[k, j] = 1.0 + (square - distances[j] ** 2 / of_learned[k, j, j]) / stretches
             z[k, j] = gap[j] / np.sqrt(inverse[j, j] * inflation[k, j])
             for i in range(n):
                 weights[k, j, i] = inverse[j, i] / inverse[j, j]
