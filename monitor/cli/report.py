@@ -73,10 +73,10 @@ def _report_event(folder: Path, wanted: str, out: Path | None, motion: Path | No
     place = out or page_of(folder, line["id"])
     wanted_files = [place] if motion is None else [place, motion]
     spare_inputs(wanted_files, [folder / EVENTS, *([folder / str(line["recording"])] if line.get("recording") else [])])
-    for path in wanted_files:
-        demand_place(path)
     if motion is not None:
         require_extra("viewer", "--motion")
+    for path in wanted_files:
+        demand_place(path)
     page = read_event_page(folder, line)
     event = page.event
     write_event(place, page)

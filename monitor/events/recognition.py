@@ -40,6 +40,7 @@ STEP_S = 2.0
 _LONG_TERM_S = 60.0
 """Time constant of the long-term average. [s; Trnkoczy 2012]"""
 _FULL = round(_LONG_TERM_S / STEP_S)
+"""Most steps that the long-term average holds. [count; definition]"""
 _RAISED_BANDS = 3
 """Bands of half an octave that must be raised together. [count; earthquakes span more than an octave, a machine's line or one
 mode does not]"""
@@ -411,7 +412,7 @@ def _thresholds(ratio_on: float) -> Array:
 
 def is_settled(state: RecognitionState) -> bool:
     """Say whether the long-term average holds all that it ever does."""
-    return state.steps * STEP_S >= _LONG_TERM_S
+    return state.steps >= _FULL
 
 
 def begin_anew(state: RecognitionState) -> RecognitionState:

@@ -150,7 +150,8 @@ def simulate(
         acceleration of 0.5 m/s^2, measured; measured white forces of 10 N beside the ambient ones.
     noise : float
         Sensor noise, white at `rate_hz`, as a fraction of the mean over channels of the acceleration's RMS, the same
-        on every channel.  The sensor effects act on the noise as on the motion.
+        on every channel.  The sensor effects act on the noise as on the motion.  That of gyroscopes is the same fraction of
+        the mean RMS of their rates.
     level_spread : float
         Relative spread of the excitation's slowly varying level (0.35 for wind).
     seed : int

@@ -99,7 +99,7 @@ def write_event_motion(page: EventPage, out: Path) -> None:
         raise MissingInputError(f"event {page.event.id} cannot be shown in motion. {page.why_not}")
     if not np.isfinite(page.review.drift_m).any():
         raise MissingInputError(f"event {page.event.id} cannot be shown in motion: no story's drift is known")
-    from monitor.publish import write_motion
+    from monitor.publish import write_motion  # it needs the extra `viewer`
 
     write_motion(out, page.name, page.event, page.site, page.review)
 

@@ -226,17 +226,13 @@ def write_simulated_recording(
 
 
 def _turning(config: Configuration, truth: Model) -> Array | None:
-    """Compute the rotation at each gyroscope by the floors' displacements, shape (g, n), rad/m; None without gyroscopes.
+    """Compute the rotation at each gyroscope by the floors' displacements, shape (g, n), rad/m; None where the model tells none.
 
     Joints of a frame turn about y, by the bending of columns and girders; of another structure a degree of freedom may be a
-    rotation.  The model knows no other one.
-
-    Raises
-    ------
-    ValueError
-        The heights of the stories are not known.
+    rotation.  The model knows no other one, and without the stories' heights no angle.
     """
-    if not (gyroscopes := _gyroscopes(config)):
+    gyroscopes, frame = _gyroscopes(config), truth.structure
+    if not gyroscopes or (isinstance(frame, ShearFrame) and frame.story_heights_m is None):
         return None
     structure = truth.altered_structure()
     out = np.zeros((len(gyroscopes), structure.n_dofs))

@@ -20,6 +20,15 @@ HEIGHTS = np.array([3.0, 3.0, 3.5])
 RATE = 200.0
 
 
+def structure_text(stiffness: Array = STIFFNESS) -> str:
+    """The frame's structure and sensors as tables of a site file."""
+    sensors = "".join(f'[[sensors]]\nchannel = "a{i}"\nfloor = {i}\n' for i in (1, 2, 3))
+    return (
+        f'[structure]\nkind = "shear_frame"\nmasses_kg = {MASSES.tolist()}\nstiffness_n_per_m = {stiffness.tolist()}\n'
+        f"damping_ratio = 0.02\nstory_heights_m = {HEIGHTS.tolist()}\n{sensors}"
+    )
+
+
 def configuration(**tables: object) -> Configuration:
     """The site of the frames, three floors with a sensor each."""
     structure = {

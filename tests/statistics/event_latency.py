@@ -19,7 +19,7 @@ import zenoh
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
-from tests.events.shaken import MASSES, RATE, STIFFNESS, kanai_tajimi, shake
+from tests.events.shaken import RATE, kanai_tajimi, shake, structure_text
 from tests.support.live_rig import Command
 from tests.support.zenoh_router import Router, free_port
 
@@ -36,12 +36,6 @@ connect = ["tcp/127.0.0.1:{port}"]
 dir = "out"
 [output.zenoh]
 connect = ["tcp/127.0.0.1:{port}"]
-[structure]
-kind = "shear_frame"
-masses_kg = {masses}
-stiffness_n_per_m = {stiffness}
-damping_ratio = 0.02
-story_heights_m = [3.0, 3.0, 3.5]
 """
 
 
@@ -72,7 +66,6 @@ def main(quakes: int) -> None:
     """Print the delay of each message, s."""
     floors, ground = motion(quakes)
     port, told, lock = free_port(), list[tuple[object, float]](), threading.Lock()
-    sensors = "".join(f'[[sensors]]\nchannel = "a{i}"\nfloor = {i}\n' for i in (1, 2, 3))
 
     def take(sample: zenoh.Sample) -> None:
         line = json.loads(bytes(sample.payload))
@@ -82,7 +75,7 @@ def main(quakes: int) -> None:
     place = f"tcp/127.0.0.1:{port}"
     with tempfile.TemporaryDirectory() as name:
         site, router = Path(name) / "site.toml", Router(place)
-        site.write_text(_SITE.format(port=port, masses=MASSES.tolist(), stiffness=STIFFNESS.tolist()) + sensors)
+        site.write_text(_SITE.format(port=port) + structure_text())
         config = zenoh.Config()
         config.insert_json5("mode", '"client"')
         config.insert_json5("connect/endpoints", json.dumps([place]))

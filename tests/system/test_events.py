@@ -16,8 +16,8 @@ import pytest
 
 from drivers.mcap_file import recording_info
 from tests.conftest import T0_NS
-from tests.events.shaken import MASSES, STIFFNESS, kanai_tajimi, shake
 from tests.events.shaken import RATE as SHAKEN_RATE
+from tests.events.shaken import STIFFNESS, kanai_tajimi, shake, structure_text
 from tests.service.test_http_server import fetch
 from tests.support.faulty_disk import faulty_disk, is_possible
 from tests.support.live_site import RATE, SIZE, given
@@ -57,13 +57,6 @@ pre_s = 15.0
 [[events.limits]]
 drift_ratio = 1e-5
 says = "look at it"
-
-[structure]
-kind = "shear_frame"
-masses_kg = {masses}
-stiffness_n_per_m = {stiffness}
-damping_ratio = 0.02
-story_heights_m = [3.0, 3.0, 3.5]
 """
 
 
@@ -84,9 +77,7 @@ def running(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
 def site(tmp_path: Path) -> Path:
     """A site file, and the stream of its frame: quiet, a quake, quiet.  It is simulated at another rate, and so slower."""
     slower = RATE / SHAKEN_RATE
-    sensors = "".join(f'[[sensors]]\nchannel = "a{i}"\nfloor = {i}\n' for i in (1, 2, 3))
-    text = SITE.format(port=free_port(), masses=MASSES.tolist(), stiffness=(STIFFNESS * slower**2).tolist())
-    (tmp_path / "site.toml").write_text(text + sensors)
+    (tmp_path / "site.toml").write_text(SITE.format(port=free_port()) + structure_text(STIFFNESS * slower**2))
     wave = np.zeros(round((QUIET_S + QUAKE_S + AFTER_S) * RATE))
     quake = kanai_tajimi(QUAKE_S * slower, 1.0, 2.5, np.random.default_rng(3))
     wave[round(QUIET_S * RATE) :][: quake.size] += quake

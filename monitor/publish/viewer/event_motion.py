@@ -36,7 +36,8 @@ def write_motion(path: Path, name: str, event: Event, site: Site, review: Review
 
     Floors move relative to the ground, by the sum of the drifts below them, all of them enlarged alike.  Each story's columns
     have the colour of its drift at that moment: green at rest, red at the limit of the site, or, without one, at the largest
-    drift of any story in the event; grey where no sensors tell.  Beside the frame stand the drifts and accelerations over time.
+    drift of any story in the event.  A story whose drift no sensors tell is grey and stays upright, as the title says.  Beside
+    the frame stand the drifts and accelerations over time.
 
     Parameters
     ----------
@@ -63,7 +64,9 @@ def write_motion(path: Path, name: str, event: Event, site: Site, review: Review
     output = Output(f"event {event.id}", path, None)
     try:
         stream = output.stream
-        stream.send_blueprint(_blueprint(f"{name}, {event.id}", drawing, site.names, 1e3 * drift))
+        unknown = [story for story, own in zip(site.names, drift.T, strict=True) if not np.isfinite(own).any()]
+        title = f"{name}, {event.id}" + (f"; drift not known: {', '.join(unknown)}" if unknown else "")
+        stream.send_blueprint(_blueprint(title, drawing, site.names, 1e3 * drift))
         _series(stream, "/drift", site.names, t_ns, 1e3 * drift)
         record = review.record
         accelerations, channels = record.floors[shown], review.channels

@@ -26,6 +26,8 @@ class Survey:
     t_start_ns: int
     t_end_ns: int
     path: Path
+    version: str = ""
+    """As of `file_version`, when it was surveyed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,8 @@ class Run:
     """Folder of the recordings."""
     paths: tuple[Path, ...]
     """Recordings in the order of their times."""
+    versions: tuple[str, ...]
+    """Version of each, as of `file_version`."""
     t_start_ns: int
     t_end_ns: int
 
@@ -43,7 +47,7 @@ class Run:
         """Name the results of the run; the name depends on configuration, recordings and version of the program."""
         begun = datetime.fromtimestamp(self.t_start_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%S")
         label = "".join(c if c.isalnum() or c in "-_." else "-" for c in Path(self.stream).name)
-        return f"{label}-{begun}-{fingerprint(configuration, *map(file_version, self.paths))}"
+        return f"{label}-{begun}-{fingerprint(configuration, *self.versions)}"
 
 
 def fingerprint(*parts: str) -> str:
@@ -81,7 +85,8 @@ def group_into_runs(surveys: Iterable[Survey], longest_gap_s: float) -> list[Run
             open_runs.append([survey])
     for chain in open_runs:
         ends = max(s.t_end_ns for s in chain)
-        done.append(Run(chain[0].folder, tuple(s.path for s in chain), chain[0].t_start_ns, ends))
+        paths, versions = (tuple(s.path for s in chain), tuple(s.version for s in chain))
+        done.append(Run(chain[0].folder, paths, versions, chain[0].t_start_ns, ends))
     return sorted(done, key=lambda run: run.t_start_ns - run.t_end_ns)
 
 

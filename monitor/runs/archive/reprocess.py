@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
@@ -110,7 +110,7 @@ def reprocess(
         tasks = [_task(run.name(configuration), run.stream, run.paths, structure, baseline, out) for run in wanted]
         outcomes = _compute_missing(replay_run, tasks, [out / WINDOWS / f"{task.name}.parquet" for task in tasks], work)
         if diagnose:
-            single = [Run(s.folder, (s.path,), s.t_start_ns, s.t_end_ns) for s in surveys]
+            single = [Run(s.folder, (s.path,), (s.version,), s.t_start_ns, s.t_end_ns) for s in surveys]
             tasks = [_task(one.name(configuration), one.stream, one.paths, structure, baseline, out) for one in single]
             outcomes += _compute_missing(
                 diagnose_recording, tasks, [out / DIAGNOSES / f"{task.name}.json" for task in tasks], work
@@ -198,21 +198,21 @@ def _survey_recordings(
         if known is None:
             new.append((key, path))
         else:
-            surveys.append(_survey_from_json(known))
+            surveys.append(_survey_from_json(known, key))
     surveyed = work(survey_recording, [(path, topics) for _, path in new])
     for (key, path), found in zip(new, surveyed, strict=True):
         if isinstance(found, str):
             failed.append(Outcome(str(path), (path,), found))
         else:
-            surveys.append(found)
+            surveys.append(replace(found, version=key))
             kept[key] = asdict(found) | {"path": str(path)}
     write_atomically(kept_in, json.dumps(kept, indent=0) + "\n")
     return surveys, failed
 
 
-def _survey_from_json(kept: dict[str, Any]) -> Survey:
+def _survey_from_json(kept: dict[str, Any], version: str) -> Survey:
     """Restore a survey kept as JSON."""
-    return Survey(**{**kept, "channels": tuple(kept["channels"]), "path": Path(kept["path"])})
+    return Survey(**{**kept, "channels": tuple(kept["channels"]), "path": Path(kept["path"]), "version": version})
 
 
 def _remove_superseded(out: Path, now: dict[str, Run], failed: list[str]) -> None:
