@@ -6,7 +6,8 @@ Gaussian distribution, with the variance of a prediction by a regression.  The d
 factors; that of the first may grow beyond anything learned.
 
 Each healthy window enters with its distance from the mean of the two days after it.  The distances hold neither the healthy
-stiffness nor a loss that grows over weeks.  Their noise is known from the windows; what exceeds it is the common change.
+stiffness nor a loss that grows over weeks.  Their noise is known from the windows; what exceeds it is the common change.  A
+window far from those learned before counts less, as in an estimate by a multivariate t distribution.
 
 How far each story went in healthy service is kept too.  Beyond that, as beyond the learned range of a covariate, each story may
 follow by a share of its own (frost), and the variance of what the others let expect grows with the distance.
@@ -15,7 +16,7 @@ References
 ----------
 K. V. Mardia, J. T. Kent, J. M. Bibby, Multivariate analysis (1979), section 3.2.4 (conditional distributions); N. R. Draper, H.
 Smith, Applied regression analysis (1998), section 5.1 (variance of a prediction); G. Schwarz, Ann. Statist. 6 (1978) 461-464
-(whether anything was learned).
+(whether anything was learned); K. L. Lange, R. J. A. Little, J. M. G. Taylor, J. Am. Stat. Assoc. 84 (1989) 881-896 (weights).
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class CommonChange:
     """Sums of healthy windows from which the covariance of common changes follows."""
 
     square: Array
-    """Shape (n, n): sum of the squared distances, in the columns of `CovariateLaw.mixing`, where one window's noise is 1."""
+    """Shape (n, n): weighted sum of the squared distances, in the columns of `CovariateLaw.mixing`, where one window's noise is
+    1."""
     windows: int
     """Number of windows in the sum."""
     lowest: Array
@@ -61,7 +63,19 @@ class CommonChange:
         else:  # another stretch begins
             others = np.sort(self.lowest, axis=1)[:, :-1]
         lowest = np.concatenate([now[:, None], others], axis=1)
-        return CommonChange(self.square + np.outer(distance, distance), self.windows + 1, lowest)
+        square = self.square + self._weight(distance) * np.outer(distance, distance)
+        return CommonChange(square, self.windows + 1, lowest)
+
+    def _weight(self, distance: Array) -> float:
+        """Compute the weight of a window: that of a multivariate t distribution with a degree of freedom for each stretch.
+
+        Two days around a loss that was not announced would otherwise outweigh weeks, and the loss would be learned as weather.
+        """
+        if self.stretches < self.wanted:
+            return 1.0
+        covariance = (self.square + np.eye(distance.size)) / (self.windows + 1)  # noise alone counts as one window more
+        outlying = float(distance @ np.linalg.solve(covariance, distance))
+        return (self.stretches + distance.size) / (self.stretches + outlying)
 
     @property
     def stretches(self) -> float:

@@ -170,6 +170,20 @@ def test_a_slow_loss_is_not_learned() -> None:
     np.testing.assert_allclose(other_law.covariance, one_law.covariance, rtol=0.1, atol=1e-7)
 
 
+def test_a_sudden_loss_that_was_not_announced_is_not_learned_as_weather() -> None:
+    """5 % of two stories after six weeks; the windows before it and after it all pass for healthy."""
+    state, under = slow_learning.start(law_of(40), 960 * HOUR_NS), {"level": np.array([-120.0])}
+    hours = np.arange(960.0, 960.0 + 240.0)
+    lost = np.outer(hours >= 1032.0, [0.05, 0.0, 0.05])
+    for t, row in zip(hours, changes_of(hours, 2, lost), strict=True):
+        state = slow_learning.step(state, under, row, int(t) * HOUR_NS, 0.5, normal=True)
+    learned = state.law.together(UNEVENNESS)
+    assert learned is not None and learned.stretches > 22.9
+    assert abs(learned.leading @ FOLLOWS) > 0.98 * np.linalg.norm(FOLLOWS)
+    beside = replace(learned, seen=ANYWHERE[:, :3]).beside_others(np.array([0.05, 0.0, 0.05]), NOISE)
+    assert (beside.loss[[0, 2]] > 6.5 * beside.std[[0, 2]]).all()
+
+
 def test_the_alarm_is_silent_in_uneven_weather_and_finds_a_loss(expected: Expected) -> None:
     """In the hottest weeks; without what was learned, the weather itself is announced as a loss."""
     settings = AlarmSettings()
