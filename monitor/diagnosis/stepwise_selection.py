@@ -162,12 +162,16 @@ def diagnose(
         stage, at_peaks = _add_missing_modes(stage, settings)
         rounds += at_peaks
     alternatives: tuple[tuple[Candidate, float], ...] = ()
+    from_elsewhere = False
     while _n_counted(stage) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
         rounds.append(tuple(p.candidate.without_slopes() for p in candidates))
         if not candidates or candidates[0].candidate.log_evidence < threshold:
             break
         tied = tied_candidates(candidates, settings.rival)
+        if all(p.candidate.effect.family != "sensor" for p in tied) and _shows_other_direction(stage, settings):
+            from_elsewhere = True  # no cause would be stated
+            break
         if lacks_modes(stage.posterior, stage.fit):
             tied = _prefer_mode(stage, tied, settings)
         if len(tied) > 1:
@@ -206,7 +210,9 @@ def diagnose(
             posterior, fit, accepted, simulation_std, settings
         )
         left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
-    direction = None if verdict == "none" else _find_other_direction(posterior, fit, accepted, simulation_std, settings)
+    direction = None
+    if verdict != "none" or from_elsewhere:
+        direction = _find_other_direction(posterior, fit, accepted, simulation_std, settings)
     if direction is not None:
         nothing = [False] * len(fit.effects)
         posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, nothing)
@@ -543,6 +549,13 @@ def _find_other_direction(
     at_sensors = [e.family == "sensor" for e in fit.effects]
     posterior, fit, _, _ = _keep_effects(posterior, fit, accepted, simulation_std, at_sensors)
     return find_other_direction(posterior, fit, settings)
+
+
+def _shows_other_direction(stage: _SearchState, settings: DiagnosisSettings) -> bool:
+    """Decide if the causes so far are all at the sensors, and the forces act in another direction than at calibration."""
+    if any(e.family != "sensor" for e in stage.fit.effects):
+        return False
+    return find_other_direction(stage.posterior, stage.fit, settings) is not None
 
 
 def _verdict(
