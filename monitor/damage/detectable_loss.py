@@ -31,6 +31,8 @@ _LN_COMMON_STEP = 0.3
 """The same for what windows have in common, which follows the covariates. [1; cost: half of it is 15 percent of a deviation]"""
 _CORRELATION_STEP = 0.2
 """The same for correlations. [1; cost]"""
+_KEPT = 1 << 16
+"""Simulations that are kept, of all sites of a process. [count; cost: a site needs some 15 an hour, of less than 1 kB each]"""
 
 
 def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
@@ -109,7 +111,7 @@ def _covariance(steps: tuple[int, ...], step: float, correlation: tuple[int, ...
     return np.asarray(rho * np.outer(std, std) / np.sqrt(np.outer(np.diag(rho), np.diag(rho))))
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=_KEPT)
 def _simulated(
     own_steps: tuple[int, ...],
     common_steps: tuple[int, ...],
@@ -154,7 +156,7 @@ def _simulated(
         return np.asarray(np.quantile(wanted, PROBABILITY, axis=0))
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)  # sites with other numbers of stories; 4 MB each for three
 def _draws(length: int, n: int) -> tuple[Array, Array]:
     """Draw standard normal errors of each trial: sums of increments, shape (trials, n, 1 + length), and common, (trials, n)."""
     rng = np.random.default_rng(0)
