@@ -31,8 +31,6 @@ _LN_COMMON_STEP = 0.3
 """The same for what windows have in common, which follows the covariates. [1; cost: half of it is 15 percent of a deviation]"""
 _CORRELATION_STEP = 0.2
 """The same for correlations. [1; cost]"""
-_KEPT = 1 << 16
-"""Simulations that are kept, of all sites of a process. [count; cost: a site needs some 15 an hour, of less than 1 kB each]"""
 
 
 def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
@@ -111,7 +109,7 @@ def _covariance(steps: tuple[int, ...], step: float, correlation: tuple[int, ...
     return np.asarray(rho * np.outer(std, std) / np.sqrt(np.outer(np.diag(rho), np.diag(rho))))
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=1 << 16)  # for all sites of a process: each needs some 15 in its first hour, of less than 1 kB
 def _simulated(
     own_steps: tuple[int, ...],
     common_steps: tuple[int, ...],
