@@ -109,7 +109,7 @@ def _covariance(steps: tuple[int, ...], step: float, correlation: tuple[int, ...
     return np.asarray(rho * np.outer(std, std) / np.sqrt(np.outer(np.diag(rho), np.diag(rho))))
 
 
-@lru_cache(maxsize=1 << 16)  # for all sites of a process: each needs some 15 in its first hour, of less than 1 kB
+@lru_cache(maxsize=8192)  # 16 for each of 500 sites in a process, of less than 1 kB each
 def _simulated(
     own_steps: tuple[int, ...],
     common_steps: tuple[int, ...],
