@@ -14,7 +14,7 @@ from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction
 from monitor.diagnosis.missing_modes import as_seen, couple_modes, is_stated, resonances
 from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import _find_other_direction
+from monitor.diagnosis.stepwise_selection import _find_other_direction, _shows_other_direction
 from monitor.inference import Posterior, maximize_posterior
 from monitor.inference.cross_spectra import Band, Excitation, cross_spectra, extended
 from monitor.inference.map_estimate import _shortened
@@ -95,6 +95,13 @@ def test_forces_of_another_direction_vanish_on_the_floors(
     assert (said is not None) is found
     if said is not None:
         assert said.is_explained and "floor 2 is" in said.says and "nothing can be said of the structure" in said.says
+    for family, ends in (
+        ("sensor", found),
+        ("structure", False),
+    ):  # a cause in the structure may stand in for the direction
+        fit = SimpleNamespace(x=np.array(forces), effects=(SimpleNamespace(family=family),))
+        stage: Any = SimpleNamespace(posterior=at, fit=fit)
+        assert _shows_other_direction(stage, DiagnosisSettings()) is ends
 
 
 @pytest.mark.parametrize(("ratio", "silent"), [(1.01, False), (1.2, True)])
