@@ -161,7 +161,7 @@ def test_the_summary_has_every_key_of_the_contract(plain: tuple[Done, Path]) -> 
     assert isinstance(summary, dict) and summary.keys() >= SUMMARY_KEYS
     counts = [summary[key] for key in ("windows", "skipped", "alarms", "dropped_samples", "gaps")]
     assert counts == [5, 0, [], 0, 0]
-    assert summary["realtime_factor"] > 0  # how fast is a matter of the machine
+    assert summary["realtime_factor"] > 1
 
 
 def test_results_mcap_holds_the_same_lines(plain: tuple[Done, Path]) -> None:
@@ -304,18 +304,18 @@ def test_replay_at_a_multiple_of_real_time_takes_its_time(site: Site, plain: tup
     assert_ok(site.cli("replay", site.folder / "plain.mcap", *arguments))
     summary = strict((tmp_path / "summary.json").read_text())
     assert isinstance(summary, dict)
-    assert 0 < summary["realtime_factor"] <= 40.1
+    assert 10 < summary["realtime_factor"] <= 40.1
     assert (tmp_path / "results.jsonl").read_bytes() == (plain[1] / "results.jsonl").read_bytes()
 
 
 @pytest.mark.system
 def test_replay_does_not_wait_for_the_time_between_recordings(site: Site, tmp_path: Path) -> None:
-    """Two recordings of 60 s, 90 days apart, at 40 times real time: a wait would take 54 hours, and end this test."""
+    """Two recordings of 60 s, 90 days apart, at 40 times real time."""
     apart_ns = 90 * 86400 * 10**9
     files = [site.write(f"part{k}.mcap", site.values(60), t0_ns=T0_NS + k * apart_ns) for k in (0, 1)]
     begun = time.monotonic()
     assert_ok(site.cli("replay", *files, "--structure", site.quick, "--out", tmp_path, "--speed", "40"))
-    assert time.monotonic() - begun >= 120.0 / 40.0
+    assert 120.0 / 40.0 <= time.monotonic() - begun < 60.0
     summary = strict((tmp_path / "summary.json").read_text())
     assert isinstance(summary, dict) and (summary["windows"], summary["skipped"]) == (18, 0)
 

@@ -95,10 +95,8 @@ def test_forces_of_another_direction_vanish_on_the_floors(
     assert (said is not None) is found
     if said is not None:
         assert said.is_explained and "floor 2 is" in said.says and "nothing can be said of the structure" in said.says
-    for family, ends in (
-        ("sensor", found),
-        ("structure", False),
-    ):  # a cause in the structure may stand in for the direction
+    # A cause in the structure may stand in for the direction.
+    for family, ends in (("sensor", found), ("structure", False)):
         fit = SimpleNamespace(x=np.array(forces), effects=(SimpleNamespace(family=family),))
         stage: Any = SimpleNamespace(posterior=at, fit=fit)
         assert _shows_other_direction(stage, DiagnosisSettings()) is ends
