@@ -141,17 +141,15 @@ def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) ->
     joint = _joint_directions(root)
     if joint is not None:
         return _joint_information(shared, scale, own, *joint)
-    n, p, (classes, c, _, bins) = len(shared), len(shared) + len(own), root.shape
-    out = np.zeros((p, p))
-    re, im = np.ascontiguousarray(root.real), np.ascontiguousarray(root.imag)
-    ones = np.ones(len(own))
-    for first in range(0, bins, _BINS):
-        rows = np.empty((p, c * c, min(_BINS, bins - first)))
+    (classes, c, _, bins), p = root.shape, len(shared) + len(own)
+    weight, out = _twice(c)[:, None], np.zeros((p, p))
+    for at in range(0, bins, _BINS):
+        some = slice(at, at + _BINS)
+        of_shared = _by_bin(shared[..., some])
         for k in range(classes):
-            _whiten(re[k], im[k], shared, scale[k], first, rows[:n])
-            _whiten(re[k], im[k], own[:, k], ones, first, rows[n:])
-            flat = rows.reshape(p, -1)
-            out += flat @ flat.T
+            slopes = np.concatenate([of_shared * scale[k], _by_bin(own[:, k, :, some])], axis=2)
+            rows = (np.sqrt(weight) * (_congruence(root[k, ..., some]) @ slopes)).reshape(-1, p)
+            out += rows.T @ rows
     return out
 
 
@@ -191,88 +189,79 @@ def _joint_information(shared: Array, scale: Array, own: Array, directions: Comp
     """Compute as `_information` with slopes that are turned once for all classes, see `_joint_directions`."""
     c, bins = directions.shape[1:]
     main = (scale == scale[:, :1]).all(axis=0)
-    first, others = np.flatnonzero(main), np.flatnonzero(~main)
-    level, classes = scale[:, first[0]], range(len(scale))
-    order = np.concatenate([first, others, np.arange(len(shared), len(shared) + len(own))])
-    n, p = first.size, order.size
-    re, im = np.ascontiguousarray(directions.real), np.ascontiguousarray(directions.imag)
-    rows, columns = np.tril_indices(c)
-    twice = np.repeat([(i, j) for i, j in zip(rows, columns, strict=True)], np.where(rows == columns, 1, 2), axis=0)
-    factor = np.where(twice[:, 0] == twice[:, 1], 1.0, 2.0)[:, None]
+    n, p, classes = np.count_nonzero(main), len(shared) + len(own), range(len(scale))
+    order = np.concatenate([np.flatnonzero(main), np.flatnonzero(~main), np.arange(len(shared), p)])
+    level, of_scale = scale[:, order[0]], scale[:, order[n : len(shared)]]
+    entries = np.array([(i, j) for i in range(c) for j in (*np.repeat(range(i), 2), i)])
     ordered = np.zeros((p, p))
     for at in range(0, bins, _BINS):
-        m = min(_BINS, bins - at)
-
-        def turned(slopes: Array, at: int = at, m: int = m) -> Array:
-            out = np.empty((len(slopes), c * c, m))
-            _turn(re, im, slopes, at, out)
-            return out
-
-        weights = factor * weight[:, twice[:, 0], at : at + m] * weight[:, twice[:, 1], at : at + m]
-        of_first, of_others = turned(shared[first]), turned(shared[others])
-        of_class = [np.concatenate([of_others * scale[k, others, None, None], turned(own[:, k])]) for k in classes]
-        alike = (of_first * np.sqrt(np.tensordot(level**2, weights, axes=1))).reshape(n, -1)
-        ordered[:n, :n] += alike @ alike.T
-        across = sum(level[k] * weights[k] * of_class[k] for k in classes)
-        ordered[:n, n:] += of_first.reshape(n, -1) @ across.reshape(p - n, -1).T
+        some = slice(at, at + _BINS)
+        turning, by_direction = _congruence(directions[..., some]), weight[..., some].swapaxes(1, 2)
+        weights = _twice(c) * by_direction[..., entries[:, 0]] * by_direction[..., entries[:, 1]]
+        of_first, of_others = (turning @ _by_bin(shared[which, :, some]) for which in (main, ~main))
+        of_class = [
+            np.concatenate([of_others * of_scale[k], turning @ _by_bin(own[:, k, :, some])], 2) for k in classes
+        ]
+        alike = (of_first * np.sqrt(np.tensordot(level**2, weights, axes=1))[..., None]).reshape(-1, n)
+        ordered[:n, :n] += alike.T @ alike
+        across = sum(level[k] * weights[k, ..., None] * of_class[k] for k in classes)
+        ordered[:n, n:] += of_first.reshape(-1, n).T @ across.reshape(-1, p - n)
         for k in classes:
-            ordered[n:, n:] += (of_class[k] * weights[k]).reshape(p - n, -1) @ of_class[k].reshape(p - n, -1).T
+            rows = (of_class[k] * np.sqrt(weights[k])[..., None]).reshape(-1, p - n)
+            ordered[n:, n:] += rows.T @ rows
     ordered[n:, :n] = ordered[:n, n:].T
     out = np.empty((p, p))
     out[np.ix_(order, order)] = ordered
     return out
 
 
+def _twice(c: int) -> Array:
+    """Return how often each number of a packed matrix stands in the whole one, shape (c * c,)."""
+    out = np.full(c * c, 2.0)
+    out[np.arange(1, c + 1) ** 2 - 1] = 1.0
+    return out
+
+
+def _by_bin(slopes: Array) -> Array:
+    """Put packed slopes, shape (p, c * c, m), in the order (m, c * c, p), in which a bin's are next to each other."""
+    return np.asarray(slopes.transpose(2, 1, 0).copy())
+
+
 @compiled(error_model="numpy")
-def _turn(re: Array, im: Array, slopes: Array, first: int, out: Array) -> None:
-    """Compute ``T dS T^H`` of packed slopes of some bins, packed.
+def _congruence(directions: ComplexArray) -> Array:
+    """Compute the matrices by which ``T dS T^H`` follows from dS, both packed.
 
     Parameters
     ----------
-    re, im : ndarray, shape (c, c, n_bins)
-        T.
-    slopes : ndarray, shape (p, c * c, n_bins)
-    first : int
-        First bin.
-    out : ndarray, shape (p, c * c, m)
+    directions : ndarray, shape (c, c, m)
+        T in m bins.
+
+    Returns
+    -------
+    ndarray, shape (m, c * c, c * c)
     """
-    p, _, m = out.shape
-    c = re.shape[0]
-    half_re, half_im = np.empty((2, c, m))
-    t_re, t_im = np.empty(m), np.empty(m)
-    for q in range(p):
+    c, _, m = directions.shape
+    out = np.empty((m, c * c, c * c))
+    for f in range(m):
+        t = directions[:, :, f]
         for i in range(c):
-            for b in range(c):
-                for k in range(m):
-                    half_re[b, k], half_im[b, k] = 0.0, 0.0
-                for a in range(c):
-                    if a == b:
-                        at = b * b + 2 * b
-                        for k in range(m):
-                            s = slopes[q, at, first + k]
-                            half_re[b, k] += re[i, a, first + k] * s
-                            half_im[b, k] += im[i, a, first + k] * s
-                    else:
-                        at = max(a, b) * max(a, b) + 2 * min(a, b)
-                        sign = 1.0 if a > b else -1.0
-                        for k in range(m):
-                            x, y = slopes[q, at, first + k], sign * slopes[q, at + 1, first + k]
-                            half_re[b, k] += re[i, a, first + k] * x - im[i, a, first + k] * y
-                            half_im[b, k] += re[i, a, first + k] * y + im[i, a, first + k] * x
             for j in range(i + 1):
-                for k in range(m):
-                    t_re[k], t_im[k] = 0.0, 0.0
-                for b in range(c):
-                    for k in range(m):
-                        x, y = re[j, b, first + k], -im[j, b, first + k]
-                        t_re[k] += half_re[b, k] * x - half_im[b, k] * y
-                        t_im[k] += half_re[b, k] * y + half_im[b, k] * x
-                at = i * i + 2 * j
-                for k in range(m):
-                    out[q, at, k] = t_re[k]
-                if i > j:
-                    for k in range(m):
-                        out[q, at + 1, k] = t_im[k]
+                row = i * i + 2 * j
+                for a in range(c):
+                    for b in range(a + 1):
+                        column = a * a + 2 * b
+                        one, other = t[i, a] * np.conj(t[j, b]), t[i, b] * np.conj(t[j, a])
+                        by_real, by_imag = one + other, 1j * (one - other)
+                        if a == b:
+                            by_real = one
+                        out[f, row, column] = by_real.real
+                        if a > b:
+                            out[f, row, column + 1] = by_imag.real
+                        if i > j:
+                            out[f, row + 1, column] = by_real.imag
+                        if i > j and a > b:
+                            out[f, row + 1, column + 1] = by_imag.imag
+    return out
 
 
 @compiled(error_model="numpy")
@@ -291,62 +280,6 @@ def _whitening(spectra: ComplexArray, root: Array) -> ComplexArray:
                 for j in range(i + 1):
                     out[k, i, j, f] = np.sqrt(root[k, f]) * inverse[i, j]
     return out
-
-
-@compiled(error_model="numpy")
-def _whiten(re: Array, im: Array, slopes: Array, scale: Array, first: int, out: Array) -> None:
-    """Whiten packed slopes of some bins into real rows, as `whiten` does.
-
-    Parameters
-    ----------
-    re, im : ndarray, shape (c, c, n_bins)
-        See `SpectralSlopes.root`.
-    slopes : ndarray, shape (p, c * c, n_bins)
-    scale : ndarray, shape (p,)
-    first : int
-        First bin.
-    out : ndarray, shape (p, c * c, m)
-    """
-    p, _, m = out.shape
-    c = re.shape[0]
-    half_re, half_im = np.empty((2, c, m))
-    t_re, t_im = np.empty(m), np.empty(m)
-    for q in range(p):
-        for i in range(c):
-            for b in range(i + 1):  # the upper triangle follows from symmetry
-                for k in range(m):
-                    half_re[b, k], half_im[b, k] = 0.0, 0.0
-                for a in range(i + 1):
-                    if a == b:
-                        at = b * b + 2 * b
-                        for k in range(m):
-                            s = slopes[q, at, first + k]
-                            half_re[b, k] += re[i, a, first + k] * s
-                            half_im[b, k] += im[i, a, first + k] * s
-                    else:
-                        at = max(a, b) * max(a, b) + 2 * min(a, b)
-                        sign = 1.0 if a > b else -1.0
-                        for k in range(m):
-                            x, y = slopes[q, at, first + k], sign * slopes[q, at + 1, first + k]
-                            half_re[b, k] += re[i, a, first + k] * x - im[i, a, first + k] * y
-                            half_im[b, k] += re[i, a, first + k] * y + im[i, a, first + k] * x
-            for j in range(i + 1):
-                for k in range(m):
-                    t_re[k], t_im[k] = 0.0, 0.0
-                for b in range(j + 1):
-                    for k in range(m):
-                        x, y = re[j, b, first + k], -im[j, b, first + k]
-                        t_re[k] += half_re[b, k] * x - half_im[b, k] * y
-                        t_im[k] += half_re[b, k] * y + half_im[b, k] * x
-                at = i * i + 2 * j
-                if i == j:
-                    for k in range(m):
-                        out[q, at, k] = scale[q] * t_re[k]
-                else:
-                    factor = np.sqrt(2.0) * scale[q]
-                    for k in range(m):
-                        out[q, at, k] = factor * t_re[k]
-                        out[q, at + 1, k] = factor * t_im[k]
 
 
 @compiled(error_model="numpy")

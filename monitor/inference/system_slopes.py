@@ -170,13 +170,13 @@ def _sum_changes(
     c, _, n_fine = left_re.shape
     n_bins = gain.size
     out = np.empty((start.size - 1, c * c, n_bins))
-    x_re, x_im = np.empty((2, c, c, n_fine))
+    fine, some = np.empty((c * c, n_fine)), np.empty((c * c, _BLOCK))
     v_re, v_im = np.empty((2, c, _BLOCK))
-    z_re, z_im, h_re, h_im = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(n_fine), np.empty(n_fine)
+    z_re, z_im = np.empty((2, _BLOCK))
     for q in range(start.size - 1):
-        x_re[:], x_im[:] = 0.0, 0.0
         for first in range(0, n_fine, _BLOCK):
             m = min(_BLOCK, n_fine - first)
+            some[:] = 0.0
             e = start[q]
             while e < start[q + 1]:
                 b = at[e, 0]
@@ -192,30 +192,30 @@ def _sum_changes(
                             v_re[i, k] += x * z_re[k] - y * z_im[k]
                             v_im[i, k] += x * z_im[k] + y * z_re[k]
                     e += 1
-                for i in range(c):
-                    for j in range(c):
-                        for k in range(m):
-                            x, y = right_re[b, j, first + k], right_im[b, j, first + k]
-                            x_re[i, j, first + k] += v_re[i, k] * x - v_im[i, k] * y
-                            x_im[i, j, first + k] += v_re[i, k] * y + v_im[i, k] * x
-        for i in range(c):
-            for j in range(i + 1):
-                row = i * i + 2 * j
-                for k in range(n_fine):
-                    h_re[k] = x_re[i, j, k] + x_re[j, i, k]
-                    h_im[k] = x_im[i, j, k] - x_im[j, i, k]
-                for k in range(n_bins):
-                    total = 0.0
-                    for t in range(taps.size):
-                        total += taps[t] * h_re[2 * k + t]
-                    out[q, row, k] = gain[k] * total
-                if i > j:
-                    for k in range(n_bins):
-                        total = 0.0
-                        for t in range(taps.size):
-                            total += taps[t] * h_im[2 * k + t]
-                        out[q, row + 1, k] = gain[k] * total
+                _add_with_adjoint(v_re, v_im, right_re[b], right_im[b], first, m, some)
+            fine[:, first : first + m] = some[:, :m]
+        for row in range(c * c):
+            for k in range(n_bins):
+                total = 0.0
+                for t in range(taps.size):
+                    total += taps[t] * fine[row, 2 * k + t]
+                out[q, row, k] = gain[k] * total
     return out
+
+
+@compiled(part=True, error_model="numpy")
+def _add_with_adjoint(v_re: Array, v_im: Array, w_re: Array, w_im: Array, first: int, m: int, out: Array) -> None:
+    """Add the packed products of the columns v and the rows w, and their adjoints, of m frequencies from `first` on in w."""
+    for i in range(v_re.shape[0]):
+        for j in range(i):
+            row = i * i + 2 * j
+            for k in range(m):
+                x, y, u, v = v_re[i, k], v_im[i, k], w_re[j, first + k], w_im[j, first + k]
+                x_too, y_too, u_too, v_too = v_re[j, k], v_im[j, k], w_re[i, first + k], w_im[i, first + k]
+                out[row, k] += x * u - y * v + (x_too * u_too - y_too * v_too)
+                out[row + 1, k] += x * v + y * u - (x_too * v_too + y_too * u_too)
+        for k in range(m):
+            out[i * i + 2 * i, k] += 2.0 * (v_re[i, k] * w_re[i, first + k] - v_im[i, k] * w_im[i, first + k])
 
 
 def packed(slopes: ComplexArray) -> Array:
