@@ -10,7 +10,7 @@ import numpy as np
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import FAR
-from monitor.diagnosis.missing_modes import effects_at_peak
+from monitor.diagnosis.missing_modes import CERTAIN, effects_at_peak, likely_causes
 from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
@@ -32,8 +32,6 @@ from monitor.inference import (
 
 _LOCAL_OPTIMUM_NATS = 3.0
 """Shortfall against the best fit of the same form from which a fit is repeated from another start. [nats; judgement]"""
-_CERTAIN = 10.0
-"""Log evidence of a mode, over that which a cause needs, from which rough fits are enough. [ratio; judgement]"""
 _N_ALTERNATIVES = 3
 """Causes of the same round that are tried in place of one. [count; cost]"""
 
@@ -172,10 +170,13 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
     without = maximize_posterior(posterior, x, rest, iterations=FAR, frozen=fit.slopes.by(others))
     gain = score_candidate(posterior, without, fit, i).log_evidence
     (peak,) = find_excess_peaks(posterior, without, 1)
-    starts = [effect for effect in effects_at_peak(posterior, without, peak) if not effect.repeatable]
-    rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), starts))
-    near = [c for c in rough[:1] if c.may_reach(gain)]
-    return gain > _CERTAIN * margin and not near, near
+    for find_starts in (likely_causes, effects_at_peak):  # those of all places only where one of the former comes near
+        starts = [effect for effect in find_starts(posterior, without, peak) if not effect.repeatable]
+        rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), starts))
+        near = [c for c in rough[:1] if c.may_reach(gain)]
+        if not near:
+            break
+    return gain > CERTAIN * margin and not near, near
 
 
 def fit_subset(

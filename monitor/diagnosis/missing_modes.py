@@ -4,33 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 
 from monitor.core import Array, ComplexArray, parallel_map
-from monitor.diagnosis.initial_fit import FAR
+from monitor.diagnosis.initial_fit import FAR, LONG
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
+    best_of_each_kind,
     find_excess_peaks,
     fit_candidate,
     log_evidence,
     parameter_cost,
     refine_rough_fit,
+    score_candidate,
     with_tone_evidence,
 )
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.identification import SelectionSettings
-from monitor.inference import MapEstimate, Posterior, extra_mode_spectra, maximize_posterior
+from monitor.inference import MapEstimate, Posterior, extra_mode_spectra, join_coordinates, maximize_posterior
 from monitor.model import EFFECTS, Effect, ExtraMode, Peak, locations
 
 _RESOLUTION_BINS = 2.0
 """Distance of two peaks that the segments resolve. [bins; half-width of the taper's main lobe]"""
 _PEAK_BINS = 3.0
 """Bins about a peak whose power `Peak.amplitude` sums. [count; definition]"""
+CERTAIN = 10.0
+"""Log evidence of a mode, over that which a cause needs, from which rough fits are enough. [ratio; judgement]"""
 _RELATIVE_STEP = 1e-5
 """Finite difference of a coordinate, over its unit. [ratio; rounding]"""
 MAX_DAMPING = SelectionSettings().max_damping_ratio
@@ -159,12 +164,13 @@ def _has_peak(posterior: Posterior, fit: MapEstimate, mode: ExtraMode) -> bool:
     return 0.5 * float(np.sum(whitened**2)) > parameter_cost(posterior, 2 + mode.shape.size)
 
 
-def find_missing_mode(
+def find_missing_modes(
     posterior: Posterior, fit: MapEstimate, settings: DiagnosisSettings, threshold: float
-) -> list[Candidate]:
-    """Find the cause of the highest peak that the model lacks, if the cause is a mode of the structure.
+) -> list[list[Candidate]]:
+    """Find the causes of the highest peaks that the model lacks, as long as the causes are modes of the structure.
 
-    A mode is compared with a machine and with something that swings on a floor, at every floor.
+    A mode is compared with a machine and with something that swings on a floor, at every floor.  Modes that rough fits show
+    beyond doubt are found at several peaks, and fitted together; any other is fitted alone, with its rivals.
 
     Parameters
     ----------
@@ -173,16 +179,92 @@ def find_missing_mode(
         With the causes found so far.
     settings : DiagnosisSettings
     threshold : float
-        Log evidence that the mode needs, nats.
+        Log evidence that a mode needs, nats.
+
+    Returns
+    -------
+    list of list of Candidate
+        For every mode the candidates at its peak, the mode first; the last mode's fit has all of them.  Empty where no mode is
+        the cause of the highest peak, or a rival may be.
+    """
+    found: list[list[Candidate]] = []
+    stories = posterior.layout.stiffness.stop - posterior.layout.stiffness.start
+    for peak in find_excess_peaks(posterior, fit, stories):
+        rough = _fit_roughly(posterior, fit, likely_causes(posterior, fit, peak))
+        if not _is_beyond_doubt(rough, settings):
+            break
+        is_new = not any(_is_one_peak(posterior, rough[0].effect, others[0].effect) for others in found)
+        if is_new and rough[0].log_evidence > threshold:
+            found.append(rough)
+    together = _fit_together(posterior, fit, found)
+    if together:
+        return together
+    alone = find_missing_mode(posterior, fit, settings, threshold)
+    return [alone] if alone else []
+
+
+def likely_causes(posterior: Posterior, fit: MapEstimate, peak: Peak) -> list[Effect]:
+    """List the modes that a peak which the model lacks may be, and of each other kind of cause the most likely one."""
+    starts = effects_at_peak(posterior, fit, peak)
+    others = best_of_each_kind(posterior, fit, [effect for effect in starts if not effect.repeatable])
+    return [effect for effect in starts if effect.repeatable] + others
+
+
+def _fit_roughly(posterior: Posterior, fit: MapEstimate, starts: list[Effect]) -> list[Candidate]:
+    """Fit the possible causes of a peak roughly, best first."""
+    return best_first(parallel_map(partial(fit_candidate, posterior, fit, quick=True), starts))
+
+
+def _is_beyond_doubt(rough: list[Candidate], settings: DiagnosisSettings) -> bool:
+    """Decide by rough fits, best first, if the cause of a peak is a mode of the structure, and nothing else can be."""
+    if not (rough and rough[0].effect.repeatable):
+        return False
+    best = rough[0].log_evidence
+    rivals = (c for c in rough if not c.effect.repeatable)
+    return best > CERTAIN * settings.margin and not any(c.may_reach(best) for c in rivals)
+
+
+def _is_one_peak(posterior: Posterior, one: Effect, other: Effect) -> bool:
+    """Decide if the modes of two effects are one peak."""
+    a, b, resolution_hz = _as_mode(one), _as_mode(other), _RESOLUTION_BINS * posterior.observed.band.bin_hz
+    return a is not None and b is not None and _overlap(a, b, resolution_hz)
+
+
+def _fit_together(posterior: Posterior, fit: MapEstimate, found: list[list[Candidate]]) -> list[list[Candidate]]:
+    """Fit modes of several peaks together, and return those that remain plausible, with that fit."""
+    while found:
+        effects = (*fit.effects, *(rough[0].effect for rough in found))
+        x = join_coordinates(fit.x[posterior.layout.nuisances], effects)
+        whole = maximize_posterior(posterior, x, effects, iterations=LONG)
+        n = len(fit.effects)
+        modes = [score_candidate(posterior, fit, whole, n + i) for i in range(len(found))]
+        plausible = [_is_plausible_mode(posterior, c, n + i) for i, c in enumerate(modes)]
+        if all(plausible):
+            return [[mode, *rough[1:]] for mode, rough in zip(modes, found, strict=True)]
+        found = [rough for rough, stays in zip(found, plausible, strict=True) if stays]
+    return []
+
+
+def _is_plausible_mode(posterior: Posterior, candidate: Candidate, i: int) -> bool:
+    """Decide if a mode, effect i of its fit, has a plausible and significant size, and may be there."""
+    fit, effect = candidate.fit, candidate.effect
+    std = np.sqrt(fit.covariance.diagonal()[fit.coordinates_of(i)])
+    is_sized = effect.is_plausible(posterior.observed.band.hz) and is_significant(effect, std)
+    return is_sized and is_credible(posterior, fit, i)
+
+
+def find_missing_mode(
+    posterior: Posterior, fit: MapEstimate, settings: DiagnosisSettings, threshold: float
+) -> list[Candidate]:
+    """Find the cause of the highest peak that the model lacks, if it is a mode of the structure, by full fits.
 
     Returns
     -------
     list of Candidate
-        The mode, then its rivals at the same peak; empty where no mode is the cause, or a rival may be.
+        As `find_missing_modes`.
     """
     (peak,) = find_excess_peaks(posterior, fit, 1)
-    starts = effects_at_peak(posterior, fit, peak)
-    rough = best_first(parallel_map(lambda e: fit_candidate(posterior, fit, e, quick=True), starts))
+    rough = _fit_roughly(posterior, fit, effects_at_peak(posterior, fit, peak))
     if not rough or not (rough[0].effect.repeatable or lacks_modes(posterior, fit)):
         return []
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]
@@ -194,13 +276,7 @@ def find_missing_mode(
     rivals = [c for c in found if not c.effect.repeatable]
     lead = -settings.rival if lacks_modes(posterior, fit) else settings.rival
     is_alone = not rivals or rivals[0].log_evidence < best.log_evidence - lead
-    std = best.fit.covariance.diagonal()[posterior.layout.effects][-len(best.effect.parameters) :] ** 0.5
-    plausible = (
-        best.effect.is_plausible(posterior.observed.band.hz)
-        and is_significant(best.effect, std)
-        and is_credible(posterior, best.fit)
-    )
-    if plausible and is_alone and best.log_evidence > threshold:
+    if is_alone and best.log_evidence > threshold and _is_plausible_mode(posterior, best, -1):
         return [best, *(c for c in found if c is not best)]
     return []
 

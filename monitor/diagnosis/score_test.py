@@ -253,6 +253,12 @@ def _expected_gains(
     return list(chain.from_iterable(parallel_map(predict_gain, candidates)))
 
 
+def best_of_each_kind(posterior: Posterior, null_fit: MapEstimate, starts: list[Effect]) -> list[Effect]:
+    """Keep of every kind of effect the start, of any place, of which the score test predicts the largest gain."""
+    gains = sorted(_expected_gains(posterior, null_fit, starts), key=lambda item: item[0])
+    return list({effect.name: effect for gain, effect in gains if np.isfinite(gain)}.values())
+
+
 def detectable_losses(posterior: Posterior, null_fit: MapEstimate, margin: float) -> list[float | None]:
     """Compute the smallest loss of each story that the search would find in 95 % of recordings like this one.
 

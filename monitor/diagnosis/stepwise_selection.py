@@ -32,6 +32,7 @@ from monitor.diagnosis.missing_modes import (
     as_seen,
     couple_modes,
     find_missing_mode,
+    find_missing_modes,
     is_credible,
     is_stated,
     lacks_modes,
@@ -342,7 +343,7 @@ def _n_counted(stage: _SearchState) -> int:
 def _add_missing_modes(
     stage: _SearchState, settings: DiagnosisSettings
 ) -> tuple[_SearchState, list[tuple[Candidate, ...]]]:
-    """Add modes that the model lacks, one a peak, until the highest peak left has another cause or none.
+    """Add modes that the model lacks, until the highest peak left has another cause or none.
 
     Returns
     -------
@@ -352,11 +353,13 @@ def _add_missing_modes(
     """
     rounds: list[tuple[Candidate, ...]] = []
     while True:
-        found = find_missing_mode(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))
+        found = find_missing_modes(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))
         if not found:
             break
-        rounds.append(tuple(c.without_slopes() for c in found))
-        stage = _accept(stage, RefittedCandidate(found[0], stage.posterior, stage.moments), settings)
+        rounds += [tuple(c.without_slopes() for c in at_peak) for at_peak in found]
+        *others, last = (at_peak[0] for at_peak in found)
+        stage = replace(stage, accepted=(*stage.accepted, *others))
+        stage = _accept(stage, RefittedCandidate(last, stage.posterior, stage.moments), settings)
     if find_lack_of_fit(stage.posterior, stage.fit, settings):
         coupled = couple_modes(stage.posterior, stage.fit)
         if coupled is not None:

@@ -138,8 +138,8 @@ class AmbientPosterior(Posterior):
     def _different_in_classes(self, x: Array, effects: tuple[Effect, ...]) -> list[int]:
         """List the coordinates whose slopes do not scale with the level, but are computed in every class.
 
-        They are those of persistent effects that depend on the condition, and of all extra effects but for those that act in
-        proportion to the forces in a model that is alike in all classes.
+        They are those of persistent effects that depend on the condition, and of all extra effects but for modes, and for those
+        that act in proportion to the forces in a model that is alike in all classes.
         """
         first, persistent = self.layout.persistent.start, self.prior.model.effects
         by_class = [first + j for j, e in enumerate(_of_coordinates(persistent)) if e.conditional or e.lines()]
@@ -148,7 +148,7 @@ class AmbientPosterior(Posterior):
         return by_class + [
             self.layout.n_nuisance + j
             for j, e in enumerate(_of_coordinates(effects))
-            if not (e.extra_modes(self.context) or (alike and e.scales_with_level))
+            if not (e.repeatable or (alike and e.scales_with_level))
         ]
 
     def _slopes_of_middle(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> Array:
