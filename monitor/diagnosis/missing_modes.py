@@ -188,11 +188,14 @@ def find_missing_modes(
         the cause of the highest peak, or a rival may be.
     """
     found: list[list[Candidate]] = []
+    explained: list[MapEstimate] = []
     stories = posterior.layout.stiffness.stop - posterior.layout.stiffness.start
-    for peak in find_excess_peaks(posterior, fit, stories):
+    for _ in range(stories):
+        (peak,) = find_excess_peaks(posterior, fit, 1, explained)
         rough = _fit_roughly(posterior, fit, likely_causes(posterior, fit, peak))
         if not _is_beyond_doubt(rough, settings):
             break
+        explained.append(rough[0].fit)
         is_new = not any(_is_one_peak(posterior, rough[0].effect, others[0].effect) for others in found)
         if is_new and rough[0].log_evidence > threshold:
             found.append(rough)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -125,15 +125,23 @@ def _is_applicable(effect: Effect, context: Context) -> bool:
     return True
 
 
-def find_excess_peaks(posterior: Posterior, null_fit: MapEstimate, n: int = 3) -> list[Peak]:
+def find_excess_peaks(
+    posterior: Posterior, null_fit: MapEstimate, n: int = 3, others: Sequence[MapEstimate] = ()
+) -> list[Peak]:
     """Find the n peaks at which the measured power exceeds the model's most.
 
     The frequency of a spectral line is interpolated to a small part of a bin.
+
+    Parameters
+    ----------
+    others : sequence of MapEstimate
+        Fits with a further effect each: where one of them explains the power, it is no excess.
     """
     c = posterior.observed.spectra.shape[-1]
     shape = (posterior.n_classes, posterior.observed.band.n_bins, c * c)
     diagonal = np.cumsum([1, *(2 * np.arange(1, c) + 1)]) - 1
-    excess = null_fit.residual.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)).copy()
+    of_fits = (f.residual.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)) for f in (null_fit, *others))
+    excess = np.min(list(of_fits), axis=0)
     prediction, band = posterior.predict(null_fit.x, null_fit.effects), posterior.observed.band
     spectra = np.tensordot(posterior.observed.counts, prediction.data - prediction.spectra, axes=1)
     power = np.einsum("faa->f", spectra).real
