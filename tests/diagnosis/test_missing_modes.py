@@ -1,0 +1,40 @@
+"""Modes that the model lacks: those beyond doubt are found together, each beside its rivals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monitor.diagnosis.initial_fit import FAR, first_guess
+from monitor.diagnosis.missing_modes import find_missing_modes
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.inference import maximize_posterior
+from monitor.model.effects import Effect, parse_effect
+from tests.diagnosis.test_modal_start import TORSION, posterior
+
+MACHINE = parse_effect("harmonic_excitation:floor 2:frequency_hz=17.5,force_n=0.6")
+THIRD = parse_effect("unmodelled_mode:frame:frequency_hz=11.9,damping_ratio=0.012,shape_1=0.7,shape_2=0.9,shape_3=-0.6")
+
+
+def found_beside(known: Effect, *others: Effect, threshold: float = 10.0) -> tuple[list[float], list[int]]:
+    """Frequencies of the modes that are found beside a known one, and how many effects the fit of each has."""
+    at = posterior(np.ones(3), known, *others)
+    fit = maximize_posterior(at, first_guess(at), (known,), iterations=FAR)
+    found = find_missing_modes(at, fit, DiagnosisSettings(), threshold)
+    modes = [at_peak[0] for at_peak in found]
+    assert all(c.effect.name == "unmodelled_mode" for c in modes)
+    return [c.effect.values()["frequency_hz"] for c in modes], [len(c.fit.effects) for c in modes]
+
+
+def test_modes_beyond_doubt_are_found_together() -> None:
+    hz, together = found_beside(TORSION[0], TORSION[1], THIRD)
+    assert sorted(hz) == pytest.approx([11.9, 17.5], rel=0.01)
+    assert together == [3, 3]
+
+
+def test_a_machine_is_not_taken_for_a_mode() -> None:
+    assert found_beside(TORSION[0], MACHINE) == ([], [])
+
+
+def test_a_mode_that_explains_too_little_is_left_out() -> None:
+    assert found_beside(TORSION[0], TORSION[1], threshold=1e6) == ([], [])
