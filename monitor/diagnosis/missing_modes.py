@@ -187,18 +187,17 @@ def find_missing_modes(
         For every mode the candidates at its peak, the mode first; the last mode's fit has all of them.  Empty where no mode is
         the cause of the highest peak, or a rival may be.
     """
-    found: list[list[Candidate]] = []
-    explained: list[MapEstimate] = []
+    looked: list[list[Candidate]] = []
     stories = posterior.layout.stiffness.stop - posterior.layout.stiffness.start
     for _ in range(stories):
-        (peak,) = find_excess_peaks(posterior, fit, 1, explained)
+        (peak,) = find_excess_peaks(posterior, fit, 1, [rough[0].fit for rough in looked])
         rough = _fit_roughly(posterior, fit, likely_causes(posterior, fit, peak))
         if not _is_beyond_doubt(rough, settings):
             break
-        explained.append(rough[0].fit)
-        is_new = not any(_is_one_peak(posterior, rough[0].effect, others[0].effect) for others in found)
-        if is_new and rough[0].log_evidence > threshold:
-            found.append(rough)
+        if any(_is_one_peak(posterior, rough[0].effect, others[0].effect) for others in looked):
+            break  # a mode explains that peak only in part
+        looked.append(rough)
+    found = [rough for rough in looked if rough[0].log_evidence > threshold]
     together = _fit_together(posterior, fit, found)
     if together:
         return together
