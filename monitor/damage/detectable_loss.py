@@ -74,6 +74,7 @@ def detectable_change(history: History, hop_s: float, settings: AlarmSettings, m
         _correlation(common),
         round(max(hop_s / window_s, 1.0 / _LOOKS_A_WINDOW), 6),
         int((_judged_s(history, hop_s) + 1e-6) // window_s),
+        int((WITHIN_S + 1e-6) // window_s),
         round(settings.confirm_s / window_s, 6),
         settings.significance,
         max(settings.model_form, model_form),
@@ -101,12 +102,11 @@ def _correlation(covariance: Array) -> tuple[int, ...]:
     return tuple(int(v) for v in np.rint(covariance / np.outer(std, std) / _CORRELATION_STEP).ravel())
 
 
-def _covariance(steps: tuple[int, ...], step: float, correlation: tuple[int, ...]) -> Array:
-    """Make the nearest covariance of rounded standard deviations and correlations."""
-    std, n = np.exp(np.array(steps) * step), len(steps)
+def _nearest(correlation: tuple[int, ...], n: int) -> Array:
+    """Make the nearest correlation matrix of rounded correlations, shape (n, n)."""
     values, vectors = np.linalg.eigh(np.clip(np.reshape(correlation, (n, n)) * _CORRELATION_STEP, -1.0, 1.0))
     rho = (vectors * np.maximum(values, 1e-6)) @ vectors.T
-    return np.asarray(rho * np.outer(std, std) / np.sqrt(np.outer(np.diag(rho), np.diag(rho))))
+    return np.asarray(rho / np.sqrt(np.outer(np.diag(rho), np.diag(rho))))
 
 
 @lru_cache(maxsize=8192)  # 16 for each of 500 sites in a process, of less than 1 kB each
@@ -116,6 +116,7 @@ def _simulated(
     correlation: tuple[int, ...],
     hop: float,
     windows: int,
+    most_windows: int,
     confirm: float,
     significance: float,
     model_form: float,
@@ -125,33 +126,45 @@ def _simulated(
 
     A window's own errors are correlated between stories as the baseline's are: both come from modes of the same structure.
 
-    `hop` is the time between looks, `windows` the length of the data after the loss and `confirm` the on-delay, all in window
-    lengths.
+    `hop` is the time between looks, `windows` the length of the data after the loss, `most_windows` that of a run that is
+    not young, and `confirm` the on-delay, all in window lengths.
     """
-    from monitor.damage.kernels import least_seen  # compiled code takes a while to load
+    from monitor.damage.kernels import seen_by_most  # compiled code takes a while to load
 
-    own = _covariance(own_steps, _LN_STEP, correlation)
-    common = _covariance(common_steps, _LN_COMMON_STEP, correlation)
-    n = len(own)
+    n = len(own_steps)
     apart = max(1, round(1.0 / hop))  # looks in a window
     looks = np.arange(1, windows * apart + 1)
     held = max(2, 1 + ceil(confirm * apart - 1e-9))  # looks in a row at which the loss must be significant
     if looks.size < held:
         return np.full(n, np.inf)
-    total, white_off = _draws(max(STRETCHES) * apart + looks.size, n)
-    scale = sqrt(apart)  # of the errors' increment from look to look, over those of a window
+    own_std, common_std = np.exp(_LN_STEP * np.array(own_steps)), np.exp(_LN_COMMON_STEP * np.array(common_steps))
+    rho = _nearest(correlation, n)
+    own, common = rho * np.outer(own_std, own_std), rho * np.outer(common_std, common_std)
     against_none, contrast, leak, square = map(
         np.array,
         zip(*(_significant(own / stretch + common, significance, model_form) for stretch in STRETCHES), strict=True),
     )
+    total, white = _draws((max(STRETCHES) + most_windows) * apart, n)
     lengths = np.array(STRETCHES) * apart
-    share = np.minimum(looks / lengths[:, None], 1.0)
-    root, off = scale * np.ascontiguousarray(np.linalg.cholesky(own).T), white_off @ np.linalg.cholesky(common).T
-    wanted = least_seen(total, root, off, lengths, share, against_none, contrast, leak, square, held, min_loss)
-    with np.errstate(
-        invalid="ignore"
-    ):  # no loss is seen in some trials: the quantile between infinities is not a number
-        return np.asarray(np.quantile(wanted, PROBABILITY, axis=0))
+    # The errors' increment from look to look is that of a window times the root of the looks in it.
+    root = np.linalg.cholesky(rho)
+    of_error = sqrt(apart) * own_std[:, None] * root / lengths[:, None, None]
+    off = common_std * (white @ root.T)
+    return seen_by_most(
+        total,
+        1 + max(STRETCHES) * apart,
+        lengths,
+        np.maximum(lengths[:, None] / looks, 1.0),
+        of_error,
+        off,
+        contrast @ of_error,
+        np.stack([off @ rows.T for rows in contrast]),
+        np.maximum(against_none, min_loss),
+        leak,
+        square,
+        held,
+        _TRIALS - ceil(PROBABILITY * _TRIALS),
+    )
 
 
 @lru_cache(maxsize=4)  # sites with other numbers of stories; 4 MB each for three
@@ -174,11 +187,11 @@ def _significant(covariance: Array, significance: float, model_form: float) -> t
     Returns
     -------
     against_none, contrast, leak, square : ndarray, shape (n,), (n, n), (n,), (n,)
-        As `kernels.least_seen` takes them.
+        As `kernels.seen_by_most` takes them, but for the least loss that is announced.
     """
     n, std = len(covariance), np.sqrt(np.diag(covariance))
     if n == 1:
-        return significance * std, np.zeros((1, 1)), np.zeros(1), np.zeros(1)
+        return significance * std, np.zeros((1, 1)), np.ones(1), np.zeros(1)
     # Against "all stories changed alike": the loss of the others may be this story's, by the model's form.
     contrast = np.eye(n) - (1.0 - np.eye(n)) / std**2 / ((1.0 - np.eye(n)) / std**2).sum(axis=1, keepdims=True)
     threshold = significance - LOCAL_LOSS_CREDIT

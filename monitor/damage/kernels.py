@@ -62,89 +62,148 @@ def evidence_of_loss(
     return z, std
 
 
-@compiled(error_model="numpy")
-def least_seen(
+@compiled(part=True, error_model="numpy")
+def _needed_in_trial(
+    begin: int,
     total: Array,
-    root: Array,
-    off: Array,
+    first: int,
     lengths: NDArray[np.int64],
-    share: Array,
-    against_none: Array,
-    contrast: Array,
+    factor: Array,
+    of_error: Array,
+    off: float,
+    of_alone: Array,
+    alone_off: Array,
+    needed: Array,
     leak: Array,
     square: Array,
     held: int,
-    min_loss: float,
-) -> Array:
-    """Compute the smallest loss of each story that is significant in `held` looks in a row, shape (trials, n).
+    wanted: Array,
+    error: Array,
+    alone: Array,
+) -> float:
+    """Compute the smallest loss of one story that is seen in one trial, at the looks from `begin` on; infinite where none is.
 
-    At each look the loss must be significant over one of some stretches of windows, whose number is s.
+    The parameters are those of `seen_by_most` for this trial and story; `wanted`, `error` and `alone`, shape (looks,), are
+    overwritten.
+    """
+    # Slices, because a loop whose index does not begin with 0 is not vectorized.
+    wanted, error, alone = wanted[begin:], error[begin:], alone[begin:]
+    looks = wanted.size
+    wanted[:] = np.inf
+    for s in range(lengths.size):
+        if leak[s] <= 0.0:
+            continue
+        error[:] = off
+        alone[:] = alone_off[s]
+        for i in range(len(total)):
+            by_error, by_alone = of_error[s, i], of_alone[s, i]
+            now, before = total[i, first + begin :], total[i, first + begin - lengths[s] :]
+            for k in range(looks):
+                passed = now[k] - before[k]
+                error[k] += by_error * passed
+                alone[k] += by_alone * passed
+        least, kept, of_square, per_leak = needed[s], 1.0 - leak[s], leak[s] * square[s], 1.0 / leak[s]
+        times = factor[s, begin:]
+        for k in range(looks):
+            against_none = least - error[k]
+            against_alike = (np.sqrt(kept * alone[k] * alone[k] + of_square) - alone[k]) * per_leak
+            loss = (against_alike if against_alike > against_none else against_none) * times[k]
+            wanted[k] = loss if loss < wanted[k] else wanted[k]
+    later = wanted[1:]
+    for i in range(1, held):
+        for k in range(looks - i):
+            wanted[k] = later[k] if later[k] > wanted[k] else wanted[k]
+    smallest = np.inf
+    for k in range(looks - held + 1):
+        smallest = min(smallest, wanted[k])
+    return smallest
+
+
+@compiled(error_model="numpy")
+def seen_by_most(
+    total: Array,
+    first: int,
+    lengths: NDArray[np.int64],
+    factor: Array,
+    of_error: Array,
+    off: Array,
+    of_alone: Array,
+    alone_off: Array,
+    needed: Array,
+    leak: Array,
+    square: Array,
+    held: int,
+    unseen: int,
+) -> Array:
+    """Compute the smallest loss of each story that is seen in all trials but `unseen`, shape (n,); infinite where none is.
+
+    In a trial it is seen where it is significant at `held` looks in a row, at each over one of s stretches of windows.  Only the
+    trials that need the largest losses count: of the others a bound is enough.
 
     Parameters
     ----------
     total : ndarray, shape (trials, n, before + looks)
-        Sums of standard normal increments up to each look: of the healthy data, then after the loss.
-    root : ndarray, shape (n, n)
-        Root of the increments' covariance, upper triangular, on the right.
+        Sums of standard normal increments up to each look: of the healthy data, then after the loss; more looks may follow.
+    first : int
+        Index of the first look after the loss.
+    lengths : ndarray of int, shape (s,)
+        Looks in each stretch; at most `first`.
+    factor : ndarray, shape (s, looks)
+        Length of the stretch over that of its part behind the loss.
+    of_error : ndarray, shape (s, n, n)
+        Error of each story's mean over a stretch, as a combination of the increments' sums over it.
     off : ndarray, shape (trials, n)
         Errors that all windows have in common.
-    lengths : ndarray of int, shape (s,)
-        Looks in each stretch; at most `before`.
-    share : ndarray, shape (s, looks)
-        Share of the stretch that lies behind the loss.
-    against_none : ndarray, shape (s, n)
-        Mean that is significant against no change.
-    contrast : ndarray, shape (s, n, n)
-        Each story less what the others say that all stories have in common.
+    of_alone, alone_off : ndarray, shape (s, n, n), (s, trials, n)
+        The same of each story less what the others say that all stories have in common.
+    needed : ndarray, shape (s, n)
+        Mean that is announced where nothing else changed.
     leak, square : ndarray, shape (s, n)
         Coefficients of the quadratic equation for the mean that is significant against a change of all stories alike; where
-        `leak` is not positive, no mean is.
+        `leak`, at most 1, is not positive, no mean is.
     held : int
-        At most `looks`.
-    min_loss : float
-        Least loss that is announced.
+        At most the number of looks.
+    unseen : int
+        Less than the number of trials.
     """
-    trials, n, end = total.shape
-    looks = share.shape[1]
-    at = end - looks
-    least, wanted = np.full((trials, n), np.inf), np.empty((n, looks))
-    error, alone = np.empty((n, looks)), np.empty(looks)
-    for t in range(trials):
-        wanted[:] = np.inf
-        for s in range(lengths.size):
-            before = at - lengths[s]
-            for j in range(n):
-                error[j] = off[t, j]
-                for i in range(j + 1):
-                    factor = root[i, j] / lengths[s]
-                    for k in range(looks):
-                        error[j, k] += factor * (total[t, i, at + k] - total[t, i, before + k])
-            for j in range(n):
-                fraction, largest = leak[s, j], square[s, j]
-                if n > 1 and not fraction > 0.0:
+    trials, n = off.shape
+    looks = factor.shape[1]
+    seen, wanted, error, alone = np.empty(n), np.empty(looks), np.empty(looks), np.empty(looks)
+    for j in range(n):
+        most = np.full(trials, np.inf)  # loss that each trial needs at most
+        largest = np.full(unseen + 1, -np.inf)  # losses that trials need, the largest first
+        for is_bound in (True, False):  # by the last looks alone, then by all
+            begin = looks - held if is_bound else 0
+            for t in np.argsort(-most):
+                if most[t] <= largest[unseen]:
+                    break
+                most[t] = _needed_in_trial(
+                    begin,
+                    total[t],
+                    first,
+                    lengths,
+                    factor,
+                    of_error[:, j],
+                    off[t, j],
+                    of_alone[:, j],
+                    alone_off[:, t, j],
+                    needed[:, j],
+                    leak[:, j],
+                    square[:, j],
+                    held,
+                    wanted,
+                    error,
+                    alone,
+                )
+                if is_bound or most[t] <= largest[unseen]:
                     continue
-                needed = max(against_none[s, j], min_loss)
-                alone[:] = 0.0
-                for i in range(n):
-                    weight = contrast[s, j, i]
-                    for k in range(looks):
-                        alone[k] += weight * error[i, k]
-                for k in range(looks):
-                    loss = needed - error[j, k]
-                    if fraction > 0.0:
-                        a = alone[k]
-                        under = a * a - fraction * (a * a - largest)
-                        beyond = (np.sqrt(under if under > 0.0 else 0.0) - a) / fraction
-                        loss = beyond if beyond > loss else loss
-                    loss /= share[s, k]
-                    wanted[j, k] = loss if loss < wanted[j, k] else wanted[j, k]
-        for j in range(n):
-            for k in range(looks - held + 1):
-                highest = wanted[j, k]
-                for i in range(k + 1, k + held):
-                    highest = wanted[j, i] if wanted[j, i] > highest else highest
-                least[t, j] = min(least[t, j], highest)
-    return least
+                k = unseen
+                while k > 0 and largest[k - 1] < most[t]:
+                    largest[k] = largest[k - 1]
+                    k -= 1
+                largest[k] = most[t]
+        seen[j] = largest[unseen]
+    return seen
 
 
 @compiled(error_model="numpy")
