@@ -171,7 +171,8 @@ class Expected:
         either_side : bool
             A gain counts as a loss does.
         """
-        return self.each_beside_others(loss[None], covariance[None], either_side=either_side).each()[0]
+        found = self.each_beside_others(loss[None], covariance[None], either_side=either_side)
+        return Beside(found.loss[0], found.std[0], found.weights[0], found.inflation[0], found.beyond[0])
 
     def each_beside_others(self, losses: Array, covariances: Array, *, either_side: bool = False) -> Beside:
         """Compare each of k measurements of the stories, as `beside_others`.
@@ -187,8 +188,7 @@ class Expected:
         Beside
             Each of its arrays with the k measurements before the other dimensions.
         """
-        learned = covariances + self.covariance
-        total = learned + _ANY_SIZE**2 * np.outer(self.leading, self.leading)
+        learned, total = self._covariances(covariances)
         found = self._compare(losses, learned, total)
         weights, inflation = found.weights, found.inflation
         # Mostly nothing is to be set aside, and one comparison of all does.
@@ -201,6 +201,11 @@ class Expected:
         beyond = self._beyond(losses, weights)
         std = np.sqrt(inflation * ((weights @ total) * weights).sum(axis=-1) + beyond)
         return Beside((weights @ losses[..., None])[..., 0], std, weights, inflation, beyond)
+
+    def _covariances(self, own: Array) -> tuple[Array, Array]:
+        """Add to covariances of losses, shape (..., n, n), what was learned; return that, and with what is of any size."""
+        learned = own + self.covariance
+        return learned, learned + _ANY_SIZE**2 * np.outer(self.leading, self.leading)
 
     def _beyond(self, losses: Array, weights: Array) -> Array:
         """Compute the variance of what others let expect of each story that lie beyond what was learned, shape (k, n).
@@ -267,29 +272,15 @@ class Expected:
         of_learned, of_total = (np.asarray(np.linalg.inv(m), dtype=float) for m in (learned, total))
         return _Compared(*beside_each_other(np.ascontiguousarray(losses), of_learned, of_total, self.stretches))
 
-    def beyond_words(self, loss: Array, covariance: Array, most_std: float) -> str:
-        """Say that the stories lie where a loss of one is hidden by what was not learned; empty where they do not.
-
-        Parameters
-        ----------
-        loss : ndarray, shape (n,)
-        covariance : ndarray, shape (n, n)
-            As of `beside_others`.
-        most_std : float
-            Standard deviation, of what was not learned, up to which nothing is hidden.
-        """
-        if not ((loss < self.seen[0]) | (loss > self.seen[1])).any():
-            return ""
-        hidden = self.beside_others(loss, covariance).beyond.max() > most_std**2
-        return "what the stories do together goes beyond anything learned" if hidden else ""
-
-    def take_out(self, reading: DamageReading, history: History) -> tuple[DamageReading, History]:
+    def take_out(self, reading: DamageReading, history: History, beside: Beside) -> tuple[DamageReading, History]:
         """Take out of a window's damage index what the other stories let expect.
 
         Parameters
         ----------
         history : History
             The alarm's, after the window.
+        beside : Beside
+            Comparison of the window's losses (`beside_others`).
 
         Returns
         -------
@@ -300,9 +291,8 @@ class Expected:
         # The smallest detectable loss is of a structure without loss, and its simulation is kept for the next windows: what
         # changes from window to window by chance stays out of it.
         smooth, of_history = np.diag(np.exp(history.ln_variance)), history.common.mean(axis=0)
-        beside, intact = self.each_beside_others(
-            np.stack([reading.ddi, np.zeros_like(reading.ddi)]), np.stack([reading.ddi_covariance, smooth + of_history])
-        ).each()
+        inverse = np.linalg.inv(self._covariances(smooth + of_history)[1])
+        intact = replace(beside, weights=inverse / inverse.diagonal()[:, None], inflation=np.ones(len(inverse)))
         own, common = beside.left_of(
             np.stack([reading.ddi_covariance - reading.common_covariance, reading.common_covariance + self.covariance])
         )
@@ -358,11 +348,16 @@ class Beside:
     beyond: Array
     """Shape (n,): variance, in `std`, that comes of others that lie beyond what was learned."""
 
-    def each(self) -> list[Beside]:
-        """Return each of several measurements (`Expected.each_beside_others`)."""
-        return [
-            Beside(*one) for one in zip(self.loss, self.std, self.weights, self.inflation, self.beyond, strict=True)
-        ]
+    def beyond_words(self, most_std: float) -> str:
+        """Say that the stories lie where a loss of one is hidden by what was not learned; empty where they do not.
+
+        Parameters
+        ----------
+        most_std : float
+            Standard deviation, of what was not learned, up to which nothing is hidden.
+        """
+        hidden = self.beyond.max() > most_std**2
+        return "what the stories do together goes beyond anything learned" if hidden else ""
 
     def left_of(self, covariance: Array) -> Array:
         """Return what is left of a covariance of the measured losses, or of several, shape (..., n, n)."""

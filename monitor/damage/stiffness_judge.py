@@ -140,16 +140,16 @@ class StiffnessJudge:
             nothing = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
             return memory, Judged(modes, nothing, stiffness, reading)
         together = None if law is None else law.together(settings.compensation.unevenness)
-        if together is not None and not reading.beyond:
+        beside = None if together is None else together.beside_others(reading.ddi, reading.ddi_covariance)
+        if beside is not None and not reading.beyond:
             most_std = settings.alarm.alarm_loss / settings.alarm.significance
-            words = together.beyond_words(reading.ddi, reading.ddi_covariance, most_std)
-            reading = replace(reading, beyond=words)
+            reading = replace(reading, beyond=beside.beyond_words(most_std))
         alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, together)
         normal = verdict.level is Level.NORMAL
         learning = self._learn(memory, law, reading, covariates, t_end_ns, settings, normal=normal)
         history = alarms.history
-        if together is not None:
-            reading, history = together.take_out(reading, history)
+        if together is not None and beside is not None:
+            reading, history = together.take_out(reading, history, beside)
         detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
         judged = Judged(modes, self._named(verdict), stiffness, reading, detectable_loss=detectable)
         return Memory(alarms, learning), judged

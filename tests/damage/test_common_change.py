@@ -116,14 +116,14 @@ def test_beyond_what_was_learned_the_stories_may_part_and_a_great_loss_is_seen(
     assert (narrow.loss / narrow.std).max() > 6.5
     beside = expected.beside_others(loss, NOISE)
     assert (beside.loss / beside.std).max() < 3.0
-    assert expected.beyond_words(loss, NOISE, 0.015) == "what the stories do together goes beyond anything learned"
+    assert beside.beyond_words(0.015) == "what the stories do together goes beyond anything learned"
     # Where the others stay within what was learned, a loss does not hide itself.
     loss = 5.0 * FOLLOWS
     loss[list(lost)] += 0.2
     beside = expected.beside_others(loss, NOISE)
     assert (beside.loss[list(lost)] > 6.5 * beside.std[list(lost)]).all()
     # Beside two lost stories the third is compared with them alone, and little is known of it.
-    assert bool(expected.beyond_words(loss, NOISE, 0.015)) == (len(lost) == 2)
+    assert bool(beside.beyond_words(0.015)) == (len(lost) == 2)
 
 
 def test_a_change_counts_as_learned_once_enough_stretches_went_as_far() -> None:
@@ -145,6 +145,7 @@ def test_the_index_and_its_deviation_are_of_what_is_left(expected: Expected) -> 
         reading, _ = expected.take_out(
             DamageReading(ddi, NOISE + common, ddi, 1e6 * ddi, common_covariance=common),
             replace(begin(3, 400.0), ln_variance=np.log(STD**2), common=common[None]),
+            expected.beside_others(ddi, NOISE + common),
         )
         np.testing.assert_allclose(reading.ddi - reading.covariate_effect[UNMEASURED], ddi)
         np.testing.assert_allclose(reading.loss_n_per_m, 1e6 * reading.ddi)

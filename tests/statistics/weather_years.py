@@ -219,7 +219,8 @@ def watch(
             row = y[k] if look == 0 else y[k] + more[k, look - 1]
             ddi = 1.0 - np.exp(row) / (1.0 + relative)
             if together is not None and not beyond:
-                beyond = together.beyond_words(ddi, own + shared, ALARM.alarm_loss / ALARM.significance)
+                beside = together.beside_others(ddi, own + shared)
+                beyond = beside.beyond_words(ALARM.alarm_loss / ALARM.significance)
             reading = DamageReading(ddi, own + shared, ddi, ddi, common_covariance=shared, beyond=beyond)
             state, verdict = alarm.step(state, reading, t_ns + look * 400_000_000_000, ALARM, together)
             told |= {s for s, lv in verdict.active.items() if s != WHOLE and lv.rank >= Level.WARNING.rank}
