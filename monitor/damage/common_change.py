@@ -237,29 +237,38 @@ class Expected:
         inflation : ndarray, shape (n,)
         """
         n = loss.size
-        kept, alike = list(range(n)), False
+        kept, alike = tuple(range(n)), False
+        known = {kept: found}
+
+        def compared(chosen: tuple[int, ...]) -> _Compared:
+            """Compare the chosen stories, each with the other chosen ones, once."""
+            if chosen not in known:
+                known[chosen] = self._compare_some(loss, learned, total, chosen)
+            return known[chosen]
+
         while True:
+            found = compared(kept)
             z = np.abs(found.z) if either_side else found.z
             best = int(z.argmax())
             if not alike and found.z_alike > max(float(z[best]) + LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS):
                 total, alike = total + _ANY_SIZE**2 * np.ones((n, n)), True
+                known.clear()
             elif z[best] < SIGNIFICANT_STDS or len(kept) < 2:
                 break
             else:
-                del kept[best]
-            found = self._compare_some(loss, learned, total, kept)
+                kept = kept[:best] + kept[best + 1 :]
         weights, inflation = np.zeros((n, n)), np.ones(n)
-        weights[np.ix_(kept, kept)], inflation[kept] = found.weights, found.inflation
+        weights[np.ix_(kept, kept)], inflation[list(kept)] = found.weights, found.inflation
         for j in sorted(set(range(n)) - set(kept)):
-            chosen = [*kept, j]
-            found = self._compare_some(loss, learned, total, chosen)
-            weights[j, chosen], inflation[j] = found.weights[-1], found.inflation[-1]
+            chosen = tuple(sorted((*kept, j)))
+            found, row = compared(chosen), chosen.index(j)
+            weights[j, chosen], inflation[j] = found.weights[row], found.inflation[row]
         if len(kept) == 1:  # the only one that is not lost: by the others, for want of better
-            found = self._compare_some(loss, learned, total, list(range(n)))
-            weights[kept], inflation[kept] = found.weights[kept], found.inflation[kept]
+            found, only = compared(tuple(range(n))), kept[0]
+            weights[only], inflation[only] = found.weights[only], found.inflation[only]
         return total, weights, inflation
 
-    def _compare_some(self, loss: Array, learned: Array, total: Array, chosen: list[int]) -> _Compared:
+    def _compare_some(self, loss: Array, learned: Array, total: Array, chosen: tuple[int, ...]) -> _Compared:
         """Compare the chosen stories, each with the other chosen ones."""
         rows = np.array(chosen)
         square = rows[:, None], rows

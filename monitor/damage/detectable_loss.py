@@ -140,10 +140,8 @@ def _simulated(
     own_std, common_std = np.exp(_LN_STEP * np.array(own_steps)), np.exp(_LN_COMMON_STEP * np.array(common_steps))
     rho = _nearest(correlation, n)
     own, common = rho * np.outer(own_std, own_std), rho * np.outer(common_std, common_std)
-    against_none, contrast, leak, square = map(
-        np.array,
-        zip(*(_significant(own / stretch + common, significance, model_form) for stretch in STRETCHES), strict=True),
-    )
+    of_stretches = own / np.reshape(STRETCHES, (-1, 1, 1)) + common
+    against_none, contrast, leak, square = _significant(of_stretches, significance, model_form)
     total, white = _draws((max(STRETCHES) + most_windows) * apart, n)
     lengths = np.array(STRETCHES) * apart
     # The errors' increment from look to look is that of a window times the root of the looks in it.
@@ -158,7 +156,7 @@ def _simulated(
         of_error,
         off,
         contrast @ of_error,
-        np.stack([off @ rows.T for rows in contrast]),
+        off @ contrast.transpose(0, 2, 1),
         np.maximum(against_none, min_loss),
         leak,
         square,
@@ -177,24 +175,26 @@ def _draws(length: int, n: int) -> tuple[Array, Array]:
 
 
 def _significant(covariance: Array, significance: float, model_form: float) -> tuple[Array, Array, Array, Array]:
-    """Compute what a loss of each story alone must reach so that the alarm's statistic is significant over a stretch.
+    """Compute what a loss of each story alone must reach so that the alarm's statistic is significant over each stretch.
 
     Parameters
     ----------
-    covariance : ndarray, shape (n, n)
-        Of the stretch's mean.
+    covariance : ndarray, shape (s, n, n)
+        Of each stretch's mean.
 
     Returns
     -------
-    against_none, contrast, leak, square : ndarray, shape (n,), (n, n), (n,), (n,)
+    against_none, contrast, leak, square : ndarray, shape (s, n), (s, n, n), (s, n), (s, n)
         As `kernels.seen_by_most` takes them, but for the least loss that is announced.
     """
-    n, std = len(covariance), np.sqrt(np.diag(covariance))
+    n, variance = covariance.shape[-1], np.diagonal(covariance, axis1=1, axis2=2)
+    against_none = significance * np.sqrt(variance)
     if n == 1:
-        return significance * std, np.zeros((1, 1)), np.ones(1), np.zeros(1)
+        return against_none, np.zeros_like(covariance), np.ones_like(variance), np.zeros_like(variance)
     # Against "all stories changed alike": the loss of the others may be this story's, by the model's form.
-    contrast = np.eye(n) - (1.0 - np.eye(n)) / std**2 / ((1.0 - np.eye(n)) / std**2).sum(axis=1, keepdims=True)
+    others = (1.0 - np.eye(n)) / variance[:, None, :]
+    contrast = np.eye(n) - others / others.sum(axis=2, keepdims=True)
     threshold = significance - LOCAL_LOSS_CREDIT
-    square = threshold**2 * np.einsum("ij,jk,ik->i", contrast, covariance, contrast)
-    leak = 1.0 - threshold**2 * model_form**2 * ((contrast**2).sum(axis=1) - 1.0)
-    return significance * std, contrast, leak, square
+    square = threshold**2 * ((contrast @ covariance) * contrast).sum(axis=2)
+    leak = 1.0 - threshold**2 * model_form**2 * ((contrast**2).sum(axis=2) - 1.0)
+    return against_none, contrast, leak, square

@@ -147,7 +147,7 @@ def seen_by_most(
     first : int
         Index of the first look after the loss.
     lengths : ndarray of int, shape (s,)
-        Looks in each stretch; at most `first`.
+        Looks in each stretch, increasing; at most `first`.
     factor : ndarray, shape (s, looks)
         Length of the stretch over that of its part behind the loss.
     of_error : ndarray, shape (s, n, n)
@@ -167,13 +167,17 @@ def seen_by_most(
         Less than the number of trials.
     """
     trials, n = off.shape
-    looks = factor.shape[1]
+    stretches, looks = factor.shape
     seen, wanted, error, alone = np.empty(n), np.empty(looks), np.empty(looks), np.empty(looks)
+    whole = max(int(np.sum(lengths <= looks)), 1)  # of the stretches, those that may lie wholly behind the loss
     for j in range(n):
         most = np.full(trials, np.inf)  # loss that each trial needs at most
         largest = np.full(unseen + 1, -np.inf)  # losses that trials need, the largest first
-        for is_bound in (True, False):  # by the last looks alone, then by all
-            begin = looks - held if is_bound else 0
+        for is_bound in (True, False):  # by the last looks over one stretch alone, then by all
+            begin, low, high = (looks - held, whole - 1, whole) if is_bound else (0, 0, stretches)
+            chosen = lengths[low:high], factor[low:high]
+            errors, alones, alone_offs = of_error[low:high, j], of_alone[low:high, j], alone_off[low:high, :, j]
+            limits = needed[low:high, j], leak[low:high, j], square[low:high, j]
             for t in np.argsort(-most):
                 if most[t] <= largest[unseen]:
                     break
@@ -181,15 +185,15 @@ def seen_by_most(
                     begin,
                     total[t],
                     first,
-                    lengths,
-                    factor,
-                    of_error[:, j],
+                    chosen[0],
+                    chosen[1],
+                    errors,
                     off[t, j],
-                    of_alone[:, j],
-                    alone_off[:, t, j],
-                    needed[:, j],
-                    leak[:, j],
-                    square[:, j],
+                    alones,
+                    alone_offs[:, t],
+                    limits[0],
+                    limits[1],
+                    limits[2],
                     held,
                     wanted,
                     error,

@@ -9,6 +9,7 @@ from monitor.core.results import Array, DamageReading, Level
 from monitor.damage import alarm
 from monitor.damage.alarm import AlarmSettings, AlarmState
 from monitor.damage.detectable_loss import PROBABILITY, WITHIN_S, smallest_detectable_loss
+from monitor.damage.kernels import seen_by_most
 
 HOP_S, WINDOW_S, N = 10.0, 400.0, 40
 SETTINGS = AlarmSettings()
@@ -83,3 +84,30 @@ def test_scale_follows_the_deviations_and_what_the_modes_do_not_see_is_never_see
     assert np.isinf(smallest(after(2.0), unidentified=(2,))).tolist() == [False, True, False]
     again = smallest(after(2.0))
     assert (again == small).all(), "the same state gives the same number"
+
+
+@pytest.mark.parametrize(("n", "looks", "held"), [(3, 30, 2), (3, 9, 9), (2, 30, 5), (1, 30, 2)])
+def test_leaving_out_trials_that_need_little_changes_nothing(n: int, looks: int, held: int) -> None:
+    rng, trials, first, unseen = np.random.default_rng(5), 60, 33, 6
+    lengths = np.array([4, 8, 16, 32])
+    total = np.cumsum(rng.standard_normal((trials, n, first + looks + 3)), axis=2)
+    factor = np.maximum(lengths[:, None] / np.arange(1, looks + 1), 1.0)
+    of_error, of_alone = rng.standard_normal((2, 4, n, n)) / lengths[:, None, None]
+    off, alone_off = 0.1 * rng.standard_normal((trials, n)), 0.1 * rng.standard_normal((4, trials, n))
+    needed, square = rng.uniform(1.0, 2.0, (2, 4, n))
+    leak = rng.uniform(0.5, 1.0, (4, n))
+    leak[:2, 0], leak[:, 1:2] = 0.0, -1.0  # of the first story two stretches say nothing, of the second all
+    needs = np.full((trials, n, looks), np.inf)
+    for s, length in enumerate(lengths):
+        passed = total[:, :, first : first + looks] - total[:, :, first - length : first + looks - length]
+        error, alone = of_error[s] @ passed + off[:, :, None], of_alone[s] @ passed + alone_off[s, :, :, None]
+        with np.errstate(all="ignore"):
+            a = leak[s, :, None]
+            alike = (np.sqrt((1.0 - a) * alone**2 + a * square[s, :, None]) - alone) / a
+        loss = factor[s] * np.maximum(needed[s, :, None] - error, alike)
+        needs = np.where(a > 0.0, np.minimum(needs, loss), needs)
+    in_a_row = np.lib.stride_tricks.sliding_window_view(needs, held, axis=2).max(axis=3).min(axis=2)
+    rest = needed, leak, square, held, unseen
+    seen = seen_by_most(total, first, lengths, factor, of_error, off, of_alone, alone_off, *rest)
+    np.testing.assert_allclose(seen, np.sort(in_a_row, axis=0)[-1 - unseen], rtol=1e-9)
+    assert np.isinf(seen).tolist() == [False, True, False][:n]
