@@ -299,16 +299,16 @@ class Expected:
         """
         # The smallest detectable loss is of a structure without loss, and its simulation is kept for the next windows: what
         # changes from window to window by chance stays out of it.
-        smooth, of_history = np.diag(np.exp(history.ln_variance)), history.common.mean(axis=0)
-        inverse = np.linalg.inv(self._covariances(smooth + of_history)[1])
-        intact = replace(beside, weights=inverse / inverse.diagonal()[:, None], inflation=np.ones(len(inverse)))
+        smooth, of_history = np.exp(history.ln_variance), history.common.mean(axis=0)
+        inverse = np.linalg.inv(self._covariances(np.diag(smooth) + of_history)[1])
+        intact = inverse / inverse.diagonal()[:, None]  # weights, as in `Beside`
         own, common = beside.left_of(
             np.stack([reading.ddi_covariance - reading.common_covariance, reading.common_covariance + self.covariance])
         )
         common += np.diag(beside.beyond)
         shift = reading.ddi - beside.loss
         loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
-        of_history = replace(intact, inflation=beside.inflation).left_of(of_history + self.covariance)
+        of_history = replace(beside, weights=intact).left_of(of_history + self.covariance)
         of_history += np.diag(beside.beyond)
         return replace(
             reading,
@@ -320,7 +320,7 @@ class Expected:
             covariate_effect={**reading.covariate_effect, UNMEASURED: -shift},
         ), replace(
             history,
-            ln_variance=np.log(intact.left_of(smooth).diagonal()),
+            ln_variance=np.log(intact**2 @ smooth),
             common=of_history[None],
         )
 

@@ -89,12 +89,14 @@ def _needed_in_trial(
     # Slices, because a loop whose index does not begin with 0 is not vectorized.
     wanted, error, alone = wanted[begin:], error[begin:], alone[begin:]
     looks = wanted.size
-    wanted[:] = np.inf
+    for k in range(looks):
+        wanted[k] = np.inf
     for s in range(lengths.size):
         if leak[s] <= 0.0:
             continue
-        error[:] = off
-        alone[:] = alone_off[s]
+        of_all = alone_off[s]
+        for k in range(looks):
+            error[k], alone[k] = off, of_all
         for i in range(len(total)):
             by_error, by_alone = of_error[s, i], of_alone[s, i]
             now, before = total[i, first + begin :], total[i, first + begin - lengths[s] :]
