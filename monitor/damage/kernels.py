@@ -177,9 +177,9 @@ def seen_by_most(
         largest = np.full(unseen + 1, -np.inf)  # losses that trials need, the largest first
         for is_bound in (True, False):  # by the last looks over one stretch alone, then by all
             begin, low, high = (looks - held, whole - 1, whole) if is_bound else (0, 0, stretches)
-            chosen = lengths[low:high], factor[low:high]
+            some_lengths, factors = lengths[low:high], factor[low:high]
             errors, alones, alone_offs = of_error[low:high, j], of_alone[low:high, j], alone_off[low:high, :, j]
-            limits = needed[low:high, j], leak[low:high, j], square[low:high, j]
+            least, leaks, squares = needed[low:high, j], leak[low:high, j], square[low:high, j]
             for t in np.argsort(-most):
                 if most[t] <= largest[unseen]:
                     break
@@ -187,15 +187,15 @@ def seen_by_most(
                     begin,
                     total[t],
                     first,
-                    chosen[0],
-                    chosen[1],
+                    some_lengths,
+                    factors,
                     errors,
                     off[t, j],
                     alones,
                     alone_offs[:, t],
-                    limits[0],
-                    limits[1],
-                    limits[2],
+                    least,
+                    leaks,
+                    squares,
                     held,
                     wanted,
                     error,
