@@ -516,11 +516,12 @@ class Site(Publisher):
         self._recording.close(self._share_s())
         self._requests.close()
         self.session.online_diagnosis.close(self._share_s())
+        self._event_writer.close(self._share_s())
+        self._chores.settle(self._share_s())  # the last line of health names the ledger's last line
         self.health(None)
         self._write_summary()
         self._history.close(self._share_s())
         self._line_writer.close(self._share_s())
-        self._event_writer.close(self._share_s())
         for lines in (self._lines, self._events, self._health_lines):
             self._chores.do(f"close {id(lines)}", lines.close)
         for outlet in reversed(self._outlets):

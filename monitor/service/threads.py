@@ -388,6 +388,12 @@ class Chores:
         """Number of lost jobs: none, since the latest job of a name stands for those before."""
         return 0
 
+    def settle(self, timeout_s: float) -> None:
+        """Wait until the jobs that are queued now are done, for at most `timeout_s`."""
+        done = threading.Event()
+        self.do(f"settle {id(done)}", done.set)
+        done.wait(timeout_s)
+
     def close(self, timeout_s: float) -> None:
         """Do the queued jobs, for at most `timeout_s`."""
         with self._changed:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -157,6 +159,21 @@ def test_the_checksum_of_its_recording_is_in_the_ledger_and_is_checked(site: Pat
     recording.unlink()
     done = main("status", out, "--verify")
     assert done.returncode == 12 and "event recordings" not in done.stdout
+
+
+def test_the_last_line_of_health_names_the_last_line_of_a_slow_ledger(
+    site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append = ledger_chain.append_lines
+
+    def slow(*what: Any) -> str:
+        time.sleep(0.7)
+        return append(*what)
+
+    monkeypatch.setattr(ledger_chain, "append_lines", slow)
+    run(site, Operator(acts=True))
+    status = look(site.parent / "out")
+    assert status["ledger_head"] == status["health"]["ledger_head"] is not None
 
 
 def test_a_ledger_that_cannot_take_the_checksum_is_told_and_the_recording_is_kept(site: Path) -> None:
