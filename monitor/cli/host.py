@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +26,18 @@ def host(
         str | None,
         typer.Option(metavar="HOST:PORT", help="Answer Prometheus here for all sites, as 127.0.0.1:9464."),
     ] = None,
+    standby: Annotated[
+        bool,
+        typer.Option(
+            "--standby", help="Take over sites whose [output] dir another daemon fills when that one is gone."
+        ),
+    ] = False,
+    share: Annotated[
+        str,
+        typer.Option(
+            metavar="K/N", help="With --standby: this machine, the K-th of N, takes its share of the sites first."
+        ),
+    ] = "1/1",
 ) -> None:
     """Monitor many sites in one process, each as `run` would.
 
@@ -34,16 +47,37 @@ def host(
     """
     from monitor.config import LogSettings
     from monitor.core import MissingInputError
-    from monitor.service import Host, HostWorkers, logs
+    from monitor.service import Host, HostWorkers, is_of_share, logs
 
     for place in places:
         if not place.exists():
             raise MissingInputError(f"{place}: there is no such file or folder")
     served = address(metrics, "--metrics", any_port=True)
+    number, count = _share(share, standby=standby)
     _demand_a_good_file(places)
     logs.begin(LogSettings(), "host")
-    service = Host(places, served) if workers == 1 else HostWorkers(places, workers, served)
-    service.run()
+    if workers == 1:
+        Host(places, served, standby=standby, first=lambda path: is_of_share(path, number, count)).run()
+    else:
+        HostWorkers(places, workers, served, standby=standby, share=(number, count)).run()
+
+
+def _share(text: str, *, standby: bool) -> tuple[int, int]:
+    """Read K/N.
+
+    Raises
+    ------
+    WrongUsageError
+        It is none, or without a use.
+    """
+    from monitor.core import WrongUsageError
+
+    found = re.fullmatch(r"([1-9]\d{0,3})/([1-9]\d{0,3})", text)
+    if found is None or int(found[1]) > int(found[2]):
+        raise WrongUsageError(f"--share {text}: give it as 1/2, the first of two machines")
+    if int(found[2]) > 1 and not standby:
+        raise WrongUsageError(f"--share {text}: needs --standby, else nobody takes the other shares")
+    return int(found[1]), int(found[2])
 
 
 def _demand_a_good_file(places: list[Path]) -> None:

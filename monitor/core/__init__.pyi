@@ -4,6 +4,7 @@ from .compilation import compiled
 from .errors import (
     BadConfigurationError,
     BadInputError,
+    InUseError,
     MissingInputError,
     NoResourcesError,
     UserError,
@@ -54,6 +55,7 @@ __all__ = [
     "ComplexArray",
     "DamageReading",
     "Gap",
+    "InUseError",
     "LagSums",
     "LeftOutChannel",
     "Level",

@@ -33,5 +33,9 @@ class BadConfigurationError(UserError):
     exit_code = 78
 
 
+class InUseError(BadConfigurationError):
+    """Output folder into which another daemon writes."""
+
+
 class NoResourcesError(UserError):
     """Lack of memory, or of allowed processes, for the requested computation."""

@@ -13,6 +13,7 @@ import signal
 import sys
 import threading
 import time
+import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,17 +23,18 @@ from enum import Enum
 from functools import wraps
 from heapq import heappop, heappush
 from pathlib import Path
-from typing import Concatenate, ParamSpec
+from typing import Concatenate, ParamSpec, TypeVar
 
 from drivers.base import SampleBlock
 from monitor.config import Configuration, configuration
-from monitor.core import BadConfigurationError, UserError
+from monitor.core import BadConfigurationError, InUseError, UserError
 from monitor.damage import AnyBaseline
 from monitor.runs import warm_up
 from monitor.service import logs, systemd
 from monitor.service.host_metrics import HostMetrics
 from monitor.service.outlets import Outlet
 from monitor.service.site import Site
+from monitor.service.status import has_ended, running
 from monitor.service.threads import BlockQueue
 
 _log = logging.getLogger(__name__)
@@ -50,6 +52,8 @@ _LOOK_S = 2.0
 """Interval at which the folders and the site files are looked at. [s; judgement]"""
 _RETRY_S = (1.0, 300.0)
 """First and longest pause before a site that failed is started again. [s; judgement]"""
+_FREE_S = 10.0
+"""Time for which nobody monitors a site of another machine's share before it is taken. [s; judgement: a restart takes less]"""
 _ENDERS = 8
 """Threads that end sites: each waits for the disk most of the time. [1; judgement]"""
 _END_ALL_S = 60.0
@@ -63,6 +67,8 @@ class State(Enum):
 
     WAITING = "waiting"
     """To be started, or started again after a failure."""
+    STANDBY = "standby"
+    """To be started when nobody else monitors it."""
     RUNNING = "running"
     ENDING = "ending"
     OVER = "over"
@@ -90,6 +96,12 @@ class Place:
     is_told: bool = False
     """Whether READY need not wait for it: its source is open, or it was said why not."""
     is_opened: bool = False
+    out: Path | None = None
+    """Output folder of a site that stands by; None before it was looked for."""
+    free_s: float | None = None
+    """Since when nobody monitors a site that stands by; None while somebody does."""
+    was_held: bool = False
+    """Whether another daemon was seen to monitor a site that stands by."""
     is_removed: bool = False
     """Whether its file is gone, so that it is not started again."""
     credit_s: float = 0.0
@@ -146,17 +158,18 @@ class Line:
 
 
 _P = ParamSpec("_P")
-_SiteWork = Callable[Concatenate["Host", Place, _P], None]
+_R = TypeVar("_R")
+_SiteWork = Callable[Concatenate["Host", Place, _P], _R]
 
 
-def _named_in_the_log(work: _SiteWork[_P]) -> _SiteWork[_P]:
+def _named_in_the_log(work: _SiteWork[_P, _R]) -> _SiteWork[_P, _R]:
     """Decorate the work for one site: while it lasts, the lines of the log carry the site's name."""
 
     @wraps(work)
-    def named(host: Host, place: Place, /, *args: _P.args, **kwargs: _P.kwargs) -> None:
+    def named(host: Host, place: Place, /, *args: _P.args, **kwargs: _P.kwargs) -> _R:
         before = logs.site_name.set(place.name)
         try:
-            work(host, place, *args, **kwargs)
+            return work(host, place, *args, **kwargs)
         finally:
             logs.site_name.reset(before)
 
@@ -176,6 +189,10 @@ class Host:
         Host and port of the endpoint for Prometheus.
     mine : callable
         Whether a file of a folder is one of this process's, where several share a folder.
+    standby : bool
+        Whether a site that another daemon monitors stands by, and is taken over when that daemon is gone.
+    first : callable
+        Whether a site is taken as soon as nobody monitors it; any other only when nobody has for some seconds.
     clock : callable
         Seconds of a clock that never goes back.
     say : callable
@@ -193,10 +210,13 @@ class Host:
         metrics: tuple[str, int] | None = None,
         *,
         mine: Callable[[Path], bool] = lambda _: True,
+        standby: bool = False,
+        first: Callable[[Path], bool] = lambda _: True,
         clock: Callable[[], float] = time.monotonic,
         say: Callable[[str], None] = lambda word: print(word, file=sys.stderr, flush=True),
     ) -> None:
         self._clock, self._mine, self._say = clock, mine, say
+        self._standby, self._first = standby, first
         self._files = [path for path in places if not path.is_dir()]
         self._folders = [path for path in places if path.is_dir()]
         self._places: dict[Path, Place] = {}
@@ -301,7 +321,12 @@ class Host:
 
     def _tell_ready(self) -> None:
         self._is_ready = True
-        away = [p.name for p in self.places if p.site is None or not (p.site.reader.opened or p.is_over)]
+        away = [
+            place.name
+            for place in self.places
+            if place.state is not State.STANDBY
+            and (place.site is None or not (place.site.reader.opened or place.is_over))
+        ]
         if away:
             _log.warning(
                 "%d of %d sites run; tried again: %s", len(self.places) - len(away), len(self.places), ", ".join(away)
@@ -371,7 +396,7 @@ class Host:
 
     def _stop(self, place: Place) -> None:
         """Have a site end in order: its source closes, what has arrived is evaluated, and a checkpoint is kept."""
-        if place.state is State.WAITING:
+        if place.state in {State.WAITING, State.STANDBY}:
             place.state = State.OVER
         elif place.state is State.RUNNING and place.site is not None:
             place.state = State.ENDING
@@ -443,7 +468,7 @@ class Host:
                 looked_s = now
                 with suppress(OSError):  # a folder that cannot be read now
                     self._look()
-            waiting = [p for p in self.places if p.state is State.WAITING and p.due_s <= now]
+            waiting = self._due(now)
             if not waiting:
                 time.sleep(_TICK_S)
                 continue
@@ -454,6 +479,44 @@ class Host:
                 self._open(place)
                 if self._clock() - looked_s >= _LOOK_S:
                     break
+
+    def _due(self, now: float) -> list[Place]:
+        """List the sites that are to be started now (in the opener's thread)."""
+        due = [place for place in self.places if place.due_s <= now]
+        waiting = [place for place in due if place.state is State.WAITING]
+        return waiting + [place for place in due if place.state is State.STANDBY and self._is_free(place, now)]
+
+    @_named_in_the_log
+    def _is_free(self, place: Place, now: float) -> bool:
+        """Look whether nobody monitors a site that stands by."""
+        place.due_s = now + _LOOK_S
+        try:
+            out = (
+                place.path.resolve().parent / configuration.load(place.path).output.dir
+                if place.out is None
+                else place.out
+            )
+        except UserError:  # which is told when it is started
+            return True
+        place.out, is_held = out, running(out) is not False
+        place.free_s = None if is_held else now if place.free_s is None else place.free_s
+        if is_held and not place.was_held:
+            place.was_held = True
+            _log.warning("%s stands by: another daemon monitors it", place.name)
+        is_taken = place.free_s is not None and (self._first(place.path) or now - place.free_s >= _FREE_S)
+        place.is_told = place.is_told or not is_taken
+        if is_taken and place.was_held and has_ended(out):  # by its own account there is nothing to take over
+            self._call(lambda: self._over(place, ""))
+            return False
+        return is_taken
+
+    @_named_in_the_log
+    def _stand_by(self, place: Place) -> None:
+        """Have a site wait until nobody else monitors it (in the main thread)."""
+        place.queue, place.is_told, place.free_s = None, True, None
+        place.state, place.due_s = State.OVER if self._stopping else State.STANDBY, self._clock() + _LOOK_S
+        if self.metrics is not None:
+            self.metrics.remove(place.name)
 
     @_named_in_the_log
     def _open(self, place: Place) -> None:
@@ -474,6 +537,9 @@ class Host:
                 viewer=False,
             )
         except UserError as error:
+            if self._standby and isinstance(error, InUseError):  # that daemon was faster
+                self._call(lambda: self._stand_by(place))
+                return
             says = str(error)
             _log.error("%s does not start: %s", place.name, says)
             self._call(lambda: self._over(place, says))
@@ -534,7 +600,9 @@ class Host:
             stamp = _stamp(path)
             place = self._places.get(path)
             if place is None:
-                self._places[path] = Place(path, path.stem, stamp)
+                self._places[path] = place = Place(path, path.stem, stamp)
+                if self._standby:
+                    place.state = State.STANDBY
             elif place.stamp != stamp:
                 place.stamp = stamp
                 self._call(lambda place=place: self._changed(place))  # type: ignore[misc]
@@ -543,11 +611,11 @@ class Host:
                 self._call(lambda place=place: self._removed(place))  # type: ignore[misc]
 
     def _changed(self, place: Place) -> None:
-        """Read the file of a running site again; start one that waits at once (in the main thread)."""
+        """Read the file of a running site again; look at one that waits at once (in the main thread)."""
         if place.state is State.RUNNING and place.site is not None:
             place.site.ask_to_reload()
-        elif place.state is State.WAITING:
-            place.due_s, place.pause_s = float("-inf"), 0.0
+        elif place.state in {State.WAITING, State.STANDBY}:
+            place.due_s, place.pause_s, place.out = float("-inf"), 0.0, None
 
     def _removed(self, place: Place) -> None:
         """End the site of a file that is gone (in the main thread)."""
@@ -558,6 +626,17 @@ class Host:
         self._stop(place)
         if place.is_over:
             self._over(place, "")
+
+
+def is_of_share(path: Path, number: int, count: int) -> bool:
+    """Return whether a site file is of share `number` of `count`, by its name alone, and whatever worker has it.
+
+    Examples
+    --------
+    >>> [is_of_share(Path("a.toml"), k, 2) for k in (1, 2)]
+    [True, False]
+    """
+    return zlib.crc32(path.name.encode(), 1) % count == number - 1
 
 
 def _take_all_files() -> None:

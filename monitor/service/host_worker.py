@@ -1,4 +1,7 @@
-"""Process of a host's workers: ``python -m monitor.service.host_worker NUMBER COUNT metrics|no-metrics PLACE...``."""
+"""Process of a host's workers.
+
+``python -m monitor.service.host_worker NUMBER COUNT metrics|no-metrics standby|alone SHARE SHARES PLACE...``
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from pathlib import Path
 from monitor.config import LogSettings
 from monitor.core import UserError, keep_freed, single_blas_thread
 from monitor.service import logs, systemd
-from monitor.service.host import Host
+from monitor.service.host import Host, is_of_share
 
 _PR_SET_PDEATHSIG = 1
 """Option of prctl(2). [1; definition]"""
@@ -31,16 +34,18 @@ def is_mine(path: Path, number: int, count: int) -> bool:
 
 def main(arguments: list[str]) -> int:
     """Monitor this process's share of the sites, and return the exit code."""
-    number, count = map(int, arguments[:2])
+    number, count, share, shares = map(int, (*arguments[:2], *arguments[4:6]))
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)  # where the parent is killed, the sites end in order
     logs.begin(LogSettings(), f"host {number}")
     keep_freed()
     metrics = ("127.0.0.1", 0) if arguments[2] == "metrics" else None
     try:
         host = Host(
-            [Path(text) for text in arguments[3:]],
+            [Path(text) for text in arguments[6:]],
             metrics,
             mine=lambda path: is_mine(path, number, count),
+            standby=arguments[3] == "standby",
+            first=lambda path: is_of_share(path, share, shares),
             say=lambda _: None,
         )
         if host.metrics is not None:

@@ -67,6 +67,8 @@ class HostWorkers:
         Number of processes.
     metrics : (str, int), optional
         Host and port of the endpoint for Prometheus.
+    standby, share
+        As of `Host`; the share as its number and the number of shares.
     clock : callable
         Seconds of a clock that never goes back.
 
@@ -82,9 +84,12 @@ class HostWorkers:
         workers: int,
         metrics: tuple[str, int] | None = None,
         *,
+        standby: bool = False,
+        share: tuple[int, int] = (1, 1),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._clock, self._count = clock, workers
+        self._options = ["standby" if standby else "alone", *map(str, share)]
         folders, files = [p for p in places if p.is_dir()], [p for p in places if not p.is_dir()]
         self._scratch = tempfile.TemporaryDirectory(prefix="shm-host-", ignore_cleanup_errors=True)
         dealt = [(k, [*files[k::workers], *folders]) for k in range(workers)]
@@ -207,7 +212,7 @@ class HostWorkers:
     def _start(self, worker: Worker, now: float) -> None:
         """Start a process."""
         command = [sys.executable, "-m", "monitor.service.host_worker", str(worker.number), str(self._count)]
-        command += ["metrics" if self._is_asked else "no-metrics", *map(str, worker.places)]
+        command += ["metrics" if self._is_asked else "no-metrics", *self._options, *map(str, worker.places)]
         environment = {name: text for name, text in os.environ.items() if name != "WATCHDOG_PID"}
         environment |= {"NOTIFY_SOCKET": f"{self._scratch.name}/{worker.number}"}
         environment |= {"WATCHDOG_USEC": str(round(_SILENT_S * 0.5e6))}

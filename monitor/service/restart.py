@@ -18,8 +18,8 @@ from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration
 from monitor.core import (
-    BadConfigurationError,
     BadInputError,
+    InUseError,
     MissingInputError,
     parse_json,
     set_aside,
@@ -276,7 +276,7 @@ def lock(path: Path, out: Path) -> int:
     ------
     MissingInputError
         The folder cannot be written.
-    BadConfigurationError
+    InUseError
         Another daemon holds the lock.
     """
     try:
@@ -293,7 +293,7 @@ def lock(path: Path, out: Path) -> int:
             if time.monotonic() >= deadline:
                 os.close(handle)
                 says = f"{out}: another daemon writes here; name another dir under [output]"
-                raise BadConfigurationError(says) from error
+                raise InUseError(says) from error
             time.sleep(_LOCK_POLL_S)
         else:
             return handle

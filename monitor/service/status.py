@@ -47,6 +47,12 @@ def running(out: Path) -> bool | None:
     return False
 
 
+def has_ended(out: Path) -> bool:
+    """Return whether the latest daemon of the output folder has read its source to the end."""
+    health = _last_line(out / "health.jsonl", _read_health)
+    return bool((health or {}).get("source", {}).get("ended"))
+
+
 def demand_state(out: Path) -> None:
     """Check that a daemon has written into the folder.
 

@@ -17,6 +17,7 @@ import pytest
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model.simulation import simulate
+from monitor.service import is_of_share
 from tests.conftest import Cli, Cut
 from tests.support.live_rig import Command, until
 from tests.support.zenoh_router import free_port
@@ -223,6 +224,34 @@ def test_workers_end_in_order_on_sigterm_and_with_their_parent(bench: Path, fram
         finally:
             host.kill()
         assert (folder / "out-s0" / "state" / "checkpoint").exists()
+
+
+def test_another_host_takes_over_the_sites_of_one_that_dies(bench: Path, frame_text: str) -> None:
+    folder = bench / "shared"
+    for k in range(3):
+        site(folder, frame_text, f"s{k}", f"r{k}", "speed = 4.0")
+    owned = {n: [f"s{k}" for k in range(3) if is_of_share(Path(f"s{k}.toml"), n, 2)] for n in (1, 2)}
+    assert owned[1] and owned[2]
+    hosts = {n: Command(folder / f"host{n}.log", "host", folder, "--standby", "--share", f"{n}/2") for n in (1, 2)}
+    try:
+        until(lambda: all(results(folder, f"s{k}") for k in range(3)), "a window of each")
+        for n, host in hosts.items():
+            host.wait_for("READY")
+            host.wait_for(f"{owned[3 - n][0]} stands by")
+        assert hosts[1].stop(signal.SIGKILL)[0] == -signal.SIGKILL
+        until(lambda: all(equal(bench, folder, f"s{k}") for k in range(3)), "all windows")
+        assert hosts[2].stop()[0] == 0, hosts[2].said
+    finally:
+        for host in hosts.values():
+            host.kill()
+    for k in range(3):
+        assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}") != []
+
+
+def test_a_share_without_a_standby_is_refused(main: Cli, tmp_path: Path) -> None:
+    for options in (["--share", "1/2"], ["--standby", "--share", "3/2"], ["--standby", "--share", "half"]):
+        done = main("host", tmp_path, *options)
+        assert done.returncode == 2 and options[-1] in done.stderr, done.stderr
 
 
 def lives(pid: int) -> bool:
