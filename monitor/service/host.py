@@ -6,6 +6,7 @@ network of another.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import logging
 import resource
@@ -13,7 +14,6 @@ import signal
 import sys
 import threading
 import time
-import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -634,9 +634,10 @@ def is_of_share(path: Path, number: int, count: int) -> bool:
     Examples
     --------
     >>> [is_of_share(Path("a.toml"), k, 2) for k in (1, 2)]
-    [True, False]
+    [False, True]
     """
-    return zlib.crc32(path.name.encode(), 1) % count == number - 1
+    # Another hash than that of the workers: else all sites of a share might be one worker's.
+    return int.from_bytes(hashlib.sha256(path.name.encode()).digest()) % count == number - 1
 
 
 def _take_all_files() -> None:
