@@ -16,6 +16,7 @@ from monitor.diagnosis.score_test import (
     best_first,
     find_excess_peaks,
     fit_candidate,
+    fit_roughly,
     refine_rough_fit,
     score_candidate,
     with_tone_evidence,
@@ -172,8 +173,7 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
     (peak,) = find_excess_peaks(posterior, without, 1)
     for find_starts in (likely_causes, effects_at_peak):  # those of all places only where one of the former comes near
         starts = [effect for effect in find_starts(posterior, without, peak) if not effect.repeatable]
-        rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), starts))
-        near = [c for c in rough[:1] if c.may_reach(gain)]
+        near = [c for c in fit_roughly(posterior, without, starts)[:1] if c.may_reach(gain)]
         if not near:
             break
     return gain > CERTAIN * margin and not near, near

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy.linalg import eigh
@@ -18,7 +17,7 @@ from monitor.diagnosis.score_test import (
     best_first,
     best_of_each_kind,
     find_excess_peaks,
-    fit_candidate,
+    fit_roughly,
     log_evidence,
     parameter_cost,
     refine_rough_fit,
@@ -191,7 +190,7 @@ def find_missing_modes(
     stories = posterior.layout.stiffness.stop - posterior.layout.stiffness.start
     for _ in range(stories):
         (peak,) = find_excess_peaks(posterior, fit, 1, [rough[0].fit for rough in looked])
-        rough = _fit_roughly(posterior, fit, likely_causes(posterior, fit, peak))
+        rough = fit_roughly(posterior, fit, likely_causes(posterior, fit, peak))
         if not _is_beyond_doubt(rough, settings):
             break
         if any(_is_one_peak(posterior, rough[0].effect, others[0].effect) for others in looked):
@@ -210,11 +209,6 @@ def likely_causes(posterior: Posterior, fit: MapEstimate, peak: Peak) -> list[Ef
     starts = effects_at_peak(posterior, fit, peak)
     others = best_of_each_kind(posterior, fit, [effect for effect in starts if not effect.repeatable])
     return [effect for effect in starts if effect.repeatable] + others
-
-
-def _fit_roughly(posterior: Posterior, fit: MapEstimate, starts: list[Effect]) -> list[Candidate]:
-    """Fit the possible causes of a peak roughly, best first."""
-    return best_first(parallel_map(partial(fit_candidate, posterior, fit, quick=True), starts))
 
 
 def _is_beyond_doubt(rough: list[Candidate], settings: DiagnosisSettings) -> bool:
@@ -266,7 +260,7 @@ def find_missing_mode(
         As `find_missing_modes`.
     """
     (peak,) = find_excess_peaks(posterior, fit, 1)
-    rough = _fit_roughly(posterior, fit, effects_at_peak(posterior, fit, peak))
+    rough = fit_roughly(posterior, fit, effects_at_peak(posterior, fit, peak))
     if not rough or not (rough[0].effect.repeatable or lacks_modes(posterior, fit)):
         return []
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]

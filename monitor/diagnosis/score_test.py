@@ -507,6 +507,11 @@ def start_beside(posterior: Posterior, x: Array, effect: Effect) -> Array:
     return out
 
 
+def fit_roughly(posterior: Posterior, null_fit: MapEstimate, effects: Sequence[Effect]) -> list[Candidate]:
+    """Fit effects roughly, each alone, best first."""
+    return best_first(parallel_map(partial(fit_candidate, posterior, null_fit, quick=True), effects))
+
+
 def refine_rough_fit(posterior: Posterior, null_fit: MapEstimate, rough: Candidate) -> Candidate:
     """Fit an effect that a rough fit brought near its size, together with the nuisances."""
     fitted = maximize_posterior(posterior, rough.fit.x, rough.fit.effects, iterations=LONG)

@@ -16,6 +16,7 @@ from monitor.diagnosis.score_test import (
     best_first,
     best_of_each,
     fit_candidate,
+    fit_roughly,
     rank_by_score,
     with_tone_evidence,
 )
@@ -98,7 +99,7 @@ def _fit_ambient(
 
     A rough fit that turns out to be no valid cause keeps no other effect out: the effects that it outdid are fitted too.
     """
-    rough = _fit_roughly(posterior, fit, [e for _, e in ranked[: settings.ranked]])
+    rough = fit_roughly(posterior, fit, [e for _, e in ranked[: settings.ranked]])
     fitted: dict[tuple[str, str], Candidate] = {}
     while True:
         chosen, min_log_evidence = _shortlist_ambient(ranked, rough, settings)
@@ -160,15 +161,6 @@ def _shortlist_ambient(
     return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen, min_log_evidence
 
 
-def _fit_roughly(posterior: Posterior, fit: MapEstimate, effects: list[Effect]) -> list[Candidate]:
-    """Fit effects roughly, best first."""
-
-    def rough(effect: Effect) -> Candidate:
-        return fit_candidate(posterior, fit, effect, quick=True)
-
-    return best_first(parallel_map(rough, effects))
-
-
 def _shortlist_driven(
     posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], starts: list[Effect]
 ) -> tuple[dict[tuple[str, str], Effect], list[Candidate]]:
@@ -188,7 +180,7 @@ def _shortlist_driven(
     others = [(0.0, e) for e in starts if e.name in laws and e not in [first for _, first in ranked]]
     more = [e for _, e in best_of_each(others)]
     best: dict[tuple[str, str], Candidate] = {}
-    for candidate in _fit_roughly(posterior, fit, near + more):
+    for candidate in fit_roughly(posterior, fit, near + more):
         best.setdefault(candidate.key, candidate)
     rough = list(best.values())
     same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]

@@ -490,22 +490,19 @@ class Host:
     def _is_free(self, place: Place, now: float) -> bool:
         """Look whether nobody monitors a site that stands by."""
         place.due_s = now + _LOOK_S
-        try:
-            out = (
-                place.path.resolve().parent / configuration.load(place.path).output.dir
-                if place.out is None
-                else place.out
-            )
-        except UserError:  # which is told when it is started
-            return True
-        place.out, is_held = out, running(out) is not False
+        if place.out is None:
+            try:
+                place.out = place.path.resolve().parent / configuration.load(place.path).output.dir
+            except UserError:  # which is told when it is started
+                return True
+        is_held = running(place.out) is not False
         place.free_s = None if is_held else now if place.free_s is None else place.free_s
         if is_held and not place.was_held:
             place.was_held = True
             _log.warning("%s stands by: another daemon monitors it", place.name)
         is_taken = place.free_s is not None and (self._first(place.path) or now - place.free_s >= _FREE_S)
         place.is_told = place.is_told or not is_taken
-        if is_taken and place.was_held and has_ended(out):  # by its own account there is nothing to take over
+        if is_taken and place.was_held and has_ended(place.out):  # by its own account there is nothing to take over
             self._call(lambda: self._over(place, ""))
             return False
         return is_taken
