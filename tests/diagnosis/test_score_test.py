@@ -134,7 +134,7 @@ def test_a_rough_fit_that_is_no_valid_cause_keeps_no_rival_out(monkeypatch: pyte
         for evidence, place in ((60.0, "story 4"), (20.0, "story 3"), (20.0, "story 2"), (-20.0, "story 1"))
     )
     rough = {c.key: c for c in (best, base, loss, weak)}
-    monkeypatch.setattr(selection_round, "_fit_roughly", lambda *a: list(rough.values()))
+    monkeypatch.setattr(selection_round, "fit_roughly", lambda *a: list(rough.values()))
     monkeypatch.setattr(selection_round, "_fit_fully", lambda p, f, chosen, *a: {key: rough[key] for key in chosen})
     ranked = [(40.0, best.effect), (21.0, base.effect), (20.0, loss.effect), (1.0, weak.effect)]
     settings = DiagnosisSettings(favourites=2)
