@@ -138,7 +138,7 @@ def diagnose_gathered(
     laws = story_laws(confirmed)
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima, laws)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
-    plain |= {"doubts": [] if baseline is None else [*baseline.doubts, *_unit_questions(segments, baseline)]}
+    plain |= {"doubts": [] if baseline is None else [*baseline.doubts, *_level_doubts(segments, baseline, confirmed)]}
     compared = []
     if record is not None:
         posterior = confirmed.posterior
@@ -260,13 +260,21 @@ def evaluate(
     return score(segments, config.model(), _context(segments, config), degc)
 
 
-def _unit_questions(segments: Segments, baseline: Baseline) -> list[str]:
-    """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration.
+def _level_doubts(segments: Segments, baseline: Baseline, found: Diagnosis) -> list[str]:
+    """Ask whether the unit is right where the motion is far from that at calibration; else doubt a change seen at another level.
 
     The baseline's windows hold more than the band and less than the source's samples, so that neither is found by the band alone.
     """
     in_band = float(np.sqrt(2.0 * segments.whole.bin_hz * segments.power.sum(axis=0)).mean())
-    return unit_questions(float(segments.rms.mean()), in_band, baseline.level_range_m_s2)
+    questions = unit_questions(float(segments.rms.mean()), in_band, baseline.level_range_m_s2)
+    loudest = baseline.level_range_m_s2[1]
+    said = [cause.effect for cause in (*found.causes, *(candidate for candidate, _ in found.alternatives))]
+    if questions or in_band <= loudest or not any(effect.family == "structure" for effect in said):
+        return questions
+    return [
+        f"the motion is {in_band / loudest:.2g} times as strong as the strongest at calibration: a stiffness or a damping that "
+        "depends on the level cannot be told from one that has changed"
+    ]
 
 
 def _witnesses(config: Configuration) -> tuple[WitnessSensor, ...]:

@@ -3,13 +3,16 @@
 ``python -m tests.measured.f16 FOLDER [--force] [--levels 3 5 7] [--out FILE.jsonl]``: FOLDER holds F16_FM_Level1.mat,
 ..3, ..5, ..7 of the user's own
 download (docs/measured.md).  With ``--force`` the shaker's force is a known input, else the accelerations alone are used.
+``--single`` tells instead how much of the frequency responses at each level a change at one place alone can explain.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -112,6 +115,53 @@ def identify_modes(hz: Array, accelerance: Array) -> tuple[Array, Array, Array]:
     return modes(least_squares(residual, x, bounds=(lower, upper), x_scale="jac", max_nfev=4000).x)
 
 
+def errors_of_single_changes(test: Test, frequencies_hz: Array, damping: Array, shapes: Array) -> dict[str, float]:
+    """Fit a change at one place to the frequency responses of a level; return the relative error that each change leaves.
+
+    A change at a place is a spring and a damper, or a mass and a damper, between sensors or at one.  ``all alike`` changes all
+    stiffnesses by one factor and all damping ratios by another.
+    """
+    hz, measured = test.accelerance()
+    w = 2.0 * np.pi * hz
+    omega = 2.0 * np.pi * frequencies_hz
+    unit = np.abs(measured).mean(axis=0)
+
+    def compliance(stiffer: float = 0.0, damped: float = 0.0) -> Array:
+        modal = 1.0 / (
+            (1.0 + stiffer) * omega**2 - w[:, None] ** 2 + 2j * (1.0 + damped) * damping * omega * w[:, None]
+        )
+        return np.asarray(np.einsum("im,fm,jm->fij", shapes, modal, shapes))
+
+    def left(changed: Array) -> Array:
+        scaled = (-(w[:, None] ** 2) * changed[:, :, 0] - measured) / unit
+        return np.concatenate([scaled.real.ravel(), scaled.imag.ravel()])
+
+    whole = compliance()
+    whole_size = np.linalg.norm(measured / unit)
+
+    def at(place: Array, impedance: Array) -> Array:  # a change of rank one (Sherman and Morrison)
+        seen = whole @ place
+        factor = impedance / (1.0 + impedance * (seen @ place))
+        return np.asarray(whole - factor[:, None, None] * seen[:, :, None] * seen[:, None, :])
+
+    ends = {"sensors 2 and 3 (the joint)": (0, 1, -1), "sensors 1 and 2": (1, -1, 0), "sensors 1 and 3": (1, 0, -1)}
+    ends |= {f"sensor {i + 1}": tuple(np.eye(3)[i]) for i in range(3)}
+    out = {"nothing": float(np.linalg.norm(left(whole)) / whole_size)}
+
+    def error(residual: Callable[[Array], Array], starts: Sequence[tuple[float, float]]) -> float:
+        return float(min(np.linalg.norm(least_squares(residual, x).fun) for x in starts) / whole_size)
+
+    for name, end in ends.items():
+        place = np.array(end, dtype=float)
+        spring = partial(lambda place, x: left(at(place, 1e4 * x[0] + 100j * w * x[1])), place)
+        out[f"spring and damper, {name}"] = error(spring, ((-0.1, 0.1), (0.1, 0.1), (-0.5, 0.5), (-2.0, 1.0)))
+        if name.removeprefix("sensor ").isdecimal():
+            mass = partial(lambda place, x: left(at(place, -(w**2) * x[0] + 100j * w * x[1])), place)
+            out[f"mass and damper, {name}"] = error(mass, ((0.1, 0.1), (1.0, 0.1), (5.0, 0.5)))
+    out["all alike"] = error(lambda x: left(compliance(*x)), ((-0.01, 0.1),))
+    return out
+
+
 def structure_file(frequencies_hz: Array, damping: Array, shapes: Array) -> dict[str, Any]:
     """Build the content of a structure file from modes: the first three of m degrees of freedom are the sensors.
 
@@ -151,6 +201,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--force", action="store_true", help="use the force as a known input")
     parser.add_argument("--levels", type=int, nargs="+", choices=LEVELS[1:], default=LEVELS[1:])
+    parser.add_argument("--single", action="store_true", help="tell what a change at one place alone can explain")
     parser.add_argument("--out", type=Path, help="append a JSON line a level")
     options = parser.parse_args()
     tests = {level: read(options.folder / f"F16_FM_Level{level}.mat") for level in LEVELS}
@@ -158,6 +209,11 @@ def main() -> None:
     frequencies_hz, damping, shapes = identify_modes(hz, accelerance)
     for f, z, shape in zip(frequencies_hz, damping, shapes.T, strict=True):
         print(f"mode {f:6.2f} Hz, damping {100 * z:5.2f} %, shape {shape / np.abs(shape).max()}")
+    if options.single:
+        for level, test in tests.items():
+            errors = errors_of_single_changes(test, frequencies_hz, damping, shapes)
+            print(f"level {level}:", ", ".join(f"{name} {error:.3f}" for name, error in errors.items()))
+        return
     config = Configuration.model_validate(structure_file(frequencies_hz, damping, shapes))
     with threadpool_limits(limits=1):
         prior = learn_healthy_prior(gather(tests[1].blocks(with_force=options.force), config.front_end()), config)
