@@ -315,9 +315,13 @@ def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Pre
 
 
 def _far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
-    """Decide if a fit without measured ground motion went far from the structure's prior."""
-    learnt = posterior.prior.log_density(null_fit.x[posterior.layout.structure])
-    return posterior.observed.drive is None and learnt < _MIN_LOG_PRIOR
+    """Decide if a fit without measured ground motion went far from the structure's prior.
+
+    Modes that the model lacks lead a fit there for good: beside the prior's structure they are other modes.
+    """
+    if posterior.observed.drive is not None or any(effect.repeatable for effect in null_fit.effects):
+        return False
+    return posterior.prior.log_density(null_fit.x[posterior.layout.structure]) < _MIN_LOG_PRIOR
 
 
 def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) -> tuple[Posterior, MapEstimate]:
@@ -330,8 +334,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
     nuisances = (null_fit.x[posterior.layout.nuisances], first_guess(posterior))
     starts = [posterior.layout.with_structure(x, known.mean) for x in nuisances]
     x = max(starts, key=lambda start: sum(held.score(join_coordinates(start, effects), effects)))
-    unused = null_fit.slopes.by(np.arange(posterior.layout.structure.stop))  # of what does not move
-    return held, maximize_posterior(held, x, effects, iterations=FAR, frozen=unused)
+    return held, maximize_posterior(held, x, effects, iterations=FAR)
 
 
 def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> list[tuple[float, Effect]]:
