@@ -334,7 +334,8 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
     nuisances = (null_fit.x[posterior.layout.nuisances], first_guess(posterior))
     starts = [posterior.layout.with_structure(x, known.mean) for x in nuisances]
     x = max(starts, key=lambda start: sum(held.score(join_coordinates(start, effects), effects)))
-    return held, maximize_posterior(held, x, effects, iterations=FAR)
+    unused = null_fit.slopes.by(np.arange(posterior.layout.structure.stop))  # of what does not move
+    return held, maximize_posterior(held, x, effects, iterations=FAR, frozen=unused)
 
 
 def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> list[tuple[float, Effect]]:
