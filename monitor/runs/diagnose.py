@@ -268,7 +268,7 @@ def _level_doubts(segments: Segments, baseline: Baseline, found: Diagnosis) -> l
     in_band = float(np.sqrt(2.0 * segments.whole.bin_hz * segments.power.sum(axis=0)).mean())
     questions = unit_questions(float(segments.rms.mean()), in_band, baseline.level_range_m_s2)
     loudest = baseline.level_range_m_s2[1]
-    said = [cause.effect for cause in (*found.causes, *(candidate for candidate, _ in found.alternatives))]
+    said = [c.effect for c in found.causes] + [c.effect for c, _ in found.alternatives]
     if questions or in_band <= loudest or not any(effect.family == "structure" for effect in said):
         return questions
     return [
