@@ -272,7 +272,7 @@ def _level_doubts(segments: Segments, baseline: Baseline, found: Diagnosis) -> l
     if questions or in_band <= loudest or not any(effect.family == "structure" for effect in said):
         return questions
     return [
-        f"the motion is {in_band / loudest:.2g} times as strong as the strongest at calibration: a stiffness or a damping that "
+        f"the motion is {in_band / loudest:.3g} times as strong as the strongest at calibration: a stiffness or a damping that "
         "depends on the level cannot be told from one that has changed"
     ]
 
