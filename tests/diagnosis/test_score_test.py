@@ -74,7 +74,7 @@ def test_a_reversed_channel_is_ranked_first_beside_modes_that_are_forced_otherwi
 
 
 def test_beside_modes_that_were_added_no_fit_is_held_at_a_drawing_far_off() -> None:
-    """Such fits took most of the time of an eight-floor building's calibration, and found nothing."""
+    """Such fits took most of the time of an eight-floor building's calibration."""
     context = CONFIG.instrumented().context(RATE)
     model = replace(CONFIG.model(), effects=(StiffnessChange("story 2", -0.2), TORSION[0]))
     motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, seed=10, context=context)

@@ -12,7 +12,6 @@ import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -144,20 +143,24 @@ def errors_of_single_changes(test: Test, frequencies_hz: Array, damping: Array, 
         factor = impedance / (1.0 + impedance * (seen @ place))
         return np.asarray(whole - factor[:, None, None] * seen[:, :, None] * seen[:, None, :])
 
-    ends = {"sensors 2 and 3 (the joint)": (0, 1, -1), "sensors 1 and 2": (1, -1, 0), "sensors 1 and 3": (1, 0, -1)}
-    ends |= {f"sensor {i + 1}": tuple(np.eye(3)[i]) for i in range(3)}
+    alone = {f"sensor {i + 1}": row for i, row in enumerate(np.eye(3))}
+    one, two, three = alone.values()
+    between = {"sensors 2 and 3 (the joint)": two - three, "sensors 1 and 2": one - two, "sensors 1 and 3": one - three}
     out = {"nothing": float(np.linalg.norm(left(whole)) / whole_size)}
 
-    def error(residual: Callable[[Array], Array], starts: Sequence[tuple[float, float]]) -> float:
-        return float(min(np.linalg.norm(least_squares(residual, x).fun) for x in starts) / whole_size)
+    def spring(x: Array, place: Array) -> Array:
+        return left(at(place, 1e4 * x[0] + 100j * w * x[1]))
 
-    for name, end in ends.items():
-        place = np.array(end, dtype=float)
-        spring = partial(lambda place, x: left(at(place, 1e4 * x[0] + 100j * w * x[1])), place)
-        out[f"spring and damper, {name}"] = error(spring, ((-0.1, 0.1), (0.1, 0.1), (-0.5, 0.5), (-2.0, 1.0)))
-        if name.removeprefix("sensor ").isdecimal():
-            mass = partial(lambda place, x: left(at(place, -(w**2) * x[0] + 100j * w * x[1])), place)
-            out[f"mass and damper, {name}"] = error(mass, ((0.1, 0.1), (1.0, 0.1), (5.0, 0.5)))
+    def mass(x: Array, place: Array) -> Array:
+        return left(at(place, -(w**2) * x[0] + 100j * w * x[1]))
+
+    def error(residual: Callable[..., Array], starts: Sequence[tuple[float, float]], *given: Array) -> float:
+        return float(min(np.linalg.norm(least_squares(residual, x, args=given).fun) for x in starts) / whole_size)
+
+    for name, place in (between | alone).items():
+        out[f"spring and damper, {name}"] = error(spring, ((-0.1, 0.1), (0.1, 0.1), (-0.5, 0.5), (-2.0, 1.0)), place)
+    for name, place in alone.items():
+        out[f"mass and damper, {name}"] = error(mass, ((0.1, 0.1), (1.0, 0.1), (5.0, 0.5)), place)
     out["all alike"] = error(lambda x: left(compliance(*x)), ((-0.01, 0.1),))
     return out
 
