@@ -10,7 +10,7 @@ import numpy as np
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import FAR
-from monitor.diagnosis.missing_modes import CERTAIN, effects_at_peak, likely_causes
+from monitor.diagnosis.missing_modes import CERTAIN, cost_of_weak_modes, effects_at_peak, likely_causes
 from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
@@ -135,7 +135,7 @@ def eliminate_backward(
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
             fit = maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects)
             kept[i], replaced = best, True
-        elif min_gain > margin:
+        elif min_gain > margin + cost_of_weak_modes(posterior, without, cause.effect):
             continue
         else:
             fit = without

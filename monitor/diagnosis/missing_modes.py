@@ -46,7 +46,7 @@ class Resonance:
     """Mode of a fitted model with all its effects."""
 
     mode: ExtraMode
-    """Frequency, damping and shape on the channels."""
+    """Frequency, damping and shape on the channels, under all forces that drive the mode: the floors' and its own."""
     owner: int | None
     """Index of the extra effect whose mode it is; None for a mode of the model before these effects."""
 
@@ -78,12 +78,16 @@ def resonances(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> lis
         np.abs(uncoupled.T @ system.mass @ shapes) / np.sqrt(np.diag(uncoupled.T @ system.mass @ uncoupled))[:, None]
     )
     belongs = linear_sum_assignment(share, maximize=True)[1]
+    forces = np.zeros(system.mass.shape[0])  # over the floors' mean
+    forces[:n] = 1.0
+    for mode in system.coupled:
+        forces[mode.index] = mode.force_ratio
     sensors, found = system.sensors(context.sensors), []
     for i, k in enumerate(belongs):
         omega, shape = float(np.sqrt(max(eigenvalues[k], 0.0))), shapes[:, k]
         ratio = float(shape @ system.damping @ shape) / (2.0 * omega) if omega > 0.0 else np.inf
-        by_unit_force = (sensors @ shape) * (shape[i] if i >= n else 1.0)
-        found.append(Resonance(ExtraMode(omega / (2.0 * np.pi), ratio, by_unit_force), own[i]))
+        by_forces = (sensors @ shape) * np.copysign(np.sqrt(forces @ shape**2), shape[i])
+        found.append(Resonance(ExtraMode(omega / (2.0 * np.pi), ratio, by_forces), own[i]))
     for i, effect in enumerate(everything):
         owner = i - n_before if i >= n_before else None
         found += [Resonance(mode, owner) for mode in effect.extra_modes(context)]
@@ -282,12 +286,24 @@ def lacks_modes(posterior: Posterior, fit: MapEstimate) -> bool:
     return any(e.repeatable for e in posterior.effects(fit.x, fit.effects))
 
 
+def cost_of_weak_modes(posterior: Posterior, fit: MapEstimate, effect: Effect) -> float:
+    """Compute the gain that a further mode, too weak to be found, may leave to another cause, nats.
+
+    A mode is found only where it gains more than its own parameters cost.  Where a recording shows modes that the model lacks,
+    others are there whose gain is less, and whatever else resembles such a mode takes it.  Modes that were missing at
+    calibration are in the baseline with all that they left there.
+    """
+    if effect.repeatable or not any(e.repeatable for e in fit.effects):
+        return 0.0
+    return parameter_cost(posterior, 2 + len(posterior.context.channels))
+
+
 def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     """Decide if the mode that effect i of a fit adds can be told from the other modes; any other effect can.
 
     Two modes whose half-power bands overlap are one peak.  Much else distorts a peak of the model: forces that are not white,
     laws that depend on the level, crosstalk between channels.  Nor is a mode of the model exchanged for one that it lacks.
-    A coupled mode whose own peak no channel shows is a force on the floors.
+    A coupled mode whose peak no channel shows is a force on the floors.
     """
     i = range(len(fit.effects))[i]
     if not fit.effects[i].repeatable:

@@ -30,6 +30,7 @@ from monitor.diagnosis.lack_of_fit import (
 )
 from monitor.diagnosis.missing_modes import (
     as_seen,
+    cost_of_weak_modes,
     couple_modes,
     find_missing_mode,
     find_missing_modes,
@@ -158,6 +159,8 @@ def diagnose(
     posterior, null_fit, moments = fit_initial_model(observed, prior, context)
     stage = _SearchState(posterior, null_fit, null_fit, (), moments, settings.margin)
     stage, optima = _start_from_modes(stage, settings)
+    if stage.accepted:
+        stage = _without_superfluous(stage, settings)
     rounds: list[tuple[Candidate, ...]] = [(c,) for c in stage.accepted]
     if stage.accepted:  # where one mode is missing, others are
         stage, at_peaks = _add_missing_modes(stage, settings)
@@ -167,7 +170,8 @@ def diagnose(
     while _n_counted(stage) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
         rounds.append(tuple(p.candidate.without_slopes() for p in candidates))
-        if not candidates or candidates[0].candidate.log_evidence < threshold:
+        candidates = _sufficient(stage, candidates, threshold)
+        if not candidates:
             break
         tied = tied_candidates(candidates, settings.rival)
         if all(p.candidate.effect.family != "sensor" for p in tied) and _shows_other_direction(stage, settings):
@@ -271,6 +275,14 @@ def _search_once(
     )
 
 
+def _sufficient(
+    stage: _SearchState, candidates: Sequence[RefittedCandidate], threshold: float
+) -> list[RefittedCandidate]:
+    """Return the candidates, best first, whose log evidence suffices to accept them."""
+    needed = (threshold + cost_of_weak_modes(stage.posterior, stage.fit, p.candidate.effect) for p in candidates)
+    return [p for p, enough in zip(candidates, needed, strict=True) if p.candidate.log_evidence >= enough]
+
+
 def _start_from_modes(stage: _SearchState, settings: DiagnosisSettings) -> tuple[_SearchState, tuple[MapEstimate, ...]]:
     """Fit from the recording's own modes, where the fit from the drawing leaves lack of fit.
 
@@ -306,6 +318,15 @@ def _start_from_modes(stage: _SearchState, settings: DiagnosisSettings) -> tuple
     return replace(
         stage, posterior=update_linearization(posterior, best), fit=best, null_fit=null_fit, accepted=accepted
     ), others
+
+
+def _without_superfluous(stage: _SearchState, settings: DiagnosisSettings) -> _SearchState:
+    """Remove the modes of a start that others made superfluous, so that the search begins in a better optimum."""
+    rounds = [(c,) for c in stage.accepted]
+    posterior, fit, accepted = eliminate_backward(
+        stage.posterior, stage.fit, stage.accepted, rounds, settings.margin, settings.rival
+    )
+    return replace(stage, posterior=posterior, fit=fit, accepted=accepted)
 
 
 def _explained_by_one(stage: _SearchState, evidence: float, settings: DiagnosisSettings) -> bool:
@@ -448,12 +469,9 @@ def _accept_beside_tie(
     if _n_counted(stage) + 2 > settings.max_causes:
         return None
     extended = _accept(stage, tied, settings)
-    _, candidates, threshold = _search_once(extended, settings)
-    if (
-        not candidates
-        or candidates[0].candidate.log_evidence < threshold
-        or len(tied_candidates(candidates, settings.rival)) > 1
-    ):
+    refitted, candidates, threshold = _search_once(extended, settings)
+    candidates = _sufficient(refitted, candidates, threshold)
+    if not candidates or len(tied_candidates(candidates, settings.rival)) > 1:
         return None
     found = candidates[0].candidate.effect
     if found.nonlinear:  # it must be simulated together with the tied cause

@@ -198,8 +198,9 @@ class UnmodelledMode(Effect):
 
     def uncoupled(self, resonance: ExtraMode) -> Self:
         """See `Effect.uncoupled`."""
-        shape = np.sqrt(self.force_ratio) * resonance.shape
-        return type(self)(self.location, resonance.frequency_hz, resonance.damping_ratio, tuple(shape.tolist()))
+        return type(self)(
+            self.location, resonance.frequency_hz, resonance.damping_ratio, tuple(resonance.shape.tolist())
+        )
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
         """See `Effect.extend`.  Only a coupled mode is a degree of freedom of the system."""
