@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from monitor.core import Array, ComplexArray, LagSums, Skipped, Window, parallel_map
 from monitor.diagnosis.initial_fit import FAR, first_guess
-from monitor.diagnosis.missing_modes import couple_modes, is_distinct, mac
+from monitor.diagnosis.missing_modes import is_distinct, mac
 from monitor.diagnosis.score_test import log_evidence
 from monitor.identification import SelectionSettings, SsiSettings, identify
 from monitor.inference import MapEstimate, ObservedSpectra, Posterior, maximize_posterior
@@ -134,13 +134,7 @@ def fit_from_modes(posterior: Posterior) -> tuple[tuple[MapEstimate, float], ...
         return maximize_posterior(posterior, *_scaled_to_power(posterior, start), iterations=FAR)
 
     whole = parallel_map(fitted, find_modal_starts(posterior))
-    ranked = sorted(
-        zip(parallel_map(partial(_with_evidence, posterior), whole), whole, strict=True), key=lambda p: -p[0][1]
-    )
-    found = [pair for pair, _ in ranked]
-    if ranked and ranked[0][1].effects:  # also modes that are not distinct, since a coupling moves them apart
-        coupled = couple_modes(posterior, ranked[0][1])
-        found += [] if coupled is None else [_with_evidence(posterior, coupled)]
+    found = parallel_map(partial(_with_evidence, posterior), whole)
     return tuple(sorted(found, key=lambda pair: -pair[1]))
 
 

@@ -375,17 +375,19 @@ def _add_missing_modes(
     rounds: list[tuple[Candidate, ...]] = []
     while True:
         found = find_missing_modes(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))
-        if not found:
-            break
-        rounds += [tuple(c.without_slopes() for c in at_peak) for at_peak in found]
-        *others, last = (at_peak[0] for at_peak in found)
-        stage = replace(stage, accepted=(*stage.accepted, *others))
-        stage = _accept(stage, RefittedCandidate(last, stage.posterior, stage.moments), settings)
-    if find_lack_of_fit(stage.posterior, stage.fit, settings):
-        coupled = couple_modes(stage.posterior, stage.fit)
-        if coupled is not None:
-            stage = replace(stage, posterior=update_linearization(stage.posterior, coupled), fit=coupled)
-    return stage, rounds
+        if found:
+            rounds += [tuple(c.without_slopes() for c in at_peak) for at_peak in found]
+            *others, last = (at_peak[0] for at_peak in found)
+            stage = replace(stage, accepted=(*stage.accepted, *others))
+            stage = _accept(stage, RefittedCandidate(last, stage.posterior, stage.moments), settings)
+            continue
+        # Coupled while others are missing, modes would take the others' part, and the structure would follow.
+        coupled = None
+        if find_lack_of_fit(stage.posterior, stage.fit, settings):
+            coupled = couple_modes(stage.posterior, stage.fit)
+        if coupled is None:
+            return stage, rounds
+        stage = replace(stage, posterior=update_linearization(stage.posterior, coupled), fit=coupled)
 
 
 def _acceptance_threshold(stage: _SearchState, settings: DiagnosisSettings) -> float:
