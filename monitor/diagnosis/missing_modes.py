@@ -307,10 +307,10 @@ def cost_of_weak_modes(posterior: Posterior, fit: MapEstimate, effect: Effect) -
 def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     """Decide if the mode that effect i of a fit adds can be told from the other modes; any other effect can.
 
-    Two modes whose half-power bands overlap are one peak.  Much else distorts a peak of the model: forces that are not white,
-    laws that depend on the level, crosstalk between channels.  Nor is a mode of the model exchanged for one that it lacks.
-    A coupled mode whose peak no channel shows is a force on the floors; one that moves less in itself than in other modes is
-    as much theirs.
+    A mode beyond the band shows no peak.  Two modes whose half-power bands overlap are one peak.  Much else distorts a peak of
+    the model: forces that are not white, laws that depend on the level, crosstalk between channels.  Nor is a mode of the model
+    exchanged for one that it lacks.  A coupled mode whose peak no channel shows is a force on the floors; one that moves less in
+    itself than in other modes is as much theirs.
     """
     i = range(len(fit.effects))[i]
     if not fit.effects[i].repeatable:
@@ -318,14 +318,19 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     if np.exp(fit.x[posterior.layout.damping]).max() > MAX_DAMPING:
         return False
     found = resonances(posterior, fit.x, fit.effects)
-    own, others = [r.mode for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
-    resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
-    if any(_overlap(one, other, resolution_hz) for one in own for other in others):
-        return False
-    if any(r.share < _MAJORITY for r in found if r.owner == i):
-        return False
-    seen = fit.effects[i].uncoupled
-    return all(_has_peak(posterior, fit, mode) for one in own for mode in seen(one).extra_modes(posterior.context))
+    own, others = [r for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
+    band = posterior.observed.band
+    resolution_hz = _RESOLUTION_BINS * band.bin_hz
+
+    def is_seen_apart(one: Resonance) -> bool:
+        if not band.hz[0] <= one.mode.frequency_hz <= band.hz[-1] or one.share < _MAJORITY:
+            return False
+        if any(_overlap(one.mode, other, resolution_hz) for other in others):
+            return False
+        seen = fit.effects[i].uncoupled(one.mode).extra_modes(posterior.context)
+        return all(_has_peak(posterior, fit, mode) for mode in seen)
+
+    return all(is_seen_apart(one) for one in own)
 
 
 def is_credible(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:

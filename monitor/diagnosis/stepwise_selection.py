@@ -40,7 +40,7 @@ from monitor.diagnosis.missing_modes import (
 )
 from monitor.diagnosis.modal_start import fit_from_modes
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
-from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_candidate
+from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_candidate, log_evidence
 from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import (
@@ -158,13 +158,7 @@ def diagnose(
     """
     posterior, null_fit, moments = fit_initial_model(observed, prior, context)
     stage = _SearchState(posterior, null_fit, null_fit, (), moments, settings.margin)
-    stage, optima = _start_from_modes(stage, settings)
-    if stage.accepted:
-        stage = _without_superfluous(stage, settings)
-    rounds: list[tuple[Candidate, ...]] = [(c,) for c in stage.accepted]
-    if stage.accepted:  # where one mode is missing, others are
-        stage, at_peaks = _add_missing_modes(stage, settings)
-        rounds += at_peaks
+    stage, rounds, optima = _start_from_modes(stage, settings)
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     from_elsewhere = False
     while _n_counted(stage) < settings.max_causes:
@@ -283,7 +277,9 @@ def _sufficient(
     return [p for p, enough in zip(candidates, needed, strict=True) if p.candidate.log_evidence >= enough]
 
 
-def _start_from_modes(stage: _SearchState, settings: DiagnosisSettings) -> tuple[_SearchState, tuple[MapEstimate, ...]]:
+def _start_from_modes(
+    stage: _SearchState, settings: DiagnosisSettings
+) -> tuple[_SearchState, list[tuple[Candidate, ...]], tuple[MapEstimate, ...]]:
     """Fit from the recording's own modes, where the fit from the drawing leaves lack of fit.
 
     A drawing may be so far off that a fit from it ends in a false optimum, and may lack modes that the recording has.  A baseline
@@ -293,40 +289,62 @@ def _start_from_modes(stage: _SearchState, settings: DiagnosisSettings) -> tuple
     -------
     stage : _SearchState
         With the modes that the model lacks as accepted causes.
+    rounds : list of tuple of Candidate
+        For every such mode the candidates among which it was accepted.
     optima : tuple of MapEstimate
         Fits of other stiffnesses that the data cannot tell from the one returned.
     """
     posterior, null_fit = stage.posterior, stage.fit
     prior = posterior.prior
     if posterior.observed.drive is not None or prior.n_persistent or prior.basis.size:
-        return stage, ()
+        return stage, [], ()
     if not find_lack_of_fit(posterior, null_fit, settings):
-        return stage, ()
+        return stage, [], ()
     found = fit_from_modes(posterior)
     if not found or found[0][1] < null_fit.log_posterior + settings.margin:
-        return stage, ()
+        return stage, [], ()
     best, evidence = found[0]
     if best.effects and _explained_by_one(stage, evidence, settings):
-        return stage, ()
+        return stage, [], ()
     others = tuple(fit for fit, own in found[1:] if own > evidence - settings.rival)
+    if not best.effects:
+        stage = replace(stage, posterior=update_linearization(posterior, best), fit=best, null_fit=best)
+        return stage, [], others
+    # Coupled before all are found, some modes take the others' part, and the structure follows; a mode that only the floors
+    # drive is seen by its coupling alone.
+    starts = [best, couple_modes(posterior, best)]
+    followed = [_follow(stage, start, settings) for start in starts if start is not None]
+    stage, rounds = max(followed, key=lambda s: log_evidence(s[0].posterior, s[0].fit))
+    return stage, rounds, others
+
+
+def _follow(
+    stage: _SearchState, start: MapEstimate, settings: DiagnosisSettings
+) -> tuple[_SearchState, list[tuple[Candidate, ...]]]:
+    """Remove the modes of a start that others made superfluous, and add those that are missing yet; return as above."""
+    posterior = stage.posterior
     accepted = tuple(
-        Candidate(effect, best, best.log_posterior - null_fit.log_posterior, evidence - null_fit.log_posterior)
-        for effect in best.effects
+        Candidate(
+            effect,
+            start,
+            gain := start.log_posterior - stage.fit.log_posterior,
+            gain - evidence_cost(posterior, start, i),
+        )
+        for i, effect in enumerate(start.effects)
     )
-    if not accepted:
-        null_fit = best
-    return replace(
-        stage, posterior=update_linearization(posterior, best), fit=best, null_fit=null_fit, accepted=accepted
-    ), others
-
-
-def _without_superfluous(stage: _SearchState, settings: DiagnosisSettings) -> _SearchState:
-    """Remove the modes of a start that others made superfluous, so that the search begins in a better optimum."""
-    rounds = [(c,) for c in stage.accepted]
     posterior, fit, accepted = eliminate_backward(
-        stage.posterior, stage.fit, stage.accepted, rounds, settings.margin, settings.rival
+        update_linearization(posterior, start),
+        start,
+        accepted,
+        [(c,) for c in accepted],
+        settings.margin,
+        settings.rival,
     )
-    return replace(stage, posterior=posterior, fit=fit, accepted=accepted)
+    stage = replace(stage, posterior=posterior, fit=fit, accepted=accepted)
+    if not accepted:
+        return stage, []
+    stage, at_peaks = _add_missing_modes(stage, settings)  # where one mode is missing, others are
+    return stage, [(c,) for c in accepted] + at_peaks
 
 
 def _explained_by_one(stage: _SearchState, evidence: float, settings: DiagnosisSettings) -> bool:
