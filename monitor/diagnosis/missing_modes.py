@@ -35,9 +35,6 @@ _PEAK_BINS = 3.0
 """Bins about a peak whose power `Peak.amplitude` sums. [count; definition]"""
 CERTAIN = 10.0
 """Log evidence of a mode, over that which a cause needs, from which rough fits are enough. [ratio; judgement]"""
-_MAJORITY = 0.5
-"""Share of a mode's kinetic energy above which the mode is one of the uncoupled system's more than of all others together.
-[ratio; definition]"""
 _RELATIVE_STEP = 1e-5
 """Finite difference of a coordinate, over its unit. [ratio; rounding]"""
 MAX_DAMPING = SelectionSettings().max_damping_ratio
@@ -52,8 +49,6 @@ class Resonance:
     """Frequency, damping and shape on the channels, under all forces that drive the mode: the floors' and its own."""
     owner: int | None
     """Index of the extra effect whose mode it is; None for a mode of the model before these effects."""
-    share: float
-    """Part of its kinetic energy that is in the mode of the uncoupled system to which it belongs."""
 
 
 def resonances(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> list[Resonance]:
@@ -92,11 +87,10 @@ def resonances(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> lis
         omega, shape = float(np.sqrt(max(eigenvalues[k], 0.0))), shapes[:, k]
         ratio = float(shape @ system.damping @ shape) / (2.0 * omega) if omega > 0.0 else np.inf
         by_forces = (sensors @ shape) * np.copysign(np.sqrt(forces @ shape**2), shape[i])
-        mode = ExtraMode(omega / (2.0 * np.pi), ratio, by_forces)
-        found.append(Resonance(mode, own[i], float(share[i, k] ** 2)))
+        found.append(Resonance(ExtraMode(omega / (2.0 * np.pi), ratio, by_forces), own[i]))
     for i, effect in enumerate(everything):
         owner = i - n_before if i >= n_before else None
-        found += [Resonance(mode, owner, 1.0) for mode in effect.extra_modes(context)]
+        found += [Resonance(mode, owner) for mode in effect.extra_modes(context)]
     return found
 
 
@@ -309,8 +303,7 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
 
     A mode beyond the band shows no peak.  Two modes whose half-power bands overlap are one peak.  Much else distorts a peak of
     the model: forces that are not white, laws that depend on the level, crosstalk between channels.  Nor is a mode of the model
-    exchanged for one that it lacks.  A coupled mode whose peak no channel shows is a force on the floors; one that moves less in
-    itself than in other modes is as much theirs.
+    exchanged for one that it lacks.  A coupled mode whose peak no channel shows is a force on the floors.
     """
     i = range(len(fit.effects))[i]
     if not fit.effects[i].repeatable:
@@ -318,16 +311,16 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     if np.exp(fit.x[posterior.layout.damping]).max() > MAX_DAMPING:
         return False
     found = resonances(posterior, fit.x, fit.effects)
-    own, others = [r for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
+    own, others = [r.mode for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
     band = posterior.observed.band
     resolution_hz = _RESOLUTION_BINS * band.bin_hz
 
-    def is_seen_apart(one: Resonance) -> bool:
-        if not band.hz[0] <= one.mode.frequency_hz <= band.hz[-1] or one.share < _MAJORITY:
+    def is_seen_apart(one: ExtraMode) -> bool:
+        if not band.hz[0] <= one.frequency_hz <= band.hz[-1]:
             return False
-        if any(_overlap(one.mode, other, resolution_hz) for other in others):
+        if any(_overlap(one, other, resolution_hz) for other in others):
             return False
-        seen = fit.effects[i].uncoupled(one.mode).extra_modes(posterior.context)
+        seen = fit.effects[i].uncoupled(one).extra_modes(posterior.context)
         return all(_has_peak(posterior, fit, mode) for mode in seen)
 
     return all(is_seen_apart(one) for one in own)

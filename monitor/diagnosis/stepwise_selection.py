@@ -321,24 +321,22 @@ def _start_from_modes(
 def _follow(
     stage: _SearchState, start: MapEstimate, settings: DiagnosisSettings
 ) -> tuple[_SearchState, list[tuple[Candidate, ...]]]:
-    """Remove the modes of a start that others made superfluous, and add those that are missing yet; return as above."""
-    posterior = stage.posterior
+    """Remove the modes of a start that others made superfluous, and add those that are still missing.
+
+    Returns
+    -------
+    stage : _SearchState
+    rounds : list of tuple of Candidate
+        As `_start_from_modes`.
+    """
+    posterior, gain = stage.posterior, start.log_posterior - stage.fit.log_posterior
     accepted = tuple(
-        Candidate(
-            effect,
-            start,
-            gain := start.log_posterior - stage.fit.log_posterior,
-            gain - evidence_cost(posterior, start, i),
-        )
+        Candidate(effect, start, gain, gain - evidence_cost(posterior, start, i))
         for i, effect in enumerate(start.effects)
     )
+    posterior = update_linearization(posterior, start)
     posterior, fit, accepted = eliminate_backward(
-        update_linearization(posterior, start),
-        start,
-        accepted,
-        [(c,) for c in accepted],
-        settings.margin,
-        settings.rival,
+        posterior, start, accepted, [(c,) for c in accepted], settings.margin, settings.rival
     )
     stage = replace(stage, posterior=posterior, fit=fit, accepted=accepted)
     if not accepted:

@@ -201,6 +201,26 @@ def test_a_mode_that_cannot_be_told_from_one_of_the_model_is_not_stated() -> Non
     assert is_stated(at, both, 0) and not is_stated(at, both, 1)
 
 
+def test_a_mode_that_only_the_floors_drive_is_stated() -> None:
+    """As torsion of an eccentric building in a wind along one axis: without its own force it shows by its coupling."""
+    driven = parse_effect(
+        "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=0.001,shape_2=0.001,shape_3=0.001,"
+        "force_ratio=1e-6,eccentricity_1=-0.361,eccentricity_2=-0.325,eccentricity_3=-0.167"
+    )
+    apart = driven.at(np.r_[driven.coordinates[:6], 0.003 * np.ones(3)])
+    at = posterior(np.ones(3))
+    seen, hidden = (maximize_posterior(at, _start(at), (effect,), iterations=0) for effect in (driven, apart))
+    assert is_stated(at, seen, 0) and not is_stated(at, hidden, 0)
+
+
+@pytest.mark.parametrize(("hz", "stated"), [(35.0, True), (37.0, False)])
+def test_a_mode_beyond_the_band_is_not_stated(hz: float, stated: bool) -> None:
+    at = posterior(np.ones(3))
+    assert 35.0 < at.observed.band.hz[-1] < 37.0
+    fit = maximize_posterior(at, _start(at), (replace(UNCOUPLED, frequency_hz=hz),), iterations=0)
+    assert is_stated(at, fit, 0) is stated
+
+
 def test_a_weak_mode_s_shape_costs_less_than_a_strong_one_s() -> None:
     at = posterior(np.ones(3), TORSION[0])
     strong = maximize_posterior(at, _start(at), TORSION[:1], iterations=2)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from monitor.diagnosis.initial_fit import FAR, first_guess
-from monitor.diagnosis.missing_modes import find_missing_modes
+from monitor.diagnosis.missing_modes import cost_of_weak_modes, find_missing_modes
 from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.stepwise_selection import _sufficient
 from monitor.inference import maximize_posterior
 from monitor.model.effects import Effect, parse_effect
 from tests.diagnosis.test_modal_start import TORSION, posterior
@@ -38,3 +42,20 @@ def test_a_machine_is_not_taken_for_a_mode() -> None:
 
 def test_a_mode_that_explains_too_little_is_left_out() -> None:
     assert found_beside(TORSION[0], TORSION[1], threshold=1e6) == ([], [])
+
+
+def test_beside_missing_modes_another_cause_needs_what_a_weak_mode_may_leave() -> None:
+    at = posterior(np.ones(3), TORSION[0])
+    with_mode, without = (
+        maximize_posterior(at, first_guess(at), effects, iterations=1) for effects in (TORSION[:1], ())
+    )
+    loss = parse_effect("stiffness_change:story 2:relative=-0.05")
+    needed = cost_of_weak_modes(at, with_mode, loss)
+    assert needed > DiagnosisSettings().margin, "the cost of a frequency, a damping ratio and three components"
+    assert cost_of_weak_modes(at, with_mode, THIRD) == cost_of_weak_modes(at, without, loss) == 0.0
+    of: Any = lambda effect, evidence: SimpleNamespace(candidate=SimpleNamespace(effect=effect, log_evidence=evidence))  # noqa: E731
+    candidates = [of(loss, 10.0 + needed - 0.1), of(THIRD, 10.1), of(THIRD, 9.9)]
+    stage: Any = SimpleNamespace(posterior=at, fit=with_mode)
+    assert _sufficient(stage, candidates, 10.0) == candidates[1:2]
+    stage.fit = without
+    assert _sufficient(stage, candidates, 10.0) == candidates[:2]
