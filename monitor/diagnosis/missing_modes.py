@@ -342,14 +342,20 @@ def is_stated(posterior: Posterior, fit: MapEstimate, i: int) -> bool:
 
     Which modes of a structure in space a recording shows depends on the forces.  So where modes were missing at calibration, a
     further one is no news.  What swings on a floor at the frequency of such a mode is not told from a change of the mode.
+    Without a baseline it is not told from one more mode at any frequency: a mode that is coupled to one floor alone is an
+    oscillator on that floor.
     """
     effect, before = fit.effects[i], posterior.prior.effects(fit.x)
     if effect.repeatable:
         return not any(e.repeatable for e in before) and is_distinct(posterior, fit, i)
     own = _as_mode(effect)
+    lacking = [_as_mode(e) for e in (*before, *fit.effects) if e.repeatable]
+    if own is None or not lacking:
+        return True
+    if not posterior.prior.basis.size:
+        return False
     resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
-    lacking = (_as_mode(e) for e in (*before, *fit.effects) if e.repeatable)
-    return own is None or not any(mode is not None and _overlap(own, mode, resolution_hz) for mode in lacking)
+    return not any(mode is not None and _overlap(own, mode, resolution_hz) for mode in lacking)
 
 
 def _as_mode(effect: Effect) -> ExtraMode | None:

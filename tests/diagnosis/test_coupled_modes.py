@@ -213,6 +213,18 @@ def test_a_mode_that_only_the_floors_drive_is_stated() -> None:
     assert is_stated(at, seen, 0) and not is_stated(at, hidden, 0)
 
 
+@pytest.mark.parametrize("missing", ["never", "at calibration", "now"])
+@pytest.mark.parametrize("hz", [13.0, 17.5])
+def test_without_a_baseline_an_oscillator_beside_missing_modes_is_not_stated(hz: float, missing: str) -> None:
+    oscillator = parse_effect(f"attached_oscillator:floor 2:mass_kg=0.1,frequency_hz={hz},damping_ratio=0.02")
+    known = TORSION[1:] if missing == "at calibration" else ()
+    fit: Any = SimpleNamespace(x=None, effects=(*(TORSION[1:] if missing == "now" else ()), oscillator))
+    for basis, stated in ((0, missing == "never"), (6, missing == "never" or hz == 13.0)):
+        prior = SimpleNamespace(effects=lambda _: known, basis=np.zeros((basis, 3, 3)))
+        at: Any = SimpleNamespace(prior=prior, observed=posterior(np.ones(3)).observed)
+        assert is_stated(at, fit, len(fit.effects) - 1) is stated
+
+
 @pytest.mark.parametrize(("hz", "stated"), [(35.0, True), (37.0, False)])
 def test_a_mode_beyond_the_band_is_not_stated(hz: float, stated: bool) -> None:
     at = posterior(np.ones(3))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
+from monitor.diagnosis import stepwise_selection
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit
 from monitor.diagnosis.modal_start import find_modal_starts, fit_from_modes, identify_modes
@@ -138,3 +141,27 @@ def test_modes_that_all_lie_beside_modes_of_the_model_are_carried_without_being_
     assert [c.effect.name for c in found.also_fitted] == ["unmodelled_mode"] * 2
     assert not find_lack_of_fit(found.posterior, found.final_fit, found.settings)
     assert relative_stiffness(found.final_fit.x) == pytest.approx(np.ones(3), abs=0.02)
+
+
+@pytest.mark.parametrize("best_is_coupled", [False, True])
+def test_of_two_ways_to_couple_modes_the_evidence_decides(
+    monkeypatch: pytest.MonkeyPatch, best_is_coupled: bool
+) -> None:
+    """Coupled at once, modes may lead the structure astray; coupled at last, a mode that only the floors drive is not seen."""
+    at = posterior(OFF, *TORSION)
+    apart, coupled = (SimpleNamespace(effects=TORSION, log_posterior=value) for value in (1e9, 2e9))
+    ends = {id(apart): 5.0, id(coupled): 6.0 if best_is_coupled else 4.0}
+    stage: Any = SimpleNamespace(posterior=at, fit=SimpleNamespace(log_posterior=0.0))
+    faked = {
+        "find_lack_of_fit": lambda *_: ["something"],
+        "fit_from_modes": lambda _: ((apart, 1e9),),
+        "_explained_by_one": lambda *_: False,
+        "couple_modes": lambda *_: coupled,
+        "_follow": lambda _, start, __: (SimpleNamespace(posterior=at, fit=start), [(start,)]),
+        "log_evidence": lambda _, fit: ends[id(fit)],
+    }
+    for name, function in faked.items():
+        monkeypatch.setattr(stepwise_selection, name, function)
+    found, rounds, others = stepwise_selection._start_from_modes(stage, DiagnosisSettings())
+    expected = coupled if best_is_coupled else apart
+    assert (found.fit, rounds, others) == (expected, [(expected,)], ())

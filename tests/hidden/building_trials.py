@@ -312,5 +312,6 @@ def draw(tower: Tower, name: str, seed: int, size: float | None = None) -> Plan:
     known: dict[str, Any] = {
         "lowest": f"story {tower.building.masses.size}",
         "modes_hz": tower.building.beside_planar_hz().tolist(),
+        "stories": (tower.building.planar().stories / tower.drawn_stories).tolist(),
     }
     return Plan(kind, hidden, lambda: _blocks(tower, samples), known, note)

@@ -56,7 +56,18 @@ def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
         "persistent": baseline.persistent(),
         "band_hz": [round(float(f), 2) for f in segments.band.hz[[0, -1]]],
         "left_over": [[m.where, round(float(m.size), 1)] for m in d.left_over[:3]],
+        "stories": _stories(d),
     }
+
+
+def _stories(d: Diagnosis) -> list[dict[str, float]]:
+    """Fitted over drawn stiffness of every story, and its standard deviation; empty with a baseline."""
+    if d.posterior.prior.basis.size:
+        return []
+    these = d.posterior.layout.stiffness
+    ratio = np.exp(d.final_fit.x[these] - d.posterior.prior.mean[these])
+    std = ratio * np.sqrt(np.diag(d.final_fit.covariance)[these])
+    return [{"value": float(r), "std": float(s)} for r, s in zip(ratio, std, strict=True)]
 
 
 def _causes(d: Diagnosis) -> list[dict[str, Any]]:

@@ -13,6 +13,8 @@ STRUCTURAL = NONLINEAR | {
     "gravity_softening", "attached_oscillator", "unmodelled_mode",
 }  # fmt: skip
 """What is said of the structure; the others are said of forces and sensors."""
+REFIT = "refit"
+"""Stands for the name of an effect where the stiffness of a story is compared."""
 _NEAR = 0.02
 """Of the frequency of a true mode."""
 _ABSENT = {("sensor_gain", "gain"): 1.0}
@@ -123,25 +125,34 @@ def false_causes(sealed: dict[str, Any], answer: dict[str, Any]) -> list[Key]:
 
 
 def sizes(sealed: dict[str, Any], answer: dict[str, Any]) -> list[dict[str, Any]]:
-    """Every parameter of every cause that was found at its place: relative error, relative std, whether both hold."""
+    """Every parameter of every cause that was found at its place: relative error, relative std, whether both hold.
+
+    Without a baseline also the stiffness of every story, over the drawn one.
+    """
     found = {key(c): c["parameters"] for c in answer["causes"]}
     rows = []
     for h in sealed["hidden"]:
         for name, true in h["parameters"].items() if key(h) in found else ():
-            value, std = (float(found[key(h)][name][x]) for x in ("value", "std"))
             size = max(abs(true - _ABSENT.get((h["effect"], name), 0.0)), _LEAST.get(name, 0.0))
-            error, relative = (value - true) / size, std / size
-            allowed = max(0.10 if h["effect"] in NONLINEAR else 0.05, 2.0 * relative)
-            rows.append(
-                {
-                    "effect": h["effect"],
-                    "parameter": name,
-                    "true": true,
-                    "value": value,
-                    "error": error,
-                    "std": relative,
-                    "right": abs(error) <= allowed,
-                    "covered": abs(error) <= 1.96 * relative,
-                }
-            )
+            rows.append(_size(h["effect"], name, true, found[key(h)][name], size))
+    if answer["verdict"] in ("none", "named", "ambiguous"):
+        pairs = zip(sealed.get("stories", ()), answer.get("stories", ()), strict=False)  # none with a baseline
+        rows += [_size(REFIT, "story", true, fitted, true) for true, fitted in pairs]
     return rows
+
+
+def _size(effect: str, parameter: str, true: float, found: dict[str, Any], size: float) -> dict[str, Any]:
+    """One row: what was found beside the truth, in parts of `size`."""
+    value, std = float(found["value"]), float(found["std"])
+    error, relative = (value - true) / size, std / size
+    allowed = max(0.10 if effect in NONLINEAR else 0.05, 2.0 * relative)
+    return {
+        "effect": effect,
+        "parameter": parameter,
+        "true": true,
+        "value": value,
+        "error": error,
+        "std": relative,
+        "right": abs(error) <= allowed,
+        "covered": abs(error) <= 1.96 * relative,
+    }

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.hidden.judge import key
+from tests.hidden.judge import REFIT, key
 from tests.hidden.worlds import NAMES
 
 OUTCOMES = (
@@ -110,7 +110,7 @@ def _summary(results: Sequence[dict[str, Any]]) -> str:
                 f"{kind:12s} {len(of):4d} trials, right {right} ({right / len(of):.1%}), falsely named {false}"
                 f" ({false / len(of):.1%}), a false cause stated under any verdict {listed}"
             )
-    sizes = [s for r in results for s in r["sizes"]]
+    sizes = [s for r in results for s in r["sizes"] if s["effect"] != REFIT]
     if sizes:
         right, covered = (np.mean([s[k] for s in sizes]) for k in ("right", "covered"))
         rows.append(f"sizes: {len(sizes)}, within tolerance {right:.1%}, within 95 % intervals {covered:.1%}")

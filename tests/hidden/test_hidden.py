@@ -169,3 +169,12 @@ def test_sizes_are_judged_by_the_contract() -> None:
     assert judged(-0.104, 0.001) == (True, False)
     assert judged(-0.106, 0.001) == (False, False)
     assert judged(-0.106, 0.004) == (True, True)
+
+
+def test_without_a_baseline_the_stories_are_judged() -> None:
+    truth = {**sealed("uncalibrated"), "stories": [0.8, 1.25]}
+    fitted = [{"value": 0.81, "std": 0.01}, {"value": 1.4, "std": 0.02}]
+    rows = judge.sizes(truth, {**answer("none"), "stories": fitted})
+    assert [(row["right"], row["covered"]) for row in rows] == [(True, True), (False, False)]
+    assert judge.sizes(truth, {**answer("unexplained"), "stories": fitted}) == []
+    assert judge.sizes(truth, {**answer("none"), "stories": []}) == []
