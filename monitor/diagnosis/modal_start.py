@@ -138,6 +138,12 @@ def fit_from_modes(posterior: Posterior) -> tuple[tuple[MapEstimate, float], ...
     return tuple(sorted(found, key=lambda pair: -pair[1]))
 
 
+def has_same_structure(posterior: Posterior, one: MapEstimate, other: MapEstimate) -> bool:
+    """Decide if two fits have the same stiffnesses and masses."""
+    both = slice(posterior.layout.stiffness.start, posterior.layout.masses.stop)
+    return bool(np.abs(one.x[both] - other.x[both]).max() < _SAME_STIFFNESS)
+
+
 def _with_evidence(posterior: Posterior, fit: MapEstimate) -> tuple[MapEstimate, float]:
     """Refit with those modes only that can be told from the model's, unless all of them explain more.
 

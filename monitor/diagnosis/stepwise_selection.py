@@ -38,7 +38,7 @@ from monitor.diagnosis.missing_modes import (
     is_stated,
     lacks_modes,
 )
-from monitor.diagnosis.modal_start import fit_from_modes
+from monitor.diagnosis.modal_start import fit_from_modes, has_same_structure
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_candidate, log_evidence
 from monitor.diagnosis.selection_round import run_selection_round
@@ -306,16 +306,21 @@ def _start_from_modes(
     best, evidence = found[0]
     if best.effects and _explained_by_one(stage, evidence, settings):
         return stage, [], ()
-    others = tuple(fit for fit, own in found[1:] if own > evidence - settings.rival)
     if not best.effects:
         stage = replace(stage, posterior=update_linearization(posterior, best), fit=best, null_fit=best)
-        return stage, [], others
+        return stage, [], tuple(fit for fit, own in found[1:] if own > evidence - settings.rival)
     # Coupled before all are found, some modes take the others' part, and the structure follows; a mode that only the floors
     # drive is seen by its coupling alone.
-    starts = [best, couple_modes(posterior, best)]
-    followed = [_follow(stage, start, settings) for start in starts if start is not None]
-    stage, rounds = max(followed, key=lambda s: log_evidence(s[0].posterior, s[0].fit))
-    return stage, rounds, others
+    starts = [start for start in (best, couple_modes(posterior, best)) if start is not None]
+    ends = [_follow(stage, start, settings) for start in starts]
+    evidences = [log_evidence(end.posterior, end.fit) for end, _ in ends]
+    first = int(np.argmax(evidences))
+    others = tuple(
+        end.fit
+        for (end, _), own in zip(ends, evidences, strict=True)
+        if own > evidences[first] - settings.rival and not has_same_structure(posterior, end.fit, ends[first][0].fit)
+    )
+    return *ends[first], others
 
 
 def _follow(

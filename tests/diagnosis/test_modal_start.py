@@ -143,14 +143,16 @@ def test_modes_that_all_lie_beside_modes_of_the_model_are_carried_without_being_
     assert relative_stiffness(found.final_fit.x) == pytest.approx(np.ones(3), abs=0.02)
 
 
-@pytest.mark.parametrize("best_is_coupled", [False, True])
+@pytest.mark.parametrize(
+    ("lead", "moved", "n_others"), [(-9.0, 0.1, 0), (9.0, 0.1, 0), (-1.0, 0.1, 1), (1.0, 0.1, 1), (1.0, 0.01, 0)]
+)
 def test_of_two_ways_to_couple_modes_the_evidence_decides(
-    monkeypatch: pytest.MonkeyPatch, best_is_coupled: bool
+    monkeypatch: pytest.MonkeyPatch, lead: float, moved: float, n_others: int
 ) -> None:
     """Coupled at once, modes may lead the structure astray; coupled at last, a mode that only the floors drive is not seen."""
     at = posterior(OFF, *TORSION)
-    apart, coupled = (SimpleNamespace(effects=TORSION, log_posterior=value) for value in (1e9, 2e9))
-    ends = {id(apart): 5.0, id(coupled): 6.0 if best_is_coupled else 4.0}
+    apart, coupled = (SimpleNamespace(effects=TORSION, log_posterior=1e9, x=np.zeros(9)) for _ in range(2))
+    coupled.x[1] = moved
     stage: Any = SimpleNamespace(posterior=at, fit=SimpleNamespace(log_posterior=0.0))
     faked = {
         "find_lack_of_fit": lambda *_: ["something"],
@@ -158,10 +160,11 @@ def test_of_two_ways_to_couple_modes_the_evidence_decides(
         "_explained_by_one": lambda *_: False,
         "couple_modes": lambda *_: coupled,
         "_follow": lambda _, start, __: (SimpleNamespace(posterior=at, fit=start), [(start,)]),
-        "log_evidence": lambda _, fit: ends[id(fit)],
+        "log_evidence": lambda _, fit: lead if fit is coupled else 0.0,
     }
     for name, function in faked.items():
         monkeypatch.setattr(stepwise_selection, name, function)
     found, rounds, others = stepwise_selection._start_from_modes(stage, DiagnosisSettings())
-    expected = coupled if best_is_coupled else apart
-    assert (found.fit, rounds, others) == (expected, [(expected,)], ())
+    best, other = (coupled, apart) if lead > 0.0 else (apart, coupled)
+    assert found.fit is best and rounds == [(best,)]
+    assert others == (other,) * n_others, "another structure that explains as much"
