@@ -304,14 +304,14 @@ def _start_from_modes(
     if not found or found[0][1] < null_fit.log_posterior + settings.margin:
         return stage, [], ()
     best, evidence = found[0]
-    if best.effects and _explained_by_one(stage, evidence, settings):
-        return stage, [], ()
     if not best.effects:
         stage = replace(stage, posterior=update_linearization(posterior, best), fit=best, null_fit=best)
         return stage, [], tuple(fit for fit, own in found[1:] if own > evidence - settings.rival)
     # Coupled before all are found, some modes take the others' part, and the structure follows; a mode that only the floors
     # drive is seen by its coupling alone.
     starts = [start for start in (best, couple_modes(posterior, best)) if start is not None]
+    if _explained_by_one(stage, max(log_evidence(posterior, start) for start in starts), settings):
+        return stage, [], ()
     ends = [_follow(stage, start, settings) for start in starts]
     evidences = [log_evidence(end.posterior, end.fit) for end, _ in ends]
     first = int(np.argmax(evidences))
