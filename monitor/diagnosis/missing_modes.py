@@ -301,9 +301,10 @@ def cost_of_weak_modes(posterior: Posterior, fit: MapEstimate, effect: Effect) -
 def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     """Decide if the mode that effect i of a fit adds can be told from the other modes; any other effect can.
 
-    A mode beyond the band shows no peak.  Two modes whose half-power bands overlap are one peak.  Much else distorts a peak of
-    the model: forces that are not white, laws that depend on the level, crosstalk between channels.  Nor is a mode of the model
-    exchanged for one that it lacks.  A coupled mode whose peak no channel shows is a force on the floors.
+    A mode whose half-power band is not within the band judged shows no peak.  Two modes whose half-power bands overlap are one
+    peak.  Much else distorts a peak of the model: forces that are not white, laws that depend on the level, crosstalk between
+    channels.  Nor is a mode of the model exchanged for one that it lacks.  A coupled mode whose peak no channel shows is a force
+    on the floors.
     """
     i = range(len(fit.effects))[i]
     if not fit.effects[i].repeatable:
@@ -316,7 +317,8 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     resolution_hz = _RESOLUTION_BINS * band.bin_hz
 
     def is_seen_apart(one: ExtraMode) -> bool:
-        if not band.hz[0] <= one.frequency_hz <= band.hz[-1]:
+        half_width_hz = one.damping_ratio * one.frequency_hz + resolution_hz
+        if not band.hz[0] + half_width_hz < one.frequency_hz < band.hz[-1] - half_width_hz:
             return False
         if any(_overlap(one, other, resolution_hz) for other in others):
             return False
