@@ -53,7 +53,10 @@ def test_beside_missing_modes_another_cause_needs_what_a_weak_mode_may_leave() -
     needed = cost_of_weak_modes(at, with_mode, loss)
     assert needed > DiagnosisSettings().margin, "the cost of a frequency, a damping ratio and three components"
     assert cost_of_weak_modes(at, with_mode, THIRD) == cost_of_weak_modes(at, without, loss) == 0.0
-    of: Any = lambda effect, evidence: SimpleNamespace(candidate=SimpleNamespace(effect=effect, log_evidence=evidence))  # noqa: E731
+
+    def of(effect: Effect, log_evidence: float) -> Any:
+        return SimpleNamespace(candidate=SimpleNamespace(effect=effect, log_evidence=log_evidence))
+
     candidates = [of(loss, 10.0 + needed - 0.1), of(THIRD, 10.1), of(THIRD, 9.9)]
     stage: Any = SimpleNamespace(posterior=at, fit=with_mode)
     assert _sufficient(stage, candidates, 10.0) == candidates[1:2]
