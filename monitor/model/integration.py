@@ -7,7 +7,7 @@ and at its predicted end (the exponential trapezoidal rule).  Steps are shorter 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import atanh, ceil, exp, tanh
+from math import ceil, exp, tanh
 
 import numpy as np
 
@@ -19,6 +19,8 @@ STEP_HZ = 4096.0
 
 _CUBIC, _CONTACT, _FRICTION = int(LawKind.CUBIC), int(LawKind.CONTACT), int(LawKind.FRICTION)
 _SLIP = int(LawKind.SLIP)
+_SMALL = 0.2
+"""Argument up to which five terms of the continued fraction of the hyperbolic tangent are exact to 1e-14. [1; rounding]"""
 _TEMPERATURE_LAW = -1
 """Kind of law of a story whose stiffness follows the temperature. [index; definition]"""
 
@@ -55,7 +57,17 @@ def slipped(z: float, moved: float) -> float:
         if way <= -along:
             return z + moved
         way, along = way + along, 0.0
-    return sign * tanh(atanh(min(along, 1.0 - 1e-15)) + way)
+    more = _tanh(way)
+    return sign * (along + more) / (1.0 + along * more)  # the addition theorem of the hyperbolic tangent
+
+
+@compiled(part=True, error_model="numpy")
+def _tanh(x: float) -> float:
+    """Compute the hyperbolic tangent of x >= 0; of the small x of a step by the continued fraction, at a fifth of the time."""
+    if x > _SMALL:
+        return tanh(x)
+    squared = x * x
+    return x * (945.0 + squared * (105.0 + squared)) / (945.0 + squared * (420.0 + 15.0 * squared))
 
 
 def march(
@@ -200,6 +212,7 @@ def _march(
                 pending[p] += change[p]
                 for j in range(q):
                     state += carried[p, j] * force_change[j] + both[p, j] * law_force[j]
+                for j in range(q):
                     d[j] += drift[j, p].real * state.real - drift[j, p].imag * state.imag
                     v[j] += speed[j, p].real * state.real - speed[j, p].imag * state.imag
                 predicted[p] = state

@@ -167,6 +167,15 @@ def test_steps_are_short_enough(text: str) -> None:
     assert (fine - respond_exactly(model, forces, 1024.0)).std() > 0.05 * fine.std(), "the law does nothing"
 
 
+def test_the_order_of_several_laws_does_not_matter() -> None:
+    """The drift and the speed on which each law depends hold the forces of all of them."""
+    system, forces = linear_system(FRAME), white(20_480)
+    laws = [law for text in LAWS for law in planted(text).effects[0].laws(FRAME.structure)]
+    one, other = march(system, 3, laws, forces, 1024.0), march(system, 3, laws[::-1], forces, 1024.0)
+    assert len(laws) > 3
+    np.testing.assert_allclose(one, other, atol=1e-9 * one.std())
+
+
 def test_a_stiffness_that_changes_in_time_is_that_stiffness() -> None:
     forces = white(8192)
     warm = respond(
