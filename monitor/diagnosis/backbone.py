@@ -153,7 +153,7 @@ def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | Non
         return None
     texts = [" and ".join(f"f{i}/f1 {r:.2f}" for i, r in enumerate(x, start=2)) for x in (ratios, drawn_ratios)]
     where = f"f = {found[0]:.1f}-{found[-1]:.1f} Hz, all modes"
-    reference = "baseline" if known.basis.size else "drawing"
+    reference = "baseline" if known.is_baseline else "drawing"
     return LackOfFit(
         where,
         float(np.max(np.abs(change) / std)),

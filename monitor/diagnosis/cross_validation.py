@@ -148,7 +148,7 @@ def _calibration_nats(diagnosis: Diagnosis) -> float:
     """Compute the log density of what calibration learned at the final fit, less that at the old form's; see `HeldOutGain`."""
     posterior = diagnosis.posterior
     prior, structure = posterior.prior, posterior.layout.structure
-    if not prior.basis.size:
+    if not prior.is_baseline:
         return 0.0
     return prior.log_density(diagnosis.final_fit.x[structure]) - prior.log_density(diagnosis.null_fit.x[structure])
 

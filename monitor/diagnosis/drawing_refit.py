@@ -33,8 +33,11 @@ def refit(diagnosis: Diagnosis, tolerance: Array, story_names: Sequence[str]) ->
     -------
     list of dict
         Key `refit` of diagnosis.json: a mapping for each stiffness, then each mass.  Without a stated tolerance
-        `beyond_tolerance` means that the parameter differs from the drawing by more than its interval.
+        `beyond_tolerance` means that the parameter differs from the drawing by more than its interval.  Empty where nothing can
+        be said of the structure.
     """
+    if _hides_structure(diagnosis):
+        return []
     layout, fit = diagnosis.posterior.layout, diagnosis.final_fit
     both = np.r_[layout.stiffness, layout.masses]
     drawn = np.exp(diagnosis.posterior.prior.mean[both])
@@ -73,7 +76,10 @@ def other_optima(diagnosis: Diagnosis, story_names: Sequence[str]) -> list[dict[
     -------
     list of dict
         Key `other_optima` of diagnosis.json: the stiffnesses, and a sentence without its full stop on where they differ most.
+        Empty where nothing can be said of the structure.
     """
+    if _hides_structure(diagnosis):
+        return []
     stiffness = diagnosis.posterior.layout.stiffness
     out = []
     for fit in diagnosis.other_optima:
@@ -83,6 +89,11 @@ def other_optima(diagnosis: Diagnosis, story_names: Sequence[str]) -> list[dict[
         says = f"{story_names[j]} {percent:.2g} % {'stiffer' if change[j] > 0 else 'softer'} would explain the data as well"
         out.append({"stiffness_n_per_m": np.exp(fit.x[stiffness]).tolist(), "says": says})
     return out
+
+
+def _hides_structure(diagnosis: Diagnosis) -> bool:
+    """Decide if nothing can be said of the structure beside what is left over."""
+    return any(m.hides_structure for m in diagnosis.left_over)
 
 
 def _in_words(name: str, relative: dict[str, float], words: tuple[str, str]) -> str:

@@ -42,6 +42,8 @@ class LackOfFit:
     """Whether the difference changes within the recording."""
     is_explained: bool = False
     """Whether its cause is known, though no effect of the catalogue describes it."""
+    hides_structure: bool = False
+    """Whether nothing can be said of the structure beside it."""
 
 
 def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
@@ -311,6 +313,39 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
         f"floor {weakest + 1} is {_factor(change[weakest])} of its former share), "
         "and modes that the model lacks follow them: nothing can be said of the structure",
         is_explained=True,
+        hides_structure=True,
+    )
+
+
+def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:
+    """Find that a fit from the structure file alone has led to another structure than that of the file.
+
+    Where the motion is not that of the model, as under forces that act across the measured direction, stiffnesses and masses
+    follow it.
+
+    Returns
+    -------
+    LackOfFit or None
+        None where the distance from the file costs no more prior density, beyond what chance makes of it, than a cause must gain;
+        with a baseline; and where an input was measured, whose response separates stiffnesses from all else.
+    """
+    if posterior.prior.is_baseline or posterior.observed.drive is not None:
+        return None
+    layout, known = posterior.layout, posterior.prior
+    these = np.r_[layout.stiffness, layout.masses]
+    away = fitted.x[these] - known.mean[these]
+    cost = 0.5 * float(away @ known.precision[np.ix_(these, these)] @ away)
+    if cost <= settings.margin + 0.5 * these.size:  # the mean of what chance makes of it
+        return None
+    stiffness = fitted.x[layout.stiffness] - known.mean[layout.stiffness]
+    farthest = int(np.abs(stiffness).argmax())
+    return LackOfFit(
+        "structure of the file",
+        float(np.sqrt(2.0 * cost)),
+        f"no structure near that of the file explains the recording (fitted, story {farthest + 1} has "
+        f"{100.0 * np.exp(stiffness[farthest]):.2g} % of the file's stiffness): nothing can be said of the structure",
+        is_explained=True,
+        hides_structure=True,
     )
 
 

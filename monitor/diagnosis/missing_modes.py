@@ -354,7 +354,7 @@ def is_stated(posterior: Posterior, fit: MapEstimate, i: int) -> bool:
     lacking = [_as_mode(e) for e in (*before, *fit.effects) if e.repeatable]
     if own is None or not lacking:
         return True
-    if not posterior.prior.basis.size:
+    if not posterior.prior.is_baseline:
         return False
     resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
     return not any(mode is not None and _overlap(own, mode, resolution_hz) for mode in lacking)

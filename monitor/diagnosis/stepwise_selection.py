@@ -23,6 +23,7 @@ from monitor.diagnosis.lack_of_fit import (
     find_changed_effects,
     find_lack_of_fit,
     find_other_direction,
+    find_other_structure,
     knows_direction,
     lack_of_fit_cost,
     unexplained_share,
@@ -209,14 +210,14 @@ def diagnose(
             posterior, fit, accepted, simulation_std, settings
         )
         left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
-    direction = None
+    other = find_other_structure(posterior, fit, settings) if verdict == "unexplained" else None
     if verdict != "none" or from_elsewhere:
-        direction = _find_other_direction(posterior, fit, accepted, simulation_std, settings)
-    if direction is not None:
+        other = other or _find_other_direction(posterior, fit, accepted, simulation_std, settings)
+    if other is not None:
         nothing = [False] * len(fit.effects)
         posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, nothing)
         verdict, alternatives = "unexplained", ()
-        left_over = (direction, *find_lack_of_fit(posterior, fit, settings))
+        left_over = (other, *find_lack_of_fit(posterior, fit, settings))
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, stage.null_fit)))
     still = find_level_dependence(backbone(posterior, fit))
@@ -296,7 +297,7 @@ def _start_from_modes(
     """
     posterior, null_fit = stage.posterior, stage.fit
     prior = posterior.prior
-    if posterior.observed.drive is not None or prior.n_persistent or prior.basis.size:
+    if posterior.observed.drive is not None or prior.n_persistent or prior.is_baseline:
         return stage, [], ()
     if not find_lack_of_fit(posterior, null_fit, settings):
         return stage, [], ()
@@ -589,7 +590,7 @@ def _find_other_direction(
     changed = find_changed_effects(posterior, fit, settings)
     if changed:
         says = f"{changed[0].says}; nothing can be said of the structure beside it"
-        return replace(changed[0], says=says, is_explained=True)
+        return replace(changed[0], says=says, is_explained=True, hides_structure=True)
     at_sensors = [e.family == "sensor" for e in fit.effects]
     posterior, fit, _, _ = _keep_effects(posterior, fit, accepted, simulation_std, at_sensors)
     return find_other_direction(posterior, fit, settings)

@@ -44,7 +44,7 @@ def in_words(effect_name: str, location: str, parameters: ParameterEstimates, re
 
 def _sizes(location: str, parameters: ParameterEstimates, reference: StructuralPrior) -> FittedSizes:
     """Join place and parameters of an effect with the structure that its sentence compares them with."""
-    source = "at calibration" if _has_baseline(reference) else "the structure file says"
+    source = "at calibration" if reference.is_baseline else "the structure file says"
     return FittedSizes(location, parameters, reference.model.structure, source)
 
 
@@ -191,7 +191,7 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
     causes = _causes_in_words(content["causes"], reference)
     match content["verdict"]:
         case "none":
-            if not _has_baseline(reference):
+            if not reference.is_baseline:
                 return "The refitted model explains these data; without a baseline nothing is said of damage."
             return f"Nothing new beside the healthy data{_smallest_loss(content['detectable_loss'])}."
         case "named":
@@ -238,11 +238,6 @@ def _also_fitted_in_words(content: Mapping[str, Any], reference: StructuralPrior
     return _sentence(f"also fitted, but not told from modes that the model lacks or has already: {said}")
 
 
-def _has_baseline(reference: StructuralPrior) -> bool:
-    """Decide if the reference is a baseline, whose model may be corrected, and not a drawing."""
-    return bool(reference.basis.shape[0])
-
-
 def _limits_of_gain(gain: HeldOutGain) -> str:
     """State why the interval of the held-out gain does not exclude zero, or what the extended model predicts worse."""
     if gain.withheld:
@@ -270,7 +265,7 @@ def _without_causes(content: Mapping[str, Any], reference: StructuralPrior) -> s
     """State what remains of a change since the baseline with a sensor's fault taken out; empty where none was found alone."""
     left, effects = content["ddi_effect"].get("with") or [], [FORMS[c["effect"]] for c in content["causes"]]
     is_sensors = any(effect.family == "sensor" for effect in effects)
-    if not left or not is_sensors or not _has_baseline(reference) or any(e.is_stiffness_loss for e in effects):
+    if not left or not is_sensors or not reference.is_baseline or any(e.is_stiffness_loss for e in effects):
         return ""
     them = "it" if len(content["causes"]) == 1 else "them"
     return f"; with {them} taken out no story changed by more than {100.0 * max(abs(v) for v in left):.1f} %"

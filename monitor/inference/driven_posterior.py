@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.inference import input_response
 from monitor.inference.cross_spectra import Excitation, cross_spectra, extended
-from monitor.inference.forward_model import Prediction
+from monitor.inference.forward_model import Laws, Prediction
 from monitor.inference.input_response import Between, Drive
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
@@ -81,15 +81,17 @@ class DrivenPosterior(Posterior):
         mean = self.mean(x, effects)
         return np.asarray(self.scatter(x, effects) + input_response.products(mean, self.observed.members))
 
-    def mean(self, x: Array, effects: Sequence[Effect], *, exact: bool = True) -> ComplexArray:
+    def mean(self, x: Array, effects: Sequence[Effect], *, laws: Laws = "exact") -> ComplexArray:
         """See `ForwardModel.mean`."""
         drive, band = self.drive, self.observed.band
         effects = (*self.prior.effects(x), *effects)
         base, context = self.system(x, effects), self.context_at(x)
-        laws = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
-        if laws and exact:
-            system = extended(base, [f for f in effects if f not in laws], context, self.conditions[0])
-            return input_response.exact_response(drive, system, effects, band, context, self.conditions[0])
+        nonlinear = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
+        if nonlinear and laws != "linearized":
+            system = extended(base, [f for f in effects if f not in nonlinear], context, self.conditions[0])
+            return input_response.exact_response(
+                drive, system, effects, band, context, self.conditions[0], coarse=laws == "coarse"
+            )
         out = np.zeros_like(self.observed.segments.values)
         if not any(effect.conditional for effect in effects):
             system = extended(base, effects, context, self.conditions[0])
@@ -179,7 +181,7 @@ class DrivenPosterior(Posterior):
         wanted : iterable of int
             Indices of the coordinates.
         """
-        linear = self._linear_mean(x, effects, mean)
+        linear, coarse = self._linear_mean(x, effects, mean), self._coarse_mean(x, effects, mean)
         exact = (
             self.exact_slopes if self.exact_slopes is not None and self.exact_slopes.laws == _laws(effects) else None
         )
@@ -187,10 +189,10 @@ class DrivenPosterior(Posterior):
         for i in wanted:
             h, moved = self.nudged(x, i, effects)
             if i > self.layout.noise:
-                changed = self.mean(moved, with_coordinates(effects, moved[self.layout.effects]))
-                out.append((changed - mean) / h)
+                changed = self.mean(moved, with_coordinates(effects, moved[self.layout.effects]), laws="coarse")
+                out.append((changed - coarse) / h)
             elif i in self._moving:
-                changed = self.mean(moved, effects, exact=False)
+                changed = self.mean(moved, effects, laws="linearized")
                 out.append((changed - linear) / h + (0.0 if exact is None else exact.slopes[i]))
             else:
                 out.append(np.zeros_like(mean))
@@ -200,7 +202,7 @@ class DrivenPosterior(Posterior):
         """See `Posterior.with_exact_slopes`."""
 
         def added(x: Array) -> ComplexArray:
-            mean = self.mean(x, effects)
+            mean = self.mean(x, effects, laws="coarse")
             return np.asarray(mean - self._linear_mean(x, effects, mean))
 
         at_fit = added(x)
@@ -215,9 +217,15 @@ class DrivenPosterior(Posterior):
 
     def _linear_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
         """Compute the linearized laws' response, given the exact laws' response `mean`, shape (n_segments, n_bins, c)."""
-        if not any(e.nonlinear for e in (*self.prior.effects(x), *effects)):
-            return mean
-        return self.mean(x, effects, exact=False)
+        return self.mean(x, effects, laws="linearized") if self._has_laws(x, effects) else mean
+
+    def _coarse_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
+        """Compute the exact laws' response in long steps, given that in short ones, shape (n_segments, n_bins, c)."""
+        return self.mean(x, effects, laws="coarse") if self._has_laws(x, effects) else mean
+
+    def _has_laws(self, x: Array, effects: Sequence[Effect]) -> bool:
+        """Decide if a model has nonlinear laws."""
+        return any(e.nonlinear for e in (*self.prior.effects(x), *effects))
 
     @property
     def _moving(self) -> list[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,10 @@ _LINE_BINS = 3.0
 """Half-width of the band around a known machine's line that is not compared. [bins; the taper's main lobe]"""
 _LINE_SHARE = 0.01
 """The same as a share of the line's frequency. [ratio; judgement: motors slip]"""
+
+
+Laws = Literal["exact", "coarse", "linearized"]
+"""How nonlinear laws act on a response: integrated in time, integrated in longer steps, or linearized."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -121,13 +125,14 @@ class ForwardModel(ABC):
         """Predict the (smoothed) spectra of the segments about their means."""
         return Prediction(self.smooth(self.scatter(x, effects)), self.data())
 
-    def mean(self, x: Array, effects: Sequence[Effect], *, exact: bool = True) -> ComplexArray | None:
+    def mean(self, x: Array, effects: Sequence[Effect], *, laws: Laws = "exact") -> ComplexArray | None:
         """Predict the segments' means, the response to a measured ground, shape (n_segments, n_bins, c); None without one.
 
         Parameters
         ----------
-        exact : bool
-            Whether nonlinear laws are integrated in time, or replaced by their linearization, which is faster.
+        laws : {"exact", "coarse", "linearized"}
+            How nonlinear laws act: integrated in time; in longer steps, for differences of two means; or replaced by their
+            linearization, which is faster.
         """
         return None
 

@@ -297,7 +297,14 @@ def _tapered_transforms(design: SegmentDesign, samples: Array) -> ComplexArray:
 
 
 def exact_response(
-    drive: Drive, system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
+    drive: Drive,
+    system: System,
+    effects: Sequence[Effect],
+    band: Band,
+    context: Context,
+    condition: Condition,
+    *,
+    coarse: bool = False,
 ) -> ComplexArray:
     """Compute the channels' response as `response`, with nonlinear laws integrated in time instead of linearized.
 
@@ -305,6 +312,8 @@ def exact_response(
     ----------
     system : System
         System without the nonlinear effects.
+    coarse : bool
+        Whether the steps are those of the inputs, for a difference of two responses in which the errors of long steps cancel.
 
     Returns
     -------
@@ -329,7 +338,7 @@ def exact_response(
         shape = 1.0 / np.sinc(hz / finer)[:, None] ** 2 / (1.0 + tilt[:, None] * drive.rides)
         acting = irfft(shape * true, n=run.n * _OVERSAMPLING, axis=0) * _OVERSAMPLING
         forces = acting[: run.length * _OVERSAMPLING] @ drive.forces(system).T
-        floors = march(system, n, laws, forces, finer * clock, None, _MIN_STEP_HZ)
+        floors = march(system, n, laws, forces, finer * clock, None, 0.0 if coarse else _MIN_STEP_HZ)
         floors = np.pad(floors[::_OVERSAMPLING], ((0, run.n - run.length), (0, 0)))
         absolute: ComplexArray = (rfft(floors, axis=0) + (true @ drive.rides)[:, None]) * run.passed[:, None]
         channels = np.asarray((absolute @ context.sensors.T)[:, :, None]).astype(np.complex128)

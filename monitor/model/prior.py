@@ -105,6 +105,11 @@ class StructuralPrior:
         far = x - self.mean
         return -0.5 * float(far @ self.precision @ far)
 
+    @property
+    def is_baseline(self) -> bool:
+        """Whether the prior was learned from a healthy recording: a structure file's alone has no stiffness corrections."""
+        return self.basis.size > 0
+
     @cached_property
     def n_persistent(self) -> int:
         """Number of coordinates of the persistent effects."""

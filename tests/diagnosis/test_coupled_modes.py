@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction
+from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction, find_other_structure
 from monitor.diagnosis.missing_modes import as_seen, couple_modes, is_stated, resonances
 from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
@@ -100,6 +100,22 @@ def test_forces_of_another_direction_vanish_on_the_floors(
         fit = SimpleNamespace(x=np.array(forces), effects=(SimpleNamespace(family=family),))
         stage: Any = SimpleNamespace(posterior=at, fit=fit)
         assert _shows_other_direction(stage, DiagnosisSettings()) is ends
+
+
+@pytest.mark.parametrize(
+    ("distances", "found"), [(np.ones(6), False), (np.array([0.0, 9.0, 0.0, 0.0, 0.0, 0.0]), True)]
+)
+def test_a_structure_that_is_not_that_of_the_file_is_not_stated(distances: np.ndarray, found: bool) -> None:
+    """Distances are in standard deviations of the file's stiffnesses and masses."""
+    at = posterior(np.ones(3))
+    fit: Any = SimpleNamespace(x=at.prior.mean.copy())
+    fit.x[:6] += distances * np.sqrt(np.diag(at.prior.covariance)[:6])
+    said = find_other_structure(at, fit, DiagnosisSettings())
+    assert (said is not None) is found
+    if said is not None:
+        assert said.hides_structure and "story 2 has" in said.says
+    learned: Any = SimpleNamespace(prior=SimpleNamespace(is_baseline=True))
+    assert find_other_structure(learned, fit, DiagnosisSettings()) is None
 
 
 @pytest.mark.parametrize(("ratio", "silent"), [(1.01, False), (1.2, True)])
@@ -219,8 +235,8 @@ def test_without_a_baseline_an_oscillator_beside_missing_modes_is_not_stated(hz:
     oscillator = parse_effect(f"attached_oscillator:floor 2:mass_kg=0.1,frequency_hz={hz},damping_ratio=0.02")
     known = TORSION[1:] if missing == "at calibration" else ()
     fit: Any = SimpleNamespace(x=None, effects=(*(TORSION[1:] if missing == "now" else ()), oscillator))
-    for basis, stated in ((0, missing == "never"), (6, missing == "never" or hz == 13.0)):
-        prior = SimpleNamespace(effects=lambda _: known, basis=np.zeros((basis, 3, 3)))
+    for learned, stated in ((False, missing == "never"), (True, missing == "never" or hz == 13.0)):
+        prior = SimpleNamespace(effects=lambda _: known, is_baseline=learned)
         at: Any = SimpleNamespace(prior=prior, observed=posterior(np.ones(3)).observed)
         assert is_stated(at, fit, len(fit.effects) - 1) is stated
 

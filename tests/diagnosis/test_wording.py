@@ -187,12 +187,14 @@ def test_a_cause_without_a_gain_says_why_or_stays_out_of_the_headline() -> None:
     assert "changed within the recording" in said("unexplained", BASELINE, NO_GAIN, [late], causes=[LOSS])
 
 
-def refitted(relative: Sequence[float], std: float, tolerance: Sequence[float]) -> list[dict[str, Any]]:
+def refitted(
+    relative: Sequence[float], std: float, tolerance: Sequence[float], left_over: Sequence[LackOfFit] = ()
+) -> list[dict[str, Any]]:
     """The comparison of three stiffnesses and three masses that differ from the drawing by `relative`."""
     layout = SimpleNamespace(stiffness=slice(0, 3), masses=slice(3, 6))
     fit = SimpleNamespace(x=DRAWING.mean[:6] + np.log1p(relative), covariance=std**2 * np.eye(6))
     posterior = SimpleNamespace(layout=layout, prior=DRAWING)
-    diagnosis: Any = SimpleNamespace(posterior=posterior, final_fit=fit)
+    diagnosis: Any = SimpleNamespace(posterior=posterior, final_fit=fit, left_over=left_over)
     return refit(diagnosis, np.array(tolerance), ["story 1", "story 2", "story 3 (hanger)"])
 
 
@@ -222,6 +224,10 @@ def test_within_the_tolerance_is_not_beyond_it_and_without_one_every_difference_
     assert heavy.startswith("Story 3 (hanger) is 5.00 ± 0.95 % softer")  # stiffnesses come first
     assert open_rows[1]["says"] == "story 2 is as drawn to within 1 %"
     assert refit_headline([]) == ""
+    other = LackOfFit(
+        "structure of the file", 9.0, "nothing can be said of it", is_explained=True, hides_structure=True
+    )
+    assert refitted(within, 0.005, (0.1,) * 6, [other]) == []
 
 
 def test_a_clock_that_drifts_is_said_before_what_nothing_explains() -> None:

@@ -62,7 +62,7 @@ def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
 
 def _stories(d: Diagnosis) -> list[dict[str, float]]:
     """Fitted over drawn stiffness of every story, and its standard deviation; empty with a baseline."""
-    if d.posterior.prior.basis.size:
+    if d.posterior.prior.is_baseline:
         return []
     these = d.posterior.layout.stiffness
     ratio = np.exp(d.final_fit.x[these] - d.posterior.prior.mean[these])

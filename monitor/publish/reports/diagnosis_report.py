@@ -388,7 +388,7 @@ def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Compari
         ("ground motion", "measured, and used as input" if e.drive is not None else "not measured"),
         ("likelihood", "debiased Whittle likelihood of the classes' cross-spectra (complex Wishart), "
          f"tempered by {e.weight:.2f} for the correlation of neighbouring bins and segments"),
-        ("reference", "baseline" if diagnosis.posterior.prior.basis.shape[0] else "structure file"),
+        ("reference", "baseline" if diagnosis.posterior.prior.is_baseline else "structure file"),
         ("held out", content["gain"]["heldout"]),
     ]  # fmt: skip
     return "<h2>The data judged</h2>" + table([], rows)
