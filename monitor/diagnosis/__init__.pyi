@@ -2,7 +2,8 @@ from . import healthy_prior, trigger
 from .clock_drift import ClockDrift, clock_drift_in_words, correct_clock_drifts, state_clock_drifts
 from .cross_validation import HeldOutGain, heldout_gain, require_gain
 from .damage_index_effect import ddi_effect
-from .drawing_refit import other_optima, refit
+from .detectable_loss import detectable_losses
+from .drawing_refit import other_optima, refit, withdraw_other_structure
 from .files import content, effects_text, model_from_plain, model_to_plain, standing_causes, structure_text
 from .fold_refit import fitted_model
 from .initial_fit import FAR
@@ -10,7 +11,7 @@ from .lack_of_fit import residual_bands
 from .observed_causes import add_observed_causes
 from .parameter_uncertainty import is_significant
 from .predictive_score import Score, score
-from .score_test import detectable_losses, parameter_cost
+from .score_test import parameter_cost
 from .settings import DiagnosisSettings
 from .stepwise_selection import Diagnosis, diagnose
 from .story_forces import StoryLaw, story_laws
@@ -61,4 +62,5 @@ __all__ = [
     "story_laws",
     "structure_text",
     "trigger",
+    "withdraw_other_structure",
 ]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from monitor.core import Array
+from monitor.diagnosis.lack_of_fit import find_other_structure
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.model import interval
 
@@ -89,6 +91,23 @@ def other_optima(diagnosis: Diagnosis, story_names: Sequence[str]) -> list[dict[
         says = f"{story_names[j]} {percent:.2g} % {'stiffer' if change[j] > 0 else 'softer'} would explain the data as well"
         out.append({"stiffness_n_per_m": np.exp(fit.x[stiffness]).tolist(), "says": says})
     return out
+
+
+def withdraw_other_structure(diagnosis: Diagnosis) -> Diagnosis:
+    """Withdraw the causes of an unexplained recording whose fit has led to another structure than that of the file."""
+    if diagnosis.verdict != "unexplained":
+        return diagnosis
+    other = find_other_structure(diagnosis.posterior, diagnosis.final_fit, diagnosis.settings)
+    if other is None:
+        return diagnosis
+    return replace(
+        diagnosis,
+        causes=(),
+        also_fitted=(),
+        alternatives=(),
+        left_over=(other, *diagnosis.misfit),
+        final_fit=diagnosis.null_fit,
+    )
 
 
 def _hides_structure(diagnosis: Diagnosis) -> bool:

@@ -56,7 +56,7 @@ def content(
     refit : sequence of mappings
         See `monitor.diagnosis.drawing_refit`; empty with a baseline.
     detectable_loss : sequence of float or None
-        Smallest loss of each story that would have been found, see `monitor.diagnosis.score_test.detectable_losses`.
+        Smallest loss of each story that would have been found, see `monitor.diagnosis.detectable_loss.detectable_losses`.
     optima : sequence of mappings
         See `monitor.diagnosis.drawing_refit.other_optima`; empty with a baseline.
     laws : sequence of StoryLaw

@@ -38,8 +38,6 @@ _MAX_START_FACTOR = 20.0
 """Largest such factor. [ratio; judgement]"""
 _MAX_SECANT_CHANGE = 0.9
 """Share of a story's stiffness that a law may take away where a fit starts. [ratio; judgement: the rest is positive]"""
-_ONE_SIDED_95 = 1.645
-"""Quantile of the standard normal distribution for a probability of 95 %. [standard deviations; definition]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -232,7 +230,7 @@ def _expected_gains(
 
     def predict_gain(effect: Effect) -> list[tuple[float, Effect]]:
         if effect.proportional and not driven:
-            out, v = [], _whitened_slope(posterior, null_fit, prediction, effect)
+            out, v = [], whitened_slope(posterior, null_fit, prediction, effect)
         else:
             start = start_beside(posterior, null_fit.x, effect)
             moved = posterior.predict(start, (*null_fit.effects, effect))
@@ -267,44 +265,15 @@ def best_of_each_kind(posterior: Posterior, null_fit: MapEstimate, starts: list[
     return list({effect.name: effect for gain, effect in gains if np.isfinite(gain)}.values())
 
 
-def detectable_losses(posterior: Posterior, null_fit: MapEstimate, margin: float) -> list[float | None]:
-    """Compute the smallest loss of each story that the search would find in 95 % of recordings like this one.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    null_fit : MapEstimate
-        Fit without a further effect.
-    margin : float
-        Log evidence that a cause needs, nats.
-
-    Returns
-    -------
-    list of float or None
-        Relative loss of each story; None where no loss would be found.
-    """
-    (kind,) = (kind for kind in EFFECTS.values() if kind.is_stiffness_loss)
-    typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
-    starts = [kind.starts(place, context, typical)[0] for place in locations("story", context)]
-    prediction = posterior.predict(null_fit.x, null_fit.effects)
-    tangent = null_fit.slopes
-    normal = inverse(null_fit.information + posterior.normal_prior(null_fit.x, null_fit.effects)[1])
-    stds = np.sqrt(2.0 * (margin + parameter_cost(posterior, 1))) + _ONE_SIDED_95
-
-    def loss(effect: Effect) -> float | None:
-        v = _whitened_slope(posterior, null_fit, prediction, effect)
-        along = tangent.along(v)
-        information = float(v @ v - along @ normal @ along)
-        size = stds * float(abs(effect.coordinates[0])) / np.sqrt(max(information, 1e-9))
-        return size if size < 1.0 else None
-
-    return [loss(effect) for effect in starts]
-
-
-def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:
+def whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:
     """Compute the whitened change of the spectra by a small size of an effect, over that size as a share of the start size.
 
     Where noise is low, even a small effect's change is far from linear.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        That of the fit.
     """
     slight = _scale_size(effect, _RELATIVE_DIFFERENCE ** (1.0 / effect.order))
     assert slight is not None, "nearer to nothing than one that is possible"

@@ -23,7 +23,6 @@ from monitor.diagnosis.lack_of_fit import (
     find_changed_effects,
     find_lack_of_fit,
     find_other_direction,
-    find_other_structure,
     knows_direction,
     lack_of_fit_cost,
     unexplained_share,
@@ -210,14 +209,14 @@ def diagnose(
             posterior, fit, accepted, simulation_std, settings
         )
         left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
-    other = find_other_structure(posterior, fit, settings) if verdict == "unexplained" else None
+    direction = None
     if verdict != "none" or from_elsewhere:
-        other = other or _find_other_direction(posterior, fit, accepted, simulation_std, settings)
-    if other is not None:
+        direction = _find_other_direction(posterior, fit, accepted, simulation_std, settings)
+    if direction is not None:
         nothing = [False] * len(fit.effects)
         posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, nothing)
         verdict, alternatives = "unexplained", ()
-        left_over = (other, *find_lack_of_fit(posterior, fit, settings))
+        left_over = (direction, *find_lack_of_fit(posterior, fit, settings))
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, stage.null_fit)))
     still = find_level_dependence(backbone(posterior, fit))

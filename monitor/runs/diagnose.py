@@ -42,6 +42,7 @@ from monitor.diagnosis import (
     score,
     state_clock_drifts,
     story_laws,
+    withdraw_other_structure,
 )
 from monitor.diagnosis import diagnose as diagnose_spectra
 from monitor.inference import Segments, classify, gather, maximize_posterior
@@ -133,7 +134,7 @@ def diagnose_gathered(
     rows = refit(confirmed, config.drawn.tolerance(), config.story_names) if baseline is None else []
     detectable: list[float | None] = []
     if baseline is not None and confirmed.verdict == "none":
-        detectable = detectable_losses(confirmed.posterior, confirmed.null_fit, config.diagnosis.margin)
+        detectable = detectable_losses(confirmed.posterior, confirmed.final_fit, config.diagnosis.margin)
     optima = other_optima(confirmed, config.story_names) if baseline is None else []
     laws = story_laws(confirmed)
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima, laws)
@@ -167,6 +168,7 @@ def diagnose_segments(
     segments, drifts = _mended(segments, config)
     segments = segments.within(prior.judged_hz)
     found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
+    found = withdraw_other_structure(found)
     gain = heldout_gain(segments, found)
     confirmed = require_gain(found, gain)
     states_gain = confirmed is found and confirmed.verdict != "none"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from monitor.diagnosis.detectable_loss import detectable_losses
 from monitor.diagnosis.initial_fit import FAR, first_guess
 from monitor.diagnosis.missing_modes import cost_of_weak_modes, find_missing_modes
 from monitor.diagnosis.settings import DiagnosisSettings
@@ -62,3 +64,13 @@ def test_beside_missing_modes_another_cause_needs_what_a_weak_mode_may_leave() -
     assert _sufficient(stage, candidates, 10.0) == candidates[1:2]
     stage.fit = without
     assert _sufficient(stage, candidates, 10.0) == candidates[:2]
+
+
+def test_beside_missing_modes_only_a_larger_loss_would_have_been_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    at, margin = posterior(np.ones(3), TORSION[0]), DiagnosisSettings().margin
+    at = replace(at, prior=replace(at.prior, precision=1e4 * at.prior.precision))  # as calibration knows the structure
+    fit = maximize_posterior(at, first_guess(at), TORSION[:1], iterations=FAR)
+    beside = detectable_losses(at, fit, margin)
+    monkeypatch.setattr("monitor.diagnosis.detectable_loss.cost_of_weak_modes", lambda *_: 0.0)
+    alone = detectable_losses(at, fit, margin)
+    assert all(a is not None and b is not None and 0.0 < a < b < 0.2 for a, b in zip(alone, beside, strict=True))
