@@ -168,7 +168,7 @@ def diagnose(
         if not candidates:
             break
         tied = tied_candidates(candidates, settings.rival)
-        if all(p.candidate.effect.family != "sensor" for p in tied) and _shows_other_direction(stage, settings):
+        if not any(_is_apart(p.candidate.effect) for p in tied) and _shows_other_direction(stage, settings):
             from_elsewhere = True  # no cause would be stated
             break
         if lacks_modes(stage.posterior, stage.fit):
@@ -579,9 +579,10 @@ def _find_other_direction(
     simulation_std: Array,
     settings: DiagnosisSettings,
 ) -> LackOfFit | None:
-    """Find that the forces act in another direction than at calibration, by the fit with the causes at the sensors alone.
+    """Find that the forces act in another direction than at calibration, by the fit with the sensors' faults and machines alone.
 
-    Other causes may stand in for the direction; a channel that is exchanged changes the forces that are fitted without it.
+    Other causes may stand in for the direction; a channel that is exchanged, or a machine, changes the forces that are fitted
+    without it.
     Where the causes have forced an effect away from what it was at calibration, as a coupled mode, they are not believed either.
     """
     if not knows_direction(posterior):
@@ -590,16 +591,21 @@ def _find_other_direction(
     if changed:
         says = f"{changed[0].says}; nothing can be said of the structure beside it"
         return replace(changed[0], says=says, is_explained=True, hides_structure=True)
-    at_sensors = [e.family == "sensor" for e in fit.effects]
-    posterior, fit, _, _ = _keep_effects(posterior, fit, accepted, simulation_std, at_sensors)
+    apart = [_is_apart(e) for e in fit.effects]
+    posterior, fit, _, _ = _keep_effects(posterior, fit, accepted, simulation_std, apart)
     return find_other_direction(posterior, fit, settings)
 
 
 def _shows_other_direction(stage: _SearchState, settings: DiagnosisSettings) -> bool:
-    """Decide if the causes so far are all at the sensors, and the forces act in another direction than at calibration."""
-    if any(e.family != "sensor" for e in stage.fit.effects):
+    """Decide if no cause so far may stand in for another direction of the forces, and they act in another than at calibration."""
+    if not all(_is_apart(e) for e in stage.fit.effects):
         return False
     return find_other_direction(stage.posterior, stage.fit, settings) is not None
+
+
+def _is_apart(effect: Effect) -> bool:
+    """Decide if an effect cannot stand in for another direction of the forces: a fault of a sensor, or a machine's line."""
+    return effect.family == "sensor" or bool(effect.lines())
 
 
 def _verdict(

@@ -96,8 +96,15 @@ def test_forces_of_another_direction_vanish_on_the_floors(
     if said is not None:
         assert said.is_explained and "floor 2 is" in said.says and "nothing can be said of the structure" in said.says
     # A cause in the structure may stand in for the direction.
-    for family, ends in (("sensor", found), ("structure", False)):
-        fit = SimpleNamespace(x=np.array(forces), effects=(SimpleNamespace(family=family),))
+    kinds = (
+        ("sensor", (), found),
+        ("excitation", ("line",), found),
+        ("excitation", (), False),
+        ("structure", (), False),
+    )
+    for family, lines, ends in kinds:
+        cause = SimpleNamespace(family=family, lines=lambda lines=lines: lines)
+        fit = SimpleNamespace(x=np.array(forces), effects=(cause,))
         stage: Any = SimpleNamespace(posterior=at, fit=fit)
         assert _shows_other_direction(stage, DiagnosisSettings()) is ends
 
