@@ -215,7 +215,7 @@ def rank_by_score(
 def _expected_gains(
     posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]
 ) -> list[tuple[float, Effect]]:
-    """Predict the gain of every start about one fit, nats.
+    """Predict the gain of every start about one fit, nats; leave out those of which none can be predicted.
 
     The change of the spectra by a small effect, less the part that the nuisances explain, is compared with the residual.
     """
@@ -256,13 +256,14 @@ def _expected_gains(
             gain = min(gain, posterior.log_likelihood(moved.spectra, levelled=True) - null_fit.log_likelihood)
         return [*out, (gain, scaled)]
 
-    return list(chain.from_iterable(parallel_map(predict_gain, candidates)))
+    gains = chain.from_iterable(parallel_map(predict_gain, candidates))
+    return [(gain, effect) for gain, effect in gains if np.isfinite(gain)]
 
 
 def best_of_each_kind(posterior: Posterior, null_fit: MapEstimate, starts: list[Effect]) -> list[Effect]:
     """Keep of every kind of effect the start, of any place, of which the score test predicts the largest gain."""
     gains = sorted(_expected_gains(posterior, null_fit, starts), key=lambda item: item[0])
-    return list({effect.name: effect for gain, effect in gains if np.isfinite(gain)}.values())
+    return list({effect.name: effect for _, effect in gains}.values())
 
 
 def whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:

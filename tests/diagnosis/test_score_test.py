@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.diagnosis import selection_round
+from monitor.core import Array
+from monitor.diagnosis import score_test, selection_round
 from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import (
     Candidate,
+    _expected_gains,
     _far_from_prior,
     best_first,
     best_of_each,
@@ -25,6 +27,7 @@ from monitor.diagnosis.score_test import (
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_initial_model
 from monitor.inference.cross_spectra import accelerance
+from monitor.inference.forward_model import Prediction
 from monitor.inference.higher_moments import Moments, _skewness
 from monitor.inference.map_estimate import MapEstimate, maximize_posterior
 from monitor.inference.observed_spectra import ObservedSpectra, classify
@@ -112,6 +115,25 @@ def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channe
 def candidate(evidence: float, location: str, nonlinear: bool = True) -> Candidate:
     effect = CubicStiffness(location, 1e26) if nonlinear else StiffnessChange(location, -0.1)
     return Candidate(effect, cast(MapEstimate, SimpleNamespace()), 50.0, evidence)
+
+
+def test_a_start_without_a_finite_gain_is_never_moved_to_the_size_it_predicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a structure held where it cannot explain a swapped channel it made a loss of no size, and the search failed."""
+    motion = simulate(CONFIG.model(), duration_s=400.0, rate_hz=RATE, noise=0.05, seed=9)
+    blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
+    context, known = CONFIG.instrumented().context(RATE), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3)
+    problem, null = fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
+    whole = score_test.whitened_slope
+
+    def broken(at: Posterior, fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:
+        slope = whole(at, fit, prediction, effect)
+        return np.full_like(slope, np.nan) if effect.location == "story 2" else slope
+
+    monkeypatch.setattr(score_test, "whitened_slope", broken)
+    starts: list[Effect] = [StiffnessChange(f"story {j}", -0.01) for j in (1, 2, 3)]
+    found = _expected_gains(problem, null, starts)
+    assert {effect.location for _, effect in found} == {"story 1", "story 3"}
+    assert all(np.isfinite([gain, *effect.coordinates]).all() for gain, effect in found)
 
 
 def test_a_candidate_without_finite_evidence_is_never_ranked(caplog: pytest.LogCaptureFixture) -> None:
