@@ -73,7 +73,7 @@ def run_selection_round(
     if posterior.observed.drive is None:
         valid = _fit_ambient(posterior, fit, ranked, settings)
     else:
-        valid = _fit_driven(posterior, fit, ranked, [effect for _, effect in starts])
+        valid = _fit_driven(posterior, fit, ranked, [effect for _, effect in starts], settings)
     return sorted(
         _simulate_contenders(posterior, fit, best_first(valid), added, settings),
         key=lambda p: -p.candidate.log_evidence,
@@ -113,10 +113,14 @@ def _fit_ambient(
 
 
 def _fit_driven(
-    posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], starts: list[Effect]
+    posterior: Posterior,
+    fit: MapEstimate,
+    ranked: list[tuple[float, Effect]],
+    starts: list[Effect],
+    settings: DiagnosisSettings,
 ) -> list[Candidate]:
     """Fit the best effects fully where the ground is measured, and return those that are valid causes."""
-    chosen, rough = _shortlist_driven(posterior, fit, ranked, starts)
+    chosen, rough = _shortlist_driven(posterior, fit, ranked, starts, settings)
     fitted = _fit_fully(posterior, fit, chosen, rough, -np.inf)
     return [c for c in fitted.values() if _is_valid_cause(posterior, c)]
 
@@ -162,12 +166,17 @@ def _shortlist_ambient(
 
 
 def _shortlist_driven(
-    posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], starts: list[Effect]
+    posterior: Posterior,
+    fit: MapEstimate,
+    ranked: list[tuple[float, Effect]],
+    starts: list[Effect],
+    settings: DiagnosisSettings,
 ) -> tuple[dict[tuple[str, str], Effect], list[Candidate]]:
     """Choose as `_shortlist_ambient` where the ground is measured: the best few of all kinds, and the best kind at every place.
 
     A response separates kinds so clearly that few need a closer look, but its score test predicts too much gain for most.  For
     nonlinear laws it does not even tell which start leads to the law's best fit, so the second best is fitted roughly too.
+    A rough fit that explains less than none has failed, and says nothing of a favourite of the score test.
     """
     kinds = list(dict.fromkeys(effect.name for _, effect in ranked))
     first = {name: next(e for _, e in ranked if e.name == name) for name in kinds[:_N_KINDS]}
@@ -185,7 +194,9 @@ def _shortlist_driven(
     rough = list(best.values())
     same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]
     found = [c.effect for i, c in enumerate(rough) if i < _N_FULL_FITS or c.effect.name == rough[0].effect.name]
-    return {(e.name, e.location): e for e in (*same, *found)}, rough
+    explains = {c.key for c in rough if c.delta_log_posterior > 0.0}
+    failed = [e for _, e in ranked[: settings.favourites] if (e.name, e.location) not in explains]
+    return {(e.name, e.location): e for e in (*same, *found, *failed)}, rough
 
 
 def _simulate_contenders(

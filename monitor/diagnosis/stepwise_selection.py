@@ -298,7 +298,9 @@ def _start_from_modes(
     prior = posterior.prior
     if posterior.observed.drive is not None or prior.is_baseline:
         return stage, [], ()
-    if any(effect.family != "excitation" for effect in prior.model.effects):  # they change what the modes are compared with
+    if any(
+        effect.family != "excitation" for effect in prior.model.effects
+    ):  # they change what the modes are compared with
         return stage, [], ()
     if not find_lack_of_fit(posterior, null_fit, settings):
         return stage, [], ()
