@@ -132,7 +132,7 @@ def eliminate_backward(
             fitted = parallel_map(fit_rival, rivals)
         best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
         if best is not None and best.log_evidence > max(
-            min_gain + lead, margin + cost_of_weak_modes(posterior, without, best.effect)
+            min_log_evidence, margin + cost_of_weak_modes(posterior, without, best.effect)
         ):
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
             fit = maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects)

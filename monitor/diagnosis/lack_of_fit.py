@@ -337,7 +337,7 @@ def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: Di
     cost = 0.5 * float(away @ known.precision[np.ix_(these, these)] @ away)
     if cost <= settings.margin + 0.5 * these.size:  # the mean of what chance makes of it
         return None
-    stiffness = fitted.x[layout.stiffness] - known.mean[layout.stiffness]
+    stiffness = away[: layout.stiffness.stop - layout.stiffness.start]
     farthest = int(np.abs(stiffness).argmax())
     return LackOfFit(
         "structure of the file",

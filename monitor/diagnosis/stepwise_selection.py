@@ -296,11 +296,9 @@ def _start_from_modes(
     """
     posterior, null_fit = stage.posterior, stage.fit
     prior = posterior.prior
-    if posterior.observed.drive is not None or prior.is_baseline:
-        return stage, [], ()
-    if any(
-        effect.family != "excitation" for effect in prior.model.effects
-    ):  # they change what the modes are compared with
+    # Persistent effects whose size is fitted change what the modes are compared with, unless they are of the forces.
+    is_changed = any(effect.parameters and effect.family != "excitation" for effect in prior.model.effects)
+    if posterior.observed.drive is not None or prior.is_baseline or is_changed:
         return stage, [], ()
     if not find_lack_of_fit(posterior, null_fit, settings):
         return stage, [], ()

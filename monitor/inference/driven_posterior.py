@@ -181,7 +181,9 @@ class DrivenPosterior(Posterior):
         wanted : iterable of int
             Indices of the coordinates.
         """
-        linear, coarse = self._linear_mean(x, effects, mean), self._coarse_mean(x, effects, mean)
+        wanted, linear = tuple(wanted), self._linear_mean(x, effects, mean)
+        has_own = any(i > self.layout.noise for i in wanted)
+        coarse = self._coarse_mean(x, effects, mean) if has_own else mean
         exact = (
             self.exact_slopes if self.exact_slopes is not None and self.exact_slopes.laws == _laws(effects) else None
         )

@@ -63,7 +63,7 @@ def slipped(z: float, moved: float) -> float:
 
 @compiled(part=True, error_model="numpy")
 def _tanh(x: float) -> float:
-    """Compute the hyperbolic tangent of x >= 0; of the small x of a step by the continued fraction, at a fifth of the time."""
+    """Compute the hyperbolic tangent of x >= 0; of the small x of a step by the continued fraction, which is faster."""
     if x > _SMALL:
         return tanh(x)
     squared = x * x
