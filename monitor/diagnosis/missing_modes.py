@@ -78,15 +78,13 @@ def resonances(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> lis
         np.abs(uncoupled.T @ system.mass @ shapes) / np.sqrt(np.diag(uncoupled.T @ system.mass @ uncoupled))[:, None]
     )
     belongs = linear_sum_assignment(share, maximize=True)[1]
-    forces = np.zeros(system.mass.shape[0])  # over the floors' mean
-    forces[:n] = 1.0
-    for mode in system.coupled:
-        forces[mode.index] = mode.force_ratio
+    forces = np.r_[np.ones(n), [mode.force_ratio for mode in system.coupled]]  # over the floors' mean
+    acting = system.forced(n)
     sensors, found = system.sensors(context.sensors), []
     for i, k in enumerate(belongs):
         omega, shape = float(np.sqrt(max(eigenvalues[k], 0.0))), shapes[:, k]
         ratio = float(shape @ system.damping @ shape) / (2.0 * omega) if omega > 0.0 else np.inf
-        by_forces = (sensors @ shape) * np.copysign(np.sqrt(forces @ shape**2), shape[i])
+        by_forces = (sensors @ shape) * np.copysign(np.sqrt(forces @ (shape @ acting) ** 2), shape[i])
         found.append(Resonance(ExtraMode(omega / (2.0 * np.pi), ratio, by_forces), own[i]))
     for i, effect in enumerate(everything):
         owner = i - n_before if i >= n_before else None

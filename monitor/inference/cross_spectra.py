@@ -248,11 +248,8 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
     ndarray, shape (n_hz, c, n + 1 + n_coupled)
         For forces on the floors, for a ground acceleration, then for a force on each coupled mode of the system.
     """
-    columns = np.zeros((system.mass.shape[0], context.structure.n_dofs + 1 + len(system.coupled)))
     n = context.structure.n_dofs
-    columns[:n, :n] = np.eye(n)
-    columns[:, n] = -system.inertia
-    columns[[mode.index for mode in system.coupled], range(n + 1, columns.shape[1])] = 1.0
+    columns = np.insert(system.forced(n), n, -system.inertia, axis=1)
     arrays = system.mass, system.damping, system.stiffness, hz, columns
     floors = _floor_response(*(np.ascontiguousarray(a).tobytes() for a in arrays))
     return np.asarray(_at_sensors(floors, system.sensors(context.sensors), n, context.sensors.sum(axis=1)))

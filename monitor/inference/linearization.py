@@ -121,8 +121,8 @@ def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], law
         states.append(system.state_matrix())
         drive = np.zeros((2 * size, 2 * size))
         ratios = np.array([mode.force_ratio for mode in system.coupled])
-        own = inverse[:, [mode.index for mode in system.coupled]] * np.sqrt(force.mean() * ratios)
-        root = np.hstack([inverse[:, :n] @ force_root(force, everything), own])
+        moved = inverse @ system.forced(n)
+        root = np.hstack([moved[:, :n] @ force_root(force, everything), moved[:, n:] * np.sqrt(force.mean() * ratios)])
         drive[size:, size:] = root @ root.T
         drives.append(drive)
     # Lyapunov's equation of all classes at once: in the coordinates of the eigenvectors its solution is a division.
@@ -171,20 +171,19 @@ def _motion_roots(
     channels : ndarray, shape (n_hz, c, columns)
         The same of the channels; `motion` itself without a posterior.
     """
-    n, own = force.size, [mode.index for mode in system.coupled]
+    n = force.size
     own_root = np.sqrt(force.mean() * np.array([mode.force_ratio for mode in system.coupled]))
     w = 2.0 * np.pi * hz
     colour = np.sqrt(force_colour(effects, hz))[:, None, None]
     root = colour * force_root(force, effects)
-    right = np.eye(system.mass.shape[0])[:, [*range(n), *own]]
-    floors = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n]
+    floors = accelerance(system.mass, system.damping, system.stiffness, w, system.forced(n))[:, :n]
     floors = np.concatenate([floors[:, :, :n] @ root, colour * own_root * floors[:, :, n:]], axis=2)
     motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
     if posterior is None:
         return motion, motion
     clock = float(np.prod([effect.clock_factor for effect in effects]))
     answer = seen(system, effects, hz, clock, context, posterior.conditions[k])
-    n_extra = answer.shape[2] - n - 1 - len(own)
+    n_extra = answer.shape[2] - n - 1 - own_root.size
     own_root = np.concatenate([own_root, np.full(n_extra, np.sqrt(force.mean()))])
     channels = np.concatenate([answer[:, :, :n] @ root, colour * own_root * answer[:, :, n + 1 :]], axis=2)
     still = np.zeros((*motion.shape[:2], channels.shape[2] - motion.shape[2]))  # an extra mode moves no story

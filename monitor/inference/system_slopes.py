@@ -61,7 +61,10 @@ def force_matrix(system: System, effects: Sequence[Effect], force: Array, n_extr
     root, n, mean = force_root(force, effects), force.size, float(force.mean())
     out = np.diag(np.r_[force, [mean * mode.force_ratio for mode in system.coupled], np.full(n_extra, mean)])
     out[:n, :n] = root @ root.T
-    return out
+    acting = np.eye(len(out))
+    for j, mode in enumerate(system.coupled):
+        acting[n + j, :n] = mode.arms
+    return np.asarray(acting @ out @ acting.T)
 
 
 def system_slopes(

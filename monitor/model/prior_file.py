@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from monitor.core import Array
-from monitor.model.effects import FORMS
+from monitor.model.effects import FORMS, Effect
 from monitor.model.model import Model
 from monitor.model.prior import ModelDiscrepancy, StructuralPrior, as_stated
 
@@ -71,6 +71,7 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     corrected = replace(healthy, correction=np.tensordot(mean[first - basis.shape[0] : first], basis, axes=1))
     stated, mean, precision = _with_eccentricities(content["effects"], mean, precision, first, corrected)
     effects = tuple(FORMS[e["effect"]].create(e["location"], e["parameters"]) for e in stated)
+    mean, precision = _with_later_parameters(stated, effects, mean, precision, first)
     for effect in effects:
         effect.check(healthy.structure, channels)
     known = {(e.name, e.location) for e in effects}
@@ -125,6 +126,39 @@ def _with_eccentricities(
         return effects, mean, precision
     back = np.linalg.inv(slopes)
     return out, mean, back.T @ precision @ back
+
+
+def _with_later_parameters(
+    stated: list[dict[str, Any]], effects: tuple[Effect, ...], mean: Array, precision: Array, first: int
+) -> tuple[Array, Array]:
+    """Add the parameters of effects that a baseline of before does not have: as far from none as they change from day to day.
+
+    The arms of the forces on a coupled mode are such; they come last.
+
+    Parameters
+    ----------
+    stated : list of dict
+        Effects as the file has them.
+    effects : tuple of Effect
+    mean, precision : ndarray, shape (p,) and (p, p)
+        Of all coordinates that the file has; those of the effects begin at `first`.
+
+    Returns
+    -------
+    mean, precision : ndarray
+        Of all coordinates.
+    """
+    for of_file, effect in zip(stated, effects, strict=True):
+        end, size = first + len(of_file["parameters"]), len(effect.parameters)
+        later = np.arange(len(of_file["parameters"]), size)
+        if later.size:
+            mean = np.insert(mean, end, effect.coordinates[later])
+            known = np.insert(np.insert(precision, [end] * later.size, 0.0, axis=0), [end] * later.size, 0.0, axis=1)
+            own = first + later
+            known[own, own] = (effect.units[later] * np.array(effect.daily)[later]) ** -2.0
+            precision = known
+        first += size
+    return mean, precision
 
 
 def _error_to_plain(error: ModelDiscrepancy) -> dict[str, Any]:

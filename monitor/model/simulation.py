@@ -257,9 +257,7 @@ def with_own_forces(model: Model, forces: Array, own: Array) -> Array:
     system = linear_system(model)
     if not system.coupled:
         return forces
-    out = np.pad(forces, ((0, 0), (0, system.mass.shape[0] - forces.shape[1])))
-    out[:, [mode.index for mode in system.coupled]] = own
-    return out
+    return np.asarray(np.hstack([forces, own]) @ system.forced(forces.shape[1]).T)
 
 
 def channel_motion(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, eigh
 
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction, find_other_structure
 from monitor.diagnosis.missing_modes import as_seen, couple_modes, is_stated, resonances
@@ -16,9 +16,9 @@ from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import _find_other_direction, _shows_other_direction
 from monitor.inference import Posterior, maximize_posterior
-from monitor.inference.cross_spectra import Band, Excitation, cross_spectra, extended
+from monitor.inference.cross_spectra import Band, Excitation, channel_response, cross_spectra, extended
 from monitor.inference.map_estimate import _shortened
-from monitor.model.effects import Condition, EffectError, parse_effect
+from monitor.model.effects import Condition, EffectError, UnmodelledMode, parse_effect
 from monitor.model.effects.base import System
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
@@ -26,7 +26,8 @@ from tests.diagnosis.test_modal_start import CONTEXT, RATE, TORSION, TRUTH, diag
 
 COUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45,"
-    "force_ratio=0.6,eccentricity_1=-0.361,eccentricity_2=-0.325,eccentricity_3=-0.167"
+    "force_ratio=0.6,eccentricity_1=-0.361,eccentricity_2=-0.325,eccentricity_3=-0.167,"
+    "force_arm_1=-0.3,force_arm_2=0.25,force_arm_3=0.1"
 )
 UNCOUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45"
@@ -54,6 +55,44 @@ def test_simulation_and_spectra_agree() -> None:
         np.einsum("faa->f", np.linalg.solve(np.linalg.cholesky(expected), whitened.conj().swapaxes(1, 2))).real / 3.0
     )
     assert power.reshape(-1, 23).mean(axis=1) == pytest.approx(np.ones(10), abs=0.06)
+
+
+def test_modes_with_eccentricities_and_arms_are_a_building_that_turns() -> None:
+    """Floors whose masses lie off the middle, where bracing and forces are: the same spectra, by its own equations of motion."""
+    off, radius, lever, turning, n = np.array([0.03, -0.02, 0.04]), 0.12, 0.05, 1.7, 3
+    mass, stiffness = TRUTH.structural_matrices()
+    # The floors' middles sway, then all turn; the bracing resists each about the middle.
+    masses = np.block([[mass, mass @ np.diag(-off)], [np.diag(-off) @ mass, mass @ np.diag(radius**2 + off**2)]])
+    springs = block_diag(stiffness, turning * radius**2 * stiffness)
+    to_centre = np.block(
+        [[np.eye(n), np.diag(off)], [np.zeros((n, n)), np.eye(n)]]
+    )  # of the middle by the centre of mass
+    about_mass = to_centre.T @ springs @ to_centre
+    inertia = (to_centre.T @ masses @ to_centre)[n:, n:]
+    squared, turns = eigh(about_mass[n:, n:], inertia)
+    mean = float(TRUTH.structure.masses_kg.mean())
+    system, turns = System(mass, TRUTH.damping_matrix(), about_mass[:n, :n]), turns * np.sqrt(mean)
+    for f, turn in zip(np.sqrt(squared) / (2.0 * np.pi), turns.T, strict=True):
+        values = {"frequency_hz": float(f), "damping_ratio": 0.02, "force_ratio": 0.3}
+        for name, of in (
+            ("shape", (off + lever) * turn / mean),
+            ("eccentricity", np.linalg.solve(stiffness, about_mass[:n, n:] @ turn)),
+            ("force_arm", off * turn),
+        ):
+            values |= {f"{name}_{j + 1}": float(value) for j, value in enumerate(of)}
+        system = UnmodelledMode.create("frame", values).extend(system, CONTEXT, REST)
+    hz = np.linspace(1.0, 25.0, 40)
+    seen = channel_response(system, hz, CONTEXT)
+    # In the coordinates of the building: the forces act at the middles, the sensors are beside them.
+    back = np.linalg.inv(to_centre)
+    damping = block_diag(
+        TRUTH.damping_matrix(), np.linalg.inv(turns).T @ np.diag(0.04 * np.sqrt(squared) * mean) @ np.linalg.inv(turns)
+    )
+    damping = back.T @ damping @ back
+    for k, w in enumerate(2.0 * np.pi * hz):
+        moved = np.linalg.inv(masses + damping / (1j * w) - springs / w**2)
+        sensors = np.hstack([np.eye(n), lever * np.eye(n)])
+        assert seen[k, :, :n] == pytest.approx(sensors @ moved[:, :n], rel=1e-9)
 
 
 def test_the_coupled_system_has_one_mode_more_and_its_frequencies_move_apart() -> None:
@@ -150,7 +189,7 @@ def test_causes_that_move_a_coupled_mode_of_calibration_are_not_believed(ratio: 
 def test_a_fit_stays_where_the_coupling_leaves_the_structure_stable(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spectra alone do not tell: those of an unstable system are as finite."""
     at = posterior(np.ones(3))
-    strong = COUPLED.at(np.r_[COUPLED.coordinates[:6], 5.0 * np.ones(3)])
+    strong = COUPLED.at(np.r_[COUPLED.coordinates[:6], 5.0 * np.ones(3), np.zeros(3)])
     x = _start(at)
     assert at.is_stable(x, (COUPLED,)) and not at.is_stable(x, (strong,))
     fit = maximize_posterior(at, x, (COUPLED,), iterations=6)
@@ -230,7 +269,7 @@ def test_a_mode_that_only_the_floors_drive_is_stated() -> None:
         "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=0.001,shape_2=0.001,shape_3=0.001,"
         "force_ratio=1e-6,eccentricity_1=-0.361,eccentricity_2=-0.325,eccentricity_3=-0.167"
     )
-    apart = driven.at(np.r_[driven.coordinates[:6], 0.003 * np.ones(3)])
+    apart = driven.at(np.r_[driven.coordinates[:6], 0.003 * np.ones(3), np.zeros(3)])
     at = posterior(np.ones(3))
     seen, hidden = (maximize_posterior(at, _start(at), (effect,), iterations=0) for effect in (driven, apart))
     assert is_stated(at, seen, 0) and not is_stated(at, hidden, 0)
@@ -268,12 +307,13 @@ def test_a_weak_mode_s_shape_costs_less_than_a_strong_one_s() -> None:
     [
         ("eccentricity_1=0.1,eccentricity_2=0.1,eccentricity_3=0.1", "needs its shape"),
         ("shape_1=1.0,shape_2=1.0,shape_3=1.0,eccentricity_1=0.1", "1 eccentricities for 3 floors"),
+        ("shape_1=1.0,shape_2=1.0,shape_3=1.0,force_arm_1=0.1", "1 arms of the forces for 0 eccentricities"),
         ("shape_1=1.0,shape_2=1.0,shape_3=1.0,eccentricity_1=5.0,eccentricity_2=5.0,eccentricity_3=5.0", "unstable"),
     ],
 )
 def test_a_coupling_that_no_structure_has_is_refused(parameters: str, says: str) -> None:
-    effect = parse_effect(f"unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,{parameters}")
     with pytest.raises(EffectError, match=says):
+        effect = parse_effect(f"unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,{parameters}")
         effect.check(TRUTH.structure, CONTEXT.channels)
 
 
@@ -283,6 +323,6 @@ def test_the_standard_deviation_of_what_is_seen_follows_from_the_coupled_mode_s(
     own = fit.coordinates_of(0)
     covariance = np.zeros_like(fit.covariance)
     covariance[own.start, own.start] = 1e-6
-    effect, std = as_seen(at, replace(fit, covariance=covariance), 0, np.zeros(9))
+    effect, std = as_seen(at, replace(fit, covariance=covariance), 0, np.zeros(12))
     assert len(effect.parameters) == 5
     assert 0.0 < std[0] < 1e-3, "part of the motion of the mode that is seen is the frame's"

@@ -160,7 +160,7 @@ def test_an_effect_that_has_vanished_is_stated_and_no_error(named: Diagnosis) ->
 
 def test_the_shape_of_a_coupled_mode_has_one_component_a_channel(named: Diagnosis) -> None:
     """Neither its force nor its couplings belong to it: the report puts a channel's name to each component."""
-    mode = UnmodelledMode("frame", 9.0, 0.01, (0.5, -0.25, 0.1), force_ratio=4.0, eccentricity=(0.1, 0.0, -0.1))
+    mode = UnmodelledMode("frame", 9.0, 0.01, (0.5, -0.25, 0.1), 4.0, (0.1, 0.0, -0.1), (0.0, 0.1, 0.0))
     cause = Cause(mode, dict.fromkeys(mode.values(), 0.01))
     (told,) = plain(replace(named, causes=(cause,)))["causes"]
     assert [part["value"] for part in told["shape"]] == pytest.approx([1.0, -0.5, 0.2])

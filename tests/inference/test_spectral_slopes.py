@@ -12,7 +12,8 @@ from tests.diagnosis.test_modal_start import TORSION, posterior
 
 COUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.02,shape_1=1.0,shape_2=0.8,shape_3=0.45,"
-    "force_ratio=0.6,eccentricity_1=-0.361,eccentricity_2=-0.325,eccentricity_3=-0.167"
+    "force_ratio=0.6,eccentricity_1=-0.361,eccentricity_2=-0.325,eccentricity_3=-0.167,"
+    "force_arm_1=-0.3,force_arm_2=0.25,force_arm_3=0.0"
 )
 EFFECTS = (
     COUPLED,

@@ -101,6 +101,8 @@ class CoupledMode:
     """Acceleration of every channel over that of the degree of freedom, shape (c,)."""
     force_ratio: float
     """Density of its own force over the floors' mean."""
+    arms: Array
+    """Force on the degree of freedom by a force of 1 N on every floor, shape (n,)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -135,6 +137,13 @@ class System:
         out = np.pad(of_structure, ((0, 0), (0, self.mass.shape[0] - of_structure.shape[1])))
         for mode in self.coupled:
             out[:, mode.index] = mode.shape
+        return out
+
+    def forced(self, n: int) -> Array:
+        """Return the forces on all degrees of freedom by unit forces on the structure, then on each mode, (N, n + n_coupled)."""
+        out = np.eye(self.mass.shape[0])[:, [*range(n), *(mode.index for mode in self.coupled)]]
+        for mode in self.coupled:
+            out[mode.index, :n] = mode.arms
         return out
 
     def enlarged(self) -> System:

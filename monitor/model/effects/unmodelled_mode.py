@@ -42,7 +42,7 @@ judgement: as of the damping of the model's own modes]"""
 _DAILY_RADII = 0.012
 """Change of that distance from calibration that needs no cause, over the radius. [1; judgement: people and goods are a twelfth of
 the mass; a fifth of them on one side moves the centre of mass by 0.5 % of a square plan's width]"""
-_SHAPE, _ECCENTRICITY = "shape_", "eccentricity_"
+_SHAPE, _ECCENTRICITY, _ARM = "shape_", "eccentricity_", "force_arm_"
 _START = 0.1
 """Start of the shape's largest component, over the reciprocal of the mean floor mass. [ratio; judgement]"""
 
@@ -57,8 +57,9 @@ class UnmodelledMode(Effect):
     A mode of torsion of an eccentric building is coupled to the floors.  It is a degree of freedom q of the floors' mean mass m.
     Where q moves by 1, the stories are strained as if floor j had moved by ``eccentricity_j``: by the distance of its centre of
     mass from the centre of stiffness times its rotation in the mode.  So the stiffness between q and the floors is the floors'
-    stiffness matrix times the eccentricities; a loss of stiffness weakens it too.  The channels move by ``m shape`` times the
-    acceleration of q, and the density of g is `force_ratio` times the floors'.
+    stiffness matrix times the eccentricities; a loss of stiffness weakens it too.  A force on floor j acts on q by
+    ``force_arm_j`` of itself: by its distance from the floor's centre of mass times the floor's rotation.  The channels move by
+    ``m shape`` times the acceleration of q, and the density of g is `force_ratio` times the floors'.
     """
 
     name: ClassVar[str] = "unmodelled_mode"
@@ -73,7 +74,7 @@ class UnmodelledMode(Effect):
         Parameter("damping_ratio", 0.0, 1.0, "log"),
     )
     """Parameters of the class; an instance adds one for every channel, `shape_1` and so on, and a coupled one `force_ratio` and
-    one for every floor, `eccentricity_1` and so on."""
+    two for every floor, `eccentricity_1` and so on, then `force_arm_1` and so on."""
     signature: ClassVar[str] = (
         "one peak more, as wide as the structure's own, of another shape, with normal kurtosis; the model's modes stay"
     )
@@ -89,12 +90,20 @@ class UnmodelledMode(Effect):
     """Density of the mode's own force over the floors' mean."""
     eccentricity: tuple[float, ...] = ()
     """Of every floor; empty for a mode that is not coupled."""
+    force_arm: tuple[float, ...] = ()
+    """Of every floor; by default zero for a mode that is coupled."""
 
     def __post_init__(self) -> None:
         """Add the parameters of the shape and the eccentricities to those of the class, and their changes from day to day."""
+        if not self.force_arm:
+            object.__setattr__(self, "force_arm", (0.0,) * len(self.eccentricity))
         nothing = None if self.eccentricity else 0.0  # the size of a coupled mode is in its eccentricities too
         of_channels = tuple(Parameter(f"{_SHAPE}{i + 1}", -inf, inf, absent=nothing) for i in range(len(self.shape)))
-        of_floors = tuple(Parameter(f"{_ECCENTRICITY}{j + 1}", -inf, inf) for j in range(len(self.eccentricity)))
+        of_floors = tuple(
+            Parameter(f"{prefix}{j + 1}", -inf, inf, least=1.0)
+            for prefix in (_ECCENTRICITY, _ARM)
+            for j in range(len(self.eccentricity))
+        )
         # The forces on the mode change from day to day.  They scale the shape where the mode is not coupled.
         daily = (
             _DAILY_FREQUENCY,
@@ -103,15 +112,15 @@ class UnmodelledMode(Effect):
         )
         if of_floors:
             of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
-            daily = (*daily, _DAILY_FORCE, *(_DAILY_RADII * self._mean_rotation,) * len(self.eccentricity))
+            daily = (*daily, _DAILY_FORCE, *(_DAILY_RADII * self._mean_rotation,) * (len(of_floors) - 1))
         object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels, *of_floors))
         object.__setattr__(self, "daily", daily)
 
     @classmethod
     def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
-        """See `Effect.create`.  The shape, `shape_1` and so on, and the eccentricities may be left out."""
+        """See `Effect.create`.  The shape, `shape_1` and so on, the eccentricities and the forces' arms may be left out."""
         listed = {}
-        for prefix, what in ((_SHAPE, "channel"), (_ECCENTRICITY, "floor")):
+        for prefix, what in ((_SHAPE, "channel"), (_ECCENTRICITY, "floor"), (_ARM, "floor")):
             own = {name: value for name, value in parameters.items() if name.startswith(prefix)}
             wanted = [f"{prefix}{i + 1}" for i in range(len(own))]
             if set(own) != set(wanted):
@@ -123,10 +132,13 @@ class UnmodelledMode(Effect):
         force_ratio = parameters.get("force_ratio", 1.0) if listed[_ECCENTRICITY] else 1.0
         if not (isfinite(force_ratio) and force_ratio > 0.0):
             raise EffectError(f"{cls.name}: force_ratio = {force_ratio:g} must be finite, above 0")
-        more = (_SHAPE, _ECCENTRICITY, *(["force_ratio"] if listed[_ECCENTRICITY] else []))
+        n, arms = len(listed[_ECCENTRICITY]), listed[_ARM]
+        if arms and len(arms) != n:
+            raise EffectError(f"{cls.name}: {len(arms)} arms of the forces for {n} eccentricities")
+        more = (_SHAPE, _ECCENTRICITY, _ARM, *(["force_ratio"] if listed[_ECCENTRICITY] else []))
         bare = super().create(location, {n: value for n, value in parameters.items() if not n.startswith(tuple(more))})
         hz, ratio = bare.values().values()
-        return cls(location, hz, ratio, listed[_SHAPE], force_ratio, listed[_ECCENTRICITY])
+        return cls(location, hz, ratio, listed[_SHAPE], force_ratio, listed[_ECCENTRICITY], arms)
 
     def values(self) -> dict[str, float]:
         """See `Effect.values`."""
@@ -134,7 +146,8 @@ class UnmodelledMode(Effect):
         own |= {f"{_SHAPE}{i + 1}": component for i, component in enumerate(self.shape)}
         if self.eccentricity:
             own["force_ratio"] = self.force_ratio
-        return own | {f"{_ECCENTRICITY}{j + 1}": component for j, component in enumerate(self.eccentricity)}
+        own |= {f"{_ECCENTRICITY}{j + 1}": component for j, component in enumerate(self.eccentricity)}
+        return own | {f"{_ARM}{j + 1}": component for j, component in enumerate(self.force_arm)}
 
     @property
     def units(self) -> Array:
@@ -175,14 +188,16 @@ class UnmodelledMode(Effect):
         values = [p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
         hz, ratio, *rest = values
         shape, rest = rest[: len(self.shape)], rest[len(self.shape) :]
-        force_ratio, *eccentricity = rest or [1.0]
+        force_ratio, *of_floors = rest or [1.0]
+        n = len(self.eccentricity)
         return replace(
             self,
             frequency_hz=hz,
             damping_ratio=ratio,
             shape=tuple(shape),
             force_ratio=force_ratio,
-            eccentricity=tuple(eccentricity),
+            eccentricity=tuple(of_floors[:n]),
+            force_arm=tuple(of_floors[n:]),
         )
 
     def coupled(self, context: Context) -> Self | None:
@@ -194,7 +209,8 @@ class UnmodelledMode(Effect):
 
     def reversed_coupling(self) -> Self:
         """See `Effect.reversed_coupling`."""
-        return replace(self, eccentricity=tuple(-e for e in self.eccentricity))
+        eccentricity, arms = (tuple(-e for e in of_floors) for of_floors in (self.eccentricity, self.force_arm))
+        return replace(self, eccentricity=eccentricity, force_arm=arms)
 
     def uncoupled(self, resonance: ExtraMode) -> Self:
         """See `Effect.uncoupled`."""
@@ -213,7 +229,7 @@ class UnmodelledMode(Effect):
         mass[size, size], damping[size, size] = mean, 2.0 * self.damping_ratio * np.sqrt(own * mean)
         stiffness[size, size] = own
         stiffness[:n, size] = stiffness[size, :n] = link
-        mode = CoupledMode(size, mean * np.array(self.shape), self.force_ratio)
+        mode = CoupledMode(size, mean * np.array(self.shape), self.force_ratio, np.array(self.force_arm))
         return replace(larger, coupled=(*system.coupled, mode))
 
     def _springs(self, structure: Structure, stiffness: Array) -> tuple[float, Array]:
