@@ -388,6 +388,22 @@ def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
     return found if found.n_effect > fit.n_effect and is_better else None
 
 
+def uncouple_modes(posterior: Posterior, fit: MapEstimate, start: Array) -> MapEstimate | None:
+    """Refit the modes that the model lacks without coupling, as they are seen; return None where none is coupled.
+
+    Parameters
+    ----------
+    start : ndarray, shape (n_nuisance,)
+        Parameters of the model and of the excitation to start from: those of the coupled fit have followed the coupling.
+    """
+    is_coupled = [e.repeatable and e.coupled(posterior.context) is None for e in fit.effects]
+    if not any(is_coupled):
+        return None
+    seen = {r.owner: r.mode for r in resonances(posterior, fit.x, fit.effects)}
+    effects = tuple(e.uncoupled(seen[i]) if is_coupled[i] else e for i, e in enumerate(fit.effects))
+    return maximize_posterior(posterior, join_coordinates(start, effects), effects, iterations=FAR)
+
+
 def _better_orientation(posterior: Posterior, found: MapEstimate) -> MapEstimate:
     """Return the better of a fit of couplings and of one that starts with every coupling reversed.
 

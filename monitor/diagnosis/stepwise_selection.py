@@ -37,6 +37,7 @@ from monitor.diagnosis.missing_modes import (
     is_credible,
     is_stated,
     lacks_modes,
+    uncouple_modes,
 )
 from monitor.diagnosis.modal_start import fit_from_modes, has_same_structure
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
@@ -166,6 +167,8 @@ def diagnose(
         rounds.append(tuple(p.candidate.without_slopes() for p in candidates))
         candidates = _sufficient(stage, candidates, threshold)
         if not candidates:
+            stage, candidates = _prefer_cause_to_coupling(stage, settings)
+        if not candidates:
             break
         tied = tied_candidates(candidates, settings.rival)
         if not any(_is_apart(p.candidate.effect) for p in tied) and _shows_other_direction(stage, settings):
@@ -185,7 +188,7 @@ def diagnose(
             stage = replace(stage, posterior=tied[0].posterior, fit=tied[0].candidate.fit)
             break
         stage = _accept(stage, tied[0], settings)
-        if tied[0].candidate.effect.repeatable:
+        if any(effect.repeatable for effect in stage.fit.effects):
             stage, at_peaks = _add_missing_modes(stage, settings)
             rounds += at_peaks
     posterior, fit, accepted = eliminate_backward(
@@ -275,6 +278,37 @@ def _sufficient(
     """Return the candidates, best first, whose log evidence suffices to accept them."""
     needed = (threshold + cost_of_weak_modes(stage.posterior, stage.fit, p.candidate.effect) for p in candidates)
     return [p for p, enough in zip(candidates, needed, strict=True) if p.candidate.log_evidence >= enough]
+
+
+def _prefer_cause_to_coupling(
+    stage: _SearchState, settings: DiagnosisSettings
+) -> tuple[_SearchState, list[RefittedCandidate]]:
+    """Find a cause that explains more, beside modes that are not coupled, than the coupling of these modes explains.
+
+    A mode that is coupled to the floors moves their frequencies, so that couplings may stand in for a cause in the structure.
+
+    Returns
+    -------
+    stage : _SearchState
+        With the modes uncoupled; as it was where there is no such cause.
+    candidates : list of RefittedCandidate
+        The causes, best first; empty where there is none.
+    """
+    posterior, fit = stage.posterior, stage.fit
+    if not posterior.prior.is_baseline:  # modes that are coupled and modes that are not are both followed to their ends
+        return stage, []
+    apart = uncouple_modes(posterior, fit, stage.null_fit.x[posterior.layout.nuisances])
+    if apart is None:
+        return stage, []
+    before = replace(stage, posterior=update_linearization(posterior, apart), fit=apart)
+    before, candidates, threshold = _search_once(before, settings)
+    causes = [p for p in _sufficient(before, candidates, threshold) if not p.candidate.effect.repeatable]
+    if not causes:
+        return stage, []
+    best = causes[0].candidate
+    gain = log_evidence(before.posterior, before.fit) + best.log_evidence - log_evidence(posterior, fit)
+    needed = stage.margin + cost_of_weak_modes(posterior, fit, best.effect)
+    return (before, causes) if gain >= needed else (stage, [])
 
 
 def _start_from_modes(
