@@ -13,10 +13,12 @@ from monitor.diagnosis.detectable_loss import detectable_losses
 from monitor.diagnosis.initial_fit import FAR, first_guess
 from monitor.diagnosis.missing_modes import cost_of_weak_modes, find_missing_modes
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import _sufficient
-from monitor.inference import maximize_posterior
+from monitor.diagnosis.simulation_refit import fit_initial_model
+from monitor.diagnosis.stepwise_selection import _prefer_cause_to_coupling, _SearchState, _sufficient
+from monitor.inference import join_coordinates, maximize_posterior
+from monitor.model import StructuralPrior
 from monitor.model.effects import Effect, parse_effect
-from tests.diagnosis.test_modal_start import TORSION, posterior
+from tests.diagnosis.test_modal_start import CONTEXT, TORSION, posterior
 
 MACHINE = parse_effect("harmonic_excitation:floor 2:frequency_hz=17.5,force_n=0.6")
 THIRD = parse_effect("unmodelled_mode:frame:frequency_hz=11.9,damping_ratio=0.012,shape_1=0.7,shape_2=0.9,shape_3=-0.6")
@@ -74,3 +76,29 @@ def test_beside_missing_modes_only_a_larger_loss_would_have_been_found(monkeypat
     monkeypatch.setattr("monitor.diagnosis.detectable_loss.cost_of_weak_modes", lambda *_: 0.0)
     alone = detectable_losses(at, fit, margin)
     assert all(a is not None and b is not None and 0.0 < a < b < 0.2 for a, b in zip(alone, beside, strict=True))
+
+
+@pytest.mark.parametrize(("lost", "is_baseline"), [(0.08, True), (0.08, False), (0.0, True)])
+def test_a_loss_is_preferred_to_couplings_that_explain_less(
+    monkeypatch: pytest.MonkeyPatch, lost: float, is_baseline: bool
+) -> None:
+    """Modes that calibration did not see moved the frame's frequencies by their couplings, and no loss was left."""
+    loss = parse_effect(f"stiffness_change:story 2:relative={-lost}")
+    at, settings = posterior(np.ones(3), TORSION[0], *([loss] if lost else [])), DiagnosisSettings()
+    known = replace(at.prior, precision=1e4 * at.prior.precision)  # as calibration knows the structure
+    monkeypatch.setattr(StructuralPrior, "is_baseline", is_baseline)
+    at, null_fit, moments = fit_initial_model(at.observed, known, CONTEXT)
+    coupled = TORSION[0].coupled(CONTEXT)
+    assert coupled is not None
+    x = join_coordinates(null_fit.x, (coupled,))
+    fit = maximize_posterior(at, x, (coupled,), iterations=FAR)
+    stage = _SearchState(at, fit, null_fit, (), moments, settings.margin)
+    apart, causes = _prefer_cause_to_coupling(stage, settings)
+    if not (lost and is_baseline):
+        assert apart is stage and not causes
+        return
+    best = causes[0].candidate
+    assert (best.effect.name, best.effect.location) == ("stiffness_change", "story 2")
+    assert best.effect.values()["relative"] == pytest.approx(-lost, abs=0.01)
+    (mode,) = apart.fit.effects
+    assert mode.coupled(CONTEXT) is not None and mode.values()["frequency_hz"] == pytest.approx(7.4, rel=0.01)
