@@ -10,7 +10,7 @@ import numpy as np
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import FAR
-from monitor.diagnosis.missing_modes import CERTAIN, cost_of_weak_modes, effects_at_peak, likely_causes
+from monitor.diagnosis.missing_modes import CERTAIN, effects_at_peak, is_beyond_weak_modes, likely_causes
 from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
@@ -131,13 +131,16 @@ def eliminate_backward(
             fit_rival = partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence)
             fitted = parallel_map(fit_rival, rivals)
         best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
-        if best is not None and best.log_evidence > max(
-            min_log_evidence, margin + cost_of_weak_modes(posterior, without, best.effect)
+        is_better = best is not None and best.log_evidence > min_log_evidence
+        if (
+            best is not None
+            and is_better
+            and is_beyond_weak_modes(posterior, without, best.effect, best.log_evidence, margin)
         ):
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
             fit = maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects)
             kept[i], replaced = best, True
-        elif min_gain > margin + cost_of_weak_modes(posterior, without, cause.effect):
+        elif is_beyond_weak_modes(posterior, without, fit.effects[i], min_gain, margin):
             continue
         else:
             fit = without

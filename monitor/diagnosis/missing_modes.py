@@ -17,6 +17,7 @@ from monitor.diagnosis.score_test import (
     best_first,
     best_of_each_kind,
     find_excess_peaks,
+    fit_candidate,
     fit_roughly,
     log_evidence,
     parameter_cost,
@@ -294,6 +295,39 @@ def cost_of_weak_modes(posterior: Posterior, fit: MapEstimate, effect: Effect) -
     if effect.repeatable or not any(e.repeatable for e in fit.effects):
         return 0.0
     return parameter_cost(posterior, 2 + len(posterior.context.channels))
+
+
+def is_beyond_weak_modes(
+    posterior: Posterior, fit: MapEstimate, effect: Effect, evidence: float, needed: float
+) -> bool:
+    """Decide if the log evidence of a cause is more than a further mode, too weak to be found, may leave to it.
+
+    Beside a baseline the structure is known, and the cause is compared with such modes themselves: it must have its evidence
+    beside any mode at the highest peaks left.
+
+    Parameters
+    ----------
+    fit : MapEstimate
+        Fit without the cause.
+    effect : Effect
+        The cause at its fitted size.
+    evidence, needed : float
+        Log evidence of the cause, and what a cause needs, nats.
+    """
+    if evidence < needed or evidence >= needed + cost_of_weak_modes(posterior, fit, effect):
+        return evidence >= needed
+    return posterior.prior.is_baseline and _least_evidence_beside_a_mode(posterior, fit, effect) >= needed
+
+
+def _least_evidence_beside_a_mode(posterior: Posterior, fit: MapEstimate, effect: Effect) -> float:
+    """Compute the least log evidence of a cause beside one further mode at the highest peaks that a fit lacks, nats."""
+    at_peaks = (e for peak in find_excess_peaks(posterior, fit) for e in effects_at_peak(posterior, fit, peak))
+
+    def beside(mode: Effect) -> float:
+        with_mode = fit_candidate(posterior, fit, mode)
+        return fit_candidate(posterior, with_mode.fit, effect).log_evidence
+
+    return min(parallel_map(beside, [e for e in at_peaks if e.repeatable]), default=-np.inf)
 
 
 def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:

@@ -30,10 +30,10 @@ from monitor.diagnosis.lack_of_fit import (
 )
 from monitor.diagnosis.missing_modes import (
     as_seen,
-    cost_of_weak_modes,
     couple_modes,
     find_missing_mode,
     find_missing_modes,
+    is_beyond_weak_modes,
     is_credible,
     is_stated,
     lacks_modes,
@@ -276,8 +276,10 @@ def _sufficient(
     stage: _SearchState, candidates: Sequence[RefittedCandidate], threshold: float
 ) -> list[RefittedCandidate]:
     """Return the candidates, best first, whose log evidence suffices to accept them."""
-    needed = (threshold + cost_of_weak_modes(stage.posterior, stage.fit, p.candidate.effect) for p in candidates)
-    return [p for p, enough in zip(candidates, needed, strict=True) if p.candidate.log_evidence >= enough]
+    at, fit = stage.posterior, stage.fit
+    return [
+        p for p in candidates if is_beyond_weak_modes(at, fit, p.candidate.effect, p.candidate.log_evidence, threshold)
+    ]
 
 
 def _prefer_cause_to_coupling(
@@ -307,8 +309,7 @@ def _prefer_cause_to_coupling(
         return stage, []
     best = causes[0].candidate
     gain = log_evidence(before.posterior, before.fit) + best.log_evidence - log_evidence(posterior, fit)
-    needed = stage.margin + cost_of_weak_modes(posterior, fit, best.effect)
-    return (before, causes) if gain >= needed else (stage, [])
+    return (before, causes) if gain >= stage.margin else (stage, [])
 
 
 def _start_from_modes(
