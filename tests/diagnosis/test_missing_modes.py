@@ -11,7 +11,7 @@ import pytest
 
 from monitor.diagnosis.detectable_loss import detectable_losses
 from monitor.diagnosis.initial_fit import FAR, first_guess
-from monitor.diagnosis.missing_modes import cost_of_weak_modes, find_missing_modes
+from monitor.diagnosis.missing_modes import cost_of_weak_modes, find_missing_modes, is_beyond_weak_modes
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.diagnosis.stepwise_selection import _prefer_cause_to_coupling, _SearchState, _sufficient
@@ -66,6 +66,20 @@ def test_beside_missing_modes_another_cause_needs_what_a_weak_mode_may_leave() -
     assert _sufficient(stage, candidates, 10.0) == candidates[1:2]
     stage.fit = without
     assert _sufficient(stage, candidates, 10.0) == candidates[:2]
+
+
+@pytest.mark.parametrize(("lost", "is_baseline"), [(0.05, True), (0.05, False), (0.0, True)])
+def test_beside_a_baseline_a_cause_must_have_its_evidence_beside_a_further_mode(
+    monkeypatch: pytest.MonkeyPatch, lost: float, is_baseline: bool
+) -> None:
+    loss = parse_effect("stiffness_change:story 2:relative=-0.05")
+    at = posterior(np.ones(3), TORSION[0], *([loss] if lost else []))
+    at = replace(at, prior=replace(at.prior, precision=1e4 * at.prior.precision))  # as calibration knows the structure
+    monkeypatch.setattr(StructuralPrior, "is_baseline", is_baseline)
+    fit = maximize_posterior(at, first_guess(at), TORSION[:1], iterations=FAR)
+    beyond = 10.0 + cost_of_weak_modes(at, fit, loss)
+    assert is_beyond_weak_modes(at, fit, loss, beyond - 0.1, 10.0) is bool(lost and is_baseline)
+    assert is_beyond_weak_modes(at, fit, loss, beyond, 10.0) and not is_beyond_weak_modes(at, fit, loss, 9.9, 10.0)
 
 
 def test_beside_missing_modes_only_a_larger_loss_would_have_been_found(monkeypatch: pytest.MonkeyPatch) -> None:
