@@ -131,9 +131,9 @@ def _with_eccentricities(
 def _with_later_parameters(
     stated: list[dict[str, Any]], effects: tuple[Effect, ...], mean: Array, precision: Array, first: int
 ) -> tuple[Array, Array]:
-    """Add the parameters of effects that a baseline of before does not have: as far from none as they change from day to day.
+    """Add the parameters of effects that a baseline of before does not have, held where they were without being parameters.
 
-    The arms of the forces on a coupled mode are such; they come last.
+    The arms of the forces on a coupled mode are such; they come last, and were zero.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def _with_later_parameters(
             mean = np.insert(mean, end, effect.coordinates[later])
             known = np.insert(np.insert(precision, [end] * later.size, 0.0, axis=0), [end] * later.size, 0.0, axis=1)
             own = first + later
-            known[own, own] = (effect.units[later] * np.array(effect.daily)[later]) ** -2.0
+            known[own, own] = as_stated((effect,))[later]
             precision = known
         first += size
     return mean, precision
