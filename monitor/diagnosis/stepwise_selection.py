@@ -168,8 +168,9 @@ def diagnose(
         candidates = _sufficient(stage, candidates, threshold)
         if not candidates:
             stage, candidates = _prefer_cause_to_coupling(stage, settings)
-        if not candidates:
-            break
+            if not candidates:
+                break
+            rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
         tied = tied_candidates(candidates, settings.rival)
         if not any(_is_apart(p.candidate.effect) for p in tied) and _shows_other_direction(stage, settings):
             from_elsewhere = True  # no cause would be stated
