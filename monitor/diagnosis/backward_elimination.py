@@ -131,10 +131,9 @@ def eliminate_backward(
             fit_rival = partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence)
             fitted = parallel_map(fit_rival, rivals)
         best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
-        is_better = best is not None and best.log_evidence > min_log_evidence
         if (
             best is not None
-            and is_better
+            and best.log_evidence > min_log_evidence
             and is_beyond_weak_modes(posterior, without, best.effect, best.log_evidence, margin)
         ):
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])

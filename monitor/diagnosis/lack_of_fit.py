@@ -283,7 +283,7 @@ def knows_direction(posterior: Posterior) -> bool:
     if posterior.prior.ln_forces is None or posterior.observed.drive is not None:
         return False
     effects = posterior.prior.model.effects
-    return any(effect.repeatable and effect.coupled(posterior.context) is None for effect in effects)
+    return any(effect.is_coupled(posterior.context) for effect in effects)
 
 
 def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:

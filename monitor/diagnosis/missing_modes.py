@@ -110,7 +110,7 @@ def as_seen(posterior: Posterior, fit: MapEstimate, i: int, std: Array) -> tuple
         return effect.uncoupled(next(r.mode for r in found if r.owner == i))
 
     effect, these = effects[i], fit.coordinates_of(i)
-    if not effect.repeatable or effect.coupled(posterior.context) is not None:  # it is seen as it is
+    if not effect.is_coupled(posterior.context):  # it is seen as it is
         return effect, std
     here = seen(effect)
     steps = np.diag(_RELATIVE_STEP * effect.units)
@@ -430,7 +430,7 @@ def uncouple_modes(posterior: Posterior, fit: MapEstimate, start: Array) -> MapE
     start : ndarray, shape (n_nuisance,)
         Parameters of the model and of the excitation to start from: those of the coupled fit have followed the coupling.
     """
-    is_coupled = [e.repeatable and e.coupled(posterior.context) is None for e in fit.effects]
+    is_coupled = [e.is_coupled(posterior.context) for e in fit.effects]
     if not any(is_coupled):
         return None
     seen = {r.owner: r.mode for r in resonances(posterior, fit.x, fit.effects)}

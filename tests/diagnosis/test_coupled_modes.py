@@ -64,9 +64,8 @@ def test_modes_with_eccentricities_and_arms_are_a_building_that_turns() -> None:
     # The floors' middles sway, then all turn; the bracing resists each about the middle.
     masses = np.block([[mass, mass @ np.diag(-off)], [np.diag(-off) @ mass, mass @ np.diag(radius**2 + off**2)]])
     springs = block_diag(stiffness, turning * radius**2 * stiffness)
-    to_centre = np.block(
-        [[np.eye(n), np.diag(off)], [np.zeros((n, n)), np.eye(n)]]
-    )  # of the middle by the centre of mass
+    # The middle's motion by that of the centre of mass.
+    to_centre = np.block([[np.eye(n), np.diag(off)], [np.zeros((n, n)), np.eye(n)]])
     about_mass = to_centre.T @ springs @ to_centre
     inertia = (to_centre.T @ masses @ to_centre)[n:, n:]
     squared, turns = eigh(about_mass[n:, n:], inertia)

@@ -485,6 +485,10 @@ class Effect(ReportFace, ABC):
         """Return the effect with a coupling to the floors, which is zero at first; None where it has none to add."""
         return None
 
+    def is_coupled(self, context: Context) -> bool:
+        """Check if the effect is a mode that the model lacks and that is coupled to the floors."""
+        return self.repeatable and self.coupled(context) is None
+
     def reversed_coupling(self) -> Effect:
         """Return a coupled effect with the signs of its coupling reversed; any other as it is."""
         return self
