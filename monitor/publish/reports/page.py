@@ -33,7 +33,7 @@ ul.doubts { margin: .6rem 0; padding-left: 1.1rem; border-left: 3px solid var(--
 ul.doubts li { margin: .2rem 0 .2rem .6rem; } ul.doubts:empty { display: none; }
 .figures { display: flex; flex-wrap: wrap; gap: .6rem 2.4rem; margin: 1rem 0; }
 .figures div { font-size: .87rem; color: var(--muted); max-width: 19rem; }
-.figures b { display: block; font-size: 1.15rem; white-space: nowrap; color: var(--ink); }
+.figures b { display: block; font-size: 1.15rem; color: var(--ink); }
 .long td:last-child { overflow-wrap: anywhere; }
 .stories { margin: .8rem 0; border-bottom: 4px solid var(--ink); max-width: 60rem; }
 .stories div { display: grid; grid-template-columns: 9rem 1fr; gap: .8rem; align-items: center; margin-bottom: 2px; }
