@@ -111,10 +111,11 @@ class ZenohOut(Messages):
             ending.callback(callbacks.join)
             ending.callback(leave, session)
             publishers = {name: self._publisher(session, name, kept) for name, kept in (_CACHES | _STATE_CACHE).items()}
+            # Who finds the monitor alive, or its state, finds that it takes requests too: declarations are passed on in this order.
             for entity in (
-                session.liveliness().declare_token(f"{self.prefix}/alive/monitor"),
-                session.declare_queryable(f"{self.prefix}/state", callbacks.of(self._on_state)),
                 session.declare_queryable(f"{self.prefix}/ack", callbacks.of(self._on_request)),
+                session.declare_queryable(f"{self.prefix}/state", callbacks.of(self._on_state)),
+                session.liveliness().declare_token(f"{self.prefix}/alive/monitor"),
             ):
                 ending.callback(entity.undeclare)
             self._failure = None
