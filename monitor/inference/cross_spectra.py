@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,24 +249,84 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
     ndarray, shape (n_hz, c, n + 1 + n_coupled)
         For forces on the floors, for a ground acceleration, then for a force on each coupled mode of the system.
     """
-    n = context.structure.n_dofs
-    columns = np.insert(system.forced(n), n, -system.inertia, axis=1)
-    arrays = system.mass, system.damping, system.stiffness, hz, columns
-    floors = _floor_response(*(np.ascontiguousarray(a).tobytes() for a in arrays))
-    return np.asarray(_at_sensors(floors, system.sensors(context.sensors), n, context.sensors.sum(axis=1)))
+    return _Observed.of(system, context).response(hz)
+
+
+@dataclass(frozen=True, slots=True)
+class _Observed:
+    """Linear system and its sensors as bytes of their arrays, by which results are kept: most slopes of a fit move neither."""
+
+    mass: bytes
+    damping: bytes
+    stiffness: bytes
+    columns: bytes
+    """Forces that act on the degrees of freedom, shape (N, n + 1 + n_coupled); the ground's column is number n."""
+    sensors: bytes
+    """Shares of the degrees of freedom in every channel, shape (c, N)."""
+    shares: bytes
+    """Of the ground's own acceleration in every channel, shape (c,)."""
+    n: int
+
+    @classmethod
+    def of(cls, system: System, context: Context) -> Self:
+        """Take the arrays of a system and of the channels."""
+        n = context.structure.n_dofs
+        columns = np.insert(system.forced(n), n, -system.inertia, axis=1)
+        sensors, shares = system.sensors(context.sensors), context.sensors.sum(axis=1)
+        arrays = system.mass, system.damping, system.stiffness, columns, sensors, shares
+        mass, damping, stiffness, forced, seen_by, own = (np.ascontiguousarray(a).tobytes() for a in arrays)
+        return cls(mass, damping, stiffness, forced, seen_by, own, n)
+
+    def response(self, hz: Array) -> ComplexArray:
+        """Compute the frequency response of the true accelerations at the sensors, see `channel_response`."""
+        floors = _floor_response(
+            self.mass, self.damping, self.stiffness, self.columns, np.ascontiguousarray(hz).tobytes()
+        )
+        sensors, shares = (np.frombuffer(of).copy() for of in (self.sensors, self.shares))
+        return np.asarray(_at_sensors(floors, sensors.reshape(shares.size, -1), self.n, shares))
 
 
 @lru_cache(maxsize=_N_RESPONSES)
-def _floor_response(
-    mass_bytes: bytes, damping_bytes: bytes, stiffness_bytes: bytes, hz_bytes: bytes, column_bytes: bytes
-) -> ComplexArray:
-    """Compute `accelerance` of arrays given by their bytes: most slopes of a fit leave the system as it is."""
-    mass, damping, stiffness, hz, columns = (
-        np.frombuffer(of).copy() for of in (mass_bytes, damping_bytes, stiffness_bytes, hz_bytes, column_bytes)
+def _floor_response(mass: bytes, damping: bytes, stiffness: bytes, columns: bytes, hz: bytes) -> ComplexArray:
+    """Compute `accelerance` of arrays given by their bytes; sensors may move while the system stays."""
+    m, c, k, right, at = (np.frombuffer(of).copy() for of in (mass, damping, stiffness, columns, hz))
+    size = round(np.sqrt(m.size))
+    m, c, k = (a.reshape(size, size) for a in (m, c, k))
+    return np.asarray(accelerance(m, c, k, 2.0 * np.pi * at, right.reshape(size, -1)))
+
+
+@lru_cache(maxsize=_N_RESPONSES)
+def _integrated_products(
+    observed: _Observed, colour: bytes, rate_hz: float, band_hz: float
+) -> tuple[Array, Array, Array]:
+    """Integrate the products of the channels' responses to two forces, and their squared responses to the ground.
+
+    The classes of a recording differ by the density of the forces alone, which weights these products.
+
+    Parameters
+    ----------
+    colour : bytes
+        Factor on the density of the forces at `_integration_hz`.
+
+    Returns
+    -------
+    by_pair, above : ndarray, shape (c, n, n)
+        Over all frequencies, and over those above `band_hz`.
+    by_ground : ndarray, shape (c,)
+    """
+    hz, n = _integration_hz(rate_hz), observed.n
+    answer = observed.response(hz).transpose(1, 2, 0)
+    weight = 2.0 * hz * np.gradient(np.log(hz))
+    forced, coloured = answer[:, :n], weight * np.frombuffer(colour)
+    by_pair, above = (
+        ((w * forced) @ forced.conj().transpose(0, 2, 1)).real for w in (coloured, coloured * (hz > band_hz))
     )
-    size = round(np.sqrt(mass.size))
-    mass, damping, stiffness = (a.reshape(size, size) for a in (mass, damping, stiffness))
-    return np.asarray(accelerance(mass, damping, stiffness, 2.0 * np.pi * hz, columns.reshape(size, -1)))
+    return by_pair, above, np.abs(answer[:, n]) ** 2 @ weight
+
+
+def _integration_hz(rate_hz: float) -> Array:
+    """Return the frequencies of the integrals of variance, Hz; equal steps of the logarithm follow the peaks' width."""
+    return np.exp(np.linspace(np.log(_LOWEST_HZ), np.log(0.5 * rate_hz), _LOG_STEPS))
 
 
 def extra_mode_response(modes: Sequence[ExtraMode], hz: Array, context: Context) -> ComplexArray:
@@ -346,13 +407,11 @@ def variances(
     by_force, by_ground, above : ndarray, shape (c,)
         Variance by the forces, by a white ground acceleration of density one, and by the forces above `band_hz`.
     """
-    low, high = np.log(_LOWEST_HZ), np.log(0.5 * context.rate_hz)
-    hz = np.exp(np.linspace(low, high, _LOG_STEPS))  # equal steps of the logarithm follow the peaks' width
-    answer = channel_response(system, hz, context)
-    n, weight = force.size, 2.0 * hz * np.gradient(np.log(hz))
-    by_force = _powers(answer[:, :, :n], force_root(force, effects)) * force_colour(effects, hz)[:, None]
-    by_ground = _powers(answer[:, :, n : n + 1], np.eye(1))
-    return weight @ by_force, weight @ by_ground, (weight * (hz > band_hz)) @ by_force
+    root, colour = force_root(force, effects), force_colour(effects, _integration_hz(context.rate_hz))
+    observed = _Observed.of(system, context)
+    by_pair, above, by_ground = _integrated_products(observed, colour.tobytes(), context.rate_hz, band_hz)
+    density = root @ root.T
+    return (by_pair * density).sum(axis=(1, 2)), by_ground, (above * density).sum(axis=(1, 2))
 
 
 @compiled(error_model="numpy")
@@ -438,31 +497,6 @@ def _at_sensors(floors: ComplexArray, sensors: Array, ground: int, shares: Array
                     for j in range(columns):
                         out[k, s, j] += share * floors[k, i, j]
             out[k, s, ground] += shares[s]
-    return out
-
-
-@compiled(error_model="numpy")
-def _powers(answer: ComplexArray, root: Array) -> Array:
-    """Compute the power density of every channel by independent sources of density one through `root`.
-
-    Parameters
-    ----------
-    answer : ndarray, shape (n_omega, c, n)
-    root : ndarray, shape (n, n_sources)
-
-    Returns
-    -------
-    ndarray, shape (n_omega, c)
-    """
-    n_omega, c, n = answer.shape
-    out = np.zeros((n_omega, c))
-    for k in range(n_omega):
-        for a in range(c):
-            for s in range(root.shape[1]):
-                total = 0j
-                for j in range(n):
-                    total += root[j, s] * answer[k, a, j]
-                out[k, a] += total.real * total.real + total.imag * total.imag
     return out
 
 

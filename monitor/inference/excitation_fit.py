@@ -130,7 +130,7 @@ def fit_excitation(
         x = _fit_levels(posterior, x)
     for _ in range(2 if model.effects else 0):
         at_prior = posterior.layout.with_structure(x, known.mean)
-        posterior = replace(posterior, conditions=linearize(posterior, x, ()), prior=known)
+        posterior = replace(posterior, conditions=linearize(posterior, x, (), only_if_nonlinear=True), prior=known)
         x = _fit_levels(posterior, at_prior)
     if isinstance(posterior, AmbientPosterior) and any(e.nonlinear for e in model.effects):
         linear = posterior.without_drift().scatter(x, ())

@@ -27,7 +27,12 @@ _MIN_MOTION = 0.3
 
 
 def linearize(
-    posterior: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray | None = None
+    posterior: Posterior,
+    x: Array,
+    effects: tuple[Effect, ...],
+    spectra: ComplexArray | None = None,
+    *,
+    only_if_nonlinear: bool = False,
 ) -> tuple[Condition, ...]:
     """Estimate the RMS motion and the temperature of every class under the fitted model.
 
@@ -42,6 +47,8 @@ def linearize(
         Extra effects, beside the persistent ones.
     spectra : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz, optional
         Spectra from which the motion is estimated; the measured ones by default.
+    only_if_nonlinear : bool, optional
+        Whether to leave out the motion, NaN then, if no effect is nonlinear.  It costs as much as many fits of a linear model.
 
     Returns
     -------
@@ -54,14 +61,38 @@ def linearize(
     """
     e, context = posterior.observed, posterior.context_at(x)
     everything = (*posterior.prior.effects(x), *effects)
+    n, m = context.structure.n_dofs, context.structure.n_stories
+    if only_if_nonlinear and not any(effect.nonlinear for effect in everything):
+        rms = np.full((posterior.n_classes, 2 * m + n), np.nan)
+    else:
+        rms = _class_motion(posterior, x, effects, e.spectra if spectra is None else spectra)
+    beyond, out = _power_above_band(posterior, x, everything), []
+    shaken = not isinstance(posterior, DrivenPosterior) and any(effect.ground_share for effect in everything)
+    ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
+    piled, band_hz = e.piled >= MIN_PILED, float(e.band.hz[-1])
+    for k, row in enumerate(rms):
+        excess_degc = partial(_excess_degc, e, k, posterior.prior.reference_degc)
+        parts = row[:m], row[m : 2 * m], row[2 * m :]
+        out.append(Condition(*parts, e.rms[k], excess_degc, e.peak, piled, beyond, band_hz, float(ground[k])))
+    return tuple(out)
+
+
+def _class_motion(posterior: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> Array:
+    """Estimate the RMS motion of every class: drift (m) and drift velocity (m/s) of the stories, velocity (m/s) of the floors.
+
+    Parameters are those of `linearize`.
+
+    Returns
+    -------
+    ndarray, shape (classes, 2 m + n)
+    """
+    e, context = posterior.observed, posterior.context_at(x)
+    everything = (*posterior.prior.effects(x), *effects)
     base, damping = posterior.system(x, everything), np.exp(x[posterior.layout.damping])
     n, forces = context.structure.n_dofs, posterior.forces(x)
     drift = context.structure.drift_matrix()
     rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
-    excess = (e.spectra if spectra is None else spectra) - posterior.scatter(x, effects)
-    beyond, out = _power_above_band(posterior, x, everything), []
-    shaken = not isinstance(posterior, DrivenPosterior) and any(effect.ground_share for effect in everything)
-    ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
+    excess, out = spectra - posterior.scatter(x, effects), np.empty((posterior.n_classes, len(rows)))
     for k in range(posterior.n_classes):
         system = extended(base, everything, context, posterior.conditions[k])
         lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
@@ -84,13 +115,8 @@ def linearize(
             recorded = (e.band.hz > _SLOW_SHARE * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
             excess_power = np.einsum("fra,fab,frb->r", wiener, recorded, wiener.conj()).real
             variance = np.maximum(variance + 2.0 * e.band.bin_hz * excess_power, _MIN_MOTION * variance)
-        rms = np.sqrt(variance)
-        excess_degc = partial(_excess_degc, e, k, posterior.prior.reference_degc)
-        m = len(drift)
-        piled, band_hz = e.piled >= MIN_PILED, float(e.band.hz[-1])
-        parts = rms[:m], rms[m : 2 * m], rms[2 * m :]
-        out.append(Condition(*parts, e.rms[k], excess_degc, e.peak, piled, beyond, band_hz, float(ground[k])))
-    return tuple(out)
+        out[k] = np.sqrt(variance)
+    return out
 
 
 def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], laws: Sequence[Effect]) -> Array:

@@ -111,7 +111,7 @@ class ZenohOut(Messages):
             ending.callback(callbacks.join)
             ending.callback(leave, session)
             publishers = {name: self._publisher(session, name, kept) for name, kept in (_CACHES | _STATE_CACHE).items()}
-            # Who finds the monitor alive, or its state, finds that it takes requests too: declarations are passed on in this order.
+            # Declared in this order, so that who finds the monitor alive, or its state, can ask it too.
             for entity in (
                 session.declare_queryable(f"{self.prefix}/ack", callbacks.of(self._on_request)),
                 session.declare_queryable(f"{self.prefix}/state", callbacks.of(self._on_state)),
