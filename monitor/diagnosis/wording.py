@@ -258,6 +258,11 @@ def _limits_of_gain(gain: HeldOutGain) -> str:
             f" Held-out data are more probable with this, but the error of their cross-spectra is larger ({errors}): the "
             "form of what was added is not yet right."
         )
+    if gain.csd_error_after > 1.0:
+        return (
+            " The model's form is not yet right: it predicts the cross-spectra of held-out data with an error of "
+            f"{csd_error_in_words(gain.csd_error_after)}, so that sizes may be wrong by more than their intervals."
+        )
     return ""
 
 
