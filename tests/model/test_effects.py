@@ -155,3 +155,17 @@ def test_replay_and_calibrate_take_a_structure_file_with_a_nonlinear_effect(
     more = ("--structure", path, "--baseline", tmp_path / "b.json", "--out", tmp_path / "out")
     done = main("replay", tmp_path / "r.mcap", *more)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("text", CASES)
+def test_a_fit_that_ends_at_a_limit_of_what_is_possible_is_another_effect(text: str) -> None:
+    effect, band_hz = parse_effect(text), np.linspace(0.5, 40.0, 80)
+    assert effect.is_plausible(band_hz)
+    if effect.name == "base_excitation":
+        return  # the ground may cause all of the motion
+    for i, parameter in enumerate(effect.parameters):
+        for end in {parameter.low, parameter.high} - {0.0, parameter.absent}:
+            if np.isfinite(end):
+                coordinates = effect.coordinates
+                coordinates[i] = 2.0 * parameter.coordinate(end)
+                assert not effect.at(coordinates).is_plausible(band_hz), (parameter.name, end)

@@ -360,12 +360,14 @@ class Effect(ReportFace, ABC):
     def is_plausible(self, band_hz: Array) -> bool:
         """Check that a fit of this size means this effect, and not another one that it imitates.
 
+        By default no parameter is at a limit of what is physically possible: a fit that ends there imitates something else.
+
         Parameters
         ----------
         band_hz : ndarray, shape (n_bins,)
             Frequencies that were compared, ascending, Hz.
         """
-        return True
+        return not any(p.is_limit(v) for p, v in zip(self.parameters, self.values().values(), strict=True))
 
     @property
     def is_softening(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
+from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
@@ -32,6 +33,10 @@ class BaseExcitation(Effect):
     def ground_share(self) -> float:
         """See `Effect.ground_share`."""
         return self.share
+
+    def is_plausible(self, band_hz: Array) -> bool:
+        """See `Effect.is_plausible`.  The ground may cause all of the motion."""
+        return True
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

@@ -61,3 +61,15 @@ class Parameter:
     def allows(self, value: float) -> bool:
         """Check that a value is finite and within the bounds."""
         return abs(value) < inf and value < self.high and (value > self.low or (self.closed and value == self.low))
+
+    def is_limit(self, value: float) -> bool:
+        """Check if a value is one to which `value` limits: what is physically possible ends there.
+
+        Examples
+        --------
+        >>> relative = Parameter("relative", -1.0, 10.0)
+        >>> relative.is_limit(relative.value(-1.3)), relative.is_limit(-0.99)
+        (True, False)
+        """
+        at_low = value == self.value(-inf) and not self.closed
+        return at_low or value == self.value(inf)
