@@ -291,20 +291,34 @@ def _far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
     """
     if posterior.observed.drive is not None or any(effect.repeatable for effect in null_fit.effects):
         return False
-    return posterior.prior.log_density(null_fit.x[posterior.layout.structure]) < _MIN_LOG_PRIOR
+    at, n_held = posterior.prior.mean.copy(), _n_held(posterior)
+    at[:n_held] = null_fit.x[:n_held]
+    return posterior.prior.log_density(at) < _MIN_LOG_PRIOR
+
+
+def _n_held(posterior: Posterior) -> int:
+    """Count the first parameters that are held at their prior.
+
+    A structure file says nothing of the sensors' noise and of the forces' spectrum, so that both may lie far from their prior
+    where the structure does not.
+    """
+    prior, layout = posterior.prior, posterior.layout
+    is_known = prior.is_baseline or any(effect.family != "excitation" for effect in prior.model.effects)
+    return int(layout.structure.stop if is_known else layout.channel_noise.start)
 
 
 def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) -> tuple[Posterior, MapEstimate]:
     """Fit with the structure held at its prior mean, with further effects if given; return the held posterior and the fit."""
-    known = posterior.prior
-    held = replace(
-        posterior, prior=replace(known, precision=known.precision + np.diag(_HELD_STRUCTURE_PRECISION / known.units**2))
-    )
+    known, n_held = posterior.prior, _n_held(posterior)
+    tight = np.zeros(known.mean.size)
+    tight[:n_held] = _HELD_STRUCTURE_PRECISION / known.units[:n_held] ** 2
+    held = replace(posterior, prior=replace(known, precision=known.precision + np.diag(tight)))
     effects = (*null_fit.effects, *more)
-    nuisances = (null_fit.x[posterior.layout.nuisances], first_guess(posterior))
-    starts = [posterior.layout.with_structure(x, known.mean) for x in nuisances]
+    starts = [null_fit.x[posterior.layout.nuisances].copy(), first_guess(posterior)]
+    for start in starts:
+        start[:n_held] = known.mean[:n_held]
     x = max(starts, key=lambda start: sum(held.score(join_coordinates(start, effects), effects)))
-    unused = null_fit.slopes.by(np.arange(posterior.layout.structure.stop))  # of what does not move
+    unused = null_fit.slopes.by(np.arange(n_held))  # of what does not move
     return held, maximize_posterior(held, x, effects, iterations=FAR, frozen=unused)
 
 

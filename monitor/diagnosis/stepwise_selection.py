@@ -41,7 +41,7 @@ from monitor.diagnosis.missing_modes import (
 )
 from monitor.diagnosis.modal_start import fit_from_modes, has_same_structure
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
-from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_candidate, log_evidence
+from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_candidate, log_evidence, parameter_cost
 from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import (
@@ -137,7 +137,12 @@ class _SearchState:
 
 
 def diagnose(
-    observed: ObservedSpectra, prior: StructuralPrior, context: Context, settings: DiagnosisSettings
+    observed: ObservedSpectra,
+    prior: StructuralPrior,
+    context: Context,
+    settings: DiagnosisSettings,
+    *,
+    wider: StructuralPrior | None = None,
 ) -> Diagnosis:
     """Search the catalogue of effects for the causes that explain a recording.
 
@@ -152,14 +157,20 @@ def diagnose(
     context : Context
         Channels, sensors and structure.
     settings : DiagnosisSettings
+    wider : StructuralPrior, optional
+        The prior with further persistent effects.  It takes the place of `prior` where it explains more than its parameters cost
+        and than modes that the model lacks explain: beside forces of another spectrum every cause is sought in vain.
 
     Returns
     -------
     Diagnosis
     """
-    posterior, null_fit, moments = fit_initial_model(observed, prior, context)
-    stage = _SearchState(posterior, null_fit, null_fit, (), moments, settings.margin)
-    stage, rounds, optima = _start_from_modes(stage, settings)
+    stage, rounds, optima = _start_from_modes(_first_stage(observed, prior, context, settings), settings)
+    if wider is not None and find_lack_of_fit(stage.posterior, stage.fit, settings):
+        shaped = _first_stage(observed, wider, context, settings)
+        cost = parameter_cost(shaped.posterior, wider.mean.size - prior.mean.size)
+        if shaped.fit.log_posterior - cost > log_evidence(stage.posterior, stage.fit) + settings.margin:
+            stage, rounds, optima = _start_from_modes(shaped, settings)
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     from_elsewhere = False
     while _n_counted(stage) < settings.max_causes:
@@ -240,6 +251,14 @@ def diagnose(
         rounds=tuple(rounds),
         other_optima=optima,
     )
+
+
+def _first_stage(
+    observed: ObservedSpectra, prior: StructuralPrior, context: Context, settings: DiagnosisSettings
+) -> _SearchState:
+    """Fit the model without causes."""
+    posterior, fit, moments = fit_initial_model(observed, prior, context)
+    return _SearchState(posterior, fit, fit, (), moments, settings.margin)
 
 
 def _search_once(

@@ -45,7 +45,7 @@ from monitor.diagnosis import (
     withdraw_other_structure,
 )
 from monitor.diagnosis import diagnose as diagnose_spectra
-from monitor.inference import Segments, classify, gather, maximize_posterior
+from monitor.inference import ObservedSpectra, Segments, classify, gather, make_posterior, maximize_posterior
 from monitor.model import (
     CALIBRATION_EFFECTS,
     Condition,
@@ -182,21 +182,21 @@ def learn_healthy_prior(segments: Segments, config: Configuration) -> Structural
     observed, context, known = classify(segments), _context(segments, config), _drawing_prior(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
-    found = diagnose_spectra(observed, known, context, config.diagnosis)
-    most = config.diagnosis.max_causes
+    wider = _with_site_effects(known, observed, context)
+    found = diagnose_spectra(observed, known, context, config.diagnosis, wider=wider)
+    known, most = found.posterior.prior, config.diagnosis.max_causes
     is_cut_off = sum(not c.effect.repeatable for c in found.causes) >= most
     if found.verdict == "unexplained" or is_cut_off:  # further causes are possible
-        condition = found.posterior.conditions[0]
-        site = _site_effects(known, context, condition)
-        ambient = _with_persistent_effects(known, site, context, condition)
-        shaped = observed.drive is None and bool(site) and _gains_more_than_cost(ambient, found)
-        if shaped or is_cut_off:  # otherwise the search ended by itself, and would again
-            known = ambient if shaped else known
+        if wider is not None and known.mean.size < wider.mean.size and _gains_more_than_cost(wider, found):
+            known, is_cut_off = wider, True
+        if is_cut_off:  # otherwise the search ended by itself, and would again
             more = config.diagnosis.model_copy(update={"max_causes": max(most, _MAX_INITIAL_CAUSES)})
             found = diagnose_spectra(observed, known, context, more)
     # Independent of the verdict: an effect that describes the healthy data is no change later.  Of effects that no data
     # distinguish, either will do.
-    causes, condition = found.final_fit.effects, found.posterior.conditions[0]
+    # What a steady clock does to all frequencies alike is part of the stiffness that is learned.
+    causes = tuple(effect for effect in found.final_fit.effects if effect.clock_factor == 1.0)
+    condition = found.posterior.conditions[0]
     while True:
         same_laws = _same_laws_in_other_stories(causes, context)
         wider = _with_persistent_effects(known, (*causes, *same_laws), context, condition, n_guessed=len(same_laws))
@@ -218,16 +218,19 @@ def _mended(segments: Segments, config: Configuration) -> tuple[Segments, tuple[
     return correct_clock_drifts(whole, config.diagnosis)
 
 
-def _site_effects(known: StructuralPrior, context: Context, condition: Condition) -> tuple[Effect, ...]:
-    """List the effects that only a calibration searches for and the structure file does not state, at their initial sizes."""
-    stated = {effect.name for effect in known.model.effects}
-    return tuple(
+def _with_site_effects(known: StructuralPrior, observed: ObservedSpectra, context: Context) -> StructuralPrior | None:
+    """Add the effects that only a calibration searches for; return None where there is none to add, or an input was measured."""
+    condition, stated = make_posterior(observed, known, context).conditions[0], {e.name for e in known.model.effects}
+    effects = tuple(
         kind.starts(place, context, condition)[0]
         for name, kind in CALIBRATION_EFFECTS.items()
         if name not in stated
         for kind_of_place in kind.places
         for place in locations(kind_of_place, context)
     )
+    if observed.drive is not None or not effects:
+        return None
+    return _with_persistent_effects(known, effects, context, condition)
 
 
 def _same_laws_in_other_stories(causes: tuple[Effect, ...], context: Context) -> tuple[Effect, ...]:
