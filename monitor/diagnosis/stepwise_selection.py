@@ -41,7 +41,15 @@ from monitor.diagnosis.missing_modes import (
 )
 from monitor.diagnosis.modal_start import fit_from_modes, has_same_structure
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
-from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_candidate, log_evidence, parameter_cost
+from monitor.diagnosis.score_test import (
+    Candidate,
+    best_of_each_kind,
+    candidate_starts,
+    evidence_cost,
+    fit_candidate,
+    log_evidence,
+    parameter_cost,
+)
 from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import (
@@ -158,8 +166,9 @@ def diagnose(
         Channels, sensors and structure.
     settings : DiagnosisSettings
     wider : StructuralPrior, optional
-        The prior with further persistent effects.  It takes the place of `prior` where it explains more than its parameters cost
-        and than modes that the model lacks explain: beside forces of another spectrum every cause is sought in vain.
+        The prior with persistent effects of the forces.  It takes the place of `prior` where it explains more of the misfit
+        than it leaves, beyond what its parameters cost and what modes that the model lacks or one effect of the forces
+        explain: without it every cause would be sought in vain.
 
     Returns
     -------
@@ -169,7 +178,9 @@ def diagnose(
     if wider is not None and find_lack_of_fit(stage.posterior, stage.fit, settings):
         shaped = _first_stage(observed, wider, context, settings)
         cost = parameter_cost(shaped.posterior, wider.mean.size - prior.mean.size)
-        if shaped.fit.log_posterior - cost > log_evidence(stage.posterior, stage.fit) + settings.margin:
+        gain = shaped.fit.log_posterior - cost - log_evidence(stage.posterior, stage.fit) - _gain_by_forces(stage)
+        left = lack_of_fit_cost(shaped.posterior, find_lack_of_fit(shaped.posterior, shaped.fit, settings))
+        if gain > max(left, settings.margin):
             stage, rounds, optima = _start_from_modes(shaped, settings)
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     from_elsewhere = False
@@ -259,6 +270,16 @@ def _first_stage(
     """Fit the model without causes."""
     posterior, fit, moments = fit_initial_model(observed, prior, context)
     return _SearchState(posterior, fit, fit, (), moments, settings.margin)
+
+
+def _gain_by_forces(stage: _SearchState) -> float:
+    """Fit the effects of the forces; return the log evidence of the best of them, or zero."""
+    posterior, fit = stage.posterior, stage.fit
+    starts = [e for e in candidate_starts(posterior, fit) if e.family == "excitation" and not e.repeatable]
+    fits = parallel_map(
+        lambda effect: fit_candidate(posterior, fit, effect).log_evidence, best_of_each_kind(posterior, fit, starts)
+    )
+    return max([0.0, *filter(np.isfinite, fits)])
 
 
 def _search_once(

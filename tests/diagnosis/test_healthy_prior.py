@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +12,14 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
+from monitor.diagnosis import stepwise_selection
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content as content_of
+from monitor.diagnosis.selection_round import run_selection_round
+from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
 from monitor.inference.observed_spectra import classify
+from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather
 from monitor.model.effects import Effect, parse_effect
 from monitor.model.model import Model
@@ -83,6 +88,26 @@ def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str
             classify(recorded(4, FORCES, "coloured_excitation:frame:corner_hz=9")), known, CONTEXT, CONFIG.diagnosis
         )
         assert [c.effect.name for c in other.causes] == ["coloured_excitation"]
+
+
+def test_forces_of_another_spectrum_are_seen_before_any_cause_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They fall by 40 dB within the band, so that beside white ones every cause imitates them."""
+    narrow = "ambient_forces:frame:common_share=0," + ",".join(
+        f"rise_{i}={-2.0 if i > 10 else 0.0}" for i in range(1, 16)
+    )
+    searched: list[Posterior] = []
+
+    def search(posterior: Posterior, *more: Any) -> list[RefittedCandidate]:
+        searched.append(posterior)
+        return run_selection_round(posterior, *more)
+
+    monkeypatch.setattr(stepwise_selection, "run_selection_round", search)
+    segments = recorded(5, narrow)
+    known = learn_healthy_prior(segments, CONFIG)
+    assert [e.name for e in known.model.effects] == ["ambient_forces"]
+    assert searched and all("ambient_forces" in [e.name for e in p.prior.model.effects] for p in searched)
+    learned = known.mean[: CONFIG.model().structure.n_stories]
+    np.testing.assert_allclose(learned, np.log(CONFIG.model().structure.stiffness_n_per_m), atol=0.02)
 
 
 UNEXPLAINED_S = 1200
