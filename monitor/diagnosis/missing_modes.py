@@ -374,14 +374,14 @@ def is_credible(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
 def is_stated(posterior: Posterior, fit: MapEstimate, i: int) -> bool:
     """Decide if effect i of a fit is stated: any effect but a mode that is no news, or what cannot be told from another mode.
 
-    Which modes of a structure in space a recording shows depends on the forces.  So where modes were missing at calibration, a
-    further one is no news.  What swings on a floor at the frequency of such a mode is not told from a change of the mode.
+    Which modes of a structure in space a recording shows depends on the forces.  So a mode that calibration did not see is no
+    news beside a baseline.  What swings on a floor at the frequency of such a mode is not told from a change of the mode.
     Without a baseline it is not told from one more mode at any frequency: a mode that is coupled to one floor alone is an
     oscillator on that floor.
     """
     effect, before = fit.effects[i], posterior.prior.effects(fit.x)
     if effect.repeatable:
-        return not any(e.repeatable for e in before) and is_distinct(posterior, fit, i)
+        return not posterior.prior.is_baseline and is_distinct(posterior, fit, i)
     own = _as_mode(effect)
     lacking = [_as_mode(e) for e in (*before, *fit.effects) if e.repeatable]
     if own is None or not lacking:

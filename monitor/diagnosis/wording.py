@@ -235,7 +235,7 @@ def _also_fitted_in_words(content: Mapping[str, Any], reference: StructuralPrior
     if not content["also_fitted"]:
         return ""
     said = _causes_in_words(content["also_fitted"], reference)
-    return _sentence(f"also fitted, but not told from modes that the model lacks or has already: {said}")
+    return _sentence(f"also fitted, no news beside modes that the model lacks or that calibration did not see: {said}")
 
 
 def _limits_of_gain(gain: HeldOutGain) -> str:
