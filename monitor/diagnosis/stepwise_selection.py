@@ -166,22 +166,13 @@ def diagnose(
         Channels, sensors and structure.
     settings : DiagnosisSettings
     wider : StructuralPrior, optional
-        The prior with persistent effects of the forces.  It takes the place of `prior` where it explains more of the misfit
-        than it leaves, beyond what its parameters cost and what modes that the model lacks or one effect of the forces
-        explain: without it every cause would be sought in vain.
+        The prior with persistent effects of the forces, for a calibration, see `_begin`.
 
     Returns
     -------
     Diagnosis
     """
-    stage, rounds, optima = _start_from_modes(_first_stage(observed, prior, context, settings), settings)
-    if wider is not None and find_lack_of_fit(stage.posterior, stage.fit, settings):
-        shaped = _first_stage(observed, wider, context, settings)
-        cost = parameter_cost(shaped.posterior, wider.mean.size - prior.mean.size)
-        gain = shaped.fit.log_posterior - cost - log_evidence(stage.posterior, stage.fit) - _gain_by_forces(stage)
-        left = lack_of_fit_cost(shaped.posterior, find_lack_of_fit(shaped.posterior, shaped.fit, settings))
-        if gain > max(left, settings.margin):
-            stage, rounds, optima = _start_from_modes(shaped, settings)
+    stage, rounds, optima = _begin(observed, prior, context, settings, wider)
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     from_elsewhere = False
     while _n_counted(stage) < settings.max_causes:
@@ -262,6 +253,34 @@ def diagnose(
         rounds=tuple(rounds),
         other_optima=optima,
     )
+
+
+def _begin(
+    observed: ObservedSpectra,
+    prior: StructuralPrior,
+    context: Context,
+    settings: DiagnosisSettings,
+    wider: StructuralPrior | None,
+) -> tuple[_SearchState, list[tuple[Candidate, ...]], tuple[MapEstimate, ...]]:
+    """Fit the model without causes, then the modes that it lacks.
+
+    The wider prior takes the place of `prior` where it explains more of the misfit than it leaves, beyond what its parameters
+    cost and what these modes or one effect of the forces explain: without it every cause would be sought in vain.
+
+    Returns
+    -------
+    stage, rounds, optima
+        As `_start_from_modes`.
+    """
+    begun = _start_from_modes(_first_stage(observed, prior, context, settings), settings)
+    stage = begun[0]
+    if wider is None or not find_lack_of_fit(stage.posterior, stage.fit, settings):
+        return begun
+    shaped = _first_stage(observed, wider, context, settings)
+    cost = parameter_cost(shaped.posterior, wider.mean.size - prior.mean.size)
+    gain = shaped.fit.log_posterior - cost - log_evidence(stage.posterior, stage.fit) - _gain_by_forces(stage)
+    left = lack_of_fit_cost(shaped.posterior, find_lack_of_fit(shaped.posterior, shaped.fit, settings))
+    return _start_from_modes(shaped, settings) if gain > max(left, settings.margin) else begun
 
 
 def _first_stage(
