@@ -26,7 +26,11 @@ motion. [ratio; judgement]"""
 
 
 def learn_prior(
-    observed: ObservedSpectra, known: StructuralPrior, context: Context, settings: DiagnosisSettings
+    observed: ObservedSpectra,
+    known: StructuralPrior,
+    context: Context,
+    settings: DiagnosisSettings,
+    start: Array | None = None,
 ) -> tuple[StructuralPrior, Array]:
     """Learn the prior of later diagnoses from healthy data and from the prior of the structure file.
 
@@ -42,14 +46,16 @@ def learn_prior(
         Spectra of the healthy recording.
     known : StructuralPrior
         Prior from the structure file.
+    start : ndarray, shape (n_nuisance,), optional
+        Parameters of another fit, see `fit_linearized`.
 
     Returns
     -------
     prior : StructuralPrior
-    correction : ndarray, shape (e,)
-        The correction, relative to the modes' stiffness.
+    x : ndarray, shape (n_nuisance,)
+        Parameters of the model form alone.
     """
-    _, first_fit, _ = fit_initial_model(observed, known, context)
+    _, first_fit, _ = fit_initial_model(observed, known, context, start)
     layout = ParameterLayout.of(known)
     x = first_fit.x[layout.structure]
     model = known.model.with_stiffness(np.exp(x[layout.stiffness])).with_masses(np.exp(x[layout.masses]))
@@ -74,7 +80,8 @@ def learn_prior(
     band = observed.band
     judged_hz = None if band.n_bins == observed.segments.whole.n_bins else (float(band.hz[0]), float(band.hz[-1]))
     wider = replace(known, mean=mean, precision=prior, basis=basis, judged_hz=judged_hz)
-    posterior, fitted, _ = fit_initial_model(observed, wider, context)
+    at_first_fit = np.concatenate([mean, first_fit.x[layout.structure.stop :]])
+    posterior, fitted, _ = fit_initial_model(observed, wider, context, at_first_fit)
     discrepancy, covariance = estimate_model_discrepancy(posterior, fitted, settings), fitted.covariance
     if discrepancy is not None:
         wider = replace(wider, error=discrepancy)
@@ -91,7 +98,7 @@ def learn_prior(
     learnt = replace(learnt, model=replace(learnt.model, effects=learnt.effects(learnt.mean)))
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
     learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(masses).sum()) / m))
-    return learnt, learnt.mean[ParameterLayout.of(learnt).correction]
+    return learnt, first_fit.x
 
 
 def _covariance(posterior: Posterior, x: Array) -> Array:

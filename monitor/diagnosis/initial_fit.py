@@ -46,7 +46,7 @@ _INITIAL_MODEL_ERROR = 0.5
 
 
 def fit_linearized(
-    observed: ObservedSpectra, prior: StructuralPrior, context: Context
+    observed: ObservedSpectra, prior: StructuralPrior, context: Context, start: Array | None = None
 ) -> tuple[Posterior, MapEstimate]:
     """Fit the model without extra effects, with nonlinear laws linearized at the fitted motion.
 
@@ -59,6 +59,8 @@ def fit_linearized(
         Spectra of the recording.
     prior : StructuralPrior
         Prior of the structure, persistent effects included.
+    start : ndarray, shape (n_nuisance,), optional
+        Parameters of another fit to the recording, from which it is fitted too; the better fit is taken.
 
     Returns
     -------
@@ -76,11 +78,14 @@ def fit_linearized(
     )
     posterior, null_fit = fit_ground_interpolation(posterior, null_fit)
     posterior = replace(posterior, conditions=linearize(posterior, null_fit.x, ()))
-    if not prior.n_persistent:
-        return fit_ambient_forces(posterior, null_fit)
     x = posterior.layout.with_structure(null_fit.x, prior.with_linear(null_fit.x[posterior.layout.structure]))
+    posterior = replace(posterior, prior=prior)
+    if start is not None and observed.drive is None:  # driven fits lead to the optimum from heavy damping only
+        fits = [maximize_posterior(posterior, at, iterations=FAR, keep_slopes=False) for at in (x, start)]
+        x = max(fits, key=lambda fit: fit.log_posterior).x
+    elif not prior.n_persistent:
+        return fit_ambient_forces(posterior, null_fit)
     for _ in range(2):
-        posterior = replace(posterior, prior=prior)
         null_fit = maximize_posterior(posterior, x, iterations=FAR)
         x = null_fit.x
         posterior = replace(posterior, conditions=linearize(posterior, x, ()))

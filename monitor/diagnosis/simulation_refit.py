@@ -145,7 +145,7 @@ def refit_by_simulation(
 
 
 def fit_initial_model(
-    observed: ObservedSpectra, prior: StructuralPrior, context: Context
+    observed: ObservedSpectra, prior: StructuralPrior, context: Context, start: Array | None = None
 ) -> tuple[Posterior, MapEstimate, Moments]:
     """Fit the model without a new cause as `fit_linearized` does, with persistent nonlinear laws corrected by simulation.
 
@@ -156,7 +156,7 @@ def fit_initial_model(
     moments : Moments
         Moments that the persistent laws add to those of a normal process.
     """
-    posterior, null_fit = fit_linearized(observed, prior, context)
+    posterior, null_fit = fit_linearized(observed, prior, context, start)
     simulated = (posterior, null_fit, normal_moments(posterior))
     for _ in range(_N_REFITS):
         simulated = fit_persistent_effects(*simulated[:2])

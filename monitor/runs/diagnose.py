@@ -45,7 +45,15 @@ from monitor.diagnosis import (
     withdraw_other_structure,
 )
 from monitor.diagnosis import diagnose as diagnose_spectra
-from monitor.inference import ObservedSpectra, Segments, classify, gather, make_posterior, maximize_posterior
+from monitor.inference import (
+    ObservedSpectra,
+    ParameterLayout,
+    Segments,
+    classify,
+    gather,
+    make_posterior,
+    maximize_posterior,
+)
 from monitor.model import (
     CALIBRATION_EFFECTS,
     Condition,
@@ -196,20 +204,27 @@ def learn_healthy_prior(segments: Segments, config: Configuration) -> Structural
     # distinguish, either will do.
     # What a steady clock does to all frequencies alike is part of the stiffness that is learned.
     causes = tuple(effect for effect in found.final_fit.effects if effect.clock_factor == 1.0)
-    condition = found.posterior.conditions[0]
+    condition, layout, x = found.posterior.conditions[0], found.posterior.layout, found.final_fit.x
+    sizes = [*known.persistent_parts(x[layout.structure]), *(effect.coordinates for effect in causes)]
     while True:
         same_laws = _same_laws_in_other_stories(causes, context)
         wider = _with_persistent_effects(known, (*causes, *same_laws), context, condition, n_guessed=len(same_laws))
-        learnt = healthy_prior.learn_prior(observed, wider, context, config.diagnosis)[0]
+        persistent = np.concatenate([[], *sizes, *(effect.coordinates for effect in same_laws)])
+        start = np.concatenate([x[: layout.persistent.start], persistent, x[layout.excitation]])
+        learnt, x = healthy_prior.learn_prior(observed, wider, context, config.diagnosis, start)
         is_kept = [
             is_significant(e, std) and (e.nonlinear or e.is_plausible(observed.band.hz))
             for e, std in zip(learnt.model.effects, learnt.standing_std, strict=True)
         ]
-        cause_is_kept = is_kept[len(known.model.effects) :][: len(causes)]
+        n_known = len(known.model.effects)
+        cause_is_kept = is_kept[n_known:][: len(causes)]
         kept = tuple(e for e, own in zip(causes, cause_is_kept, strict=True) if own)
         if kept == causes:
             return learnt.with_daily_persistent().with_known_lines()
         causes = kept  # the others are not significant next to these, or mean another effect now
+        layout = ParameterLayout.of(wider, observed.counts.size)
+        stays = [True] * n_known + cause_is_kept
+        sizes = [size for size, own in zip(wider.persistent_parts(x[layout.structure]), stays, strict=False) if own]
 
 
 def _mended(segments: Segments, config: Configuration) -> tuple[Segments, tuple[ClockDrift, ...]]:
