@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.diagnosis import stepwise_selection
+from monitor.diagnosis import initial_fit, stepwise_selection
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit
 from monitor.diagnosis.modal_start import find_modal_starts, fit_from_modes, identify_modes
@@ -114,6 +114,17 @@ def test_a_machine_is_no_mode_and_a_mode_no_machine() -> None:
     assert tone_log_odds(found.posterior, found.final_fit, line) > 10.0
     quiet = diagnosed(np.ones(3), TORSION[1])
     assert [c.effect.name for c in quiet.causes] == ["unmodelled_mode"]
+
+
+def test_of_two_starts_the_better_fit_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A baseline is fitted from the file, and from where the search ended."""
+    better = fit_linearized(spectra(), drawn(OFF), CONTEXT)[1]
+    monkeypatch.setattr(initial_fit, "FAR", 0)  # a fit stays where it starts
+    worse = fit_linearized(spectra(), drawn(OFF), CONTEXT)[1]
+    assert worse.log_posterior < better.log_posterior - 1000.0
+    for start in (better.x, worse.x - 0.1):
+        found = fit_linearized(spectra(), drawn(OFF), CONTEXT, start)[1]
+        assert found.x == pytest.approx(better.x if start is better.x else worse.x)
 
 
 @pytest.mark.engine
