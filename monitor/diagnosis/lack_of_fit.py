@@ -292,6 +292,8 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     Where the forces act in a direction that is not measured, the fitted forces on the floors vanish but for some, and the floors
     follow the coupled modes.  The forces on these modes are then no longer independent of each other, as the model takes them
     to be, and changes of the structure may imitate what that does to the spectra.
+    Where calibration's own forces are as unlike from floor to floor, as those that stand for a shaken base, they tell no
+    direction, and another recording's need not be the same.
 
     Returns
     -------
@@ -303,7 +305,7 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     if known is None or not knows_direction(posterior):
         return None
     change = (forces - forces.mean() - known) / FORCE_STD
-    if 0.5 * float(change @ change) <= settings.margin + 0.5 * (change.size - 1):  # the mean of what chance makes of it
+    if _are_unlike(known / FORCE_STD, settings) or not _are_unlike(change, settings):
         return None
     weakest = int(change.argmin())
     return LackOfFit(
@@ -315,6 +317,11 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
         is_explained=True,
         hides_structure=True,
     )
+
+
+def _are_unlike(deviations: Array, settings: DiagnosisSettings) -> bool:
+    """Decide if the forces' deviations, in prior standard deviations, cost more than chance and the margin of a cause."""
+    return 0.5 * float(deviations @ deviations) > settings.margin + 0.5 * (deviations.size - 1)  # the mean by chance
 
 
 def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:

@@ -118,6 +118,7 @@ def _start(at: Posterior) -> np.ndarray:
         ((3.2, -8.0, 1.3), (0.1, -0.7, 0.6), COUPLED, True),  # all motion comes by the mode
         ((3.2, -8.0, 1.3), (0.1, -0.7, 0.6), UNCOUPLED, False),  # a shaker on one floor, say
         ((3.2, -8.0, 1.3), (4.5, -6.9, 2.4), COUPLED, False),  # as at calibration
+        ((8.2, 8.5, 7.6), (4.5, -6.9, 2.4), COUPLED, False),  # at calibration they stood for a shaken base
         ((3.2, -8.0, 1.3), None, COUPLED, False),
     ],
 )
