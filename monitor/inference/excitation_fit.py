@@ -130,7 +130,8 @@ def fit_excitation(
         x = _fit_levels(posterior, x)
     for _ in range(2 if model.effects else 0):
         at_prior = posterior.layout.with_structure(x, known.mean)
-        posterior = replace(posterior, conditions=linearize(posterior, x, (), only_if_nonlinear=True), prior=known)
+        conditions = linearize(posterior, x, (), with_motion=any(effect.nonlinear for effect in model.effects))
+        posterior = replace(posterior, conditions=conditions, prior=known)
         x = _fit_levels(posterior, at_prior)
     if isinstance(posterior, AmbientPosterior) and any(e.nonlinear for e in model.effects):
         linear = posterior.without_drift().scatter(x, ())

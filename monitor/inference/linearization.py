@@ -32,7 +32,7 @@ def linearize(
     effects: tuple[Effect, ...],
     spectra: ComplexArray | None = None,
     *,
-    only_if_nonlinear: bool = False,
+    with_motion: bool = True,
 ) -> tuple[Condition, ...]:
     """Estimate the RMS motion and the temperature of every class under the fitted model.
 
@@ -47,8 +47,9 @@ def linearize(
         Extra effects, beside the persistent ones.
     spectra : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz, optional
         Spectra from which the motion is estimated; the measured ones by default.
-    only_if_nonlinear : bool, optional
-        Whether to leave out the motion, NaN then, if no effect is nonlinear.  It costs as much as many fits of a linear model.
+    with_motion : bool, optional
+        Whether the motion is estimated, which costs as much as many fits of a linear model.  Without it the motion is NaN,
+        which is enough for a model without nonlinear effects.
 
     Returns
     -------
@@ -62,9 +63,8 @@ def linearize(
     e, context = posterior.observed, posterior.context_at(x)
     everything = (*posterior.prior.effects(x), *effects)
     n, m = context.structure.n_dofs, context.structure.n_stories
-    if only_if_nonlinear and not any(effect.nonlinear for effect in everything):
-        rms = np.full((posterior.n_classes, 2 * m + n), np.nan)
-    else:
+    rms = np.full((posterior.n_classes, 2 * m + n), np.nan)
+    if with_motion:
         rms = _class_motion(posterior, x, effects, e.spectra if spectra is None else spectra)
     beyond, out = _power_above_band(posterior, x, everything), []
     shaken = not isinstance(posterior, DrivenPosterior) and any(effect.ground_share for effect in everything)
