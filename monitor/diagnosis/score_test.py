@@ -297,14 +297,15 @@ def _far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
 
 
 def _n_held(posterior: Posterior) -> int:
-    """Count the first parameters that are held at their prior.
+    """Count the first parameters that are held at their prior: all that persists.
 
-    A structure file says nothing of the sensors' noise and of the forces' spectrum, so that both may lie far from their prior
-    where the structure does not.
+    Where calibration fits the forces' spectrum, the spectrum and the sensors' noise, of which a structure file says nothing, may
+    lie far from their prior although the structure does not.
     """
     prior, layout = posterior.prior, posterior.layout
-    is_known = prior.is_baseline or any(effect.family != "excitation" for effect in prior.model.effects)
-    return int(layout.structure.stop if is_known else layout.channel_noise.start)
+    persistent = prior.model.effects
+    is_site = bool(persistent) and all(effect.family == "excitation" for effect in persistent)
+    return int(layout.channel_noise.start if is_site and not prior.is_baseline else layout.structure.stop)
 
 
 def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) -> tuple[Posterior, MapEstimate]:
