@@ -292,8 +292,8 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     Where the forces act in a direction that is not measured, the fitted forces on the floors vanish but for some, and the floors
     follow the coupled modes.  The forces on these modes are then no longer independent of each other, as the model takes them
     to be, and changes of the structure may imitate what that does to the spectra.
-    Where calibration's own forces are as unlike from floor to floor, as those that stand for a shaken base, they tell no
-    direction, and another recording's need not be the same.
+    Where calibration's own forces differ from floor to floor as much as that, as forces that stand for a shaken base do, they
+    tell no direction, and another recording's need not be the same.
 
     Returns
     -------
@@ -305,7 +305,8 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     if known is None or not knows_direction(posterior):
         return None
     change = (forces - forces.mean() - known) / FORCE_STD
-    if _are_unlike(known / FORCE_STD, settings) or not _are_unlike(change, settings):
+    cost_then, cost = (0.5 * float(deviations @ deviations) for deviations in (known / FORCE_STD, change))
+    if _exceeds_chance(cost_then, change.size - 1, settings) or not _exceeds_chance(cost, change.size - 1, settings):
         return None
     weakest = int(change.argmin())
     return LackOfFit(
@@ -319,9 +320,9 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     )
 
 
-def _are_unlike(deviations: Array, settings: DiagnosisSettings) -> bool:
-    """Decide if the forces' deviations, in prior standard deviations, cost more than chance and the margin of a cause."""
-    return 0.5 * float(deviations @ deviations) > settings.margin + 0.5 * (deviations.size - 1)  # the mean by chance
+def _exceeds_chance(cost: float, n_free: int, settings: DiagnosisSettings) -> bool:
+    """Decide if what `n_free` independent deviations cost of their prior density, nats, exceeds chance and a cause's margin."""
+    return cost > settings.margin + 0.5 * n_free  # by chance each costs half a nat in the mean
 
 
 def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:
@@ -342,7 +343,7 @@ def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: Di
     these = np.r_[layout.stiffness, layout.masses]
     away = fitted.x[these] - known.mean[these]
     cost = 0.5 * float(away @ known.precision[np.ix_(these, these)] @ away)
-    if cost <= settings.margin + 0.5 * these.size:  # the mean of what chance makes of it
+    if not _exceeds_chance(cost, these.size, settings):
         return None
     stiffness = away[: layout.stiffness.stop - layout.stiffness.start]
     farthest = int(np.abs(stiffness).argmax())

@@ -278,9 +278,14 @@ def _begin(
         return begun
     shaped = _first_stage(observed, wider, context, settings)
     cost = parameter_cost(shaped.posterior, wider.mean.size - prior.mean.size)
-    gain = shaped.fit.log_posterior - cost - log_evidence(stage.posterior, stage.fit) - _gain_by_forces(stage)
+    gain = shaped.fit.log_posterior - cost - log_evidence(stage.posterior, stage.fit)
     left = lack_of_fit_cost(shaped.posterior, find_lack_of_fit(shaped.posterior, shaped.fit, settings))
-    return _start_from_modes(shaped, settings) if gain > max(left, settings.margin) else begun
+    least = max(left, settings.margin)
+    if gain <= least or gain <= least + _gain_by_forces(
+        stage
+    ):  # the fits of the latter are asked for only where they decide
+        return begun
+    return _start_from_modes(shaped, settings)
 
 
 def _first_stage(

@@ -190,21 +190,38 @@ def learn_healthy_prior(segments: Segments, config: Configuration) -> Structural
     observed, context, known = classify(segments), _context(segments, config), _drawing_prior(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
+    return _learn_beside_causes(_search_healthy(observed, known, context, config), observed, context, config)
+
+
+def _search_healthy(
+    observed: ObservedSpectra, known: StructuralPrior, context: Context, config: Configuration
+) -> Diagnosis:
+    """Search healthy data for the causes that are present from the start, and once more where there may be further ones."""
     wider = _with_site_effects(known, observed, context)
     found = diagnose_spectra(observed, known, context, config.diagnosis, wider=wider)
     known, most = found.posterior.prior, config.diagnosis.max_causes
     is_cut_off = sum(not c.effect.repeatable for c in found.causes) >= most
-    if found.verdict == "unexplained" or is_cut_off:  # further causes are possible
-        if wider is not None and known.mean.size < wider.mean.size and _gains_more_than_cost(wider, found):
-            known, is_cut_off = wider, True
-        if is_cut_off:  # otherwise the search ended by itself, and would again
-            more = config.diagnosis.model_copy(update={"max_causes": max(most, _MAX_INITIAL_CAUSES)})
-            found = diagnose_spectra(observed, known, context, more)
-    # Independent of the verdict: an effect that describes the healthy data is no change later.  Of effects that no data
-    # distinguish, either will do.
-    # What a steady clock does to all frequencies alike is part of the stiffness that is learned.
+    if found.verdict != "unexplained" and not is_cut_off:
+        return found
+    if wider is not None and known.mean.size < wider.mean.size and _gains_more_than_cost(wider, found):
+        known = wider
+    elif not is_cut_off:  # the search ended by itself, and would again
+        return found
+    more = config.diagnosis.model_copy(update={"max_causes": max(most, _MAX_INITIAL_CAUSES)})
+    return diagnose_spectra(observed, known, context, more)
+
+
+def _learn_beside_causes(
+    found: Diagnosis, observed: ObservedSpectra, context: Context, config: Configuration
+) -> StructuralPrior:
+    """Learn the reference with those causes of a search of healthy data that keep a plausible size beside each other.
+
+    Independent of the verdict: an effect that describes the healthy data is no change later.  Of effects that no data
+    distinguish, either will do.  What a steady clock does to all frequencies alike is part of the stiffness that is learned.
+    """
+    known, condition = found.posterior.prior, found.posterior.conditions[0]
     causes = tuple(effect for effect in found.final_fit.effects if effect.clock_factor == 1.0)
-    condition, layout, x = found.posterior.conditions[0], found.posterior.layout, found.final_fit.x
+    layout, x, n_known = found.posterior.layout, found.final_fit.x, len(known.model.effects)
     sizes = [*known.persistent_parts(x[layout.structure]), *(effect.coordinates for effect in causes)]
     while True:
         same_laws = _same_laws_in_other_stories(causes, context)
@@ -212,19 +229,18 @@ def learn_healthy_prior(segments: Segments, config: Configuration) -> Structural
         persistent = np.concatenate([[], *sizes, *(effect.coordinates for effect in same_laws)])
         start = np.concatenate([x[: layout.persistent.start], persistent, x[layout.excitation]])
         learnt, x = healthy_prior.learn_prior(observed, wider, context, config.diagnosis, start)
+        layout = ParameterLayout.of(wider, observed.counts.size)
         is_kept = [
             is_significant(e, std) and (e.nonlinear or e.is_plausible(observed.band.hz))
             for e, std in zip(learnt.model.effects, learnt.standing_std, strict=True)
         ]
-        n_known = len(known.model.effects)
-        cause_is_kept = is_kept[n_known:][: len(causes)]
-        kept = tuple(e for e, own in zip(causes, cause_is_kept, strict=True) if own)
+        stays = [True] * n_known + is_kept[n_known : n_known + len(causes)]
+        kept = tuple(e for e, own in zip(causes, stays[n_known:], strict=True) if own)
         if kept == causes:
             return learnt.with_daily_persistent().with_known_lines()
         causes = kept  # the others are not significant next to these, or mean another effect now
-        layout = ParameterLayout.of(wider, observed.counts.size)
-        stays = [True] * n_known + cause_is_kept
-        sizes = [size for size, own in zip(wider.persistent_parts(x[layout.structure]), stays, strict=False) if own]
+        parts = wider.persistent_parts(x[layout.structure])[: len(stays)]
+        sizes = [size for size, own in zip(parts, stays, strict=True) if own]
 
 
 def _mended(segments: Segments, config: Configuration) -> tuple[Segments, tuple[ClockDrift, ...]]:
