@@ -279,19 +279,23 @@ def find_changed_effects(
 
 
 def knows_direction(posterior: Posterior) -> bool:
-    """Decide if the forces can tell another direction: calibration knew them, and missing modes are coupled to the floors."""
-    if posterior.prior.ln_forces is None or posterior.observed.drive is not None:
-        return False
-    effects = posterior.prior.model.effects
-    return any(effect.is_coupled(posterior.context) for effect in effects)
+    """Decide if the forces can tell another direction: calibration knew them, and modes that the model lacks follow them."""
+    return posterior.prior.ln_forces is not None and posterior.observed.drive is None and has_missing_modes(posterior)
+
+
+def has_missing_modes(posterior: Posterior, *, coupled: bool = False) -> bool:
+    """Decide if calibration found modes that the model lacks, or such as are coupled to the floors."""
+    context, effects = posterior.context, posterior.prior.model.effects
+    return any(e.is_coupled(context) or (not coupled and len(e.extra_modes(context)) > 0) for e in effects)
 
 
 def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:
     """Find that the motion comes from another direction than at calibration, see `knows_direction`.
 
-    Where the forces act in a direction that is not measured, the fitted forces on the floors vanish but for some, and the floors
-    follow the coupled modes.  The forces on these modes are then no longer independent of each other, as the model takes them
-    to be, and changes of the structure may imitate what that does to the spectra.
+    Where the forces act in a direction that is not measured, the floors follow the modes that the model lacks.  The forces on
+    these modes are then no longer independent of each other, as the model takes them to be, and changes of the structure may
+    imitate what that does to the spectra.  Coupled modes move the floors, so that the fitted forces on the floors vanish but for
+    some; the force on modes that are not coupled grows over that on the floors, on all of them alike.
     Where calibration's own forces differ from floor to floor as much as that, as forces that stand for a shaken base do, they
     tell no direction, and another recording's need not be the same.
 
@@ -302,22 +306,44 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
         must gain.
     """
     known, forces = posterior.prior.ln_forces, fitted.x[posterior.layout.forces]
-    if known is None or not knows_direction(posterior):
+    if known is None or not knows_direction(posterior) or _is_unlikely(known, known.size - 1, settings):
         return None
-    change = (forces - forces.mean() - known) / FORCE_STD
-    cost_then, cost = (0.5 * float(deviations @ deviations) for deviations in (known / FORCE_STD, change))
-    if _exceeds_chance(cost_then, change.size - 1, settings) or not _exceeds_chance(cost, change.size - 1, settings):
+    change, growth = forces - forces.mean() - known, _growth_on_missing_modes(posterior, fitted)
+    if has_missing_modes(posterior, coupled=True) and _is_unlikely(change, known.size - 1, settings):
+        size, weakest = float(np.sqrt(change @ change)), int(change.argmin())
+        says = f"the force on floor {weakest + 1} is {_factor(change[weakest])} of its former share"
+    elif growth > 0.0 and _is_unlikely(np.array([growth]), 1, settings):
+        size, times = growth, np.exp(0.5 * growth)
+        says = f"over that on the floors, the force on modes that the model lacks is {times:.2g} times the former"
+    else:
         return None
-    weakest = int(change.argmin())
     return LackOfFit(
         "direction of the forces",
-        float(np.sqrt(change @ change)),
-        "the forces come from another direction than at calibration (the force on "
-        f"floor {weakest + 1} is {_factor(change[weakest])} of its former share), "
+        size / FORCE_STD,
+        f"the forces come from another direction than at calibration ({says}), "
         "and modes that the model lacks follow them: nothing can be said of the structure",
         is_explained=True,
         hides_structure=True,
     )
+
+
+def _growth_on_missing_modes(posterior: Posterior, fitted: MapEstimate) -> float:
+    """Compute how the forces on modes that are not coupled have grown since calibration, over those on the floors.
+
+    The change of the logarithm of their density, the mean of the modes; 0 where there are none.
+    """
+    known, context = posterior.prior, posterior.context
+    then, now = (
+        np.array([np.linalg.norm(m.shape) for e in known.effects(x) for m in e.extra_modes(context)])
+        for x in (known.mean, fitted.x)
+    )
+    tiny = np.finfo(float).tiny
+    return 2.0 * float(np.log(np.maximum(now, tiny) / np.maximum(then, tiny)).mean()) if then.size else 0.0
+
+
+def _is_unlikely(ln_change: Array, n_free: int, settings: DiagnosisSettings) -> bool:
+    """Decide if a change of the logarithms of forces costs more of their prior density than chance and a cause's margin."""
+    return _exceeds_chance(0.5 * float(ln_change @ ln_change) / FORCE_STD**2, n_free, settings)
 
 
 def _exceeds_chance(cost: float, n_free: int, settings: DiagnosisSettings) -> bool:

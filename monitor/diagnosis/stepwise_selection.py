@@ -23,6 +23,7 @@ from monitor.diagnosis.lack_of_fit import (
     find_changed_effects,
     find_lack_of_fit,
     find_other_direction,
+    has_missing_modes,
     knows_direction,
     lack_of_fit_cost,
     unexplained_share,
@@ -689,8 +690,8 @@ def _find_other_direction(
     """
     if not knows_direction(posterior):
         return None
-    changed = find_changed_effects(posterior, fit, settings)
-    if changed:
+    coupled = has_missing_modes(posterior, coupled=True)
+    if coupled and (changed := find_changed_effects(posterior, fit, settings)):
         says = f"{changed[0].says}; nothing can be said of the structure beside it"
         return replace(changed[0], says=says, is_explained=True, hides_structure=True)
     apart = [_is_apart(e) for e in fit.effects]

@@ -18,9 +18,10 @@ from monitor.diagnosis.stepwise_selection import _find_other_direction, _shows_o
 from monitor.inference import Posterior, maximize_posterior
 from monitor.inference.cross_spectra import Band, Excitation, channel_response, cross_spectra, extended
 from monitor.inference.map_estimate import _shortened
-from monitor.model.effects import Condition, EffectError, UnmodelledMode, parse_effect
+from monitor.model.effects import Condition, Effect, EffectError, UnmodelledMode, parse_effect
 from monitor.model.effects.base import System
 from monitor.model.model import Model
+from monitor.model.prior import StructuralPrior
 from monitor.model.simulation import simulate
 from tests.diagnosis.test_modal_start import CONTEXT, RATE, TORSION, TRUTH, diagnosed, posterior
 
@@ -126,7 +127,8 @@ def test_forces_of_another_direction_vanish_on_the_floors(
     forces: tuple[float, ...], known: tuple[float, ...] | None, mode: Any, found: bool
 ) -> None:
     model = SimpleNamespace(effects=(mode,))
-    prior = SimpleNamespace(ln_forces=None if known is None else np.array(known), model=model)
+    ln_forces = None if known is None else np.array(known)
+    prior = SimpleNamespace(ln_forces=ln_forces, model=model, mean=np.zeros(3), effects=lambda _: (mode,))
     layout, observed = SimpleNamespace(forces=slice(0, 3)), SimpleNamespace(drive=None)
     at: Any = SimpleNamespace(prior=prior, layout=layout, context=CONTEXT, observed=observed)
     fit: Any = SimpleNamespace(x=np.array(forces))
@@ -148,6 +150,19 @@ def test_forces_of_another_direction_vanish_on_the_floors(
         assert _shows_other_direction(stage, DiagnosisSettings()) is ends
 
 
+@pytest.mark.parametrize(("times", "found"), [(0.1, False), (1.0, False), (3.0, False), (10.0, True)])
+def test_forces_of_another_direction_grow_on_modes_that_are_not_coupled(times: float, found: bool) -> None:
+    """A swapped pair, a mass and a coarse sensor, each under such forces, were told as dampers and drag that are none."""
+    at = posterior(np.ones(3))
+    there = replace(at, prior=replace(_with_standing(at.prior, UNCOUPLED), ln_forces=np.zeros(3)))
+    x = there.layout.with_structure(np.zeros(there.layout.n_nuisance), there.prior.mean)
+    x[there.layout.structure.stop - 3 : there.layout.structure.stop] *= times
+    said = find_other_direction(there, SimpleNamespace(x=x), DiagnosisSettings())  # type: ignore[arg-type]
+    assert (said is not None) is found
+    if said is not None:
+        assert said.hides_structure and "is 10 times the former" in said.says
+
+
 @pytest.mark.parametrize(
     ("distances", "found"), [(np.ones(6), False), (np.array([0.0, 9.0, 0.0, 0.0, 0.0, 0.0]), True)]
 )
@@ -164,20 +179,22 @@ def test_a_structure_that_is_not_that_of_the_file_is_not_stated(distances: np.nd
     assert find_other_structure(learned, fit, DiagnosisSettings()) is None
 
 
+def _with_standing(known: StructuralPrior, effect: Effect) -> StructuralPrior:
+    """Add an effect that calibration found, each of its coordinates to 0.02."""
+    return replace(
+        known,
+        model=replace(known.model, effects=(effect,)),
+        mean=np.append(known.mean, effect.coordinates),
+        precision=block_diag(known.precision, np.eye(effect.coordinates.size) / 0.02**2),
+    )
+
+
 @pytest.mark.parametrize(("ratio", "silent"), [(1.01, False), (1.2, True)])
 def test_causes_that_move_a_coupled_mode_of_calibration_are_not_believed(ratio: float, silent: bool) -> None:
     """Forces in the direction that is not measured made a clock and a stiffer frame out of nothing, beside such modes."""
     at = posterior(np.ones(3))
-    known = at.prior
-    standing = replace(
-        known,
-        model=replace(known.model, effects=(COUPLED,)),
-        mean=np.append(known.mean, COUPLED.coordinates),
-        precision=block_diag(known.precision, np.eye(COUPLED.coordinates.size) / 0.02**2),
-        ln_forces=np.zeros(3),
-    )
-    there = replace(at, prior=standing)
-    x = there.layout.with_structure(np.zeros(there.layout.n_nuisance), standing.mean)
+    there = replace(at, prior=replace(_with_standing(at.prior, COUPLED), ln_forces=np.zeros(3)))
+    x = there.layout.with_structure(np.zeros(there.layout.n_nuisance), there.prior.mean)
     moved = np.log(ratio) * (np.arange(x.size) == there.layout.structure.stop - COUPLED.coordinates.size)
     fit: Any = SimpleNamespace(x=x + moved, effects=(), n_effect=0)
     said = _find_other_direction(there, fit, (), np.zeros(0), DiagnosisSettings())
