@@ -279,14 +279,14 @@ def find_changed_effects(
 
 
 def knows_direction(posterior: Posterior) -> bool:
-    """Decide if the forces can tell another direction: calibration knew them, and modes that the model lacks follow them."""
-    return posterior.prior.ln_forces is not None and posterior.observed.drive is None and has_missing_modes(posterior)
+    """Decide if the forces can tell another direction: calibration knew them, and found modes that the model lacks."""
+    has_missing_modes = any(effect.repeatable for effect in posterior.prior.model.effects)
+    return posterior.prior.ln_forces is not None and posterior.observed.drive is None and has_missing_modes
 
 
-def has_missing_modes(posterior: Posterior, *, coupled: bool = False) -> bool:
-    """Decide if calibration found modes that the model lacks, or such as are coupled to the floors."""
-    context, effects = posterior.context, posterior.prior.model.effects
-    return any(e.is_coupled(context) or (not coupled and len(e.extra_modes(context)) > 0) for e in effects)
+def has_coupled_modes(posterior: Posterior) -> bool:
+    """Decide if calibration found modes that the model lacks and that are coupled to the floors."""
+    return any(effect.is_coupled(posterior.context) for effect in posterior.prior.model.effects)
 
 
 def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> LackOfFit | None:
@@ -309,12 +309,14 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     if known is None or not knows_direction(posterior) or _is_unlikely(known, known.size - 1, settings):
         return None
     change, growth = forces - forces.mean() - known, _growth_on_missing_modes(posterior, fitted)
-    if has_missing_modes(posterior, coupled=True) and _is_unlikely(change, known.size - 1, settings):
+    if has_coupled_modes(posterior) and _is_unlikely(change, known.size - 1, settings):
         size, weakest = float(np.sqrt(change @ change)), int(change.argmin())
         says = f"the force on floor {weakest + 1} is {_factor(change[weakest])} of its former share"
-    elif growth > 0.0 and _is_unlikely(np.array([growth]), 1, settings):
+    elif growth > 0.0 and _exceeds_chance(0.5 * (growth / FORCE_STD) ** 2, 1, settings):
         size, times = growth, np.exp(0.5 * growth)
-        says = f"over that on the floors, the force on modes that the model lacks is {times:.2g} times the former"
+        says = (
+            f"the force on modes that the model lacks, over that on the floors, is {times:.2g} times its former value"
+        )
     else:
         return None
     return LackOfFit(

@@ -23,7 +23,7 @@ from monitor.diagnosis.lack_of_fit import (
     find_changed_effects,
     find_lack_of_fit,
     find_other_direction,
-    has_missing_modes,
+    has_coupled_modes,
     knows_direction,
     lack_of_fit_cost,
     unexplained_share,
@@ -282,11 +282,9 @@ def _begin(
     gain = shaped.fit.log_posterior - cost - log_evidence(stage.posterior, stage.fit)
     left = lack_of_fit_cost(shaped.posterior, find_lack_of_fit(shaped.posterior, shaped.fit, settings))
     least = max(left, settings.margin)
-    if gain <= least or gain <= least + _gain_by_forces(
-        stage
-    ):  # the fits of the latter are asked for only where they decide
-        return begun
-    return _start_from_modes(shaped, settings)
+    if gain > least:  # otherwise the forces' fits decide nothing
+        gain -= _gain_by_forces(stage)
+    return _start_from_modes(shaped, settings) if gain > least else begun
 
 
 def _first_stage(
@@ -690,8 +688,7 @@ def _find_other_direction(
     """
     if not knows_direction(posterior):
         return None
-    coupled = has_missing_modes(posterior, coupled=True)
-    if coupled and (changed := find_changed_effects(posterior, fit, settings)):
+    if has_coupled_modes(posterior) and (changed := find_changed_effects(posterior, fit, settings)):
         says = f"{changed[0].says}; nothing can be said of the structure beside it"
         return replace(changed[0], says=says, is_explained=True, hides_structure=True)
     apart = [_is_apart(e) for e in fit.effects]

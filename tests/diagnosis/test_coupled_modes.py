@@ -160,7 +160,7 @@ def test_forces_of_another_direction_grow_on_modes_that_are_not_coupled(times: f
     said = find_other_direction(there, SimpleNamespace(x=x), DiagnosisSettings())  # type: ignore[arg-type]
     assert (said is not None) is found
     if said is not None:
-        assert said.hides_structure and "is 10 times the former" in said.says
+        assert said.hides_structure and "over that on the floors, is 10 times its former value" in said.says
 
 
 @pytest.mark.parametrize(
