@@ -15,7 +15,6 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 from drivers.mcap_writer import McapWriter
 from tests.measured.sensor_faults import FRAMES, RECORDINGS, halves
@@ -45,12 +44,18 @@ def judge(frame: str, half: int, out: Path) -> str:
         monitor("diagnose", recorded(frame, half, out), "--structure", drawing, "--out", fitted)
     found = json.loads((fitted / "diagnosis.json").read_text())
     other = recorded(frame, 3 - half, out)
-    scores: list[dict[str, Any]] = [
-        json.loads(monitor("evaluate", other, "--structure", file)) for file in (drawing, *(fitted / f for f in FILES))
-    ]
     cells = [frame, str(half), found["verdict"], "; ".join(cause["says"] for cause in found["causes"]) or "-"]
-    cells += [f"{score['log_score_per_sample']:.3f}, {score['csd_error']:.4f}" for score in scores]
+    cells += [scores(other, file) for file in (drawing, *(fitted / name for name in FILES))]
     return f"| {' | '.join(cells)} |"
+
+
+def scores(recording: Path, structure: Path) -> str:
+    """Score a structure file on a recording, as text; a file that is refused, which the command explains, has no scores."""
+    try:
+        score = json.loads(monitor("evaluate", recording, "--structure", structure))
+    except subprocess.CalledProcessError as error:
+        return f"refused, exit {error.returncode}"
+    return f"{score['log_score_per_sample']:.3f}, {score['csd_error']:.4f}"
 
 
 def main() -> None:
