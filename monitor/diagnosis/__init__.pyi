@@ -1,6 +1,6 @@
 from . import healthy_prior, trigger
 from .clock_drift import ClockDrift, clock_drift_in_words, correct_clock_drifts, state_clock_drifts
-from .cross_validation import HeldOutGain, heldout_gain, require_gain
+from .cross_validation import HeldOutGain, confirm_on_held_out
 from .damage_index_effect import ddi_effect
 from .detectable_loss import detectable_losses
 from .drawing_refit import other_optima, refit, withdraw_other_structure
@@ -13,9 +13,10 @@ from .parameter_uncertainty import is_significant
 from .predictive_score import Score, score
 from .score_test import parameter_cost
 from .settings import DiagnosisSettings
-from .stepwise_selection import Diagnosis, diagnose
+from .stepwise_selection import diagnose
 from .story_forces import StoryLaw, story_laws
 from .trigger import Request, WatchSettings
+from .verdict import Diagnosis
 from .witness import compare_witnesses, contradictions
 from .witness_record import WitnessRecord, WitnessSensor
 from .wording import contradicted, csd_error_in_words, in_words
@@ -35,6 +36,7 @@ __all__ = [
     "add_observed_causes",
     "clock_drift_in_words",
     "compare_witnesses",
+    "confirm_on_held_out",
     "content",
     "contradicted",
     "contradictions",
@@ -46,7 +48,6 @@ __all__ = [
     "effects_text",
     "fitted_model",
     "healthy_prior",
-    "heldout_gain",
     "in_words",
     "is_significant",
     "model_from_plain",
@@ -54,7 +55,6 @@ __all__ = [
     "other_optima",
     "parameter_cost",
     "refit",
-    "require_gain",
     "residual_bands",
     "score",
     "standing_causes",

@@ -11,7 +11,7 @@ from scipy.fft import ifft, next_fast_len
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import Drive, Segments, information_weight
 
 _STEPS_A_CYCLE = 4

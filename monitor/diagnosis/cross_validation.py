@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from monitor.core import Array, ComplexArray, parallel_map
+from monitor.diagnosis.drawing_refit import withdraw_other_structure
 from monitor.diagnosis.fold_refit import refit_forms
 from monitor.diagnosis.predictive_score import Score, csd_error, score
-from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import Segments, classify
 
 _MAX_HELD_OUT_BLOCKS = 20
@@ -241,8 +242,36 @@ def _cut_blocks(segments: Segments) -> _Blocks:
     return _Blocks(np.where(first == last, first, -1), n, float(length))
 
 
-def require_gain(diagnosis: Diagnosis, gain: HeldOutGain) -> Diagnosis:
-    """Withdraw the causes of a diagnosis that does not gain significantly on held-out data.
+def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagnosis, HeldOutGain]:
+    """Withdraw causes, the last found first, until the others gain on held-out data.
+
+    A false last cause may predict held-out data so badly that the gain of the true ones before it is lost with it.
+
+    Parameters
+    ----------
+    segments : Segments
+        The recording that was diagnosed.
+    diagnosis : Diagnosis
+        The diagnosis of the whole recording.
+
+    Returns
+    -------
+    Diagnosis
+        Diagnosis with the causes that held-out data confirm.
+    HeldOutGain
+        Gain of these causes; zero if all are withdrawn.
+    """
+    gain = heldout_gain(segments, diagnosis)
+    while len(diagnosis.final_fit.effects) > 1 and not _is_confirmed(diagnosis, gain):
+        diagnosis = withdraw_other_structure(diagnosis.without_last_cause())
+        gain = heldout_gain(segments, diagnosis)
+    if _is_confirmed(diagnosis, gain):
+        return diagnosis, gain if diagnosis.verdict != "none" else HeldOutGain()
+    return _without_causes(diagnosis), HeldOutGain()
+
+
+def _is_confirmed(diagnosis: Diagnosis, gain: HeldOutGain) -> bool:
+    """Decide if the causes of a diagnosis gain on held-out data.
 
     Of an ambiguous answer the most probable alternative must gain.  Where no data can be held out, the causes stay.
 
@@ -251,13 +280,14 @@ def require_gain(diagnosis: Diagnosis, gain: HeldOutGain) -> Diagnosis:
     interval too, the summed gain must not be a loss.
     """
     effects = diagnosis.final_fit.effects
-    confirmed_by_sum = any(effect.nonlinear for effect in effects) and gain.nats > _LARGE_GAIN_NATS
     if diagnosis.verdict == "unexplained":
-        confirmed = not diagnosis.causes or gain.value >= 0.0
-    else:
-        confirmed = not effects or bool(gain.withheld) or gain.is_significant or confirmed_by_sum
-    if confirmed:
-        return diagnosis
+        return not diagnosis.causes or gain.value >= 0.0
+    confirmed_by_sum = any(effect.nonlinear for effect in effects) and gain.nats > _LARGE_GAIN_NATS
+    return not effects or bool(gain.withheld) or gain.is_significant or confirmed_by_sum
+
+
+def _without_causes(diagnosis: Diagnosis) -> Diagnosis:
+    """Withdraw all causes."""
     return replace(
         diagnosis,
         verdict="unexplained" if diagnosis.misfit else "none",

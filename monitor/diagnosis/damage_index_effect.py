@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import MapEstimate, Posterior, linearize, maximize_posterior
 from monitor.model import Effect
 

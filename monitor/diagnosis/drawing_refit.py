@@ -10,7 +10,7 @@ import numpy as np
 
 from monitor.core import Array
 from monitor.diagnosis.lack_of_fit import find_other_structure
-from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.model import interval
 
 _INTERVAL_STDS = 2.0

@@ -14,8 +14,8 @@ from tomlkit.items import AoT
 from monitor.core import Array
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
-from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.diagnosis.story_forces import StoryLaw
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.diagnosis.wording import (
     band_in_words,
     contradicted,

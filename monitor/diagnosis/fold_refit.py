@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.diagnosis.initial_fit import fit_exact_slopes
-from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import (
     Drive,
     ExcitationStart,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from monitor.diagnosis.stepwise_selection import Cause, Diagnosis
+from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.model import EFFECTS, locations
 
 

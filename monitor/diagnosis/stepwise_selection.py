@@ -3,45 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal, Self
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from monitor.core import Array, parallel_map
+from monitor.core import parallel_map
 from monitor.diagnosis.ambiguity import predict_the_same, probabilities, tied_candidates
-from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
 from monitor.diagnosis.backward_elimination import (
     eliminate_backward,
     find_better_null_fit,
-    fit_subset,
     update_linearization,
 )
 from monitor.diagnosis.initial_fit import FAR, fit_ambient_forces, fit_exact_slopes, fit_ground_interpolation
 from monitor.diagnosis.lack_of_fit import (
-    LackOfFit,
-    find_changed_effects,
     find_lack_of_fit,
     find_other_direction,
-    has_coupled_modes,
-    knows_direction,
     lack_of_fit_cost,
-    unexplained_share,
-    wrong_bins,
 )
 from monitor.diagnosis.missing_modes import (
-    as_seen,
     couple_modes,
     find_missing_mode,
     find_missing_modes,
     is_beyond_weak_modes,
-    is_credible,
-    is_stated,
     lacks_modes,
     uncouple_modes,
 )
 from monitor.diagnosis.modal_start import fit_from_modes, has_same_structure
-from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import (
     Candidate,
     best_of_each_kind,
@@ -57,19 +44,17 @@ from monitor.diagnosis.simulation_refit import (
     RefittedCandidate,
     fit_by_simulation,
     fit_initial_model,
-    fit_persistent_effects,
-    refine_fit,
 )
+from monitor.diagnosis.verdict import Alternatives, Diagnosis, has_nonlinear, judge, refine, tells_direction_apart
 from monitor.inference import (
     CorrectedPosterior,
     MapEstimate,
     Moments,
     ObservedSpectra,
     Posterior,
-    join_coordinates,
     maximize_posterior,
 )
-from monitor.model import Context, Effect, StructuralPrior
+from monitor.model import Context, StructuralPrior
 
 _N_GROUND_TESTS = 2
 """Candidates beside which the ground's motion between its samples is tested again. [count; cost]"""
@@ -81,53 +66,6 @@ definition: the damping is known to a factor of e then]"""
 _SIMULATION_STDS = 3.0
 """Random error of the simulations that the gain of a further cause must exceed. [standard deviations; convention: three
 sigma]"""
-Verdict = Literal["none", "named", "ambiguous", "unexplained"]
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Cause:
-    """Effect with the standard deviations of its parameters."""
-
-    effect: Effect
-    std: dict[str, float]
-    """Standard deviation of each parameter."""
-
-    @classmethod
-    def of(cls, effect: Effect, deviation: Array) -> Self:
-        """Make a cause of an effect and the standard deviations of its coordinates, shape (p,)."""
-        std = {}
-        for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
-            std[p.name] = min(own * p.slope(effect.values()[p.name]), 1e300)
-        return cls(effect, std)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Diagnosis:
-    """Result of a diagnosis, with everything that it was judged by."""
-
-    verdict: Verdict
-    causes: tuple[Cause, ...]
-    alternatives: tuple[tuple[Candidate, float], ...]
-    """Candidates that cannot be told apart, with their probabilities."""
-    misfit: tuple[LackOfFit, ...]
-    """Lack of fit of the model without causes."""
-    left_over: tuple[LackOfFit, ...]
-    """Lack of fit that remains with the causes."""
-    candidates: tuple[Candidate, ...]
-    """Candidates of the first round."""
-    posterior: Posterior
-    null_fit: MapEstimate
-    """The old model form, refitted."""
-    final_fit: MapEstimate
-    """Fit with the causes (with the most probable alternative where the answer is ambiguous)."""
-    settings: DiagnosisSettings
-    """Settings of the diagnosis."""
-    rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
-    """Candidates of every round of the search."""
-    other_optima: tuple[MapEstimate, ...] = field(default=())
-    """Fits of other stiffnesses that explain the recording as well."""
-    also_fitted: tuple[Cause, ...] = field(default=())
-    """Effects of the final fit that are no causes, as they cannot be told from modes that were missing at calibration."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -174,7 +112,7 @@ def diagnose(
     Diagnosis
     """
     stage, rounds, optima = _begin(observed, prior, context, settings, wider)
-    alternatives: tuple[tuple[Candidate, float], ...] = ()
+    alternatives: Alternatives = ()
     from_elsewhere = False
     while _n_counted(stage) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
@@ -186,7 +124,7 @@ def diagnose(
                 break
             rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
         tied = tied_candidates(candidates, settings.rival)
-        if not any(_is_apart(p.candidate.effect) for p in tied) and _shows_other_direction(stage, settings):
+        if not any(tells_direction_apart(p.candidate.effect) for p in tied) and _shows_other_direction(stage, settings):
             from_elsewhere = True  # no cause would be stated
             break
         if lacks_modes(stage.posterior, stage.fit):
@@ -209,51 +147,10 @@ def diagnose(
     posterior, fit, accepted = eliminate_backward(
         stage.posterior, stage.fit, stage.accepted, rounds, settings.margin, settings.rival
     )
-    posterior, fit, accepted, simulation_std = _refine(posterior, fit, accepted)
-    # Beside other causes an effect may have moved to a size that means another one.
-    band_hz, n = posterior.observed.band.hz, len(accepted)
-    plausible = [
-        i >= n or e.nonlinear or (e.is_plausible(band_hz) and is_credible(posterior, fit, i))
-        for i, e in enumerate(fit.effects)
-    ]
-    posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, plausible)
-    misfit = find_lack_of_fit(posterior, stage.null_fit, settings)
-    left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
-    share = unexplained_share(posterior, fit, stage.null_fit, misfit, left_over)
-    stated = [c for i, c in enumerate(accepted) if is_stated(posterior, fit, i)]
-    verdict = _verdict(share, left_over, stated, bool(alternatives), settings)
-    if verdict == "unexplained":
-        posterior, fit, accepted, simulation_std = _keep_confirmed_elsewhere(
-            posterior, fit, accepted, simulation_std, settings
-        )
-        left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
-    direction = None
-    if verdict != "none" or from_elsewhere:
-        direction = _find_other_direction(posterior, fit, accepted, simulation_std, settings)
-    if direction is not None:
-        nothing = [False] * len(fit.effects)
-        posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, nothing)
-        verdict, alternatives = "unexplained", ()
-        left_over = (direction, *find_lack_of_fit(posterior, fit, settings))
-    # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
-    findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, stage.null_fit)))
-    still = find_level_dependence(backbone(posterior, fit))
-    causes, also_fitted = _causes(posterior, fit, accepted, simulation_std)
-    return Diagnosis(
-        verdict=verdict,
-        causes=causes,
-        also_fitted=also_fitted,
-        alternatives=alternatives,
-        misfit=(*[m for m in findings if m is not None], *misfit),
-        left_over=left_over if still is None else (*left_over, still),
-        candidates=rounds[0] if rounds else (),
-        posterior=posterior,
-        null_fit=stage.null_fit,
-        final_fit=fit,
-        settings=settings,
-        rounds=tuple(rounds),
-        other_optima=optima,
+    found = judge(
+        refine(posterior, fit, len(accepted)), stage.null_fit, alternatives, settings, from_elsewhere=from_elsewhere
     )
+    return replace(found, candidates=rounds[0] if rounds else (), rounds=tuple(rounds), other_optima=optima)
 
 
 def _begin(
@@ -556,11 +453,11 @@ def _accept(stage: _SearchState, best: RefittedCandidate, settings: DiagnosisSet
     posterior, fit = fit_ground_interpolation(_extend_posterior(posterior, fit), fit)
     # The damping has a looser prior now, and the motion and the frequency range of the forces are known.
     fit = maximize_posterior(posterior, fit.x, fit.effects)
-    if driven and _has_nonlinear(fit):
+    if driven and has_nonlinear(fit):
         posterior, fit = fit_exact_slopes(posterior, fit)
     posterior, fit = fit_ambient_forces(posterior, fit)
     added, margin = best.moments, stage.margin
-    if len(accepted) > 1 and _has_nonlinear(fit) and not driven:  # the present correction lacks the newest cause
+    if len(accepted) > 1 and has_nonlinear(fit) and not driven:  # the present correction lacks the newest cause
         simulated_fit = fit_by_simulation(posterior, fit)
         posterior, fit, added = simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
     if best.candidate.effect.nonlinear:
@@ -604,125 +501,11 @@ def _accept_beside_tie(
     return _accept(stage, RefittedCandidate(further_cause, stage.posterior, stage.moments), settings), candidates
 
 
-def _refine(
-    posterior: Posterior, fit: MapEstimate, accepted: tuple[Candidate, ...]
-) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...], Array]:
-    """Refit with laws simulated as finely as a published result needs, without causes that are no longer significant.
-
-    Returns
-    -------
-    posterior : Posterior
-    fit : MapEstimate
-    accepted : tuple of Candidate
-    simulation_std : ndarray, shape (p,)
-        Standard deviations of the sizes by the simulations' random error.
-    """
-    if not _has_nonlinear(fit) or posterior.observed.drive is not None:
-        return posterior, fit, accepted, np.zeros(fit.n_effect)
-    near, fit = refine_fit(posterior, fit)
-    # With a better size of the law another cause may be no longer significant.
-    kept = [
-        is_significant(e, std)
-        for e, std in zip(fit.effects, coordinate_std(near, fit, near.simulation_std), strict=True)
-    ]
-    if not any(kept):
-        return near, fit, accepted, near.simulation_std
-    return _keep_effects(near, fit, accepted, near.simulation_std, kept)
-
-
-def _keep_effects(
-    posterior: Posterior, fit: MapEstimate, accepted: tuple[Candidate, ...], simulation_std: Array, kept: Sequence[bool]
-) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...], Array]:
-    """Refit with the selected effects only; return as `_refine`."""
-    if all(kept):
-        return posterior, fit, accepted, simulation_std
-    nonlinear = _has_nonlinear(fit)
-    fit, simulation_std = fit_subset(posterior, fit, simulation_std, kept)
-    # The last effect of an ambiguous answer was not accepted.
-    accepted = tuple(c for c, stays in zip(accepted, kept, strict=False) if stays)
-    if nonlinear and not _has_nonlinear(fit):
-        return *fit_persistent_effects(posterior, fit)[:2], accepted, simulation_std
-    return posterior, fit, accepted, simulation_std
-
-
-def _keep_confirmed_elsewhere(
-    posterior: Posterior,
-    fit: MapEstimate,
-    accepted: tuple[Candidate, ...],
-    simulation_std: Array,
-    settings: DiagnosisSettings,
-) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...], Array]:
-    """Keep only the causes that bands without lack of fit confirm too; return as `_refine`.
-
-    In bands with unexplained lack of fit a search finds tones, oscillators and laws that do not exist.
-    """
-    wrong = wrong_bins(posterior, fit, settings)
-    if not accepted or not wrong.any() or posterior.observed.drive is not None:
-        return posterior, fit, accepted, simulation_std
-    elsewhere = replace(posterior, left_out=wrong)
-    whole = maximize_posterior(elsewhere, fit.x, fit.effects)
-
-    def is_confirmed(i: int) -> bool:
-        if i >= len(accepted):
-            return True
-        others = (*fit.effects[:i], *fit.effects[i + 1 :])
-        without = maximize_posterior(elsewhere, join_coordinates(whole.x[posterior.layout.nuisances], others), others)
-        gain = whole.log_posterior - without.log_posterior
-        return gain - evidence_cost(elsewhere, whole, i) > settings.margin
-
-    return _keep_effects(posterior, fit, accepted, simulation_std, parallel_map(is_confirmed, range(len(fit.effects))))
-
-
-def _find_other_direction(
-    posterior: Posterior,
-    fit: MapEstimate,
-    accepted: tuple[Candidate, ...],
-    simulation_std: Array,
-    settings: DiagnosisSettings,
-) -> LackOfFit | None:
-    """Find that the forces act in another direction than at calibration, by the fit with the sensors' faults and machines alone.
-
-    Other causes may stand in for the direction; a channel that is exchanged, or a machine, changes the forces that are fitted
-    without it.
-    Where the causes have forced an effect away from what it was at calibration, as a coupled mode, they are not believed either.
-    """
-    if not knows_direction(posterior):
-        return None
-    if has_coupled_modes(posterior) and (changed := find_changed_effects(posterior, fit, settings)):
-        says = f"{changed[0].says}; nothing can be said of the structure beside it"
-        return replace(changed[0], says=says, is_explained=True, hides_structure=True)
-    apart = [_is_apart(e) for e in fit.effects]
-    posterior, fit, _, _ = _keep_effects(posterior, fit, accepted, simulation_std, apart)
-    return find_other_direction(posterior, fit, settings)
-
-
 def _shows_other_direction(stage: _SearchState, settings: DiagnosisSettings) -> bool:
     """Decide if no cause so far may stand in for another direction of the forces, and they act in another than at calibration."""
-    if not all(_is_apart(e) for e in stage.fit.effects):
+    if not all(tells_direction_apart(e) for e in stage.fit.effects):
         return False
     return find_other_direction(stage.posterior, stage.fit, settings) is not None
-
-
-def _is_apart(effect: Effect) -> bool:
-    """Decide if an effect cannot stand in for another direction of the forces: a fault of a sensor, or a machine's line."""
-    return effect.family == "sensor" or bool(effect.lines())
-
-
-def _verdict(
-    share: float,
-    left_over: Sequence[LackOfFit],
-    accepted: Sequence[Candidate],
-    ambiguous: bool,
-    settings: DiagnosisSettings,
-) -> Verdict:
-    # The exact form of a nonlinear law far from rest is not known; the small misfit that this leaves is no cause of its own.
-    """Choose the verdict from the share of lack of fit that is left over, the accepted causes and their ambiguity."""
-    nonlinear = any(c.effect.nonlinear for c in accepted)
-    if left_over and not (nonlinear and share < settings.remainder):
-        return "unexplained"
-    if ambiguous:
-        return "ambiguous"
-    return "named" if accepted else "none"
 
 
 def _look_ahead(tied: list[RefittedCandidate], settings: DiagnosisSettings) -> list[RefittedCandidate]:
@@ -764,19 +547,3 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
         return ratios
     matrix = replace(ratios, damped_as_built=True)
     return max(ratios, matrix, key=lambda form: maximize_posterior(form, fit.x, fit.effects).log_posterior)
-
-
-def _has_nonlinear(fit: MapEstimate) -> bool:
-    """Decide if a fit has a nonlinear effect."""
-    return any(e.nonlinear for e in fit.effects)
-
-
-def _causes(
-    posterior: Posterior, fitted: MapEstimate, accepted: Sequence[Candidate], simulation_std: Array
-) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
-    """List the accepted effects with the standard deviations of their parameters: those that are stated, then the others."""
-    std = coordinate_std(posterior, fitted, simulation_std)
-    found: tuple[list[Cause], list[Cause]] = [], []
-    for i in range(len(accepted)):
-        found[not is_stated(posterior, fitted, i)].append(Cause.of(*as_seen(posterior, fitted, i, std[i])))
-    return tuple(found[0]), tuple(found[1])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
-from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import MapEstimate, Posterior
 from monitor.signals import taper
 

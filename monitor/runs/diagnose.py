@@ -25,6 +25,7 @@ from monitor.diagnosis import (
     WitnessSensor,
     add_observed_causes,
     compare_witnesses,
+    confirm_on_held_out,
     content,
     contradictions,
     correct_clock_drifts,
@@ -32,13 +33,11 @@ from monitor.diagnosis import (
     detectable_losses,
     fitted_model,
     healthy_prior,
-    heldout_gain,
     is_significant,
     model_to_plain,
     other_optima,
     parameter_cost,
     refit,
-    require_gain,
     score,
     state_clock_drifts,
     story_laws,
@@ -176,11 +175,8 @@ def diagnose_segments(
     segments, drifts = _mended(segments, config)
     segments = segments.within(prior.judged_hz)
     found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
-    found = withdraw_other_structure(found)
-    gain = heldout_gain(segments, found)
-    confirmed = require_gain(found, gain)
-    states_gain = confirmed is found and confirmed.verdict != "none"
-    return state_clock_drifts(add_observed_causes(confirmed), drifts), gain if states_gain else HeldOutGain()
+    confirmed, gain = confirm_on_held_out(segments, withdraw_other_structure(found))
+    return state_clock_drifts(add_observed_causes(confirmed), drifts), gain
 
 
 @_IGNORE_OVERFLOW

@@ -14,7 +14,8 @@ from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction
 from monitor.diagnosis.missing_modes import as_seen, couple_modes, is_stated, resonances
 from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import _find_other_direction, _shows_other_direction
+from monitor.diagnosis.stepwise_selection import _shows_other_direction
+from monitor.diagnosis.verdict import FittedCauses, _find_other_direction
 from monitor.inference import Posterior, maximize_posterior
 from monitor.inference.cross_spectra import Band, Excitation, channel_response, cross_spectra, extended
 from monitor.inference.map_estimate import _shortened
@@ -197,7 +198,7 @@ def test_causes_that_move_a_coupled_mode_of_calibration_are_not_believed(ratio: 
     x = there.layout.with_structure(np.zeros(there.layout.n_nuisance), there.prior.mean)
     moved = np.log(ratio) * (np.arange(x.size) == there.layout.structure.stop - COUPLED.coordinates.size)
     fit: Any = SimpleNamespace(x=x + moved, effects=(), n_effect=0)
-    said = _find_other_direction(there, fit, (), np.zeros(0), DiagnosisSettings())
+    said = _find_other_direction(FittedCauses(there, fit, 0, np.zeros(0)), DiagnosisSettings())
     assert (said is not None) is silent
     if said is not None:
         assert said.is_explained and said.says.endswith("nothing can be said of the structure beside it")

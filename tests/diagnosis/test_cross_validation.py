@@ -9,7 +9,15 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
-from monitor.diagnosis.cross_validation import HeldOutGain, _calibration_nats, heldout_gain, require_gain
+from monitor.diagnosis import cross_validation
+from monitor.diagnosis.cross_validation import (
+    HeldOutGain,
+    _calibration_nats,
+    _is_confirmed,
+    _without_causes,
+    confirm_on_held_out,
+    heldout_gain,
+)
 from monitor.diagnosis.fold_refit import fitted_model
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import LackOfFit
@@ -17,7 +25,7 @@ from monitor.diagnosis.predictive_score import score
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import refine_fit
-from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.inference.map_estimate import maximize_posterior
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
@@ -119,7 +127,37 @@ def test_a_true_cause_gains_on_data_that_it_was_not_fitted_to(damped: Segments) 
     assert 0.0 < gain.ci95[0] < gain.value < gain.ci95[1]
     assert gain.value == pytest.approx(gain.after - gain.before)
     assert "blocks" in gain.heldout and not gain.csd_error_rises
-    assert require_gain(found, gain) is found
+    assert confirm_on_held_out(damped, found) == (found, gain)
+
+
+def test_a_false_last_cause_does_not_take_the_true_ones_with_it(
+    damped: Segments, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The harm that it does to held-out data is not theirs: they are fitted and judged without it."""
+    alone = explained_by(parse_effect(DAMPER), damped)
+    effects = (parse_effect(DAMPER), parse_effect("sensor_gain:channel a2:gain=1.02"))
+    both = maximize_posterior(alone.posterior, alone.null_fit.x, effects)
+    causes = tuple(Cause.of(effect, np.ones(1)) for effect in both.effects)
+    found = replace(alone, causes=causes, final_fit=both, simulation_std=np.zeros(2), rounds=((), ()))
+    monkeypatch.setattr(cross_validation, "_is_confirmed", lambda found, gain: len(found.final_fit.effects) == 1)
+    settled, gain = confirm_on_held_out(damped, found)
+    assert [c.effect.name for c in settled.causes] == ["story_damper"]
+    assert settled.final_fit.log_posterior == pytest.approx(alone.final_fit.log_posterior, abs=0.01)
+    assert gain.nats > 0.0 and settled.rounds == found.rounds
+
+
+def test_alternatives_are_withdrawn_before_what_stands_beside_them(damped: Segments) -> None:
+    alone = explained_by(parse_effect(DAMPER), damped)
+    effects = (parse_effect(DAMPER), parse_effect("sensor_gain:channel a2:gain=1.02"))
+    both = maximize_posterior(alone.posterior, alone.null_fit.x, effects)
+    rivals = ((Candidate(both.effects[1], both, 9.0, 9.0), 0.6), (Candidate(both.effects[1], both, 9.0, 8.0), 0.4))
+    cause = Cause.of(both.effects[0], np.ones(1))
+    found = replace(
+        alone, verdict="ambiguous", causes=(cause,), alternatives=rivals, final_fit=both, simulation_std=np.zeros(2)
+    )
+    settled = found.without_last_cause()
+    assert [c.effect.name for c in settled.causes] == ["story_damper"]
+    assert settled.verdict != "ambiguous" and settled.alternatives == ()
 
 
 def test_the_gain_is_what_the_fitted_models_score(damped: Segments) -> None:
@@ -139,12 +177,14 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
     found = explained_by(parse_effect("sensor_gain:channel a2:gain=1.02"), clean)
     gain = heldout_gain(clean, found)
     assert gain.ci95[0] <= 0.0
-    settled = require_gain(found, gain)
+    settled, stated = confirm_on_held_out(clean, found)
+    assert stated == HeldOutGain()
     assert (settled.verdict, settled.causes, settled.final_fit) == ("none", (), found.null_fit)
     beside = replace(found, verdict="unexplained", misfit=(LackOfFit("f = 1 Hz", 9.0, "more"),))
     loss, nothing_held_out = replace(gain, before=1.0, after=0.9999), HeldOutGain()
-    assert require_gain(beside, loss).causes == ()
-    assert require_gain(beside, replace(loss, after=1.0001)) is beside is require_gain(beside, nothing_held_out)
+    assert not _is_confirmed(replace(beside, causes=(Cause.of(found.final_fit.effects[0], np.ones(1)),)), loss)
+    assert _without_causes(beside).left_over == beside.misfit
+    assert _is_confirmed(beside, replace(loss, after=1.0001)) and _is_confirmed(beside, nothing_held_out)
 
 
 def test_what_the_old_form_would_change_of_the_calibration_counts(clean: Segments) -> None:
@@ -167,10 +207,11 @@ def test_an_ambiguous_answer_needs_the_gain_of_its_best_alternative(clean: Segme
     rivals = tuple((Candidate(e, found.final_fit, 9.0, 9.0), 1.0) for e in found.final_fit.effects)
     ambiguous = replace(found, verdict="ambiguous", alternatives=rivals)
     loss = HeldOutGain(1.0, 0.9988, (-0.0030, 0.0005), heldout="blocks")
-    withdrawn = require_gain(ambiguous, loss)
+    assert not _is_confirmed(ambiguous, loss)
+    withdrawn = _without_causes(ambiguous)
     assert (withdrawn.verdict, withdrawn.alternatives, withdrawn.final_fit) == ("none", (), found.null_fit)
-    assert require_gain(replace(ambiguous, misfit=(LackOfFit("f = 1 Hz", 9.0, "more"),)), loss).verdict == "unexplained"
-    assert require_gain(ambiguous, replace(loss, ci95=(0.0005, 0.0030))) is ambiguous
+    assert _without_causes(replace(ambiguous, misfit=(LackOfFit("f = 1 Hz", 9.0, "more"),))).verdict == "unexplained"
+    assert _is_confirmed(ambiguous, replace(loss, ci95=(0.0005, 0.0030)))
 
 
 def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
@@ -178,7 +219,7 @@ def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
     gain = heldout_gain(clean.part(np.arange(clean.t_s.size) < 3), found)
     assert (gain.value, gain.ci95) == (0.0, (0.0, 0.0))
     assert "too short" in gain.withheld
-    assert require_gain(found, gain) is found  # the headline says why there is no gain
+    assert _is_confirmed(found, gain)  # the headline says why there is no gain
 
 
 def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:

@@ -21,7 +21,7 @@ from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.predictive_score import score
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import Cause, Diagnosis
+from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.inference.map_estimate import maximize_posterior
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments

@@ -17,7 +17,8 @@ from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content as content_of
 from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.simulation_refit import RefittedCandidate
-from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
+from monitor.diagnosis.stepwise_selection import diagnose
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather

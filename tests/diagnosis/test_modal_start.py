@@ -15,7 +15,8 @@ from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit
 from monitor.diagnosis.modal_start import find_modal_starts, fit_from_modes, identify_modes
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
+from monitor.diagnosis.stepwise_selection import diagnose
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import Posterior, tone_log_odds
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.segments import gather

@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.base import SampleBlock
 from monitor.config.configuration import Configuration
-from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference.segments import gather
 from monitor.model.prior import StructuralPrior, prior_from_drawing
 from monitor.runs import diagnose

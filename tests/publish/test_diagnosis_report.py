@@ -17,8 +17,10 @@ from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content as content_of
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import fit_candidate
-from monitor.diagnosis.stepwise_selection import Cause, Diagnosis, DiagnosisSettings, diagnose
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.diagnosis.story_forces import Loop, StoryLaw
+from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.diagnosis.wording import in_words, separating_measurement
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather

@@ -30,7 +30,7 @@ from drivers.base import ACCELERATION, SampleBlock
 from monitor.config.configuration import Configuration
 from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.diagnosis.stepwise_selection import Cause, _causes
+from monitor.diagnosis.verdict import Cause, FittedCauses, _causes
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
 from monitor.model.effects import EFFECTS, Effect
@@ -161,7 +161,7 @@ def fit_given(
     context = drawing.instrumented().context(segments.rate_hz)
     posterior, null_fit, _ = fit_initial_model(classify(segments), prior, context)
     found = fit_candidate(posterior, null_fit, effect)
-    return "given", _causes(posterior, found.fit, [found], np.zeros(found.fit.n_effect))[0]
+    return "given", _causes(FittedCauses(posterior, found.fit, 1, np.zeros(found.fit.n_effect)))[0]
 
 
 def diagnose_site(number: int, seed: int, kinds: tuple[str, ...], *, given: bool = False) -> Iterator[dict[str, Any]]:

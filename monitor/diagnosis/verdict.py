@@ -1,0 +1,295 @@
+"""Verdict on a recording: which of the causes that a search ended with are stated, what they leave over, and what that means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, Self
+
+import numpy as np
+
+from monitor.core import Array, parallel_map
+from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
+from monitor.diagnosis.backward_elimination import fit_subset
+from monitor.diagnosis.lack_of_fit import (
+    LackOfFit,
+    find_changed_effects,
+    find_lack_of_fit,
+    find_other_direction,
+    has_coupled_modes,
+    knows_direction,
+    unexplained_share,
+    wrong_bins,
+)
+from monitor.diagnosis.missing_modes import as_seen, is_credible, is_stated
+from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
+from monitor.diagnosis.score_test import Candidate, evidence_cost
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.simulation_refit import fit_persistent_effects, refine_fit
+from monitor.inference import MapEstimate, Posterior, join_coordinates, maximize_posterior
+from monitor.model import Effect
+
+Verdict = Literal["none", "named", "ambiguous", "unexplained"]
+Alternatives = tuple[tuple[Candidate, float], ...]
+"""Candidates that cannot be told apart, with their probabilities."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Cause:
+    """Effect with the standard deviations of its parameters."""
+
+    effect: Effect
+    std: dict[str, float]
+    """Standard deviation of each parameter."""
+
+    @classmethod
+    def of(cls, effect: Effect, deviation: Array) -> Self:
+        """Make a cause of an effect and the standard deviations of its coordinates, shape (p,)."""
+        std = {}
+        for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
+            std[p.name] = min(own * p.slope(effect.values()[p.name]), 1e300)
+        return cls(effect, std)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FittedCauses:
+    """Fit with the accepted causes, followed by the most probable alternative where the answer is ambiguous."""
+
+    posterior: Posterior
+    fit: MapEstimate
+    n_accepted: int
+    simulation_std: Array
+    """Standard deviations of the effects' sizes by the simulations' random error, shape (p,)."""
+
+    def keep(self, kept: Sequence[bool]) -> Self:
+        """Refit with the selected effects only."""
+        if all(kept):
+            return self
+        fit, simulation_std = fit_subset(self.posterior, self.fit, self.simulation_std, kept)
+        posterior = self.posterior
+        if has_nonlinear(self.fit) and not has_nonlinear(fit):
+            posterior, fit, _ = fit_persistent_effects(posterior, fit)
+        return replace(
+            self,
+            posterior=posterior,
+            fit=fit,
+            n_accepted=sum(kept[: self.n_accepted]),
+            simulation_std=simulation_std,
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Diagnosis:
+    """Result of a diagnosis, with everything that it was judged by."""
+
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    alternatives: Alternatives
+    misfit: tuple[LackOfFit, ...]
+    """Lack of fit of the model without causes."""
+    left_over: tuple[LackOfFit, ...]
+    """Lack of fit that remains with the causes."""
+    candidates: tuple[Candidate, ...]
+    """Candidates of the first round."""
+    posterior: Posterior
+    null_fit: MapEstimate
+    """The old model form, refitted."""
+    final_fit: MapEstimate
+    """Fit with the causes (with the most probable alternative where the answer is ambiguous)."""
+    settings: DiagnosisSettings
+    """Settings of the diagnosis."""
+    rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
+    """Candidates of every round of the search."""
+    other_optima: tuple[MapEstimate, ...] = field(default=())
+    """Fits of other stiffnesses that explain the recording as well."""
+    also_fitted: tuple[Cause, ...] = field(default=())
+    """Effects of the final fit that are no causes, as they cannot be told from modes that were missing at calibration."""
+    simulation_std: Array = field(default_factory=lambda: np.zeros(0))
+    """As `FittedCauses.simulation_std`, of the final fit's effects."""
+
+    def without_last_cause(self) -> Diagnosis:
+        """Withdraw the cause that was found last, or the alternatives of an ambiguous answer, and judge the others anew."""
+        found = FittedCauses(
+            self.posterior, self.final_fit, len(self.causes) + len(self.also_fitted), self.simulation_std
+        )
+        n_kept = found.n_accepted - (not self.alternatives)
+        found = found.keep([i < n_kept for i in range(len(self.final_fit.effects))])
+        judged = judge(found, self.null_fit, (), self.settings)
+        return replace(judged, candidates=self.candidates, rounds=self.rounds, other_optima=self.other_optima)
+
+
+def judge(
+    found: FittedCauses,
+    null_fit: MapEstimate,
+    alternatives: Alternatives,
+    settings: DiagnosisSettings,
+    *,
+    from_elsewhere: bool = False,
+) -> Diagnosis:
+    """Judge the causes that a search ended with: which are stated, and what they leave over.
+
+    Parameters
+    ----------
+    found : FittedCauses
+    null_fit : MapEstimate
+        The model without causes, refitted.
+    alternatives : tuple of (Candidate, float)
+        Candidates of the last round that cannot be told apart, the first of them in the fit.
+    settings : DiagnosisSettings
+    from_elsewhere : bool
+        Whether the search ended because the forces act in another direction than at calibration.
+
+    Returns
+    -------
+    Diagnosis
+        Without the candidates of the search.
+    """
+    # Beside other causes an effect may have moved to a size that means another one.
+    band_hz = found.posterior.observed.band.hz
+    plausible = [
+        i >= found.n_accepted or e.nonlinear or (e.is_plausible(band_hz) and is_credible(found.posterior, found.fit, i))
+        for i, e in enumerate(found.fit.effects)
+    ]
+    found = found.keep(plausible)
+    misfit, left_over = find_lack_of_fit(found.posterior, null_fit, settings), _left_over(found, settings)
+    share = unexplained_share(found.posterior, found.fit, null_fit, misfit, left_over)
+    stated = [
+        e for i, e in enumerate(found.fit.effects[: found.n_accepted]) if is_stated(found.posterior, found.fit, i)
+    ]
+    verdict = _verdict(share, left_over, stated, bool(alternatives), settings)
+    if verdict == "unexplained":
+        found = _keep_confirmed_elsewhere(found, settings)
+        left_over = _left_over(found, settings)
+    direction = _find_other_direction(found, settings) if verdict != "none" or from_elsewhere else None
+    if direction is not None:
+        found = found.keep([False] * len(found.fit.effects))
+        verdict, alternatives = "unexplained", ()
+        left_over = (direction, *find_lack_of_fit(found.posterior, found.fit, settings))
+    # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
+    posterior, fit = found.posterior, found.fit
+    findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, null_fit)))
+    still = find_level_dependence(backbone(posterior, fit))
+    causes, also_fitted = _causes(found)
+    return Diagnosis(
+        verdict=verdict,
+        causes=causes,
+        also_fitted=also_fitted,
+        alternatives=alternatives,
+        misfit=(*[m for m in findings if m is not None], *misfit),
+        left_over=left_over if still is None else (*left_over, still),
+        candidates=(),
+        posterior=posterior,
+        null_fit=null_fit,
+        final_fit=fit,
+        settings=settings,
+        simulation_std=found.simulation_std,
+    )
+
+
+def _left_over(found: FittedCauses, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
+    """List what the causes leave over."""
+    at = found.posterior, found.fit, settings
+    return (*find_changed_effects(*at), *find_lack_of_fit(*at))
+
+
+def refine(posterior: Posterior, fit: MapEstimate, n_accepted: int) -> FittedCauses:
+    """Refit with laws simulated as finely as a published result needs, without causes that are no longer significant.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    fit : MapEstimate
+        Fit with the accepted causes, followed by the most probable alternative where the answer is ambiguous.
+    n_accepted : int
+        Number of accepted causes.
+
+    Returns
+    -------
+    FittedCauses
+    """
+    if not has_nonlinear(fit) or posterior.observed.drive is not None:
+        return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))
+    near, fit = refine_fit(posterior, fit)
+    # With a better size of the law another cause may be no longer significant.
+    kept = [
+        is_significant(e, std)
+        for e, std in zip(fit.effects, coordinate_std(near, fit, near.simulation_std), strict=True)
+    ]
+    found = FittedCauses(near, fit, n_accepted, near.simulation_std)
+    return found.keep(kept) if any(kept) else found
+
+
+def _keep_confirmed_elsewhere(found: FittedCauses, settings: DiagnosisSettings) -> FittedCauses:
+    """Keep only the causes that bands without lack of fit confirm too.
+
+    In bands with unexplained lack of fit a search finds tones, oscillators and laws that do not exist.
+    """
+    posterior, fit = found.posterior, found.fit
+    wrong = wrong_bins(posterior, fit, settings)
+    if not found.n_accepted or not wrong.any() or posterior.observed.drive is not None:
+        return found
+    elsewhere = replace(posterior, left_out=wrong)
+    whole = maximize_posterior(elsewhere, fit.x, fit.effects)
+
+    def is_confirmed(i: int) -> bool:
+        if i >= found.n_accepted:
+            return True
+        others = (*fit.effects[:i], *fit.effects[i + 1 :])
+        without = maximize_posterior(elsewhere, join_coordinates(whole.x[posterior.layout.nuisances], others), others)
+        gain = whole.log_posterior - without.log_posterior
+        return gain - evidence_cost(elsewhere, whole, i) > settings.margin
+
+    return found.keep(parallel_map(is_confirmed, range(len(fit.effects))))
+
+
+def _find_other_direction(found: FittedCauses, settings: DiagnosisSettings) -> LackOfFit | None:
+    """Find that the forces act in another direction than at calibration, by the fit with the sensors' faults and machines alone.
+
+    Other causes may stand in for the direction; a channel that is exchanged, or a machine, changes the forces that are fitted
+    without it.
+    Where the causes have forced an effect away from what it was at calibration, as a coupled mode, they are not believed either.
+    """
+    if not knows_direction(found.posterior):
+        return None
+    if has_coupled_modes(found.posterior) and (changed := find_changed_effects(found.posterior, found.fit, settings)):
+        says = f"{changed[0].says}; nothing can be said of the structure beside it"
+        return replace(changed[0], says=says, is_explained=True, hides_structure=True)
+    found = found.keep([tells_direction_apart(e) for e in found.fit.effects])
+    return find_other_direction(found.posterior, found.fit, settings)
+
+
+def tells_direction_apart(effect: Effect) -> bool:
+    """Decide if an effect cannot stand in for another direction of the forces: a fault of a sensor, or a machine's line."""
+    return effect.family == "sensor" or bool(effect.lines())
+
+
+def _verdict(
+    share: float,
+    left_over: Sequence[LackOfFit],
+    stated: Sequence[Effect],
+    ambiguous: bool,
+    settings: DiagnosisSettings,
+) -> Verdict:
+    """Choose the verdict from the share of lack of fit that is left over, the stated causes and their ambiguity."""
+    # The exact form of a nonlinear law far from rest is not known; the small misfit that this leaves is no cause of its own.
+    nonlinear = any(effect.nonlinear for effect in stated)
+    if left_over and not (nonlinear and share < settings.remainder):
+        return "unexplained"
+    if ambiguous:
+        return "ambiguous"
+    return "named" if stated else "none"
+
+
+def has_nonlinear(fit: MapEstimate) -> bool:
+    """Decide if a fit has a nonlinear effect."""
+    return any(e.nonlinear for e in fit.effects)
+
+
+def _causes(found: FittedCauses) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
+    """List the accepted effects with the standard deviations of their parameters: those that are stated, then the others."""
+    posterior, fit = found.posterior, found.fit
+    std = coordinate_std(posterior, fit, found.simulation_std)
+    causes: tuple[list[Cause], list[Cause]] = [], []
+    for i in range(found.n_accepted):
+        causes[not is_stated(posterior, fit, i)].append(Cause.of(*as_seen(posterior, fit, i, std[i])))
+    return tuple(causes[0]), tuple(causes[1])
