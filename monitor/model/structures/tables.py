@@ -34,8 +34,9 @@ class _Drawing(Settings):
     """Range of each mass as its prior (two standard deviations either way); 5 % either way by default."""
     stiffness_range_n_per_m: tuple[Range, ...] | None = None
     """Range of each stiffness as its prior; 40 % either way by default."""
-    modal_damping_ratio: tuple[Annotated[float, Field(gt=0, lt=1)], ...] | None = None
-    """Damping ratio of every mode, in place of `damping_ratio`; as a diagnosis writes it."""
+    modal_damping_ratio: tuple[Positive, ...] | None = None
+    """Damping ratio of every mode, in place of `damping_ratio`; as a diagnosis writes it, 1 or more for a mode that does not
+    swing."""
     stiffness_correction_n_per_m: Matrix | None = None
     """Stiffness that the structure's form cannot represent, a symmetric matrix; as a diagnosis writes it."""
     story_names: tuple[str, ...] | None = None
