@@ -194,16 +194,19 @@ def _search_healthy(
 ) -> Diagnosis:
     """Search healthy data for the causes that are present from the start, and once more where there may be further ones."""
     wider = _with_site_effects(known, observed, context)
+    most = config.diagnosis.max_causes
+    more = config.diagnosis.model_copy(update={"max_causes": max(most, _MAX_INITIAL_CAUSES)})
+    if wider is None:
+        return diagnose_spectra(observed, known, context, more)
     found = diagnose_spectra(observed, known, context, config.diagnosis, wider=wider)
-    known, most = found.posterior.prior, config.diagnosis.max_causes
+    known = found.posterior.prior
     is_cut_off = sum(not c.effect.repeatable for c in found.causes) >= most
     if found.verdict != "unexplained" and not is_cut_off:
         return found
-    if wider is not None and known.mean.size < wider.mean.size and _gains_more_than_cost(wider, found):
+    if known.mean.size < wider.mean.size and _gains_more_than_cost(wider, found):
         known = wider
     elif not is_cut_off:  # the search ended by itself, and would again
         return found
-    more = config.diagnosis.model_copy(update={"max_causes": max(most, _MAX_INITIAL_CAUSES)})
     return diagnose_spectra(observed, known, context, more)
 
 
