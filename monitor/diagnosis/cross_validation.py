@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from monitor.diagnosis.fold_refit import refit_forms
 from monitor.diagnosis.predictive_score import Score, csd_error, score
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import Segments, classify
+from monitor.model import Effect
 
 _MAX_HELD_OUT_BLOCKS = 20
 """Most blocks into which a recording is divided. [count; cost]"""
@@ -243,9 +245,9 @@ def _cut_blocks(segments: Segments) -> _Blocks:
 
 
 def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagnosis, HeldOutGain]:
-    """Withdraw causes, the last found first, until the others gain on held-out data.
+    """Withdraw the causes that do not gain on held-out data beside those before them, the last found first.
 
-    A false last cause may predict held-out data so badly that the gain of the true ones before it is lost with it.
+    A false last cause may hide behind the gain of true ones, or predict so badly that their gain is lost with it.
 
     Parameters
     ----------
@@ -259,31 +261,35 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
     Diagnosis
         Diagnosis with the causes that held-out data confirm.
     HeldOutGain
-        Gain of these causes; zero if all are withdrawn.
+        Gain of these causes together; zero if all are withdrawn.
     """
+    while len(effects := diagnosis.final_fit.effects) > 1 and not effects[-1].repeatable:
+        rest = withdraw_other_structure(diagnosis.without_last_cause())
+        own = heldout_gain(segments, replace(diagnosis, null_fit=rest.final_fit))
+        if _is_confirmed(diagnosis, effects[len(rest.final_fit.effects) :], own):
+            break
+        diagnosis = rest
     gain = heldout_gain(segments, diagnosis)
-    while len(diagnosis.final_fit.effects) > 1 and not _is_confirmed(diagnosis, gain):
-        diagnosis = withdraw_other_structure(diagnosis.without_last_cause())
-        gain = heldout_gain(segments, diagnosis)
-    if _is_confirmed(diagnosis, gain):
+    if _is_confirmed(diagnosis, diagnosis.final_fit.effects, gain):
         return diagnosis, gain if diagnosis.verdict != "none" else HeldOutGain()
     return _without_causes(diagnosis), HeldOutGain()
 
 
-def _is_confirmed(diagnosis: Diagnosis, gain: HeldOutGain) -> bool:
-    """Decide if the causes of a diagnosis gain on held-out data.
+def _is_confirmed(diagnosis: Diagnosis, effects: Sequence[Effect], gain: HeldOutGain) -> bool:
+    """Decide if those effects of a diagnosis that were added gain on held-out data.
 
-    Of an ambiguous answer the most probable alternative must gain.  Where no data can be held out, the causes stay.
+    Of an ambiguous answer the most probable alternative must gain.  Where no data can be held out, the effects stay.
 
     A law that only loud blocks show gains in few of them, which a bootstrap of blocks cannot tell from none.  For a nonlinear
     law a large summed gain is therefore enough.  Where causes are stated beside something unexplained, which widens the
     interval too, the summed gain must not be a loss.
     """
-    effects = diagnosis.final_fit.effects
+    if not effects or gain.withheld:
+        return True
     if diagnosis.verdict == "unexplained":
         return not diagnosis.causes or gain.value >= 0.0
     confirmed_by_sum = any(effect.nonlinear for effect in effects) and gain.nats > _LARGE_GAIN_NATS
-    return not effects or bool(gain.withheld) or gain.is_significant or confirmed_by_sum
+    return gain.is_significant or confirmed_by_sum
 
 
 def _without_causes(diagnosis: Diagnosis) -> Diagnosis:

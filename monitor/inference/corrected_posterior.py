@@ -72,7 +72,7 @@ class CorrectedPosterior(AmbientPosterior):
         The correction is relative to the spectra, and so follows peaks that move or grow.  Where the motion grows, a law acts as
         one of another size.  Where all masses and stiffnesses grow, a law acts as one that is smaller in proportion.
         """
-        plain, relative = self._with_model_error(linear), self.beyond(x, effects)
+        plain, relative = self._with_model_error(linear, effects, classes), self.beyond(x, effects)
         # Too long a step gives NaN, since spectra that are not positive definite have no likelihood.
         return self.add_drift(plain if relative is None else grown_by(plain, relative[list(classes)]))
 

@@ -166,7 +166,7 @@ class ForwardModel(ABC):
             Spectra of the wanted classes.
         """
         spectra = linear if self.offset is None else linear + self.offset[list(classes)]
-        return self.add_drift(self._with_model_error(spectra))
+        return self.add_drift(self._with_model_error(spectra, effects, classes))
 
     def add_drift(self, spectra: ComplexArray) -> ComplexArray:
         """Add the power of the sensors' drift to spectra, shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
@@ -194,15 +194,25 @@ class ForwardModel(ABC):
     def relative_levels(self, x: Array) -> Array:
         """Return the factors from a slope of the middle class to that of every class, shape (classes,)."""
 
-    def _with_model_error(self, spectra: ComplexArray) -> ComplexArray:
-        """Apply the known model error to spectra, shape (classes, n_bins, c, c)."""
+    def _with_model_error(
+        self, spectra: ComplexArray, effects: Sequence[Effect], classes: Sequence[int]
+    ) -> ComplexArray:
+        """Apply the known model error to spectra, shape (classes, n_bins, c, c), but for the noise that extra effects add.
+
+        The error is that of the healthy structure's spectra, of which this noise is no part.
+        """
         error = self.error
         if error is None:
             return spectra
         inside, at = error.at(self.observed.band.hz)
         relative = np.zeros_like(spectra)
         relative[:, inside] = error.relative[at]
-        return grown_by(spectra, relative)
+        variance = np.zeros((len(classes), spectra.shape[-1]))
+        for own, k in zip(variance, classes, strict=True):
+            own += sum(e.noise_variance(self.context, self.conditions[k]) for e in effects)
+        density = variance[:, None] / self.context.rate_hz * self.observed.band.gain[:, None]
+        added = density[..., None] * np.eye(spectra.shape[-1])
+        return np.asarray(grown_by(spectra - added, relative) + added)
 
     def system(self, x: Array, effects: Sequence[Effect]) -> System:
         """Make the linear system at a vector of parameters, before effects that depend on the level are added."""

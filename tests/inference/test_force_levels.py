@@ -22,7 +22,7 @@ from monitor.inference.posterior import Posterior
 from monitor.inference.segments import gather
 from monitor.model.effects import parse_effect
 from monitor.model.model import Model
-from monitor.model.prior import prior_from_drawing
+from monitor.model.prior import ModelDiscrepancy, prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import cut_into_blocks
 from monitor.signals.welch import hann_amplitude
@@ -47,6 +47,23 @@ def test_parts_add_up_and_their_levels_are_found(shaken: tuple[Posterior, MapEst
     assert np.abs(noise - np.einsum("fab,ab->fab", noise, np.eye(3))).max() < 1e-9 * np.abs(predicted[k]).max()
     data = np.tensordot(true, parts[:, k], axes=1) + noise
     assert fit_levels(parts[:, k], noise, data) == pytest.approx(true, rel=1e-3)
+
+
+def test_noise_that_a_sensor_adds_is_no_part_of_the_error_of_the_healthy_model(
+    shaken: tuple[Posterior, MapEstimate],
+) -> None:
+    """A baseline that predicts three times too much between the modes had noise of 1.06 m/s^2 told as 1.65."""
+    problem, null = shaken
+    hz = problem.observed.band.hz
+    error = ModelDiscrepancy(hz, np.full((hz.size, 1, 1), -0.6) * np.eye(3), np.full(hz.size, 0.01))
+    at = replace(problem, prior=replace(problem.prior, error=error))
+    noise = parse_effect("sensor_noise:channel a2:rms_m_s2=0.3")
+    healthy, noisy = at.scatter(null.x, ()), at.scatter(null.x, (noise,))
+    np.testing.assert_allclose(healthy, 0.4 * problem.scatter(null.x, ()), rtol=1e-9)
+    added = noisy - healthy
+    density = 0.3**2 / at.context.rate_hz * problem.observed.band.gain
+    np.testing.assert_allclose(added[..., 1, 1], np.tile(density, (len(added), 1)), rtol=1e-6)
+    assert np.abs(added[..., 0, 0]).max() < 1e-9 * density.max()
 
 
 def test_a_ground_may_shake_more_in_one_class_than_in_another(shaken: tuple[Posterior, MapEstimate]) -> None:
