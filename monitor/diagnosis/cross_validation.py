@@ -245,9 +245,10 @@ def _cut_blocks(segments: Segments) -> _Blocks:
 
 
 def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagnosis, HeldOutGain]:
-    """Withdraw the causes that do not gain on held-out data beside those before them, the last found first.
+    """Withdraw the causes that do not gain on held-out data, the last found first.
 
-    A false last cause may hide behind the gain of true ones, or predict so badly that their gain is lost with it.
+    Those that remain must gain over the model without the last of them, without the last two, and so on, and without any.  A
+    false last cause may hide behind the gain of true ones, or predict so badly that their gain is lost with it.
 
     Parameters
     ----------
@@ -263,16 +264,21 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
     HeldOutGain
         Gain of these causes together; zero if all are withdrawn.
     """
-    while len(effects := diagnosis.final_fit.effects) > 1 and not effects[-1].repeatable:
-        rest = withdraw_other_structure(diagnosis.without_last_cause())
-        own = heldout_gain(segments, replace(diagnosis, null_fit=rest.final_fit))
-        if _is_confirmed(diagnosis, effects[len(rest.final_fit.effects) :], own):
-            break
-        diagnosis = rest
-    gain = heldout_gain(segments, diagnosis)
-    if _is_confirmed(diagnosis, diagnosis.final_fit.effects, gain):
-        return diagnosis, gain if diagnosis.verdict != "none" else HeldOutGain()
+    shorter = [diagnosis]
+    while len(effects := shorter[-1].final_fit.effects) > 1 and not effects[-1].repeatable:
+        shorter.append(withdraw_other_structure(shorter[-1].without_last_cause()))
+    for n_withdrawn, found in enumerate(shorter):
+        if all(_gains_over(rest, found, segments) for rest in shorter[n_withdrawn + 1 :]):
+            gain = heldout_gain(segments, found)
+            if _is_confirmed(found, found.final_fit.effects, gain):
+                return found, gain if found.verdict != "none" else HeldOutGain()
     return _without_causes(diagnosis), HeldOutGain()
+
+
+def _gains_over(rest: Diagnosis, found: Diagnosis, segments: Segments) -> bool:
+    """Decide if a diagnosis gains on held-out data over the same one without its last causes."""
+    added = found.final_fit.effects[len(rest.final_fit.effects) :]
+    return _is_confirmed(found, added, heldout_gain(segments, replace(found, null_fit=rest.final_fit)))
 
 
 def _is_confirmed(diagnosis: Diagnosis, effects: Sequence[Effect], gain: HeldOutGain) -> bool:
