@@ -495,9 +495,7 @@ def drip() -> Iterator[Drip]:
 def test_an_address_that_drips_holds_up_no_other_and_is_told_of(
     tmp_path: Path, hook: Hook, drip: Drip, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        delivery_workers, "_DEADLINE_S", 5.0
-    )  # a process that imports its library takes a second of a core
+    monkeypatch.setattr(delivery_workers, "_DEADLINE_S", 5.0)  # its process imports a library: a second of a core
     one = notifier(tmp_path / "outbox.jsonl", f"json://{drip.address}/hush-hush", hook.url)
     for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
         one.window(window(0, s2=level), "")
