@@ -45,7 +45,7 @@ from monitor.diagnosis.simulation_refit import (
     fit_by_simulation,
     fit_initial_model,
 )
-from monitor.diagnosis.verdict import Alternatives, Diagnosis, has_nonlinear, judge, refine, tells_direction_apart
+from monitor.diagnosis.verdict import Alternatives, Diagnosis, has_nonlinear, is_independent_of_direction, judge, refine
 from monitor.inference import (
     CorrectedPosterior,
     MapEstimate,
@@ -124,7 +124,9 @@ def diagnose(
                 break
             rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
         tied = tied_candidates(candidates, settings.rival)
-        if not any(tells_direction_apart(p.candidate.effect) for p in tied) and _shows_other_direction(stage, settings):
+        if not any(is_independent_of_direction(p.candidate.effect) for p in tied) and _shows_other_direction(
+            stage, settings
+        ):
             from_elsewhere = True  # no cause would be stated
             break
         if lacks_modes(stage.posterior, stage.fit):
@@ -503,7 +505,7 @@ def _accept_beside_tie(
 
 def _shows_other_direction(stage: _SearchState, settings: DiagnosisSettings) -> bool:
     """Decide if no cause so far may stand in for another direction of the forces, and they act in another than at calibration."""
-    if not all(tells_direction_apart(e) for e in stage.fit.effects):
+    if not all(is_independent_of_direction(e) for e in stage.fit.effects):
         return False
     return find_other_direction(stage.posterior, stage.fit, settings) is not None
 

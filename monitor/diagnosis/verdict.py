@@ -254,11 +254,11 @@ def _find_other_direction(found: FittedCauses, settings: DiagnosisSettings) -> L
     if has_coupled_modes(found.posterior) and (changed := find_changed_effects(found.posterior, found.fit, settings)):
         says = f"{changed[0].says}; nothing can be said of the structure beside it"
         return replace(changed[0], says=says, is_explained=True, hides_structure=True)
-    found = found.keep([tells_direction_apart(e) for e in found.fit.effects])
+    found = found.keep([is_independent_of_direction(e) for e in found.fit.effects])
     return find_other_direction(found.posterior, found.fit, settings)
 
 
-def tells_direction_apart(effect: Effect) -> bool:
+def is_independent_of_direction(effect: Effect) -> bool:
     """Decide if an effect cannot stand in for another direction of the forces: a fault of a sensor, or a machine's line."""
     return effect.family == "sensor" or bool(effect.lines())
 
