@@ -13,6 +13,7 @@ from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.drawing_refit import withdraw_other_structure
 from monitor.diagnosis.fold_refit import refit_forms
 from monitor.diagnosis.predictive_score import Score, csd_error, score
+from monitor.diagnosis.repetition import find_repetition, state_repetition
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import Segments, classify
 from monitor.model import Effect
@@ -248,7 +249,8 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
     """Withdraw the causes that do not gain on held-out data, the last found first.
 
     Those that remain must gain over the model without the last of them, without the last two, and so on, and without any.  A
-    false last cause may hide behind the gain of true ones, or predict so badly that their gain is lost with it.
+    false last cause may hide behind the gain of true ones, or predict so badly that their gain is lost with it.  In a recording
+    that repeats itself nothing can be held out, and no cause is confirmed.
 
     Parameters
     ----------
@@ -264,6 +266,10 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
     HeldOutGain
         Gain of these causes together; zero if all are withdrawn.
     """
+    if (period_s := find_repetition(segments)) is not None:
+        return state_repetition(diagnosis, period_s), HeldOutGain(
+            heldout=f"none: the recording repeats itself every {period_s:.3g} s"
+        )
     shorter = [diagnosis]
     while len(effects := shorter[-1].final_fit.effects) > 1 and not effects[-1].repeatable:
         shorter.append(withdraw_other_structure(shorter[-1].without_last_cause()))

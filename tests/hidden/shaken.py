@@ -73,11 +73,12 @@ def slip_frame(s: Site) -> tuple[Hidden, Act]:
 
 
 def loss(s: Site) -> tuple[Hidden, Act]:
-    """5 to 15 % of a story that keeps its joints; its own matrices only, so that what slips stays as it is."""
+    """5 to 15 % of a story's columns; what slips stays as it is."""
     j, relative = int(s.rng.integers(3)), -s.between(0.05, 0.15)
-    d = drifts(3)[j]
-    stiffness = s.act.stiffness + relative * float(s.truth.frame.stories[j]) * np.outer(d, d)
-    return Hidden("stiffness_change", f"story {j + 1}", {"relative": relative}), replace(s.act, stiffness=stiffness)
+    frame = s.truth.frame
+    moved = s.matrices(replace(frame, stories=frame.stories * (1.0 + relative * np.eye(3)[j])))
+    moved = replace(moved, stiffness=moved.stiffness + s.act.stiffness - frame.stiffness())
+    return Hidden("stiffness_change", f"story {j + 1}", {"relative": relative}), moved
 
 
 DRAWS: dict[str, Callable[[Site], tuple[Hidden, Act]]] = {
