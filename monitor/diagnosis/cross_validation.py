@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,11 @@ from scipy.special import ndtri, stdtrit
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.drawing_refit import withdraw_other_structure
-from monitor.diagnosis.fold_refit import refit_forms
+from monitor.diagnosis.fold_refit import refit_form
 from monitor.diagnosis.predictive_score import Score, csd_error, score
 from monitor.diagnosis.repetition import find_repetition, state_repetition
 from monitor.diagnosis.verdict import Diagnosis
-from monitor.inference import Segments, classify
+from monitor.inference import MapEstimate, Segments, classify
 from monitor.model import Effect
 
 _MAX_HELD_OUT_BLOCKS = 20
@@ -106,6 +107,79 @@ class _Blocks:
         return (self.of_segment >= 0) & ~held
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Folds:
+    """A recording and its parts that are held out in turn."""
+
+    segments: Segments
+    blocks: _Blocks
+    parts: tuple[NDArray[np.bool_], ...]
+    """Masks of the segments that are held out together, shape (n_segments,) each; none where the recording is too short."""
+
+    @classmethod
+    def of(cls, segments: Segments) -> Self:
+        """Divide a recording."""
+        blocks = _cut_blocks(segments)
+        parts = tuple(blocks.held(fold) for fold in range(blocks.folds))
+        return cls(segments, blocks, () if any(np.count_nonzero(held) < 2 for held in parts) else parts)
+
+    def score(self, diagnosis: Diagnosis, form: MapEstimate) -> list[Score]:
+        """Score a form of a diagnosis on each part, fitted to the others."""
+
+        def scored(held: NDArray[np.bool_]) -> Score:
+            others = self.blocks.others(held)
+            label = diagnosis.posterior.observed.label[others]
+            part = classify(self.segments.part(others), label)
+            # Weighted as the whole recording, so that the prior affects these fits no more than the published one.
+            part = replace(part, counts=part.counts * self.segments.t_s.size / part.counts.sum())
+            model, excitation = refit_form(part, diagnosis, form, np.unique(label))
+            context, degc = diagnosis.posterior.context, diagnosis.posterior.prior.reference_degc
+            return score(self.segments, model, context, degc, held, excitation)
+
+        return parallel_map(scored, self.parts)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Scored:
+    """A diagnosis, and the scores of its extended form on each part that is held out."""
+
+    folds: _Folds
+    diagnosis: Diagnosis
+    extended: list[Score]
+    """None without causes, or where the recording is too short."""
+
+    @classmethod
+    def of(cls, folds: _Folds, diagnosis: Diagnosis) -> Self:
+        """Score the extended form."""
+        form = diagnosis.final_fit
+        return cls(folds, diagnosis, folds.score(diagnosis, form) if form.effects else [])
+
+    def gain_over(self, form: MapEstimate) -> HeldOutGain:
+        """Measure the gain over a form without some of the effects, fitted to the whole recording."""
+        if not self.diagnosis.final_fit.effects:
+            return HeldOutGain()
+        if not self.extended:
+            return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
+        blocks, segments = self.folds.blocks, self.folds.segments
+        nats, samples = np.zeros((2, blocks.n)), np.zeros(blocks.n)
+        of_spectra = (len(self.extended), 2, 2, *segments.values.shape[1:], segments.values.shape[2])
+        spectra = np.zeros(of_spectra, dtype=complex)
+        scores = zip(self.folds.score(self.diagnosis, form), self.extended, strict=True)
+        for of_fold, held, of_both in zip(spectra, self.folds.parts, scores, strict=True):
+            of_held = blocks.of_segment[held]
+            for i, form_score in enumerate(of_both):
+                nats[i] += np.bincount(of_held, form_score.nats, blocks.n)
+                of_fold[i] = np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
+            samples += np.bincount(of_held, minlength=blocks.n) * (of_both[0].samples / np.count_nonzero(held))
+        gain = _summarize_scores(nats, samples, spectra, blocks)
+        return replace(gain, calibration=_calibration_nats(self.diagnosis, form) / float(samples.sum()))
+
+    def is_confirmed_over(self, form: MapEstimate) -> bool:
+        """Decide if the effects that a form lacks gain over it."""
+        added = self.diagnosis.final_fit.effects[len(form.effects) :]
+        return _is_confirmed(self.diagnosis, added, self.gain_over(form))
+
+
 def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
     """Measure the gain of a diagnosis's extended model over the old form on blocks that neither was fitted to.
 
@@ -129,47 +203,16 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
     D. Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic structure,
     Ecography 40 (2017) 913 (blocks in place of single samples).
     """
-    if not diagnosis.final_fit.effects:
-        return HeldOutGain()
-    blocks = _cut_blocks(segments)
-    parts = [blocks.held(fold) for fold in range(blocks.folds)]
-    if any(np.count_nonzero(held) < 2 for held in parts):
-        return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
-    folds = parallel_map(lambda held: _score_fold(segments, diagnosis, held, blocks.others(held)), parts)
-    nats, samples = np.zeros((2, blocks.n)), np.zeros(blocks.n)
-    spectra = np.zeros((len(folds), 2, 2, *segments.values.shape[1:], segments.values.shape[2]), dtype=complex)
-    for of_fold, held, scores in zip(spectra, parts, folds, strict=True):
-        of_held = blocks.of_segment[held]
-        for i, form_score in enumerate(scores):
-            nats[i] += np.bincount(of_held, form_score.nats, blocks.n)
-            of_fold[i] = np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
-        samples += np.bincount(of_held, minlength=blocks.n) * (scores[0].samples / np.count_nonzero(held))
-    gain = _summarize_scores(nats, samples, spectra, blocks)
-    return replace(gain, calibration=_calibration_nats(diagnosis) / float(samples.sum()))
+    return _Scored.of(_Folds.of(segments), diagnosis).gain_over(diagnosis.null_fit)
 
 
-def _calibration_nats(diagnosis: Diagnosis) -> float:
-    """Compute the log density of what calibration learned at the final fit, less that at the old form's; see `HeldOutGain`."""
+def _calibration_nats(diagnosis: Diagnosis, without: MapEstimate) -> float:
+    """Compute the log density of what calibration learned at the final fit, less that at the other form's; see `HeldOutGain`."""
     posterior = diagnosis.posterior
     prior, structure = posterior.prior, posterior.layout.structure
     if not prior.is_baseline:
         return 0.0
-    return prior.log_density(diagnosis.final_fit.x[structure]) - prior.log_density(diagnosis.null_fit.x[structure])
-
-
-def _score_fold(
-    segments: Segments, diagnosis: Diagnosis, held: NDArray[np.bool_], others: NDArray[np.bool_]
-) -> list[Score]:
-    """Score the old and the extended form on the held-out segments, both fitted to the others."""
-    label = diagnosis.posterior.observed.label[others]
-    part = classify(segments.part(others), label)
-    # Weighted as the whole recording, so that the prior affects these fits no more than the published one.
-    part = replace(part, counts=part.counts * segments.t_s.size / part.counts.sum())
-    context, prior = diagnosis.posterior.context, diagnosis.posterior.prior
-    return [
-        score(segments, model, context, prior.reference_degc, held, excitation)
-        for model, excitation in refit_forms(part, diagnosis, np.unique(label))
-    ]
+    return prior.log_density(diagnosis.final_fit.x[structure]) - prior.log_density(without.x[structure])
 
 
 def _summarize_scores(nats: Array, samples: Array, spectra: ComplexArray, blocks: _Blocks) -> HeldOutGain:
@@ -273,18 +316,14 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
     shorter = [diagnosis]
     while len(effects := shorter[-1].final_fit.effects) > 1 and not effects[-1].repeatable:
         shorter.append(withdraw_other_structure(shorter[-1].without_last_cause()))
+    folds = _Folds.of(segments)
     for n_withdrawn, found in enumerate(shorter):
-        if all(_gains_over(rest, found, segments) for rest in shorter[n_withdrawn + 1 :]):
-            gain = heldout_gain(segments, found)
+        scored = _Scored.of(folds, found)
+        if all(scored.is_confirmed_over(rest.final_fit) for rest in shorter[n_withdrawn + 1 :]):
+            gain = scored.gain_over(found.null_fit)
             if _is_confirmed(found, found.final_fit.effects, gain):
                 return found, gain if found.verdict != "none" else HeldOutGain()
     return _without_causes(diagnosis), HeldOutGain()
-
-
-def _gains_over(rest: Diagnosis, found: Diagnosis, segments: Segments) -> bool:
-    """Decide if a diagnosis gains on held-out data over the same one without its last causes."""
-    added = found.final_fit.effects[len(rest.final_fit.effects) :]
-    return _is_confirmed(found, added, heldout_gain(segments, replace(found, null_fit=rest.final_fit)))
 
 
 def _is_confirmed(diagnosis: Diagnosis, effects: Sequence[Effect], gain: HeldOutGain) -> bool:

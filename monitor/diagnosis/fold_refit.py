@@ -1,4 +1,4 @@
-"""Refit of the two model forms of a diagnosis to a part of the recording."""
+"""Refit of a model form of a diagnosis to a part of the recording."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core import Array
 from monitor.diagnosis.initial_fit import fit_exact_slopes
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import (
@@ -19,7 +18,7 @@ from monitor.inference import (
     linearize,
     maximize_posterior,
 )
-from monitor.model import Effect, Model
+from monitor.model import Model
 
 _MAX_STEPS_AMBIENT = 12
 """Most iterations of a fit to a part of a recording that begins at the fit to the whole. [iterations; cost]"""
@@ -30,15 +29,15 @@ _MIN_DAMPING = 1e-9
 """Least damping ratio of a fitted model. [1; rounding]"""
 
 
-def refit_forms(
-    part: ObservedSpectra, whole: Diagnosis, classes: NDArray[np.intp]
-) -> list[tuple[Model, ExcitationStart]]:
-    """Fit the old model form and the extended one to a part of a recording.
+def refit_form(
+    part: ObservedSpectra, whole: Diagnosis, form: MapEstimate, classes: NDArray[np.intp]
+) -> tuple[Model, ExcitationStart]:
+    """Fit a model form to a part of a recording.
 
-    The fits start from those to the whole recording, which are close: from far away the phases of a response do not lead to the
+    The fit starts from that to the whole recording, which is close: from far away the phases of a response do not lead to the
     optimum, and all else converges sooner.  The correction that simulation adds to a linearized law is also that of the whole
-    recording, since it belongs to the law and not to the data.  The correction is simulated anew where both forms have nonlinear
-    laws, which must be treated alike, and where the classes differ in more than the vibration level.
+    recording, since it belongs to the law and not to the data.  The correction is simulated anew where the persistent laws are
+    nonlinear, so that both forms are treated alike, and where the classes differ in more than the vibration level.
 
     Parameters
     ----------
@@ -46,38 +45,35 @@ def refit_forms(
         Spectra of the part, weighted as the whole recording.
     whole : Diagnosis
         The diagnosis of the whole recording.
+    form : MapEstimate
+        Its fit of the form to the whole recording.
     classes : ndarray, shape (n_classes,)
         For each class of the part, the same class of the whole recording.
 
     Returns
     -------
-    list of (Model, ExcitationStart)
-        The old form, then the extended one, each with its fitted excitation in the classes of the whole recording.
+    Model
+        The form, fitted to the part.
+    ExcitationStart
+        Its fitted excitation in the classes of the whole recording.
     """
     part = replace(part, drive=_with_ground_interpolation(whole, part.drive))
-    posterior = whole.posterior.part(part, classes)
+    own = posterior = whole.posterior.part(part, classes)
     # A class of the whole recording that the part does not have is taken to be as the nearest one.
     nearest = np.abs(classes[:, None] - np.arange(whole.posterior.n_classes)).argmin(axis=0)
-    layout = whole.posterior.layout
+    layout, effects = whole.posterior.layout, form.effects
     by_level = not (part.by_temperature or whole.posterior.observed.by_temperature)
     shared = by_level and not any(e.nonlinear for e in posterior.prior.model.effects)
-
-    def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, ExcitationStart]:
-        x = np.concatenate(
-            [x[layout.structure], ExcitationStart.at(whole.posterior, x).select(classes).vector, x[layout.effects]]
-        )
-        own = posterior
-        if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
-            own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
-        fit = maximize_posterior(
-            own, x, effects, iterations=_MAX_STEPS_DRIVEN if part.drive is not None else _MAX_STEPS_AMBIENT
-        )
-        if part.drive is not None and any(e.nonlinear for e in effects):
-            own, fit = fit_exact_slopes(own, fit)
-        excitation = ExcitationStart.at(own, fit.x, own.beyond(fit.x, fit.effects) if shared else None)
-        return fitted_model(own, fit), excitation.select(nearest)
-
-    return [fitted(whole.null_fit.x, whole.null_fit.effects), fitted(whole.final_fit.x, whole.final_fit.effects)]
+    start = ExcitationStart.at(whole.posterior, form.x).select(classes)
+    x = np.concatenate([form.x[layout.structure], start.vector, form.x[layout.effects]])
+    if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
+        own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
+    most = _MAX_STEPS_DRIVEN if part.drive is not None else _MAX_STEPS_AMBIENT
+    fit = maximize_posterior(own, x, effects, iterations=most)
+    if part.drive is not None and any(e.nonlinear for e in effects):
+        own, fit = fit_exact_slopes(own, fit)
+    excitation = ExcitationStart.at(own, fit.x, own.beyond(fit.x, fit.effects) if shared else None)
+    return fitted_model(own, fit), excitation.select(nearest)
 
 
 def _with_ground_interpolation(whole: Diagnosis, drive: Drive | None) -> Drive | None:

@@ -56,7 +56,7 @@ def find_repetition(segments: Segments) -> float | None:
         i = int(np.abs(delays).argmax())
         if np.abs(delays[i]) > _LEAST_SHARE * one.size:
             lag = (i if i < 2 * n_bins else i - 4 * n_bins) / (4 * n_bins * segments.band.bin_hz)
-            return distance * hop_s + lag
+            return float(distance * hop_s + lag)
     return None
 
 

@@ -195,7 +195,7 @@ def test_what_the_old_form_would_change_of_the_calibration_counts(clean: Segment
     far = found.null_fit.x.copy()
     far[0] += 5.0 * learnt.units[0]
     moved = replace(found, posterior=replace(found.posterior, prior=learnt), null_fit=replace(found.null_fit, x=far))
-    nats = _calibration_nats(moved)
+    nats = _calibration_nats(moved, moved.null_fit)
     assert nats == pytest.approx(
         learnt.log_density(found.final_fit.x[: learnt.mean.size]) - learnt.log_density(far[: learnt.mean.size])
     )
