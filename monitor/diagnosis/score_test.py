@@ -84,8 +84,8 @@ def candidate_starts(
 ) -> list[Effect]:
     """List the starts of the search: every effect at every place with a small size, and every shape that must be tried.
 
-    Where a nonlinear law is in a story already, no other is tried there: it would only compensate for the unknown form of the
-    first one.  Laws of all stories alike are held to their form by every story.
+    Where a nonlinear law is in the model already, no other is tried at its place: it would only compensate for the unknown form
+    of the first one.
 
     Parameters
     ----------
@@ -97,20 +97,16 @@ def candidate_starts(
     """
     typical = posterior.conditions[posterior.n_classes // 2]
     nonlinear = {
-        (name, e.location)
-        for e in null_fit.effects
-        if e.nonlinear and e.location != "frame"
-        for name, kind in EFFECTS.items()
-        if kind.nonlinear
+        (name, e.location) for e in null_fit.effects if e.nonlinear for name, kind in EFFECTS.items() if kind.nonlinear
     }
     skip, found = {*excluded, *nonlinear}, find_excess_peaks(posterior, null_fit)
     out: list[Effect] = []
-    driven = posterior.observed.drive is not None
     for name, kind in EFFECTS.items():
-        if driven and (kind.family == "excitation" or kind.stationary_only):
+        if posterior.observed.drive is not None and (kind.family == "excitation" or kind.stationary_only):
             continue  # the input is measured; another one would only compensate for errors of the model's response
-        kinds = kind.places if driven else [k for k in kind.places if k not in kind.driven_places]
-        for place in (p for k in kinds for p in locations(k, posterior.context)):
+        if posterior.observed.drive is None and kind.driven_only:
+            continue
+        for place in (p for k in kind.places for p in locations(k, posterior.context)):
             if kind.repeatable or (name, place) not in skip:
                 out.extend(kind.starts(place, posterior.context, typical))
                 near = (kind.at_peak(place, peak, posterior.context, typical) for peak in found)

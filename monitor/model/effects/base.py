@@ -284,8 +284,8 @@ class Effect(ReportFace, ABC):
     """Standard deviation of each coordinate's change from day to day, in the coordinate's units, of a persistent effect."""
     stationary_only: ClassVar[bool] = False
     """Whether the linearization needs a stationary, normal motion, which that of an earthquake is not."""
-    driven_places: ClassVar[tuple[str, ...]] = ()
-    """Kinds of place at which the search tries the effect only where an input was measured."""
+    driven_only: ClassVar[bool] = False
+    """Whether the search tries the effect only where an input was measured."""
     is_stiffness_loss: ClassVar[bool] = False
     """Whether the effect is a change of stories' stiffness, which the damage index measures, and no other cause of its change."""
     colour_title: ClassVar[str] = ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, sqrt
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -17,28 +17,12 @@ from monitor.model.structures import Structure
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 _WEIGHTS /= _WEIGHTS.sum()
 """Gauss-Hermite nodes and weights of the mean over a standard normal variable."""
-_NO_LIMIT_M = 1e30
-"""Stands for the drift at which the force of a spring that hardens would fade. [m; definition: never]"""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class CubicSpring:
-    """Cubic spring of a story."""
-
-    story: int
-    """Index of the story, from 0."""
-    direction: Array
-    """Row that picks the story's drift out of the floors' motion, shape (n,)."""
-    k3_n_per_m3: float
-    half_force_m: float
-    """Drift at which the factor on the cubic force is one half, m."""
 
 
 @dataclass(frozen=True)
 class CubicStiffness(Effect):
     """Cubic stiffness: story force k d + k3 d^3.
 
-    On the frame k3 is the same share of k in every story, as where all stories are built alike; k3 is then the mean over stories.
     A softening cubic would be unstable at large drift.  Its force is therefore multiplied by 1 / (1 + (d / q)^4), q^2 = k / |k3|:
     the law is the cubic up to the sixth order, and its tangent stays positive.  Linearized for a normal drift, the stiffness is
     k + E[d phi(d)] / s_d^2, which is k + 3 k3 s_d^2 where the story hardens.
@@ -46,7 +30,7 @@ class CubicStiffness(Effect):
 
     name: ClassVar[str] = "cubic_stiffness"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("story", "frame")
+    places: ClassVar[tuple[str, ...]] = ("story",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("k3_n_per_m3", -inf, inf, absent=0.0),)
     signature: ClassVar[str] = "frequencies rise (fall) with the level, damping does not, the drift is not skewed"
     noun: ClassVar[str] = "a cubic spring"
@@ -55,8 +39,6 @@ class CubicStiffness(Effect):
     )
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
-    # Without a measured input the levels alone tell a law, one story's from all stories' by little.
-    driven_places: ClassVar[tuple[str, ...]] = ("frame",)
     amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
     daily: ClassVar[tuple[float, ...]] = (0.2,)  # a persistent one is estimated by few simulations
     # Fits from different starts end that far apart, where the levels compensate for the difference.
@@ -66,23 +48,13 @@ class CubicStiffness(Effect):
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
         """See `Effect.extend`."""
-        for spring in self.springs(context.structure):
-            s = float(condition.drift_m[spring.story])
-            fourth = float(_WEIGHTS @ (_NODES**4 / (1.0 + (s * _NODES / spring.half_force_m) ** 4)))
-            pattern = np.outer(spring.direction, spring.direction)
-            system = system.plus(stiffness=spring.k3_n_per_m3 * s**2 * fourth * pattern)
-        return system
+        s, half_force = float(condition.drift_m[self.index]), self._half_force_drift_m(context.structure)
+        fourth = float(_WEIGHTS @ (_NODES**4 / (1.0 + (s * _NODES / half_force) ** 4)))
+        return system.plus(stiffness=self.k3_n_per_m3 * s**2 * fourth * self.pattern(context.structure))
 
     def laws(self, structure: Structure) -> tuple[Law, ...]:
         """See `Effect.laws`."""
-        return tuple(Law(LawKind.CUBIC, s.direction, (s.k3_n_per_m3, s.half_force_m)) for s in self.springs(structure))
-
-    def springs(self, structure: Structure) -> tuple[CubicSpring, ...]:
-        """Return the springs: that of the story, or one in each story of the frame."""
-        stories, k, rows = self._stories(structure), structure.stiffness_n_per_m, structure.drift_matrix()
-        k3 = self.k3_n_per_m3 * k[stories] / k[stories].mean()
-        half = np.sqrt(k[stories] / -k3) if self.is_softening else np.full(len(stories), _NO_LIMIT_M)
-        return tuple(CubicSpring(j, rows[j], float(a), float(b)) for j, a, b in zip(stories, k3, half, strict=True))
+        return (Law(LawKind.CUBIC, self.direction(structure), (self.k3_n_per_m3, self._half_force_drift_m(structure))),)
 
     @property
     def is_softening(self) -> bool:
@@ -98,25 +70,20 @@ class CubicStiffness(Effect):
         if not self.is_softening:
             return self.form_std
         size = np.abs(self.coordinates)
-        stories = self._stories(fitted.structure)
-        softening = (
-            3.0
-            * size
-            * (fitted.condition.drift_m[stories] ** 2).max()
-            / fitted.structure.stiffness_n_per_m[stories].mean()
-        )
-        return np.asarray(np.hypot(self.form_std, size * softening))
+        drift, stiffness = fitted.condition.drift_m[self.index], fitted.structure.stiffness_n_per_m[self.index]
+        return np.asarray(np.hypot(self.form_std, size * 3.0 * size * drift**2 / stiffness))
 
-    def _stories(self, structure: Structure) -> list[int]:
-        return list(range(structure.n_stories)) if self.location == "frame" else [self.index]
+    def _half_force_drift_m(self, structure: Structure) -> float:
+        """Compute the drift at which the factor on the cubic force is one half, m."""
+        if self.k3_n_per_m3 >= 0.0:
+            return 1e30
+        return sqrt(float(structure.stiffness_n_per_m[self.index]) / -self.k3_n_per_m3)
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`.  On the frame of one story there are none: that is the story's own law."""
-        if location == "frame" and context.structure.n_stories == 1:
-            return ()
-        stories = cls(location, 0.0)._stories(context.structure)
-        k, s = float(context.structure.stiffness_n_per_m[stories].mean()), float(condition.drift_m[stories].mean())
+        """See `Effect.starts`."""
+        j = int(location.partition(" ")[2]) - 1
+        k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, size * k / (3.0 * s**2)) for size in (0.03, 0.1, -0.03, -0.08))
 
     @classmethod
@@ -127,12 +94,6 @@ class CubicStiffness(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        trend = "soften" if fitted.value("k3_n_per_m3") < 0 else "harden"
+        trend = "softens" if fitted.value("k3_n_per_m3") < 0 else "hardens"
         size = f": cubic stiffness {fitted.interval('k3_n_per_m3')}"
-        subject, ending = (
-            ("all stories", "as their drifts grow")
-            if fitted.location == "frame"
-            else (fitted.location, "as its drift grows")
-        )
-        verb = trend if fitted.location == "frame" else f"{trend}s"
-        return f"{subject} {verb} {ending}{fitted.sized('k3_n_per_m3', size)}"
+        return f"{fitted.location} {trend} as its drift grows{fitted.sized('k3_n_per_m3', size)}"

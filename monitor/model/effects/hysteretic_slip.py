@@ -69,7 +69,7 @@ class HystereticSlip(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     # Far sizes of the law, which a search by simulation tries, need steps finer than that simulation has.
-    driven_places: ClassVar[tuple[str, ...]] = ("story", "frame")
+    driven_only: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
 
     force_n: float

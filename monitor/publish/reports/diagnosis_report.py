@@ -184,7 +184,9 @@ def _misfit(c: Comparison, diagnosis: Diagnosis) -> str:
     )
     for when, _, listed in stages:
         if listed:
-            worst = [(m.where.removeprefix("f = "), f"{m.size:.1f}", m.says) for m in listed[:_MAX_SHOWN]]
+            worst = [
+                (m.where.removeprefix("f = "), f"{m.size:.1f}" if m.size else "–", m.says) for m in listed[:_MAX_SHOWN]
+            ]
             more = f"<p class='muted'>and {len(listed) - _MAX_SHOWN} more</p>" if len(listed) > _MAX_SHOWN else ""
             out.append(table([f"Misfit {when}", "#std. dev.", "what it says"], worst) + more)
         else:
