@@ -16,6 +16,7 @@ from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.story_forces import StoryLaw
 from monitor.diagnosis.verdict import Diagnosis
+from monitor.diagnosis.witness import NOT_DETERMINED
 from monitor.diagnosis.wording import (
     band_in_words,
     contradicted,
@@ -26,9 +27,6 @@ from monitor.diagnosis.wording import (
 )
 from monitor.inference import LeftOut, ParameterLayout, Segments
 from monitor.model import FORMS, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
-
-_NOT_DETERMINED = 1e300
-"""Written in place of a standard deviation that is not determined. [1; definition: JSON has no infinity]"""
 
 
 def content(
@@ -192,7 +190,7 @@ def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:
 
 def _finite(value: float) -> float:
     """Clip a number to the finite range of JSON; a NaN becomes the largest number."""
-    return float(np.clip(np.nan_to_num(value, nan=_NOT_DETERMINED), -_NOT_DETERMINED, _NOT_DETERMINED))
+    return float(np.clip(np.nan_to_num(value, nan=NOT_DETERMINED), -NOT_DETERMINED, NOT_DETERMINED))
 
 
 def _gain(gain: HeldOutGain) -> dict[str, Any]:

@@ -12,6 +12,9 @@ _SIGNIFICANT_SIZE_STDS = 2.0
 """Smallest distance from zero at which an effect's size counts as determined. [standard deviations; convention: two
 sigma]"""
 
+DIFFERS_STDS = 3.0
+"""Distance from which an estimate differs from what it is compared with. [standard deviations; convention: three sigma]"""
+
 
 def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array) -> list[Array]:
     """Compute the standard deviations of every effect's coordinates.

@@ -8,15 +8,12 @@ import numpy as np
 
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.verdict import Diagnosis
-from monitor.inference import Segments
+from monitor.inference import Segments, information_weight
+from monitor.signals import FALSE_RATE
 
 _LEAST_SHARE = 0.5
 """Share of the spectrum, every bin counted alike, that repeats in a recording that repeats itself. [ratio; definition: more
 than half]"""
-_LEAST_BINS = 400
-"""Bins by which that is judged, of all pairs of segments at one distance: of random motion, whose neighbouring bins and
-overlapping segments are alike, so many repeat by more than half at a given delay in 1 of 1e10 cases. [count; Rayleigh's
-distribution]"""
 
 
 def find_repetition(segments: Segments) -> float | None:
@@ -49,12 +46,14 @@ def find_repetition(segments: Segments) -> float | None:
         one, other = at[:-distance], at[distance:]
         both = (one >= 0) & (other >= 0)
         one, other = one[both], other[both]
-        if one.size * n_bins < _LEAST_BINS:
+        if one.size == 0:
             continue
         cross = np.einsum("sfc,sfc->f", white[one].conj(), white[other])
         delays = np.fft.ifft(cross, 4 * n_bins) * 4 * n_bins
         i = int(np.abs(delays).argmax())
-        if np.abs(delays[i]) > _LEAST_SHARE * one.size:
+        # Of random motion the share has Rayleigh's distribution.
+        chance = np.sqrt(np.log(delays.size * at.size / FALSE_RATE) / (one.size * n_bins * information_weight()))
+        if np.abs(delays[i]) > max(_LEAST_SHARE, chance) * one.size:
             lag = (i if i < 2 * n_bins else i - 4 * n_bins) / (4 * n_bins * segments.band.bin_hz)
             return float(distance * hop_s + lag)
     return None

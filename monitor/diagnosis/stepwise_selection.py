@@ -29,6 +29,7 @@ from monitor.diagnosis.missing_modes import (
     uncouple_modes,
 )
 from monitor.diagnosis.modal_start import fit_from_modes, has_same_structure
+from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
 from monitor.diagnosis.score_test import (
     Candidate,
     best_of_each_kind,
@@ -63,9 +64,6 @@ _FREQUENCY_SHIFT = 0.05
 _NO_FREQUENCY = 1.0
 """Stands for the change of a mode that is unstable without the last cause or with it, so that it has no frequency. [ln ratio;
 definition: the damping is known to a factor of e then]"""
-_SIMULATION_STDS = 3.0
-"""Random error of the simulations that the gain of a further cause must exceed. [standard deviations; convention: three
-sigma]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -466,7 +464,7 @@ def _accept(stage: _SearchState, best: RefittedCandidate, settings: DiagnosisSet
         margin = max(
             margin,
             settings.aftermath * best.candidate.delta_log_posterior,
-            settings.margin + _SIMULATION_STDS * best.log_evidence_std,
+            settings.margin + DIFFERS_STDS * best.log_evidence_std,
         )
     return _SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
 

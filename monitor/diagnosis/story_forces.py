@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
+from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import MapEstimate, Posterior
 from monitor.signals import taper
 
 _LEAST_SEGMENTS = 6
 """Fewest segments whose thirds are compared. [segments; definition: two in each third]"""
-_STATED_STDS = 3.0
-"""Change with the level, beyond the model's, from which it is stated. [standard deviations; convention: three sigma]"""
 _FINER = 8
 """Points of a loop for a sample. [ratio; to draw smooth curves]"""
 
@@ -70,12 +69,12 @@ class StoryLaw:
         (k, stiffer), (model_k, model_stiffer) = self.stiffness_n_per_m, self.model_stiffness_n_per_m
         (eta, lossier), (model_eta, model_lossier) = self.loss, self.model_loss
         found = []
-        beyond, visible = (stiffer - k) - (model_stiffer - model_k), _STATED_STDS * float(np.hypot(*self.stiffness_std))
+        beyond, visible = (stiffer - k) - (model_stiffer - model_k), DIFFERS_STDS * float(np.hypot(*self.stiffness_std))
         if abs(beyond) > visible:
             trend = "hardens" if beyond > 0.0 else "softens"
             found.append(f"{trend} by {100.0 * abs(beyond) / k:.1f} % more than the model")
         gained = (lossier - eta) - (model_lossier - model_eta)
-        if abs(gained) > _STATED_STDS * float(np.hypot(*self.loss_std)):
+        if abs(gained) > DIFFERS_STDS * float(np.hypot(*self.loss_std)):
             more = "more" if gained > 0.0 else "less"
             found.append(f"its loss factor grows by {100.0 * abs(gained):.1f} % {more} than the model's")
         low, high = 1e3 * self.drift_m

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from monitor.core import Array, ComplexArray
+from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
 from monitor.model import Condition, Context, Effect, Model, ShearFrame, interval
 
@@ -32,8 +33,6 @@ _RIGID = 0.05
 much take about as large a share of a story's stiffness]"""
 _AGREES_STDS = 2.0
 """Half width of the intervals that are stated, and within which a witness agrees. [standard deviations; convention: 95 %]"""
-_CONTRADICTS_STDS = 3.0
-"""Distance from which on a witness contradicts. [standard deviations; convention: three sigma]"""
 
 NOT_DETERMINED = 1e300
 """Standard deviation where none can be told. [1; definition: JSON has no infinity]"""
@@ -329,7 +328,7 @@ def _placed(value: float, std: float, low: float, high: float) -> Verdict:
     """Say whether a value lies within bounds, or outside them; to contradict takes more certainty than to agree."""
     if low < value - _AGREES_STDS * std and value + _AGREES_STDS * std < high:
         return "agrees"
-    outside = value + _CONTRADICTS_STDS * std < low or value - _CONTRADICTS_STDS * std > high
+    outside = value + DIFFERS_STDS * std < low or value - DIFFERS_STDS * std > high
     return "contradicts" if outside else "cannot say"
 
 
@@ -348,7 +347,7 @@ def _judge_other_motion(
         return None, f"{what}: {usual or 'no mode lies in the band'}; {rest}"
     # A mode of the other direction moves more that way than this.  What a twist is, only the model's own modes tell, and of
     # them what is certain: where the structure moves little, noise makes any ratio.
-    certain = max((m.ratio - _CONTRADICTS_STDS * m.std for m in own), default=0.0)
+    certain = max((m.ratio - DIFFERS_STDS * m.std for m in own), default=0.0)
     least = 1.0 if sensor.quantity == "acceleration" else _FACTOR * max(certain, 0.0)
     told: list[tuple[Verdict, str]] = []
     for mode in others:
@@ -358,7 +357,7 @@ def _judge_other_motion(
             told.append(("cannot say", f"{name} is too near to {near.of} to be told from it"))
             continue
         verdict = _placed(mode.ratio, mode.std, least, np.inf)
-        if verdict == "agrees" and mode.ratio - _CONTRADICTS_STDS * mode.std < least:  # a magnitude of noise is never 0
+        if verdict == "agrees" and mode.ratio - DIFFERS_STDS * mode.std < least:  # a magnitude of noise is never 0
             verdict = "cannot say"
         ratio = interval({"value": mode.ratio, "std": mode.std}, 1.0, unit)
         size = f"{ratio} (coherence {mode.coherence:.2f})"
