@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.model import Model, ShearFrame
-from tests.measured import f16, sensor_faults, shake_table_axes
+from tests.measured import f16, sensor_faults, shake_table_axes, shake_table_event, shake_table_laws
 from tests.measured.sensor_faults import Fault, cause_text, delayed, fast_clock, faults, outcome, unchanged
 
 RATE_HZ = 120.0
@@ -115,3 +115,26 @@ def test_all_axes_of_a_frame_become_sensors_of_its_structure_file(tmp_path: Path
     assert {(s.quantity, s.axis) for s in config.witnesses if s.floor == 0} == {
         (quantity, axis) for _, quantity, axis in shake_table_axes.AXES.values()
     }
+
+
+def test_the_event_without_common_clocks_is_put_together_by_the_motion() -> None:
+    """Below the first mode the floors follow the table, and the higher a floor the more it moves at the first mode."""
+    floors, table = shake_table_event.aligned(*shake_table_event.SET_RIGHT)
+    slow = np.corrcoef([shake_table_laws.in_band(x, shake_table_event.SLOW_BAND_HZ) for x in (*floors.T, *table.T)])
+    assert slow[3].min() > 0.98
+    top, middle, lowest = (shake_table_laws.in_band(x, shake_table_event.FIRST_BAND_HZ).std() for x in floors.T)
+    assert (middle / top, lowest / top) == pytest.approx((0.81, 0.43), abs=0.03)  # as in the other recording
+    recorded, _ = shake_table_event.aligned(*shake_table_event.AS_RECORDED)
+    np.testing.assert_allclose(recorded[:, [0, 2, 1]] * [-1.0, 1.0, 1.0], floors)
+
+
+def test_slip_and_its_loss_are_read_from_forces_and_drifts(capsys: pytest.CaptureFixture[str]) -> None:
+    t = np.arange(6000) / RATE_HZ
+    drift = 0.01 * np.exp(-t / 20.0) * np.sin(2.0 * np.pi * 3.7 * t)
+    force = 400.0 * drift + 40.0 * shake_table_laws.slip(drift, 1e-3)
+    story = np.tile(drift, (3, 1)), np.tile(np.gradient(drift, t), (3, 1))
+    shake_table_laws.by_drift(shake_table_laws.Series(np.tile(force, (3, 1)), *story), 1)
+    rows = [line.split("|")[1:] for line in capsys.readouterr().out.splitlines()[1:]]
+    stiffness, loss = (np.array([float(row[i].split("+-")[0]) for row in rows]) for i in (0, 1))
+    assert (np.diff(stiffness) < 0.0).all() and 400.0 < stiffness[-1] < 410.0 and stiffness[0] > 425.0
+    assert 0 < loss.argmax() < len(loss) - 1  # largest where the element begins to slip
