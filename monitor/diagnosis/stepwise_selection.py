@@ -540,10 +540,11 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
     after = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects)).modes().frequencies_hz
     change = np.nan_to_num(np.log(after / before), nan=_NO_FREQUENCY)
     ratios = replace(posterior, prior=posterior.prior.with_looser_damping(change))
-    known = (
-        posterior.damped_as_built or isinstance(posterior, CorrectedPosterior) or posterior.observed.drive is not None
-    )
-    if known or np.abs(change).max() < _FREQUENCY_SHIFT:
+    known = posterior.damped_as_built or isinstance(posterior, CorrectedPosterior)
+    # A measured input shows the damping of modes that have hardly moved since calibration; a drawing knows of no damping.
+    driven = posterior.observed.drive is not None
+    known |= driven and not posterior.prior.is_baseline
+    if known or np.abs(change).max() <= (0.0 if driven else _FREQUENCY_SHIFT):
         return ratios
     matrix = replace(ratios, damped_as_built=True)
     return max(ratios, matrix, key=lambda form: maximize_posterior(form, fit.x, fit.effects).log_posterior)
