@@ -87,7 +87,8 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
          f"bands with a misfit beyond {compared.limit:g} standard deviations"),
         (_minutes(segments), f"of data, {len(compared.channels)} channels"),
     ]  # fmt: skip
-    if compared.extended and verdict != "none":
+    was_held_out = not content["gain"]["heldout"].startswith("none")  # else the sentence above says why not
+    if compared.extended and verdict != "none" and was_held_out:
         figures = [
             (
                 f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})",
