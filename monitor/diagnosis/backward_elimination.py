@@ -202,7 +202,7 @@ def fit_subset(
         The same standard deviations, of the remaining effects.
     """
     effects = tuple(e for e, stays in zip(fit.effects, kept, strict=True) if stays)
-    sizes = np.array([stays for e, stays in zip(fit.effects, kept, strict=True) for _ in e.parameters])
+    sizes = np.array([stays for e, stays in zip(fit.effects, kept, strict=True) for _ in e.parameters], dtype=bool)
     return maximize_posterior(
         posterior, join_coordinates(fit.x[posterior.layout.nuisances], effects), effects
     ), simulation_std[sizes]

@@ -132,3 +132,11 @@ def test_a_fit_beside_a_rough_one_is_no_worse_from_a_bad_start() -> None:
     rough = fit_candidate(problem, null, parse_effect("coloured_excitation:frame:corner_hz=16"), quick=True)
     found = fit_candidate(problem, null, start, rough=rough)
     assert found.log_evidence >= rough.log_evidence > 1000.0
+
+
+def test_of_effects_without_a_size_some_may_stay(loaded: tuple[Posterior, MapEstimate]) -> None:
+    problem, null = loaded
+    effects = tuple(map(parse_effect, ("sensor_polarity:channel a1", "channel_swap:channel a2,a3")))
+    fit = maximize_posterior(problem, null.x, effects, iterations=1)
+    alone, simulation_std = fit_subset(problem, fit, np.zeros(0), (True, False))
+    assert [e.name for e in alone.effects] == ["sensor_polarity"] and simulation_std.size == 0
