@@ -146,7 +146,7 @@ class _Scored:
     folds: _Folds
     diagnosis: Diagnosis
     extended: list[Score]
-    """None without causes, or where the recording is too short."""
+    """Empty without causes, or where the recording is too short."""
 
     @classmethod
     def of(cls, folds: _Folds, diagnosis: Diagnosis) -> Self:
