@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -127,6 +128,9 @@ class SiteSettings(Settings):
     """Baseline file that 'calibrate' wrote. All paths of a site file are relative to it. Without a baseline there is no alarm."""
 
 
+_BUCKET_URL = re.compile(r"s3://[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[^/\s]+)*/?")
+
+
 class OutputSettings(Settings):
     """``[output]`` of the daemon's file."""
 
@@ -135,6 +139,11 @@ class OutputSettings(Settings):
     keep_gb: float | None = Field(default=None, gt=0)
     """Greatest disk space of the whole folder, in GiB: beyond it the oldest recordings go, then the oldest closed months of
     results.  By default the recordings alone are bounded, by `[recorder] keep_gb`."""
+    store: str | None = None
+    """Address in object storage, as ``s3://BUCKET/NAME``, where the files of the folder are kept as well, so that a monitor on
+    another machine can go on with them (`monitor.service.site_store`)."""
+    store_every_s: float = Field(default=5.0, ge=1.0, le=3600.0)
+    """Interval at which what has changed is stored, in s; after three of them without a word another machine may take over."""
     pack_months: bool = False
     """Pack the results of each closed month into ``results-YYYY-MM.jsonl.zst``."""
     serve: str | None = None
@@ -149,6 +158,13 @@ class OutputSettings(Settings):
     """Table of the publisher of results, alarms and health over MQTT (`monitor.service.outlets`)."""
     metrics: dict[str, Any] | None = None
     """Table of the endpoint for Prometheus (`monitor.service.outlets`)."""
+
+    @field_validator("store")
+    @classmethod
+    def _stores(cls, url: str | None) -> str | None:
+        if url is not None and not _BUCKET_URL.fullmatch(url):
+            raise ValueError(f"{url!r} is no address as s3://BUCKET/NAME")
+        return url
 
     @field_validator("serve")
     @classmethod

@@ -17,7 +17,7 @@ EXTRAS = {
     "formats": ("h5py", "pyuff"),
     "seismic": ("obspy",),
     "plot": ("matplotlib",),
-    "s3": ("s3fs",),
+    "s3": ("s3fs", "botocore"),
 }
 """Name of an extra -> the modules that it adds, as `[project.optional-dependencies]` of pyproject.toml."""
 _EXTRA_OF = {module: extra for extra, modules in EXTRAS.items() for module in modules}

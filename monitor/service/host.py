@@ -34,6 +34,7 @@ from monitor.service import logs, systemd
 from monitor.service.host_metrics import HostMetrics
 from monitor.service.outlets import Outlet
 from monitor.service.site import Site
+from monitor.service.site_store import SiteStore, store_of
 from monitor.service.status import has_ended, running
 from monitor.service.threads import BlockQueue
 
@@ -98,6 +99,8 @@ class Place:
     is_opened: bool = False
     out: Path | None = None
     """Output folder of a site that stands by; None before it was looked for."""
+    store: SiteStore | None = None
+    """Copy of its output folder in object storage, which remembers since when another monitor has not been heard of."""
     free_s: float | None = None
     """Since when nobody monitors a site that stands by; None while somebody does."""
     was_held: bool = False
@@ -437,6 +440,8 @@ class Host:
 
     def _over(self, place: Place, failure: str) -> None:
         """Note that a site was closed, and when it is started again."""
+        if place.site is not None:  # else the copy goes on to watch for another monitor
+            place.store = None
         place.site, place.failure, place.is_told = None, failure, True
         place.in_line = place.is_opened = False
         if self._names.get(place.name) is place:
@@ -492,17 +497,20 @@ class Host:
         place.due_s = now + _LOOK_S
         if place.out is None:
             try:
-                place.out = place.path.resolve().parent / configuration.load(place.path).output.dir
+                settings = configuration.load(place.path)
             except UserError:  # which is told when it is started
                 return True
-        is_held = running(place.out) is not False
+            place.out = place.path.resolve().parent / settings.output.dir
+            place.store = store_of(settings, place.out, self._clock)
+        is_held = running(place.out) is not False or (place.store is not None and place.store.is_held())
         place.free_s = None if is_held else now if place.free_s is None else place.free_s
         if is_held and not place.was_held:
             place.was_held = True
             _log.warning("%s stands by: another daemon monitors it", place.name)
         is_taken = place.free_s is not None and (self._first(place.path) or now - place.free_s >= _FREE_S)
         place.is_told = place.is_told or not is_taken
-        if is_taken and place.was_held and has_ended(place.out):  # by its own account there is nothing to take over
+        has_read = has_ended(place.out) if place.store is None else place.store.has_ended()
+        if is_taken and place.was_held and has_read:  # by its own account there is nothing to take over
             self._call(lambda: self._over(place, ""))
             return False
         return is_taken
@@ -523,6 +531,8 @@ class Host:
             self._take_name(place, settings.site_name)
             logs.site_name.set(place.name)
             place.queue = BlockQueue(_MOST_BLOCKS, _MOST_BYTES, lambda: self._tell_arrival(place))
+            if place.store is None:
+                place.store = store_of(settings, place.path.resolve().parent / settings.output.dir, self._clock)
             outlets: tuple[Outlet, ...] = () if self.metrics is None else (self.metrics.outlet(place.name),)
             site = Site(
                 place.path,
@@ -532,6 +542,7 @@ class Host:
                 warm=self._warm_up,
                 lean=True,
                 viewer=False,
+                store=place.store,
             )
         except UserError as error:
             if self._standby and isinstance(error, InUseError):  # that daemon was faster
@@ -612,7 +623,7 @@ class Host:
         if place.state is State.RUNNING and place.site is not None:
             place.site.ask_to_reload()
         elif place.state in {State.WAITING, State.STANDBY}:
-            place.due_s, place.pause_s, place.out = float("-inf"), 0.0, None
+            place.due_s, place.pause_s, place.out, place.store = float("-inf"), 0.0, None, None
 
     def _removed(self, place: Place) -> None:
         """End the site of a file that is gone (in the main thread)."""

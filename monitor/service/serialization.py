@@ -257,7 +257,7 @@ def to_bytes(key: str, value: object) -> bytes:
         if not isinstance(item, np.ndarray) or item.dtype.str not in _DTYPES:
             raise TypeError(f"cannot be kept: {type(item).__name__} {getattr(item, 'dtype', '')}")
         # The order of the axes in memory is kept, because the rounding of sums depends on it.
-        axes = np.argsort([-abs(s) for s in item.strides], kind="stable").tolist()
+        axes = sorted(range(item.ndim), key=lambda axis: -abs(item.strides[axis]))
         data = item.transpose(axes).tobytes()
         place = {_ARRAY: [item.dtype.str, list(item.shape), axes, size]}
         arrays.append(data)

@@ -19,7 +19,16 @@ from typing import TYPE_CHECKING, Any
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
 from monitor.config import Configuration, configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, Level, MissingInputError, UserError, WindowResult
+from monitor.core import (
+    BadConfigurationError,
+    BadInputError,
+    Gap,
+    InUseError,
+    Level,
+    MissingInputError,
+    UserError,
+    WindowResult,
+)
 from monitor.damage import AnyBaseline, Assessment, outdated, utc
 from monitor.events import Event
 from monitor.pipeline import Result
@@ -44,6 +53,7 @@ from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.recorded_blocks import RecordedBlocks
 from monitor.service.reload import Reloaded, reread
 from monitor.service.request_handler import RequestHandler
+from monitor.service.site_store import SiteStore, State, store_of
 from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import BlockQueue, Chores, Reader, Recording, background
 from monitor.signals import Health
@@ -94,6 +104,9 @@ class Site(Publisher):
         recordings, where these are written, and the reader looks up less often.
     viewer : bool
         Whether Rerun viewers are served where the site file says so.
+    store : SiteStore, optional
+        Copy of the output folder in object storage, not yet open; by default that of the site file, if it names one.  Until it
+        is known whether another monitor is at work, a lean site does not start, and any other waits.
 
     Raises
     ------
@@ -102,7 +115,8 @@ class Site(Publisher):
     BadInputError
         The baseline file is unusable.
     BadConfigurationError
-        The site file is invalid, the baseline is another structure's, or another daemon writes into the output folder.
+        The site file is invalid, the baseline is another structure's, or another daemon writes into the output folder or its
+        copy in object storage.
     """
 
     def __init__(
@@ -117,6 +131,7 @@ class Site(Publisher):
         warm: Callable[[Configuration, AnyBaseline | None], object],
         lean: bool = False,
         viewer: bool = True,
+        store: SiteStore | None = None,
     ) -> None:
         self._clock, self._quiet_s, self._warm, self._served, self._lean = clock, quiet_s, warm, viewer, lean
         self.settings = settings = configuration.load(path)
@@ -128,7 +143,9 @@ class Site(Publisher):
         make_outlets(path, settings, dry=True)
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
-        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._checked_s = self._clock()
+        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._checked_s = self._stored_s = (
+            self._clock()
+        )
         self._tidied_s = float("-inf")
         self._failed: set[str] = set()
         self._said: Assessment | None = None
@@ -143,6 +160,10 @@ class Site(Publisher):
                 self.out / "state" / "lock", self.out
             )  # before anything of this daemon can be seen from outside
             undo.callback(os.close, self._lock)
+            self._store = store_of(settings, self.out, clock) if store is None else store
+            if self._store is not None:
+                self._store.open(wait=not lean)
+                undo.callback(self._store.push, "released")
             self._open_parts(undo, healthy_path, healthy)
             self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
             for outlet in self._outlets:
@@ -167,6 +188,7 @@ class Site(Publisher):
         # Lines are written by a thread that waits for no fsync, so that health.jsonl can say that the others wait for one.
         self._chores, self._line_writer = Chores(), Chores("lines")
         self._event_writer = Chores("events")  # a page takes a second or two, for which no other file waits
+        self._storer = None if self._store is None else Chores("store")
         undo.callback(self._chores.close, _END_S)
         undo.callback(self._line_writer.close, _END_S)
         undo.callback(self._event_writer.close, _END_S)
@@ -268,6 +290,12 @@ class Site(Publisher):
             self._chores.do("storage", self._storage.tidy)
         if now - self._summary_s >= self._quiet_s or self._told_episodes != self._episodes():
             self._write_summary()
+        if self._store is not None and self._storer is not None:
+            if self._store.is_lost:
+                raise InUseError(self._store.failed)
+            if now - self._stored_s >= self.settings.output.store_every_s:
+                self._stored_s = now
+                self._storer.do("store", self._store.push)
 
     def ask_to_stop(self) -> None:
         """Set the deadlines by which the site ends; a signal handler may call this."""
@@ -431,6 +459,9 @@ class Site(Publisher):
         if exceeded or any(alarm != self._alarm for alarm in alarms):
             self._alarm = alarms[-1] if alarms else self._alarm
             self._recording.flush(_DURABLE_S)
+            if self._storer is not None and self._store is not None and self._store.failed is None:
+                self._storer.do("store", self._store.push)
+                self._storer.settle(_DURABLE_S)
 
     def _reread(self) -> None:
         """Read the site file again (in a thread that may wait for the disk)."""
@@ -497,7 +528,7 @@ class Site(Publisher):
     def _outputs(self) -> list[tuple[str, Way]]:
         """List every part beside the main thread with its name: source, recorder, outlets, viewer, checkpoint, history, files."""
         own: dict[str, Way | None] = {"source": self.reader, "recorder": self._recording, "viewer": self._view}
-        own |= {"checkpoint": self._keeper, "history": self._history}
+        own |= {"checkpoint": self._keeper, "history": self._history, "store": self._store}
         own |= {"ledger.jsonl": self._requests, "storage": self._storage}
         own |= {
             "results.jsonl": self._lines,
@@ -529,6 +560,10 @@ class Site(Publisher):
         if self._view is not None:
             self._view.close(self._share_s())
         self._chores.close(self._share_s())
+        if self._storer is not None and self._store is not None:
+            state: State = "ended" if self.reader.ended else "released"
+            self._storer.do("store", partial(self._store.push, state))
+            self._storer.close(self._share_s())
         os.close(self._lock)
 
     def _share_s(self) -> float:

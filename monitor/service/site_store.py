@@ -1,0 +1,549 @@
+"""Files of a site in object storage (``s3://BUCKET/NAME``), from which the monitor of another machine goes on.
+
+One object, the manifest, says who monitors the site and in which objects its files stand.  It is written on the condition that
+nobody wrote it since it was read, so that what is stored is always the work of one monitor after another, never a mixture.
+Nobody's clock has to be right: a monitor is gone when its manifest has not changed for some of its intervals.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import socket
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from typing import Any, BinaryIO, Literal, NamedTuple
+from uuid import uuid4
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from monitor.config import Configuration
+from monitor.core import InUseError, MissingInputError, import_extra, write_atomically
+from monitor.core import partial as unfinished
+
+_log = logging.getLogger(__name__)
+
+_MANIFEST = "manifest.json"
+_NOTE = "state/owner"
+"""File with the name under which this folder's monitor wrote the manifest; it never leaves the machine."""
+_SUPERSEDED = "superseded"
+"""Folder for what a folder held when the monitor of another machine had gone on meanwhile."""
+_OWN = re.compile(rf"state/lock|{_NOTE}|state/history\.db.*|{_SUPERSEDED}/.*")
+"""Files that stay on this machine: the database repeats results.jsonl, and changes anywhere at any time."""
+_APPENDED = re.compile(r".*\.(jsonl|mcap|mcap\.part)")
+"""Files to which bytes are only appended; others are small, and read again when they have changed."""
+_TAIL_BYTES = 4096
+"""Length of the end of such a file by which it is known again. [bytes; judgement: lines and messages differ by their times]"""
+_SILENT = 3.0
+"""Intervals without another manifest after which its monitor counts as gone. [1; judgement: one write may fail]"""
+_OBJECT_BYTES = 4 << 20
+"""Longest object. [bytes; cost: it is held in memory, and the manifest is not written while it is sent]"""
+_TIMEOUT_S = 5.0
+"""Longest wait for a connection, or for an answer. [s; judgement]"""
+_CONNECTIONS = 32
+"""Most connections of the process at the same time. [1; cost]"""
+_CONFLICTS = {"PreconditionFailed", "ConditionalRequestConflict"}
+_ABSENT = {"NoSuchKey", "404"}
+
+
+State = Literal["held", "released", "ended"]
+"""Whether the owner of a site monitors it, has stopped, or has read the source to its end."""
+
+
+class Part(NamedTuple):
+    """Bytes of a file: `length` bytes of an object from `offset` on."""
+
+    object: str
+    offset: int
+    length: int
+
+
+class StoredFile(BaseModel):
+    """One file: its parts in order, the CRC-32 of all of it, and its time of change, ns since 1970."""
+
+    model_config = ConfigDict(frozen=True)
+
+    parts: tuple[Part, ...] = ()
+    crc32: int
+    mtime_ns: int
+
+    @property
+    def length(self) -> int:
+        """Length of the file, bytes."""
+        return sum(part.length for part in self.parts)
+
+
+class Manifest(BaseModel):
+    """What is stored of a site, and who monitors it."""
+
+    model_config = ConfigDict(frozen=True)
+
+    owner: str = Field(min_length=1)
+    """Name of the folder's monitor, drawn when it took the site."""
+    machine: str
+    number: int
+    """Counts how often the manifest was written, so that each one differs from the one before."""
+    every_s: float
+    """Interval at which it is written, s."""
+    state: State
+    files: dict[str, StoredFile]
+
+    @field_validator("files")
+    @classmethod
+    def _stay_in_the_folder(cls, files: dict[str, StoredFile]) -> dict[str, StoredFile]:
+        for name in files:
+            if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts or _OWN.fullmatch(name):
+                raise ValueError(f"{name!r} is no file of a site")
+        return files
+
+
+class SiteStore:
+    """Copy of a site's output folder in object storage, and the right to monitor the site.
+
+    One thread at a time calls `open` and `push`; any thread may read the attributes.
+
+    Parameters
+    ----------
+    url : str
+        ``s3://BUCKET/NAME``; each site has a folder of its own name below it.
+    site : str
+        Name of the site.
+    out : Path
+        Output folder.
+    every_s : float
+        Interval at which `push` is called, s.
+    clock : callable
+        Seconds of a clock that never goes back.
+
+    Attributes
+    ----------
+    is_lost : bool
+        Whether the monitor of another machine has taken the site over.
+    failed : str or None
+        Why the present files are not stored; None while they are.
+    """
+
+    dropped = 0  # what could not be stored is stored by a later attempt
+
+    def __init__(
+        self, url: str, site: str, out: Path, every_s: float, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.url = f"{url.rstrip('/')}/{site}"
+        bucket, _, prefix = self.url.removeprefix("s3://").partition("/")
+        self._bucket, self._prefix, self._out, self._every_s, self._clock = bucket, f"{prefix}/", out, every_s, clock
+        self._owner = ""
+        self._present: Manifest | None = None
+        """Latest manifest of this monitor."""
+        self._tag: str | None = None
+        """ETag of the manifest on which the next one is based; None where there was none."""
+        self._seen: tuple[str, float] | None = None
+        """ETag of another's manifest, and since when it is that one, s."""
+        self._known: dict[str, tuple[int, int]] = {}
+        """Number of the file and CRC-32 of its end, as it was stored, for files to which bytes are appended."""
+        self.is_lost = False
+        self.failed: str | None = None
+
+    def is_held(self) -> bool:
+        """Ask whether the monitor of another machine is at work; where the storage does not answer, it may be.
+
+        Raises
+        ------
+        MissingExtraError
+            The extra `s3` is not installed.
+        """
+        try:
+            found, tag = self._read()
+        except OSError:
+            return True
+        return self._is_at_work(found, tag)
+
+    def has_ended(self) -> bool:
+        """Ask whether a monitor has read the source of the site to its end."""
+        try:
+            found, _ = self._read()
+        except OSError:
+            return False
+        return found is not None and found.state == "ended"
+
+    def open(self, *, wait: bool) -> None:
+        """Take the site, and fetch its files where the monitor of another machine wrote last.
+
+        Where the storage does not answer, monitoring goes on with the files of this folder, if they are the site's.
+
+        Parameters
+        ----------
+        wait : bool
+            Whether to wait until it is known whether another monitor is at work.
+
+        Raises
+        ------
+        InUseError
+            The monitor of another machine is at work, or may be.
+        MissingInputError
+            The storage does not answer, or files are missing there, and there are none in the folder to go on from.
+        MissingExtraError
+            The extra `s3` is not installed.
+        """
+        try:
+            found, tag = self._read()
+            begun = tag
+            while found is not None and self._is_at_work(found, tag):
+                if not wait or tag != begun:
+                    raise InUseError(f"{self.url}: the monitor of {found.machine} is at work")
+                time.sleep(min(1.0, self._every_s))
+                found, tag = self._read()
+            self._take(found, tag)
+        except OSError as error:
+            self._owner = self._note()
+            if not self._owner:
+                raise MissingInputError(f"{self.url}: {error}") from error
+            self._fail(error)
+
+    def push(self, state: State = "held") -> None:
+        """Store what has changed; a failure shows in `failed`, and the loss of the site in `is_lost`."""
+        if self.is_lost:
+            return
+        try:
+            if self._present is None:  # the storage has not answered before, or has lost the manifest
+                found, tag = self._read()
+                self._demand_own(found)
+                self._take(found, tag)
+            self._store_changes(state)
+        except InUseError as error:
+            self.is_lost, self.failed = True, str(error)
+            (self._out / _NOTE).unlink(missing_ok=True)
+        except OSError as error:
+            self._fail(error)
+        else:
+            if self.failed is not None:
+                _log.warning("%s: stored again", self.url)
+            self.failed = None
+
+    def _fail(self, error: OSError) -> None:
+        if self.failed is None:
+            _log.warning(
+                "%s: %s; monitoring goes on, and another machine may take the site over meanwhile", self.url, error
+            )
+        self.failed = str(error)
+
+    def _is_at_work(self, found: Manifest | None, tag: str | None) -> bool:
+        """Return whether a manifest is that of a monitor that may be at work elsewhere."""
+        if found is None or found.state != "held" or found.owner == self._note():
+            self._seen = None
+            return False
+        assert tag is not None
+        if self._seen is None or self._seen[0] != tag:
+            self._seen = tag, self._clock()
+        return self._clock() - self._seen[1] < _SILENT * found.every_s
+
+    def _demand_own(self, found: Manifest | None) -> None:
+        """Check that a manifest is one of this folder's monitor, if there is one.
+
+        Raises
+        ------
+        InUseError
+            The monitor of another machine wrote it.
+        """
+        if found is not None and found.owner != self._owner:
+            raise InUseError(f"{self.url}: taken over by the monitor of {found.machine}")
+
+    def _take(self, found: Manifest | None, tag: str | None) -> None:
+        """Become the one who writes the manifest; fetch the files unless those of this folder are newer.
+
+        The note is written last: of a folder whose files were not all fetched nobody goes on.
+
+        Raises
+        ------
+        InUseError
+            The monitor of another machine was faster.
+        """
+        note = self._note()
+        is_own = found is None or found.owner == note
+        files = {} if found is None else found.files
+        self._owner = note if is_own and note else uuid4().hex
+        self._present, self._tag = found, tag
+        try:
+            self._commit("held", files)
+            if not is_own:
+                self._fetch(files)
+            place = self._out / _NOTE
+            place.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(place, self._owner)
+        except OSError:
+            self._present = None
+            raise
+        self._remove_others({_MANIFEST} | _objects(files))
+
+    def _note(self) -> str:
+        """Return the name under which the monitor of this folder wrote the manifest; empty if it never did."""
+        try:
+            return (self._out / _NOTE).read_text(encoding="ascii")
+        except (OSError, ValueError):
+            return ""
+
+    # The storage.  All of it raises OSError where it does not answer.
+
+    def _read(self) -> tuple[Manifest | None, str | None]:
+        """Read the manifest and its ETag; None where there is none."""
+        answer = self._ask("get_object", Key=_MANIFEST)
+        if answer is None:
+            return None, None
+        body, tag = answer
+        try:
+            return Manifest.model_validate_json(body), tag
+        except ValidationError as error:
+            raise OSError(f"{_MANIFEST} is damaged: {error.errors()[0]['msg']}") from error
+
+    def _commit(self, state: State, files: dict[str, StoredFile]) -> None:
+        """Write the manifest if nobody else did since the one on which it is based.
+
+        Raises
+        ------
+        InUseError
+            The monitor of another machine did.
+        """
+        before = self._present
+        number = 1 if before is None else before.number + 1
+        manifest = Manifest(
+            owner=self._owner,
+            machine=socket.gethostname(),
+            number=number,
+            every_s=self._every_s,
+            state=state,
+            files=files,
+        )
+        body = manifest.model_dump_json().encode()
+        for _ in range(2):
+            condition = {"IfNoneMatch": "*"} if self._tag is None else {"IfMatch": self._tag}
+            answer = self._ask("put_object", Key=_MANIFEST, Body=body, **condition)
+            if answer is not None:
+                self._tag, self._present = answer[1], manifest
+                if before is not None:
+                    self._remove(_objects(before.files) - _objects(files))
+                return
+            found, self._tag = self._read()  # refused: a write of ours may have arrived whose answer did not
+            self._demand_own(found)
+            if found is None and before is not None:
+                self._present = None
+                raise OSError(f"{_MANIFEST} was removed; all files are stored anew")
+        raise OSError(f"{_MANIFEST} cannot be written")
+
+    def _store_changes(self, state: State) -> None:
+        """Store what has changed since the files that are stored.
+
+        Checkpoints come first: the other files may be newer than these, as after a kill, but never older.
+        """
+        assert self._present is not None
+        stored, files = self._present.files, dict[str, StoredFile]()
+
+        def put(name: str, data: bytes) -> None:
+            self._ask("put_object", Key=name, Body=data)
+            if self._clock() - begun_s >= self._every_s:  # much is to be stored: say that this monitor is at work
+                self._commit("held", stored | {name: file for name, file in files.items() if not _is_state(name)})
+
+        begun_s = self._clock()
+        # A name is never used twice: a manifest may have arrived whose answer did not, and its objects must stay.
+        writer = _Objects(f"{self._present.number:09d}-{uuid4().hex}", put)
+        for name in sorted(self._files(), key=lambda name: (not _is_state(name), name)):
+            with suppress(FileNotFoundError):  # gone since it was listed
+                files[name] = self._store(name, stored.get(name), writer)
+        writer.close()
+        self._commit(state, files)
+
+    def _files(self) -> Iterator[str]:
+        """List the names of the files that are kept in the storage."""
+        for folder, _, names in os.walk(self._out):
+            for name in names:
+                path = Path(folder, name).relative_to(self._out).as_posix()
+                if not _OWN.fullmatch(path):
+                    yield path
+
+    def _store(self, name: str, before: StoredFile | None, writer: _Objects) -> StoredFile:
+        """Store what a file has got at its end, or all of it where it is another file.
+
+        Parts that are no longer than what follows them are stored again with it, so that there are few.
+        """
+        with (self._out / name).open("rb") as file:
+            about = os.fstat(file.fileno())
+            if before is not None and (before.length, before.mtime_ns) == (about.st_size, about.st_mtime_ns):
+                return before
+            parts: list[Part] = []
+            known = crc32 = 0
+            if before is not None and before.length <= about.st_size and self._goes_on(name, file, before):
+                parts, known, crc32 = [*before.parts], before.length, before.crc32
+            begin = known
+            while parts and parts[-1].length <= about.st_size - begin:
+                begin -= parts.pop().length
+            file.seek(begin)
+            for data in _pieces(file, about.st_size - begin):
+                crc32 = zlib.crc32(data[max(0, known - begin) :], crc32)
+                begin += len(data)
+                parts.append(writer.add(data))
+            self._known[name] = about.st_ino, _tail_crc32(file, begin)
+        return StoredFile(parts=tuple(parts), crc32=crc32, mtime_ns=about.st_mtime_ns)
+
+    def _goes_on(self, name: str, file: BinaryIO, before: StoredFile) -> bool:
+        """Return whether a file begins with what is stored of it."""
+        if _APPENDED.fullmatch(name):
+            known = os.fstat(file.fileno()).st_ino, _tail_crc32(file, before.length)
+            if self._known.get(name) == known:
+                return True
+        file.seek(0)
+        return _crc32(file, before.length) == before.crc32
+
+    def _fetch(self, files: dict[str, StoredFile]) -> None:
+        """Put what the folder holds aside, and write the stored files into it."""
+        (self._out / _NOTE).unlink(missing_ok=True)
+        self._put_aside()
+        for name, file in files.items():
+            path, crc32 = self._out / name, 0
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with unfinished(path).open("wb") as target:
+                for part in file.parts:
+                    span = f"bytes={part.offset}-{part.offset + part.length - 1}"
+                    answer = self._ask("get_object", Key=part.object, Range=span)
+                    if answer is None:
+                        raise OSError(f"{name}: {part.object} is missing")
+                    target.write(answer[0])
+                    crc32 = zlib.crc32(answer[0], crc32)
+            if crc32 != file.crc32:
+                raise OSError(f"{name}: not as it was stored")
+            os.utime(unfinished(path), ns=(file.mtime_ns, file.mtime_ns))
+            unfinished(path).replace(path)
+        _log.warning("%s: %d files fetched", self.url, len(files))
+
+    def _put_aside(self) -> None:
+        """Move the files of the folder into one below it."""
+        found = [*self._files()]
+        aside = self._out / _SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
+        for name in found:
+            (aside / name).parent.mkdir(parents=True, exist_ok=True)
+            (self._out / name).replace(aside / name)
+        for path in (self._out / "state").glob("history.db*"):
+            path.unlink()
+        if found:
+            _log.warning("%s: %d files of before are in %s", self._out, len(found), aside)
+
+    def _remove_others(self, kept: set[str]) -> None:
+        """Remove the objects of the site that nothing refers to: those of writes that came to nothing."""
+        with suppress(OSError):
+            self._remove({name for name in self._list() if name not in kept})
+
+    def _list(self) -> Iterator[str]:
+        with _told():
+            pages = _client().get_paginator("list_objects_v2").paginate(Bucket=self._bucket, Prefix=self._prefix)
+            for page in pages:
+                yield from (entry["Key"].removeprefix(self._prefix) for entry in page.get("Contents", ()))
+
+    def _remove(self, names: set[str]) -> None:
+        with suppress(OSError):  # they are removed when the site is taken next
+            for name in names:
+                self._ask("delete_object", Key=name)
+
+    def _ask(self, what: str, *, Key: str, **options: Any) -> tuple[bytes, str] | None:  # noqa: N803 - the name of the interface
+        """Call the storage; return body and ETag of the answer, None where there is no such object or the condition fails."""
+        with _told():
+            try:
+                answer = getattr(_client(), what)(Bucket=self._bucket, Key=self._prefix + Key, **options)
+            except _client().exceptions.ClientError as error:
+                if error.response["Error"]["Code"] in _CONFLICTS | _ABSENT:
+                    return None
+                raise
+            return answer["Body"].read() if "Body" in answer else b"", answer.get("ETag", "")
+
+
+def store_of(settings: Configuration, out: Path, clock: Callable[[], float] = time.monotonic) -> SiteStore | None:
+    """Return the copy of an output folder that a site file names; None if it names none."""
+    output = settings.output
+    if output.store is None:
+        return None
+    return SiteStore(output.store, settings.site_name, out, output.store_every_s, clock=clock)
+
+
+class _Objects:
+    """Writer of bytes into objects that are stored when they are full, and at the end.
+
+    Parameters
+    ----------
+    name : str
+        What the names of the objects begin with.
+    put : callable
+        Stores an object.
+    """
+
+    def __init__(self, name: str, put: Callable[[str, bytes], None]) -> None:
+        self._name, self._put, self._count, self._data = name, put, 0, bytearray()
+
+    def add(self, data: bytes) -> Part:
+        """Append bytes, and say where they will be."""
+        if len(self._data) + len(data) > _OBJECT_BYTES:
+            self.close()
+        self._data += data
+        return Part(f"{self._name}-{self._count}", len(self._data) - len(data), len(data))
+
+    def close(self) -> None:
+        """Store what has been appended."""
+        if self._data:
+            name, data = f"{self._name}-{self._count}", bytes(self._data)
+            self._count, self._data = self._count + 1, bytearray()
+            self._put(name, data)
+
+
+def _is_state(name: str) -> bool:
+    return name.startswith("state/")
+
+
+def _objects(files: dict[str, StoredFile]) -> set[str]:
+    """List the objects to which files refer."""
+    return {part.object for file in files.values() for part in file.parts}
+
+
+def _pieces(file: BinaryIO, length: int) -> Iterator[bytes]:
+    """Read the next bytes of a file, in pieces that fit an object; fewer where the file is shorter."""
+    while length > 0 and (data := file.read(min(length, _OBJECT_BYTES))):
+        length -= len(data)
+        yield data
+
+
+def _crc32(file: BinaryIO, length: int) -> int:
+    """Compute the CRC-32 of the first bytes of a file."""
+    found = 0
+    for data in _pieces(file, length):
+        found = zlib.crc32(data, found)
+    return found
+
+
+def _tail_crc32(file: BinaryIO, length: int) -> int:
+    """Compute the CRC-32 of the last of the first `length` bytes of a file."""
+    begin = max(0, length - _TAIL_BYTES)
+    file.seek(begin)
+    return _crc32(file, length - begin)
+
+
+@lru_cache(1)
+def _client() -> Any:
+    """Return the process's client of the storage; access is by the usual ``AWS_`` variables or ``~/.aws``."""
+    what = "output.store"
+    config = import_extra("botocore.config", what).Config(
+        connect_timeout=_TIMEOUT_S,
+        read_timeout=_TIMEOUT_S,
+        max_pool_connections=_CONNECTIONS,
+        retries={"total_max_attempts": 1},  # the next attempt is the next interval's
+    )
+    return import_extra("botocore.session", what).get_session().create_client("s3", config=config)
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Turn errors of the storage into OSError with one line."""
+    errors = import_extra("botocore.exceptions", "output.store")
+    try:
+        yield
+    except (errors.BotoCoreError, errors.ClientError) as error:
+        raise OSError(" ".join(str(error).split())) from error

@@ -1,0 +1,300 @@
+"""Copy of a site in object storage: what another machine goes on from, and who may write it, whatever fails meanwhile."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from monitor.core import InUseError, MissingInputError
+from monitor.service import site_store
+from monitor.service.site_store import SiteStore
+
+exceptions = pytest.importorskip("botocore.exceptions")
+
+
+class Bucket:
+    """Storage in memory with the interface of the client; `fail` may raise before or after a call takes effect."""
+
+    class exceptions:
+        ClientError = exceptions.ClientError
+
+    def __init__(self) -> None:
+        self.objects: dict[str, bytes] = {}
+        self.calls: list[str] = []
+        self.fail: Callable[[str, bool], None] = lambda call, is_done: None
+
+    def _error(self, code: str, call: str) -> Exception:
+        return exceptions.ClientError({"Error": {"Code": code, "Message": code}}, call)
+
+    def get_object(self, *, Bucket: str, Key: str, Range: str = "bytes=0-") -> dict[str, Any]:
+        self.fail("get", False)
+        if Key not in self.objects:
+            raise self._error("NoSuchKey", "GetObject")
+        first, _, last = Range.removeprefix("bytes=").partition("-")
+        data = self.objects[Key][int(first) : int(last) + 1 if last else None]
+        return {"Body": BytesIO(data), "ETag": _tag(self.objects[Key])}
+
+    def put_object(
+        self, *, Bucket: str, Key: str, Body: bytes, IfMatch: str | None = None, IfNoneMatch: str | None = None
+    ) -> dict[str, Any]:
+        self.fail("put", False)
+        self.calls.append(Key)
+        if IfMatch is not None and Key not in self.objects:
+            raise self._error("NoSuchKey", "PutObject")
+        if IfNoneMatch is not None and Key in self.objects:
+            raise self._error("PreconditionFailed", "PutObject")
+        if IfMatch is not None and _tag(self.objects[Key]) != IfMatch:
+            raise self._error("PreconditionFailed", "PutObject")
+        self.objects[Key] = Body
+        self.fail("put", True)
+        return {"ETag": _tag(Body)}
+
+    def delete_object(self, *, Bucket: str, Key: str) -> dict[str, Any]:
+        self.fail("delete", False)
+        self.objects.pop(Key, None)
+        return {}
+
+    def get_paginator(self, _: str) -> Bucket:
+        return self
+
+    def paginate(self, *, Bucket: str, Prefix: str) -> Iterator[dict[str, Any]]:
+        self.fail("list", False)
+        yield {"Contents": [{"Key": key} for key in sorted(self.objects) if key.startswith(Prefix)]}
+
+
+def _tag(data: bytes) -> str:
+    return hashlib.md5(data, usedforsecurity=False).hexdigest()
+
+
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Bucket:
+    kept = Bucket()
+    monkeypatch.setattr(site_store, "_client", lambda: kept)
+    return kept
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def machine(tmp_path: Path, bucket: Bucket, clock: Clock) -> Callable[[str], SiteStore]:
+    def on(name: str) -> SiteStore:
+        (tmp_path / name / "state").mkdir(parents=True, exist_ok=True)
+        (tmp_path / name / "state" / "lock").touch()
+        return SiteStore("s3://bucket/city", "tower", tmp_path / name, 5.0, clock=clock)
+
+    return on
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """What another machine should have of a folder."""
+    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
+    return {name: path.read_bytes() for name, path in files.items() if not site_store._OWN.fullmatch(name)}
+
+
+def silent(store: SiteStore, clock: Clock) -> None:
+    """Let the monitor be unheard of for long enough, as another sees it."""
+    assert store.is_held()
+    clock.now_s += 14.0
+    assert store.is_held()
+    clock.now_s += 1.0
+    assert not store.is_held()
+
+
+def test_another_machine_goes_on_with_the_same_files(
+    machine: Callable[[str], SiteStore], tmp_path: Path, clock: Clock
+) -> None:
+    a, b = machine("a"), machine("b")
+    a.open(wait=False)
+    for name, data in {"results.jsonl": b"one\n", "state/checkpoint": b"x" * 99, "recordings/1.mcap.part": b""}.items():
+        (tmp_path / "a" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "a" / name).write_bytes(data)
+    (tmp_path / "a" / "state" / "history.db").write_bytes(b"stays here")
+    a.push()
+    assert a.failed is None
+    with pytest.raises(InUseError, match="is at work"):
+        b.open(wait=False)
+    silent(b, clock)
+    b.open(wait=False)
+    assert content(tmp_path / "b") == content(tmp_path / "a") != {}
+    assert not (tmp_path / "b" / "state" / "history.db").exists()
+    (tmp_path / "b" / "results.jsonl").write_bytes(b"one\ntwo\n")
+    b.push()
+    a.push()
+    assert a.is_lost and "taken over" in str(a.failed)
+    b.push("released")
+    a = machine("a")
+    a.open(wait=False)
+    assert (tmp_path / "a" / "results.jsonl").read_bytes() == b"one\ntwo\n"
+    (aside,) = (tmp_path / "a" / "superseded").iterdir()
+    assert (aside / "results.jsonl").read_bytes() == b"one\n", "what the first had is kept"
+
+
+def test_a_restart_on_the_same_machine_waits_for_nobody_and_keeps_what_is_newer(
+    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket
+) -> None:
+    a = machine("a")
+    a.open(wait=False)
+    (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n" * 1000)
+    a.push()
+    with (tmp_path / "a" / "results.jsonl").open("ab") as file:
+        file.write(b"two\n")
+    again = machine("a")
+    again.open(wait=False)
+    before = len(bucket.objects)
+    again.push()
+    assert content(tmp_path / "a") == {"results.jsonl": b"one\n" * 1000 + b"two\n"}
+    added = [key for key in bucket.objects if bucket.objects[key] == b"two\n"]
+    assert len(bucket.objects) == before + 1 and len(added) == 1, "what was stored is known by its checksum"
+
+
+def test_a_file_that_grows_is_stored_in_few_parts(
+    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket, clock: Clock
+) -> None:
+    a, b, sent = machine("a"), machine("b"), 0
+    a.open(wait=False)
+    for k in range(256):
+        with (tmp_path / "a" / "results.jsonl").open("ab") as file:
+            file.write(f"{k:09d}\n".encode())
+        bucket.calls.clear()
+        a.push()
+        assert len(bucket.calls) == 2, "one object with what is new, and the manifest"
+        sent += len(bucket.objects[bucket.calls[0]])
+    assert len(bucket.objects) <= 1 + 9 and sent <= 2560 * 9
+    silent(b, clock)
+    b.open(wait=False)
+    assert content(tmp_path / "b") == content(tmp_path / "a")
+
+
+def test_without_the_storage_a_site_goes_on_where_its_files_are(
+    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket
+) -> None:
+    def away(call: str, is_done: bool) -> None:
+        raise exceptions.EndpointConnectionError(endpoint_url="s3")
+
+    a, b = machine("a"), machine("b")
+    a.open(wait=False)
+    (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
+    a.push()
+    bucket.fail = away
+    a.push()
+    assert a.failed is not None and "endpoint" in a.failed and not a.is_lost
+    assert b.is_held(), "nobody knows"
+    with pytest.raises(MissingInputError, match=r"s3://bucket/city/tower: .*endpoint"):
+        b.open(wait=False)
+    a = machine("a")
+    a.open(wait=False)
+    a.push()
+    assert a.failed is not None and not a.is_lost
+    (tmp_path / "a" / "results.jsonl").write_bytes(b"one\ntwo\n")
+    bucket.fail = lambda call, is_done: None
+    a.push("released")
+    assert a.failed is None
+    b.open(wait=False)
+    assert content(tmp_path / "b") == {"results.jsonl": b"one\ntwo\n"}
+
+
+def test_files_that_are_missing_or_damaged_there_are_told_and_nobody_goes_on_without_them(
+    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket
+) -> None:
+    a, b = machine("a"), machine("b")
+    a.open(wait=False)
+    (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
+    a.push("released")
+    (key,) = (key for key in bucket.objects if not key.endswith("manifest.json"))
+    bucket.objects[key] = b"two\n"
+    for says in ("not as it was stored", "is missing"):
+        with pytest.raises(MissingInputError, match=says):
+            b.open(wait=False)
+        assert not (tmp_path / "b" / "state" / "owner").exists()
+        bucket.objects.pop(key, None)
+        site_store_released(bucket)
+    bucket.objects["city/tower/manifest.json"] = b"{"
+    with pytest.raises(MissingInputError, match=r"manifest.json is damaged"):
+        b.open(wait=False)
+
+
+def site_store_released(bucket: Bucket) -> None:
+    """Have the manifest say that its monitor has stopped."""
+    name = "city/tower/manifest.json"
+    bucket.objects[name] = bucket.objects[name].replace(b'"state":"held"', b'"state":"released"')
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/x", "state/lock", "state/owner"])
+def test_a_manifest_names_files_of_the_site_alone(
+    machine: Callable[[str], SiteStore], bucket: Bucket, tmp_path: Path, name: str
+) -> None:
+    a, b = machine("a"), machine("b")
+    a.open(wait=False)
+    (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
+    a.push("released")
+    place = "city/tower/manifest.json"
+    bucket.objects[place] = bucket.objects[place].replace(b"results.jsonl", name.encode())
+    with pytest.raises(MissingInputError, match="is no file of a site"):
+        b.open(wait=False)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_whatever_fails_a_machine_that_takes_over_has_what_was_stored_last(
+    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket, clock: Clock, seed: int
+) -> None:
+    """Files grow, are replaced and vanish while every third call fails, before or after it took effect."""
+    chance = random.Random(seed)
+
+    def sometimes(call: str, is_done: bool) -> None:
+        if chance.random() < 0.2:
+            raise exceptions.ReadTimeoutError(endpoint_url="s3")
+
+    names = ["a", "b"]
+    store = machine(names[0])
+    store.open(wait=False)
+    store.push()
+    folder = tmp_path / names[0]
+    stored: list[dict[str, bytes]] = [content(folder)]
+    for _ in range(60):
+        path = folder / chance.choice(["results.jsonl", "recordings/1.mcap", "state/checkpoint", "summary.json"])
+        path.parent.mkdir(exist_ok=True)
+        if path.suffix in {".jsonl", ".mcap"} and chance.random() < 0.8:
+            with path.open("ab") as file:
+                file.write(chance.randbytes(chance.randrange(1, 200)))
+        elif chance.random() < 0.2:
+            path.unlink(missing_ok=True)
+        else:
+            path.with_name("new").write_bytes(chance.randbytes(chance.randrange(200)))
+            path.with_name("new").replace(path)
+        bucket.fail = sometimes
+        store.push()
+        bucket.fail = lambda call, is_done: None
+        assert not store.is_lost
+        # A write whose answer was lost may have arrived all the same.
+        stored = [content(folder)] if store.failed is None else [*stored, content(folder)]
+        if chance.random() < 0.1:  # the machine restarts
+            store = machine(names[0])
+            store.open(wait=False)
+        elif chance.random() < 0.1:  # the machine dies
+            names.reverse()
+            store, folder = machine(names[0]), tmp_path / names[0]
+            silent(store, clock)
+            store.open(wait=False)
+            assert content(folder) in stored
+            stored = [content(folder)]
+    store.push()
+    referred = {part.object for file in store._present.files.values() for part in file.parts}  # type: ignore[union-attr]
+    store._remove_others({"manifest.json"} | referred)
+    assert {key.rpartition("/")[2] for key in bucket.objects} == {"manifest.json"} | referred
