@@ -169,12 +169,14 @@ def plain(value: Any) -> Any:
 
     Other floats are rounded to nine significant digits.
     """
-    if is_dataclass(value):
-        return {name: plain(getattr(value, name)) for name in _field_names(value.__class__)}
+    if value is None or isinstance(value, str | int):  # most values, and it takes a while for some sites
+        return value
+    if isinstance(value, float):
+        return float(f"{value:.9g}") if math.isfinite(value) else None
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
-    if isinstance(value, float):
-        return float(f"{value:.9g}") if math.isfinite(value) else None
+    if is_dataclass(value):
+        return {name: plain(getattr(value, name)) for name in _field_names(value.__class__)}
     return value

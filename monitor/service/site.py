@@ -53,7 +53,7 @@ from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.recorded_blocks import RecordedBlocks
 from monitor.service.reload import Reloaded, reread
 from monitor.service.request_handler import RequestHandler
-from monitor.service.site_store import SiteStore, State, store_of
+from monitor.service.site_store import SiteStore, store_of
 from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import BlockQueue, Chores, Reader, Recording, background
 from monitor.signals import Health
@@ -143,9 +143,7 @@ class Site(Publisher):
         make_outlets(path, settings, dry=True)
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
-        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._checked_s = self._stored_s = (
-            self._clock()
-        )
+        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._checked_s = self._clock()
         self._tidied_s = float("-inf")
         self._failed: set[str] = set()
         self._said: Assessment | None = None
@@ -163,7 +161,7 @@ class Site(Publisher):
             self._store = store_of(settings, self.out, clock) if store is None else store
             if self._store is not None:
                 self._store.open(wait=not lean)
-                undo.callback(self._store.push, "released")
+                undo.callback(self._store.close, "released", _END_S)
             self._open_parts(undo, healthy_path, healthy)
             self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
             for outlet in self._outlets:
@@ -188,7 +186,6 @@ class Site(Publisher):
         # Lines are written by a thread that waits for no fsync, so that health.jsonl can say that the others wait for one.
         self._chores, self._line_writer = Chores(), Chores("lines")
         self._event_writer = Chores("events")  # a page takes a second or two, for which no other file waits
-        self._storer = None if self._store is None else Chores("store")
         undo.callback(self._chores.close, _END_S)
         undo.callback(self._line_writer.close, _END_S)
         undo.callback(self._event_writer.close, _END_S)
@@ -290,12 +287,8 @@ class Site(Publisher):
             self._chores.do("storage", self._storage.tidy)
         if now - self._summary_s >= self._quiet_s or self._told_episodes != self._episodes():
             self._write_summary()
-        if self._store is not None and self._storer is not None:
-            if self._store.is_lost:
-                raise InUseError(self._store.failed)
-            if now - self._stored_s >= self.settings.output.store_every_s:
-                self._stored_s = now
-                self._storer.do("store", self._store.push)
+        if self._store is not None and self._store.is_lost:
+            raise InUseError(self._store.failed)
 
     def ask_to_stop(self) -> None:
         """Set the deadlines by which the site ends; a signal handler may call this."""
@@ -459,9 +452,8 @@ class Site(Publisher):
         if exceeded or any(alarm != self._alarm for alarm in alarms):
             self._alarm = alarms[-1] if alarms else self._alarm
             self._recording.flush(_DURABLE_S)
-            if self._storer is not None and self._store is not None and self._store.failed is None:
-                self._storer.do("store", self._store.push)
-                self._storer.settle(_DURABLE_S)
+            if self._store is not None:
+                self._store.settle(_DURABLE_S)
 
     def _reread(self) -> None:
         """Read the site file again (in a thread that may wait for the disk)."""
@@ -560,10 +552,8 @@ class Site(Publisher):
         if self._view is not None:
             self._view.close(self._share_s())
         self._chores.close(self._share_s())
-        if self._storer is not None and self._store is not None:
-            state: State = "ended" if self.reader.ended else "released"
-            self._storer.do("store", partial(self._store.push, state))
-            self._storer.close(self._share_s())
+        if self._store is not None:
+            self._store.close("ended" if self.reader.ended else "released", self._share_s())
         os.close(self._lock)
 
     def _share_s(self) -> float:

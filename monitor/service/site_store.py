@@ -11,12 +11,14 @@ import logging
 import os
 import re
 import socket
+import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import lru_cache
+from itertools import zip_longest
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO, Literal, NamedTuple
 from uuid import uuid4
@@ -24,8 +26,8 @@ from uuid import uuid4
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from monitor.config import Configuration
-from monitor.core import InUseError, MissingInputError, import_extra, write_atomically
-from monitor.core import partial as unfinished
+from monitor.core import Busy, InUseError, MissingInputError, import_extra, write_atomically
+from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +36,9 @@ _NOTE = "state/owner"
 """File with the name under which this folder's monitor wrote the manifest; it never leaves the machine."""
 _SUPERSEDED = "superseded"
 """Folder for what a folder held when the monitor of another machine had gone on meanwhile."""
-_OWN = re.compile(rf"state/lock|{_NOTE}|state/history\.db.*|{_SUPERSEDED}/.*")
+_FETCHED = ".fetched"
+"""What the name of a file ends with until it was fetched."""
+_OWN = re.compile(rf"state/lock|{_NOTE}|state/history\.db.*|{_SUPERSEDED}/.*|.*\{_FETCHED}")
 """Files that stay on this machine: the database repeats results.jsonl, and changes anywhere at any time."""
 _APPENDED = re.compile(r".*\.(jsonl|mcap|mcap\.part)")
 """Files to which bytes are only appended; others are small, and read again when they have changed."""
@@ -106,7 +110,7 @@ class Manifest(BaseModel):
 class SiteStore:
     """Copy of a site's output folder in object storage, and the right to monitor the site.
 
-    One thread at a time calls `open` and `push`; any thread may read the attributes.
+    From `open` to `close` a thread stores what has changed, and says that the monitor is at work, whatever other threads do.
 
     Parameters
     ----------
@@ -117,7 +121,7 @@ class SiteStore:
     out : Path
         Output folder.
     every_s : float
-        Interval at which `push` is called, s.
+        Interval at which this is done, s.
     clock : callable
         Seconds of a clock that never goes back.
 
@@ -125,8 +129,6 @@ class SiteStore:
     ----------
     is_lost : bool
         Whether the monitor of another machine has taken the site over.
-    failed : str or None
-        Why the present files are not stored; None while they are.
     """
 
     dropped = 0  # what could not be stored is stored by a later attempt
@@ -144,10 +146,24 @@ class SiteStore:
         """ETag of the manifest on which the next one is based; None where there was none."""
         self._seen: tuple[str, float] | None = None
         """ETag of another's manifest, and since when it is that one, s."""
+        self._committed_s = float("-inf")
+        """When the manifest was written last."""
         self._known: dict[str, tuple[int, int]] = {}
         """Number of the file and CRC-32 of its end, as it was stored, for files to which bytes are appended."""
         self.is_lost = False
-        self.failed: str | None = None
+        self._failure: str | None = None
+        self._busy = Busy(clock)
+        self._changed = threading.Condition()
+        self._asked: list[threading.Event] = []
+        """Set when what has changed up to now is stored."""
+        self._last: State | None = None
+        """State to store before the thread ends; None while it goes on."""
+        self._thread: threading.Thread | None = None
+
+    @property
+    def failed(self) -> str | None:
+        """Why the present files are not stored; None while they are."""
+        return self._failure or self._busy.overdue
 
     def is_held(self) -> bool:
         """Ask whether the monitor of another machine is at work; where the storage does not answer, it may be.
@@ -204,6 +220,42 @@ class SiteStore:
             if not self._owner:
                 raise MissingInputError(f"{self.url}: {error}") from error
             self._fail(error)
+        self._last, self._thread = None, background(self._work, "store")
+        self._thread.start()
+
+    def settle(self, timeout_s: float) -> None:
+        """Store what has changed up to now, and wait for it for at most `timeout_s`; not where the storage fails."""
+        if self.failed is not None:
+            return
+        done = threading.Event()
+        with self._changed:
+            self._asked.append(done)
+            self._changed.notify_all()
+        done.wait(timeout_s)
+
+    def close(self, state: State, timeout_s: float) -> None:
+        """Store everything and the state in which the site is left, for at most `timeout_s`."""
+        with self._changed:
+            self._last = state
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
+    def _work(self) -> None:
+        """Store what has changed, again and again (the thread's work)."""
+        last = None
+        while last is None:
+            with self._changed:
+                self._changed.wait_for(lambda: self._asked or self._last is not None, self._every_s)
+                asked, self._asked = self._asked, []
+                last = self._last
+            try:
+                self.push(last or "held")
+            except Exception as error:  # noqa: BLE001 - the next attempt is made all the same
+                _log.exception("%s: not stored", self.url)
+                self._failure = f"{type(error).__name__}: {error}"
+            for done in asked:
+                done.set()
 
     def push(self, state: State = "held") -> None:
         """Store what has changed; a failure shows in `failed`, and the loss of the site in `is_lost`."""
@@ -216,21 +268,21 @@ class SiteStore:
                 self._take(found, tag)
             self._store_changes(state)
         except InUseError as error:
-            self.is_lost, self.failed = True, str(error)
+            self.is_lost, self._failure = True, str(error)
             (self._out / _NOTE).unlink(missing_ok=True)
         except OSError as error:
             self._fail(error)
         else:
-            if self.failed is not None:
+            if self._failure is not None:
                 _log.warning("%s: stored again", self.url)
-            self.failed = None
+            self._failure = None
 
     def _fail(self, error: OSError) -> None:
-        if self.failed is None:
+        if self._failure is None:
             _log.warning(
                 "%s: %s; monitoring goes on, and another machine may take the site over meanwhile", self.url, error
             )
-        self.failed = str(error)
+        self._failure = str(error)
 
     def _is_at_work(self, found: Manifest | None, tag: str | None) -> bool:
         """Return whether a manifest is that of a monitor that may be at work elsewhere."""
@@ -323,7 +375,7 @@ class SiteStore:
             condition = {"IfNoneMatch": "*"} if self._tag is None else {"IfMatch": self._tag}
             answer = self._ask("put_object", Key=_MANIFEST, Body=body, **condition)
             if answer is not None:
-                self._tag, self._present = answer[1], manifest
+                self._tag, self._present, self._committed_s = answer[1], manifest, self._clock()
                 if before is not None:
                     self._remove(_objects(before.files) - _objects(files))
                 return
@@ -344,10 +396,8 @@ class SiteStore:
 
         def put(name: str, data: bytes) -> None:
             self._ask("put_object", Key=name, Body=data)
-            if self._clock() - begun_s >= self._every_s:  # much is to be stored: say that this monitor is at work
-                self._commit("held", stored | {name: file for name, file in files.items() if not _is_state(name)})
+            self._say_at_work(stored | {name: file for name, file in files.items() if not _is_state(name)})
 
-        begun_s = self._clock()
         # A name is never used twice: a manifest may have arrived whose answer did not, and its objects must stay.
         writer = _Objects(f"{self._present.number:09d}-{uuid4().hex}", put)
         for name in sorted(self._files(), key=lambda name: (not _is_state(name), name)):
@@ -355,6 +405,12 @@ class SiteStore:
                 files[name] = self._store(name, stored.get(name), writer)
         writer.close()
         self._commit(state, files)
+
+    def _say_at_work(self, files: dict[str, StoredFile] | None = None) -> None:
+        """Write the manifest, with the files given or those before, if it is time: much is being stored or fetched."""
+        assert self._present is not None
+        if self._clock() - self._committed_s >= self._every_s:
+            self._commit("held", self._present.files if files is None else files)
 
     def _files(self) -> Iterator[str]:
         """List the names of the files that are kept in the storage."""
@@ -398,37 +454,48 @@ class SiteStore:
         return _crc32(file, before.length) == before.crc32
 
     def _fetch(self, files: dict[str, StoredFile]) -> None:
-        """Put what the folder holds aside, and write the stored files into it."""
-        (self._out / _NOTE).unlink(missing_ok=True)
-        self._put_aside()
-        for name, file in files.items():
-            path, crc32 = self._out / name, 0
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with unfinished(path).open("wb") as target:
-                for part in file.parts:
-                    span = f"bytes={part.offset}-{part.offset + part.length - 1}"
-                    answer = self._ask("get_object", Key=part.object, Range=span)
-                    if answer is None:
-                        raise OSError(f"{name}: {part.object} is missing")
-                    target.write(answer[0])
-                    crc32 = zlib.crc32(answer[0], crc32)
-            if crc32 != file.crc32:
-                raise OSError(f"{name}: not as it was stored")
-            os.utime(unfinished(path), ns=(file.mtime_ns, file.mtime_ns))
-            unfinished(path).replace(path)
-        _log.warning("%s: %d files fetched", self.url, len(files))
+        """Have the folder hold the stored files; those that it has already are not fetched.
 
-    def _put_aside(self) -> None:
-        """Move the files of the folder into one below it."""
-        found = [*self._files()]
-        aside = self._out / _SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
-        for name in found:
-            (aside / name).parent.mkdir(parents=True, exist_ok=True)
-            (self._out / name).replace(aside / name)
+        What nobody could get back is put aside: what this machine recorded and judged while another one had the site.
+        """
+        (self._out / _NOTE).unlink(missing_ok=True)
+        aside, fetched = self._out / _SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}", 0
+        for name in [*self._files()]:
+            if name not in files:
+                _put_aside(self._out / name, name, aside)
+        for name, file in files.items():
+            path = self._out / name
+            if path.exists() and _is_content(path, file):
+                continue
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary = path.with_name(path.name + _FETCHED)
+            with temporary.open("wb") as target:
+                self._write(name, file, target)
+            if path.exists() and not _begins_with(temporary, path):
+                _put_aside(path, name, aside)
+            os.utime(temporary, ns=(file.mtime_ns, file.mtime_ns))
+            temporary.replace(path)
+            fetched += 1
         for path in (self._out / "state").glob("history.db*"):
             path.unlink()
-        if found:
-            _log.warning("%s: %d files of before are in %s", self._out, len(found), aside)
+        _log.warning("%s: %d of %d files fetched", self.url, fetched, len(files))
+
+    def _write(self, name: str, file: StoredFile, target: BinaryIO) -> None:
+        """Write the parts of a stored file, and meanwhile go on to say that this monitor is at work."""
+        crc32 = 0
+        for part in file.parts:
+            answer = self._ask(
+                "get_object", Key=part.object, Range=f"bytes={part.offset}-{part.offset + part.length - 1}"
+            )
+            if answer is None:
+                raise OSError(f"{name}: {part.object} is missing")
+            target.write(answer[0])
+            crc32 = zlib.crc32(answer[0], crc32)
+            self._say_at_work()
+        if crc32 != file.crc32:
+            raise OSError(f"{name}: not as it was stored")
+        target.flush()
+        os.fsync(target.fileno())
 
     def _remove_others(self, kept: set[str]) -> None:
         """Remove the objects of the site that nothing refers to: those of writes that came to nothing."""
@@ -448,7 +515,7 @@ class SiteStore:
 
     def _ask(self, what: str, *, Key: str, **options: Any) -> tuple[bytes, str] | None:  # noqa: N803 - the name of the interface
         """Call the storage; return body and ETag of the answer, None where there is no such object or the condition fails."""
-        with _told():
+        with self._busy, _told():
             try:
                 answer = getattr(_client(), what)(Bucket=self._bucket, Key=self._prefix + Key, **options)
             except _client().exceptions.ClientError as error:
@@ -517,6 +584,29 @@ def _crc32(file: BinaryIO, length: int) -> int:
     for data in _pieces(file, length):
         found = zlib.crc32(data, found)
     return found
+
+
+def _put_aside(path: Path, name: str, folder: Path) -> None:
+    """Move a file of a site into another folder; checkpoints and summaries, which follow from the others, are dropped."""
+    if _is_state(name) or name == "summary.json":
+        path.unlink()
+        return
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    path.replace(folder / name)
+    _log.warning("%s: superseded; kept as %s", path, folder / name)
+
+
+def _is_content(path: Path, stored: StoredFile) -> bool:
+    """Return whether a file is as it was stored."""
+    with path.open("rb") as file:
+        return os.fstat(file.fileno()).st_size == stored.length and _crc32(file, stored.length) == stored.crc32
+
+
+def _begins_with(path: Path, beginning: Path) -> bool:
+    """Return whether a file begins with all of another one."""
+    with path.open("rb") as file, beginning.open("rb") as other:
+        length = os.fstat(other.fileno()).st_size
+        return all(a == b for a, b in zip_longest(_pieces(file, length), _pieces(other, length)))
 
 
 def _tail_crc32(file: BinaryIO, length: int) -> int:

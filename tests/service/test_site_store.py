@@ -9,6 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from monitor.core import InUseError, MissingInputError
@@ -79,6 +80,12 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Bucket:
     return kept
 
 
+@pytest.fixture
+def by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is stored but by `push`."""
+    monkeypatch.setattr(SiteStore, "_work", lambda self: None)
+
+
 class Clock:
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -93,7 +100,7 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def machine(tmp_path: Path, bucket: Bucket, clock: Clock) -> Callable[[str], SiteStore]:
+def machine(tmp_path: Path, bucket: Bucket, clock: Clock, by_hand: None) -> Callable[[str], SiteStore]:
     def on(name: str) -> SiteStore:
         (tmp_path / name / "state").mkdir(parents=True, exist_ok=True)
         (tmp_path / name / "state" / "lock").touch()
@@ -136,6 +143,7 @@ def test_another_machine_goes_on_with_the_same_files(
     assert not (tmp_path / "b" / "state" / "history.db").exists()
     (tmp_path / "b" / "results.jsonl").write_bytes(b"one\ntwo\n")
     b.push()
+    (tmp_path / "a" / "results.jsonl").write_bytes(b"one\nalone\n")
     a.push()
     assert a.is_lost and "taken over" in str(a.failed)
     b.push("released")
@@ -143,7 +151,30 @@ def test_another_machine_goes_on_with_the_same_files(
     a.open(wait=False)
     assert (tmp_path / "a" / "results.jsonl").read_bytes() == b"one\ntwo\n"
     (aside,) = (tmp_path / "a" / "superseded").iterdir()
-    assert (aside / "results.jsonl").read_bytes() == b"one\n", "what the first had is kept"
+    assert content(aside) == {"results.jsonl": b"one\nalone\n"}, "what it alone had is kept"
+
+
+def test_a_thread_stores_what_has_changed_at_once_where_asked_and_at_the_end(tmp_path: Path, bucket: Bucket) -> None:
+    def away(call: str, is_done: bool) -> None:
+        raise exceptions.EndpointConnectionError(endpoint_url="s3")
+
+    def stored() -> bytes:
+        return b"".join(data for key, data in bucket.objects.items() if not key.endswith("manifest.json"))
+
+    store = SiteStore("s3://bucket", "tower", tmp_path, 60.0)
+    store.open(wait=True)
+    (tmp_path / "results.jsonl").write_bytes(b"one\n")
+    store.settle(60.0)
+    assert stored() == b"one\n" and store.failed is None
+    bucket.fail = away
+    store.settle(60.0)
+    assert store.failed is not None
+    store.settle(3600.0)  # waits for nothing
+    bucket.fail = lambda call, is_done: None
+    (tmp_path / "results.jsonl").write_bytes(b"one\ntwo\n")
+    store.close("ended", 60.0)
+    assert stored() == b"one\ntwo\n" and store.failed is None
+    assert SiteStore("s3://bucket", "tower", tmp_path / "b", 60.0).has_ended()
 
 
 def test_a_restart_on_the_same_machine_waits_for_nobody_and_keeps_what_is_newer(
@@ -179,6 +210,27 @@ def test_a_file_that_grows_is_stored_in_few_parts(
     assert len(bucket.objects) <= 1 + 9 and sent <= 2560 * 9
     silent(b, clock)
     b.open(wait=False)
+    assert content(tmp_path / "b") == content(tmp_path / "a")
+
+
+def test_while_much_is_stored_or_fetched_the_monitor_is_heard_of(
+    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket, clock: Clock
+) -> None:
+    heard: list[float] = []
+
+    def slow(call: str, is_done: bool) -> None:
+        clock.now_s += 6.0
+        if is_done and bucket.calls[-1].endswith("manifest.json"):
+            heard.append(clock.now_s)
+
+    a, b = machine("a"), machine("b")
+    a.open(wait=False)
+    (tmp_path / "a" / "recordings").mkdir()
+    (tmp_path / "a" / "recordings" / "1.mcap").write_bytes(bytes(4 * site_store._OBJECT_BYTES + 1))
+    bucket.fail = slow
+    a.push("released")
+    b.open(wait=False)
+    assert len(heard) >= 8 and max(np.diff(heard)) < 30.0
     assert content(tmp_path / "b") == content(tmp_path / "a")
 
 

@@ -1,8 +1,9 @@
 """Workers of a host killed again and again: windows, alarms and messages beside those of an undisturbed `run`.
 
 ``python -m tests.statistics.host_kills --kills 50 --out DIR`` plays recordings in which a story softens and recovers, and kills
-one of two workers at random moments.  It prints one JSON object: lines that differ, messages that are lost, by their numbers, and
-those that came again.
+one of two workers at random moments.  With ``--machines`` it is one of two hosts with folders of their own, which share nothing
+but object storage (moto's server), and comes back to stand by.  It prints one JSON object: lines that differ, messages that are
+lost, by their numbers, and those that came again.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from botocore.session import get_session
+from moto.server import ThreadedMotoServer
 
 from drivers.base import ACCELERATION
 from drivers.mcap_file import McapWriter
@@ -42,6 +45,7 @@ files = ["../{name}.mcap"]
 {speed}
 [output]
 dir = "out-{name}"
+{store}
 [recorder]
 min_free_gb = 0.0
 flush_s = 1.0
@@ -53,6 +57,7 @@ checkpoint_s = 20.0
 urls = ["json://127.0.0.1:{port}"]
 most_per_hour = 1000
 """
+_STORE = 'store = "s3://city/sites"\nstore_every_s = 2.0'
 
 
 class Sink:
@@ -83,6 +88,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--kills", type=int, default=50)
     options.add_argument("--every", type=float, default=6.0, help="mean time between kills, s")
+    options.add_argument("--machines", action="store_true", help="kill one of two hosts that share object storage")
     options.add_argument("--out", type=Path, default=Path("out/kills"))
     given = options.parse_args()
     out = given.out.resolve()
@@ -91,18 +97,26 @@ def main() -> None:
     _record(out, seconds)
     calm, killed = Sink(), Sink()
     names = [f"s{k}" for k in range(_SITES)]
-    for folder, sink, speed in (("run", calm, ""), ("host", killed, "speed = 4.0")):
+    hosts = ("a", "b") if given.machines else ("host",)
+    for folder in ("run", *hosts):
         (out / folder).mkdir()
+        sink, speed = (calm, "") if folder == "run" else (killed, "speed = 4.0")
+        store = _STORE if folder in {"a", "b"} else ""
         for name in names:
-            (out / folder / f"{name}.toml").write_text(_SITE.format(name=name, speed=speed, port=sink.port) + FRAME)
+            text = _SITE.format(name=name, speed=speed, port=sink.port, store=store) + FRAME
+            (out / folder / f"{name}.toml").write_text(text)
     for name in names:
         shm_monitor("run", out / "run" / f"{name}.toml")
-    host = Command(out / "host.log", "host", *sorted((out / "host").glob("*.toml")), "--workers", 2)
-    kills, away = _kill(host, given.kills, given.every)
-    host.finish(seconds)
+    if given.machines:
+        kills, away, last = _kill_machines(out, given.kills, given.every)
+    else:
+        host = Command(out / "host.log", "host", *sorted((out / "host").glob("*.toml")), "--workers", 2)
+        kills, away = _kill(host, given.kills, given.every)
+        host.finish(seconds)
+        last = "host"
     time.sleep(2.0)
     found = {"kills": kills, "seconds_of_data_a_site": seconds, "sites": _SITES, "away_s": away}
-    print(json.dumps({**found, **_compare(out, names, killed)}, indent=1))
+    print(json.dumps({**found, **_compare(out, names, killed, last)}, indent=1))
 
 
 def _record(out: Path, seconds: float) -> None:
@@ -146,31 +160,86 @@ def _kill(host: Command, kills: int, every_s: float) -> tuple[int, dict[str, flo
     return len(away), {"median": round(float(np.median(away)), 2), "max": round(max(away), 2)}
 
 
-def _compare(out: Path, names: list[str], killed: Sink) -> dict[str, Any]:
-    """Compare windows, alarms and messages."""
+def _kill_machines(out: Path, kills: int, every_s: float) -> tuple[int, dict[str, float], str]:
+    """Kill the host that has the sites, again and again, and let it come back to stand by.
+
+    Returns
+    -------
+    int
+        How often.
+    dict
+        How long it was until the other one had written a line of each site, s.
+    str
+        The machine that had the sites last.
+    """
+    chance, away = random.Random(1), []
+    server = ThreadedMotoServer("127.0.0.1", 0, verbose=False)
+    server.start()
+    address, port = server.get_host_and_port()
+    os.environ |= {
+        "AWS_ACCESS_KEY_ID": "testing",
+        "AWS_SECRET_ACCESS_KEY": "testing",
+        "AWS_DEFAULT_REGION": "us-east-1",
+    }
+    os.environ["AWS_ENDPOINT_URL"] = f"http://{address}:{port}"
+    get_session().create_client("s3").create_bucket(Bucket="city")
+
+    def begin(name: str, number: int) -> Command:
+        return Command(out / f"{name}-{number}.log", "host", out / name, "--standby")
+
+    def lines(name: str) -> list[int]:
+        files = [out / name / f"out-s{k}" / "results.jsonl" for k in range(_SITES)]
+        return [file.stat().st_size if file.exists() else 0 for file in files]
+
+    has, waits = "a", "b"
+    hosts = {has: begin(has, 0)}
+    until(lambda: all(lines(has)), "lines of all sites", 120.0)
+    hosts[waits] = begin(waits, 0)
+    hosts[waits].wait_for("READY")
+    for number in range(1, kills + 1):
+        time.sleep(chance.uniform(0.3, 1.7) * every_s)
+        before, begun_s = lines(has), time.monotonic()
+        hosts[has].stop(signal.SIGKILL)
+        until(
+            lambda before=before, name=waits: all(n > m for n, m in zip(lines(name), before, strict=True)),  # type: ignore[misc]
+            "the other one goes on with all sites",
+            180.0,
+        )
+        away.append(time.monotonic() - begun_s)
+        hosts[has] = begin(has, number)
+        hosts[has].wait_for("READY")
+        has, waits = waits, has
+    ends = [len((out / "run" / f"out-s{k}" / "results.jsonl").read_bytes()) for k in range(_SITES)]
+    until(lambda: lines(has) == ends, "all lines", 1e5)
+    for host in hosts.values():
+        host.stop()
+    server.stop()
+    return len(away), {"median": round(float(np.median(away)), 1), "max": round(max(away), 1)}, has
+
+
+def _compare(out: Path, names: list[str], killed: Sink, host: str) -> dict[str, Any]:
+    """Compare windows, alarms and messages with those of the folder of a host."""
     differing = {}
     for name in names:
-        files = [
-            (out / folder / f"out-{name}" / "results.jsonl").read_text().splitlines() for folder in ("run", "host")
-        ]
+        files = [(out / folder / f"out-{name}" / "results.jsonl").read_text().splitlines() for folder in ("run", host)]
         differing[name] = sum(a != b for a, b in zip(*files, strict=False)) + abs(len(files[0]) - len(files[1]))
     alarms = {
         folder: [json.loads((out / folder / f"out-{name}" / "summary.json").read_text())["alarms"] for name in names]
-        for folder in ("run", "host")
+        for folder in ("run", host)
     }
-    numbers = {folder: {name: _numbers(out / folder / f"out-{name}") for name in names} for folder in ("run", "host")}
+    numbers = {folder: {name: _numbers(out / folder / f"out-{name}") for name in names} for folder in ("run", host)}
     told = dict.fromkeys(killed.taken)
     words = Counter((site, number) for site, number, _ in told)
     lost = {}
     for name in names:
-        last, waiting = numbers["host"][name]
+        last, waiting = numbers[host][name]
         lost[name] = sorted(set(range(1, last + 1)) - waiting - {n for site, n, _ in told if site == name})
     return {
         "lines_that_differ": differing,
         "alarm_episodes": sum(map(len, alarms["run"])),
-        "alarm_episodes_equal": alarms["run"] == alarms["host"],
+        "alarm_episodes_equal": alarms["run"] == alarms[host],
         "messages_of_run": {name: numbers["run"][name][0] for name in names},
-        "messages_of_host": {name: numbers["host"][name][0] for name in names},
+        "messages_of_host": {name: numbers[host][name][0] for name in names},
         "numbers_lost": lost,
         "repeats_with_their_number": len(killed.taken) - len(told),
         "numbers_used_for_other_words": sum(n > 1 for n in words.values()),
