@@ -44,7 +44,7 @@ _PACE = 8.0
 """Multiple of real time up to which the blocks of a site keep the place in line that their arrival gave them. [1; judgement: four
 topics at once, and what a sensor kept while its link was broken]"""
 _STEP_S = 2.0
-"""Interval at which requests, health and summary of a site are looked after. [s; cost: at 1 s, a tenth of the evaluating thread]"""
+"""Interval at which requests, health and summary of a site are looked after. [s; cost: at 1 s a tenth of its thread]"""
 _STEPS = 8
 """Most sites that are looked after between two blocks. [1; cost: a fraction of a millisecond each]"""
 _TICK_S = 0.2
