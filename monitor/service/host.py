@@ -500,6 +500,8 @@ class Host:
                 settings = configuration.load(place.path)
                 place.out = place.path.resolve().parent / settings.output.dir
                 place.store = store_of(settings, place.out, self._clock)
+            if place.store is not None:
+                place.due_s = now + max(_LOOK_S, place.store.every_s)
             is_held = running(place.out) is not False or (place.store is not None and place.store.is_held())
         except UserError:  # which is told when it is started
             return True

@@ -138,7 +138,7 @@ class SiteStore:
     ) -> None:
         self.url = f"{url.rstrip('/')}/{site}"
         bucket, _, prefix = self.url.removeprefix("s3://").partition("/")
-        self._bucket, self._prefix, self._out, self._every_s, self._clock = bucket, f"{prefix}/", out, every_s, clock
+        self._bucket, self._prefix, self._out, self.every_s, self._clock = bucket, f"{prefix}/", out, every_s, clock
         self._owner = ""
         self._present: Manifest | None = None
         """Latest manifest of this monitor."""
@@ -212,7 +212,7 @@ class SiteStore:
             while found is not None and self._is_at_work(found, tag):
                 if not wait or tag != begun:
                     raise InUseError(f"{self.url}: the monitor of {found.machine} is at work")
-                time.sleep(min(1.0, self._every_s))
+                time.sleep(min(1.0, self.every_s))
                 found, tag = self._read()
             self._take(found, tag)
         except OSError as error:
@@ -246,7 +246,7 @@ class SiteStore:
         last = None
         while last is None:
             with self._changed:
-                self._changed.wait_for(lambda: self._asked or self._last is not None, self._every_s)
+                self._changed.wait_for(lambda: self._asked or self._last is not None, self.every_s)
                 asked, self._asked = self._asked, []
                 last = self._last
             try:
@@ -366,7 +366,7 @@ class SiteStore:
             owner=self._owner,
             machine=socket.gethostname(),
             number=number,
-            every_s=self._every_s,
+            every_s=self.every_s,
             state=state,
             files=files,
         )
@@ -409,7 +409,7 @@ class SiteStore:
     def _say_at_work(self, files: dict[str, StoredFile] | None = None) -> None:
         """Write the manifest, with the files given or those before, if it is time: much is being stored or fetched."""
         assert self._present is not None
-        if self._clock() - self._committed_s >= self._every_s:
+        if self._clock() - self._committed_s >= self.every_s:
             self._commit("held", self._present.files if files is None else files)
 
     def _files(self) -> Iterator[str]:

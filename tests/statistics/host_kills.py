@@ -93,7 +93,10 @@ def main() -> None:
     given = options.parse_args()
     out = given.out.resolve()
     out.mkdir(parents=True)
-    seconds = 4.0 * given.kills * given.every + 120.0
+    start_s = (
+        20.0 if given.machines else 0.0
+    )  # in which the machine that was killed comes back, while the other goes on
+    seconds = 4.0 * given.kills * (given.every + start_s) + 120.0
     _record(out, seconds)
     calm, killed = Sink(), Sink()
     names = [f"s{k}" for k in range(_SITES)]
