@@ -152,11 +152,11 @@ def machines(
     hosts = [Command(folders[1] / "host.log", "host", folders[1], "--standby")]  # without a site as yet
     try:
         hosts[0].wait_for("READY")
-        site(folders[0], frame_text, sink, store, "speed = 6.0")
+        site(folders[0], frame_text, sink, store, "speed = 4.0")
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{link.port}")
         hosts.insert(0, Command(folders[0] / "host.log", "host", folders[0], "--standby"))
         until(lambda: results(folders[0], "tower"), "a window")
-        site(folders[1], frame_text, sink, store, "speed = 6.0")
+        site(folders[1], frame_text, sink, store, "speed = 4.0")
         hosts[1].wait_for("tower stands by")
         yield hosts, folders, link, sink
     finally:
