@@ -169,7 +169,7 @@ def plain(value: Any) -> Any:
 
     Other floats are rounded to nine significant digits.
     """
-    if value is None or isinstance(value, str | int):  # most values, and it takes a while for some sites
+    if value is None or isinstance(value, str | int):  # most values: a host converts lines of hundreds of sites
         return value
     if isinstance(value, float):
         return float(f"{value:.9g}") if math.isfinite(value) else None

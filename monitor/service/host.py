@@ -44,7 +44,7 @@ _PACE = 8.0
 """Multiple of real time up to which the blocks of a site keep the place in line that their arrival gave them. [1; judgement: four
 topics at once, and what a sensor kept while its link was broken]"""
 _STEP_S = 2.0
-"""Interval at which requests, health and summary of a site are looked after. [s; cost: at 1 s a tenth of its thread]"""
+"""Interval at which requests, health and summary of a site are looked after. [s; cost: at 1 s 8 % of its thread]"""
 _STEPS = 8
 """Most sites that are looked after between two blocks. [1; cost: a fraction of a millisecond each]"""
 _TICK_S = 0.2
@@ -98,7 +98,7 @@ class Place:
     """Whether READY need not wait for it: its source is open, or it was said why not."""
     is_opened: bool = False
     out: Path | None = None
-    """Output folder of a site that stands by; None before it was looked for."""
+    """Output folder of its site; None before it was looked for."""
     store: SiteStore | None = None
     """Copy of its output folder in object storage, which remembers since when another monitor has not been heard of."""
     free_s: float | None = None
@@ -441,7 +441,7 @@ class Host:
     def _over(self, place: Place, failure: str) -> None:
         """Note that a site was closed, and when it is started again."""
         if place.site is not None:  # else the copy goes on to watch for another monitor
-            place.store = None
+            place.out = place.store = None
         place.site, place.failure, place.is_told = None, failure, True
         place.in_line = place.is_opened = False
         if self._names.get(place.name) is place:
@@ -497,9 +497,8 @@ class Host:
         place.due_s = now + _LOOK_S
         try:
             if place.out is None:
-                settings = configuration.load(place.path)
-                place.out = place.path.resolve().parent / settings.output.dir
-                place.store = store_of(settings, place.out, self._clock)
+                self._find_folder(place, configuration.load(place.path))
+            assert place.out is not None
             if place.store is not None:
                 place.due_s = now + max(_LOOK_S, place.store.every_s)
             is_held = running(place.out) is not False or (place.store is not None and place.store.is_held())
@@ -518,6 +517,11 @@ class Host:
                 return False
         return is_taken
 
+    def _find_folder(self, place: Place, settings: Configuration) -> None:
+        """Note the output folder of a site, and its copy in object storage."""
+        place.out = place.path.resolve().parent / settings.output.dir
+        place.store = store_of(settings, place.out, self._clock)
+
     @_named_in_the_log
     def _stand_by(self, place: Place) -> None:
         """Have a site wait until nobody else monitors it (in the main thread)."""
@@ -534,8 +538,8 @@ class Host:
             self._take_name(place, settings.site_name)
             logs.site_name.set(place.name)
             place.queue = BlockQueue(_MOST_BLOCKS, _MOST_BYTES, lambda: self._tell_arrival(place))
-            if place.store is None:
-                place.store = store_of(settings, place.path.resolve().parent / settings.output.dir, self._clock)
+            if place.out is None:
+                self._find_folder(place, settings)
             outlets: tuple[Outlet, ...] = () if self.metrics is None else (self.metrics.outlet(place.name),)
             site = Site(
                 place.path,

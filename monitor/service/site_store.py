@@ -317,6 +317,8 @@ class SiteStore:
         """
         note = self._note()
         is_own = found is None or found.owner == note
+        if not is_own:  # the files of this folder are not the latest: nobody goes on from them
+            (self._out / _NOTE).unlink(missing_ok=True)
         files = {} if found is None else found.files
         self._owner = note if is_own and note else uuid4().hex
         self._present, self._tag = found, tag
@@ -458,7 +460,6 @@ class SiteStore:
 
         What nobody could get back is put aside: what this machine recorded and judged while another one had the site.
         """
-        (self._out / _NOTE).unlink(missing_ok=True)
         aside, fetched = self._out / _SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}", 0
         for name in [*self._files()]:
             if name not in files:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pyarrow.dataset as ds
 import pytest
-from moto.server import ThreadedMotoServer
 
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model.simulation import simulate
 from tests.conftest import Cli, Cut
+from tests.support.object_storage import object_storage
 from tests.support.zenoh_router import free_port
 
 s3fs = pytest.importorskip("s3fs")
@@ -25,18 +25,8 @@ RECORDINGS = Path(__file__).parents[2] / "recordings"
 
 @pytest.fixture(scope="module")
 def storage() -> Iterator[s3fs.S3FileSystem]:
-    with pytest.MonkeyPatch.context() as patch:
-        server = ThreadedMotoServer("127.0.0.1", free_port(), verbose=False)
-        server.start()
-        host, port = server.get_host_and_port()
-        for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
-            patch.setenv(name, "testing")
-        patch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
-        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-        files = s3fs.S3FileSystem(skip_instance_cache=True, use_listings_cache=False)
-        files.mkdir("archive")
-        yield files
-        server.stop()
+    with object_storage("archive"):
+        yield s3fs.S3FileSystem(skip_instance_cache=True, use_listings_cache=False)
 
 
 @pytest.fixture

@@ -22,8 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from botocore.session import get_session
-from moto.server import ThreadedMotoServer
 
 from drivers.base import ACCELERATION
 from drivers.mcap_file import McapWriter
@@ -32,6 +30,7 @@ from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.conftest import CHANNELS, FRAME, T0_NS
 from tests.support.live_rig import Command, shm_monitor, until
+from tests.support.object_storage import object_storage
 
 _RATE = 128.0
 _SITES = 4
@@ -111,7 +110,8 @@ def main() -> None:
     for name in names:
         shm_monitor("run", out / "run" / f"{name}.toml")
     if given.machines:
-        kills, away, last = _kill_machines(out, given.kills, given.every)
+        with object_storage("city"):
+            kills, away, last = _kill_machines(out, given.kills, given.every)
     else:
         host = Command(out / "host.log", "host", *sorted((out / "host").glob("*.toml")), "--workers", 2)
         kills, away = _kill(host, given.kills, given.every)
@@ -176,16 +176,6 @@ def _kill_machines(out: Path, kills: int, every_s: float) -> tuple[int, dict[str
         The machine that had the sites last.
     """
     chance, away = random.Random(1), []
-    server = ThreadedMotoServer("127.0.0.1", 0, verbose=False)
-    server.start()
-    address, port = server.get_host_and_port()
-    os.environ |= {
-        "AWS_ACCESS_KEY_ID": "testing",
-        "AWS_SECRET_ACCESS_KEY": "testing",
-        "AWS_DEFAULT_REGION": "us-east-1",
-    }
-    os.environ["AWS_ENDPOINT_URL"] = f"http://{address}:{port}"
-    get_session().create_client("s3").create_bucket(Bucket="city")
 
     def begin(name: str, number: int) -> Command:
         return Command(out / f"{name}-{number}.log", "host", out / name, "--standby")
@@ -216,7 +206,6 @@ def _kill_machines(out: Path, kills: int, every_s: float) -> tuple[int, dict[str
     until(lambda: lines(has) == ends, "all lines", 1e5)
     for host in hosts.values():
         host.stop()
-    server.stop()
     return len(away), {"median": round(float(np.median(away)), 1), "max": round(max(away), 1)}, has
 
 
@@ -230,7 +219,7 @@ def _compare(out: Path, names: list[str], killed: Sink, host: str) -> dict[str, 
         folder: [json.loads((out / folder / f"out-{name}" / "summary.json").read_text())["alarms"] for name in names]
         for folder in ("run", host)
     }
-    numbers = {folder: {name: _numbers(out / folder / f"out-{name}") for name in names} for folder in ("run", host)}
+    numbers = {folder: {name: outbox(out / folder / f"out-{name}") for name in names} for folder in ("run", host)}
     told = dict.fromkeys(killed.taken)
     words = Counter((site, number) for site, number, _ in told)
     lost = {}
@@ -249,8 +238,8 @@ def _compare(out: Path, names: list[str], killed: Sink, host: str) -> dict[str, 
     }
 
 
-def _numbers(folder: Path) -> tuple[int, set[int]]:
-    """Number of messages of a site so far, and those that still wait."""
+def outbox(folder: Path) -> tuple[int, set[int]]:
+    """Read from a site's output folder how many messages there were, and which still wait."""
     head, *rows = (folder / "state" / "outbox.jsonl").read_text().splitlines()
     return json.loads(head)["next_id"] - 1, {json.loads(row)["id"] for row in rows}
 

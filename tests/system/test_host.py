@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import urllib.request
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pyarrow.dataset
 import pytest
 
 from drivers.mcap_file import McapWriter
-from monitor.config import configuration
+from monitor.config import Configuration, configuration
 from monitor.model.simulation import simulate
 from monitor.service import is_of_share
 from tests.conftest import Cli, Cut
@@ -50,31 +51,39 @@ checkpoint_s = 5.0
 """
 
 
+class Frames:
+    """Recordings of a frame, sound or with a weak story 2, and the baseline of the sound one, in a folder."""
+
+    def __init__(self, folder: Path, frame_text: str, cut: Cut, main: Cli) -> None:
+        self._folder, self._cut = folder, cut
+        (folder / "s.toml").write_text(frame_text)
+        (folder / "weak.toml").write_text(frame_text.replace("1514.8507", "900.0"))
+        self.sound, self.weak = (partial(self._move, configuration.load(folder / f"{n}.toml")) for n in ("s", "weak"))
+        self.write("healthy", self.sound(400.0, 6))
+        options = ("--structure", folder / "s.toml", "--out", folder / "baseline.json")
+        done = main("calibrate", folder / "healthy.mcap", *options)
+        assert done.returncode == 0, done.stderr
+
+    @staticmethod
+    def _move(settings: Configuration, seconds: float, seed: int) -> np.ndarray:
+        return simulate(settings.model(), duration_s=seconds, rate_hz=RATE, noise=0.03, seed=seed).floors
+
+    def write(self, name: str, *floors: np.ndarray) -> None:
+        """Write motions one after the other into one recording."""
+        with McapWriter(self._folder / f"{name}.mcap") as writer:
+            for block in self._cut(np.concatenate(floors), RATE):
+                writer.write(block)
+
+
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory, frame_text: str, cut: Cut, main: Cli) -> Path:
     """A baseline, recordings in some of which story 2 softens, and what `run` makes of each."""
     folder = tmp_path_factory.mktemp("bench")
-    (folder / "s.toml").write_text(frame_text)
-    (folder / "weak.toml").write_text(frame_text.replace("1514.8507", "900.0"))
-    sound, weak = (configuration.load(folder / name).model() for name in ("s.toml", "weak.toml"))
-
-    def write(name: str, floors: np.ndarray) -> None:
-        with McapWriter(folder / f"{name}.mcap") as writer:
-            for block in cut(floors, RATE):
-                writer.write(block)
-
-    def moved(model: object, seconds: float, seed: int) -> np.ndarray:
-        return simulate(model, duration_s=seconds, rate_hz=RATE, noise=0.03, seed=seed).floors  # type: ignore[arg-type]
-
-    write("healthy", moved(sound, 400.0, 6))
+    frames = Frames(folder, frame_text, cut, main)
     for k in range(3):
-        write(f"r{k}", np.concatenate([moved(sound, 30.0, 10 + k), moved(weak, 45.0, 20 + k)]))
-    write("flood", np.tile(moved(sound, 100.0, 30), (30, 1)))
+        frames.write(f"r{k}", frames.sound(30.0, 10 + k), frames.weak(45.0, 20 + k))
+    frames.write("flood", *[frames.sound(100.0, 30)] * 30)
     (folder / "garbage.mcap").write_bytes(bytes(range(256)) * 100)
-    done = main(
-        "calibrate", folder / "healthy.mcap", "--structure", folder / "s.toml", "--out", folder / "baseline.json"
-    )
-    assert done.returncode == 0, done.stderr
     for k in range(3):
         path = site(folder / "run", frame_text, f"s{k}", f"r{k}")
         assert main("run", path).returncode == 0

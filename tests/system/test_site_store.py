@@ -10,20 +10,15 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from drivers.mcap_file import McapWriter
-from monitor.config import configuration
-from monitor.model.simulation import simulate
 from tests.conftest import Cli, Cut
-from tests.statistics.host_kills import Sink
+from tests.statistics.host_kills import Sink, outbox
 from tests.support.live_rig import Command, until
-from tests.support.zenoh_router import free_port
-from tests.system.test_host import RATE, alarms, results
+from tests.support.object_storage import object_storage
+from tests.system.test_host import Frames, alarms, results
 from tests.system.test_host import site as site_file
 
-moto_server = pytest.importorskip("moto.server")
 pytestmark = pytest.mark.system
 
 LONG_S = 180.0
@@ -76,38 +71,16 @@ class Link:
 @pytest.fixture(scope="module")
 def server() -> Iterator[int]:
     """Port of a storage with the bucket `city`."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
-            patch.setenv(name, "testing")
-        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-        started = moto_server.ThreadedMotoServer("127.0.0.1", free_port(), verbose=False)
-        started.start()
-        host, port = started.get_host_and_port()
-        import botocore.session
-
-        botocore.session.get_session().create_client("s3", endpoint_url=f"http://{host}:{port}").create_bucket(
-            Bucket="city"
-        )
+    with object_storage("city") as port:
         yield port
-        started.stop()
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory, frame_text: str, cut: Cut, main: Cli) -> Path:
     """A baseline, a recording in which story 2 softens and recovers, and what `run` makes of it."""
     folder = tmp_path_factory.mktemp("bench")
-    (folder / "s.toml").write_text(frame_text)
-    (folder / "weak.toml").write_text(frame_text.replace("1514.8507", "900.0"))
-    sound, weak = (configuration.load(folder / name).model() for name in ("s.toml", "weak.toml"))
-    parts = [(sound, 40.0, 10), (weak, 50.0, 20), (sound, 120.0, 30)]
-    floors = [simulate(m, duration_s=s, rate_hz=RATE, noise=0.03, seed=seed).floors for m, s, seed in parts]
-    healthy = simulate(sound, duration_s=400.0, rate_hz=RATE, noise=0.03, seed=6).floors
-    for name, data in (("healthy", healthy), ("r", np.concatenate(floors))):
-        with McapWriter(folder / f"{name}.mcap") as writer:
-            for block in cut(data, RATE):
-                writer.write(block)
-    options = ("--structure", folder / "s.toml", "--out", folder / "baseline.json")
-    assert main("calibrate", folder / "healthy.mcap", *options).returncode == 0
+    frames = Frames(folder, frame_text, cut, main)
+    frames.write("r", frames.sound(40.0, 10), frames.weak(50.0, 20), frames.sound(120.0, 30))
     assert main("run", site(folder / "run", frame_text, Sink())).returncode == 0
     return folder
 
@@ -127,15 +100,9 @@ def numbered(sink: Sink) -> dict[int, str]:
     return found
 
 
-def outbox(machine: Path) -> tuple[int, set[int]]:
-    """Number of messages so far, and those that have not left yet."""
-    head, *rows = (machine / "out-tower" / "state" / "outbox.jsonl").read_text().splitlines()
-    return json.loads(head)["next_id"] - 1, {json.loads(row)["id"] for row in rows}
-
-
 def are_those_of_run(sink: Sink, machine: Path, run: Path) -> bool:
     """Whether there are as many messages as of `run`, each with a number of its own, and none is lost."""
-    (last, waiting), (expected, _) = outbox(machine), outbox(run)
+    (last, waiting), (expected, _) = outbox(machine / "out-tower"), outbox(run / "out-tower")
     return last == expected >= 3 and {*numbered(sink)} | waiting == {*range(1, last + 1)}
 
 
