@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import configuration
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from tests.support.frame_text import THREE_STORIES
 
 FRAME = (

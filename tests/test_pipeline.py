@@ -15,20 +15,15 @@ from hypothesis import strategies as st
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
-from monitor.config import configuration
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError, UserError
-from monitor.core.results import Alarm, Gap, Level, ModalEstimate, Samples, WindowResult
+from monitor.config import Configuration, configuration
+from monitor.core import Alarm, BadInputError, Gap, Level, ModalEstimate, Samples, UserError, WindowResult
 from monitor.damage import alarm, learn_baseline
 from monitor.identification import SelectionSettings
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import MatrixStructure, ShearFrame
+from monitor.model import MatrixStructure, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline, Result
-from monitor.publish.results.lines import to_json, window_line
-from monitor.publish.results.summary import Summary
+from monitor.publish import Summary, to_json, window_line
+from monitor.runs import cut_into_blocks
 from monitor.runs.calibrate import with_common_modes
-from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.conftest import T0_NS, Cut
 from tests.damage.test_updating import HEALTHY, two_directions
 from tests.model.test_structures import configured, learned, results_of

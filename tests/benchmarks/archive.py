@@ -19,13 +19,11 @@ from mcap.reader import make_reader
 from drivers import codec
 from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
-from monitor.config.configuration import Configuration
-from monitor.runs.archive.jobs import WINDOWS
+from monitor.config import Configuration
+from monitor.runs import WINDOWS
 from monitor.runs.recordings import read_blocks
-from monitor.signals import alignment
+from monitor.signals import Conditioner, WindowGrid, alignment
 from monitor.signals import windows as window
-from monitor.signals.resampling import Conditioner
-from monitor.signals.windows import WindowGrid
 from tests.benchmarks.frames import baseline, configuration, write
 from tests.benchmarks.rounds import Cost, interleaved
 from tests.support.frame_text import THREE_STORIES

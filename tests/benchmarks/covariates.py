@@ -15,11 +15,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION
-from monitor.core.results import WindowResult
+from monitor.core import WindowResult
 from monitor.damage.common_change import nothing_learned
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 from tests.statistics import storm
 from tests.statistics.estimates import configuration
 

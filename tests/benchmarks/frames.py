@@ -10,12 +10,12 @@ import numpy as np
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter
-from monitor.config.configuration import Configuration
-from monitor.core.results import Array, WindowResult
+from monitor.config import Configuration
+from monitor.core import Array, WindowResult
 from monitor.damage import Baseline, learn_baseline
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 
 T0_NS = 1_767_225_600_000_000_000
 PAPER = ([0.3253, 0.3514, 0.3129], [2909.4511, 1514.8507, 1897.6986])

@@ -36,10 +36,10 @@ KINDS = {
 def worker(kind: str, samples: Path) -> None:
     """Push the block whose number comes on standard input, and write the CPU time of its hop, s; 0 where none was judged."""
     from drivers.base import ACCELERATION
-    from monitor.core.results import WindowResult
+    from monitor.core import WindowResult
     from monitor.damage import learn_baseline
     from monitor.pipeline import Pipeline
-    from monitor.runs.synthetic_recording import cut_into_blocks
+    from monitor.runs import cut_into_blocks
     from tests.statistics.estimates import configuration
 
     config, floors = configuration(float(HOP_S)), np.load(samples)
@@ -107,7 +107,7 @@ def row(name: str, seconds: np.ndarray, base: np.ndarray) -> str:
 
 def main() -> None:
     """Print what a hop costs of each kind, in the first hour and after."""
-    from monitor.model.simulation import simulate
+    from monitor.model import simulate
     from tests.statistics.estimates import configuration
 
     other, hours = Path(sys.argv[1]).resolve(), float(sys.argv[2]) if len(sys.argv) > 2 else 2.0

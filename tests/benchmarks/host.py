@@ -25,7 +25,7 @@ import numpy as np
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration, configuration
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.runs import Session
 from monitor.service.host import Line, Place
 from monitor.service.threads import BlockQueue

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 ROOT = Path(__file__).resolve().parents[2]
 sys.path = [str(ROOT), *(p for p in sys.path if p != str(Path(__file__).parent))]
 
-from monitor.core.memory import keep_freed  # noqa: E402
+from monitor.core import keep_freed  # noqa: E402
 from tests.benchmarks import archive, windows  # noqa: E402
 from tests.benchmarks.rounds import Cost  # noqa: E402
 

@@ -14,13 +14,13 @@ import numpy as np
 from scipy.linalg import lapack
 
 from drivers.base import ACCELERATION
-from monitor.config.configuration import Configuration
-from monitor.core.results import Array, ModalEstimate, Window, WindowResult
+from monitor.config import Configuration
+from monitor.core import Array, ModalEstimate, Window, WindowResult
 from monitor.damage import StiffnessJudge
+from monitor.identification import identify
 from monitor.identification.eigen import upper_poles
-from monitor.identification.stabilization import identify
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 from monitor.signals import windows
 from monitor.signals.kernels import lag_products
 from tests.benchmarks.frames import T0_NS, Hops, baseline, configuration, floors

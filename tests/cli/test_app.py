@@ -26,8 +26,7 @@ from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_
 from monitor.cli.app import app
 from monitor.config import configuration
 from monitor.damage import Baseline, Update, learn_baseline
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
+from monitor.model import Model, simulate
 from tests.conftest import T0_NS, Cli, Cut
 
 ROS2 = Path(__file__).parents[1] / "data" / "mcap-ros2"
@@ -906,7 +905,7 @@ def test_by_default_a_recording_lasts_1200_s_at_1024_hz(main: Cli) -> None:
 def test_damage_and_effects_are_in_the_motion_and_in_the_metadata(
     site: Site, option: str, value: str, effect: tuple[str, str, dict[str, float]], tmp_path: Path
 ) -> None:
-    from monitor.model.effects import EFFECTS
+    from monitor.model import EFFECTS
 
     path = tmp_path / "s.mcap"
     assert_ok(short(site, path, option, value, "--seed", 4, "--noise", 0.1))

@@ -19,8 +19,7 @@ from typer.main import get_command
 
 from monitor.cli import view
 from monitor.cli.app import app
-from monitor.core.errors import WrongUsageError
-from monitor.core.results import GAP, Skipped
+from monitor.core import GAP, Skipped, WrongUsageError
 from tests.conftest import Cli
 from tests.publish.test_viewer import listening as addresses
 

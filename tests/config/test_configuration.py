@@ -11,7 +11,7 @@ import pytest
 
 from monitor.config import configuration
 from monitor.config.configuration import Configuration
-from monitor.core.errors import BadConfigurationError, MissingInputError, UserError
+from monitor.core import BadConfigurationError, MissingInputError, UserError
 from tests.examples.beam import bridge
 
 Load = Callable[[str], Configuration]

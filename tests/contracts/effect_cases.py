@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from monitor.core.results import Array, ComplexArray
-from monitor.inference.cross_spectra import Band, Excitation, cross_spectra
-from monitor.model.effects import Condition, Context, Effect, System, parse_effect
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
-from monitor.signals.welch import SegmentDesign, transform
+from monitor.core import Array, ComplexArray
+from monitor.inference import Band
+from monitor.inference.cross_spectra import Excitation, cross_spectra
+from monitor.model import Condition, Context, Effect, Model, ShearFrame, System, parse_effect, simulate
+from monitor.signals import SegmentDesign, transform
 
 STRUCTURE = ShearFrame(
     np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01, np.array([0.093, 0.093, 0.1])

@@ -7,12 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from monitor.core.results import Array
-from monitor.model.effects import EFFECTS, FORMS, Effect, EffectError, Law, Peak, System, locations, parse_effect
+from monitor.core import Array
+from monitor.model import (
+    EFFECTS,
+    FORMS,
+    Effect,
+    EffectError,
+    MatrixStructure,
+    Model,
+    Peak,
+    ShearFrame,
+    System,
+    locations,
+    parse_effect,
+    simulate,
+)
+from monitor.model.effects import Law
 from monitor.model.effects.unmodelled_mode import UnmodelledMode
-from monitor.model.model import Model
-from monitor.model.simulation import linear_system, simulate
-from monitor.model.structures import MatrixStructure, ShearFrame
+from monitor.model.simulation import linear_system
 from tests.contracts.effect_cases import (
     CASES,
     CONTEXT,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from monitor.model.effects import FORMS
+from monitor.model import FORMS
 from tests.contracts.effect_cases import CASES, parse
 
 PACKAGE = Path(__file__).parents[2] / "monitor"

@@ -14,29 +14,21 @@ import pytest
 from prometheus_client.core import Metric
 
 from monitor.config import configuration
-from monitor.core.results import (
-    Alarm,
-    AlarmCondition,
-    DamageReading,
-    Level,
-    ModalEstimate,
-    StiffnessEstimate,
-    WindowResult,
-)
+from monitor.core import Alarm, AlarmCondition, DamageReading, Level, ModalEstimate, StiffnessEstimate, WindowResult
 from monitor.damage import Known, State
-from monitor.publish.reports.period_report import page, read_period
-from monitor.publish.results.lines import replay_text, to_json
-from monitor.runs.session import Session
-from monitor.service import fleet
+from monitor.publish import read_period, replay_text, to_json
+from monitor.publish.reports.period_report import page
+from monitor.runs import Session
+from monitor.service import ZenohOutSettings, fleet, text
 from monitor.service.daemon_health import plain
-from monitor.service.fleet_view import text
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_window
-from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
+from monitor.service.outlets.zenoh import ZenohOut
 from monitor.service.restart import lock
 from monitor.service.status import look, tell
-from monitor.signals.sensor_health import ChannelHealth, Health
+from monitor.signals import Health
+from monitor.signals.sensor_health import ChannelHealth
 from tests.conftest import CHANNELS, T0_NS
 
 WINDOW_S, HOP_S, COUNT = 20.0, 5.0, 6

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from monitor.model.effects import EFFECTS, Condition, Context, EffectError
-from monitor.model.structures import MatrixStructure, ShearFrame, Structure
+from monitor.model import EFFECTS, Condition, Context, EffectError, MatrixStructure, ShearFrame
+from monitor.model.structures import Structure
 
 
 def cantilever(elements: int = 4) -> MatrixStructure:

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from monitor.config.configuration import OutputSettings
+from monitor.config import OutputSettings
 from monitor.core.parse import parse_address, utc_ns
 from monitor.core.settings import settings_problems
+from monitor.service import Request
 from monitor.service.outlets.metrics import MetricsSettings
-from monitor.service.requests import Request
 from tests.conftest import T0_NS, Cli
 
 

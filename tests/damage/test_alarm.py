@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from monitor.core.results import WHOLE, Alarm, AlarmCondition, DamageReading, Level
+from monitor.core import WHOLE, Alarm, AlarmCondition, DamageReading, Level
 from monitor.damage import alarm
 from monitor.damage.alarm import AlarmSettings, AlarmState, StoryState
 from monitor.damage.sequential_test import shared_change

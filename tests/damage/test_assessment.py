@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from monitor.core.results import STRONG_MOTION, WHOLE, Level
+from monitor.core import STRONG_MOTION, WHOLE, Level
 from monitor.damage.assessment import Assessment, Course, Known, State, WindowFacts, assess, follow
 
 HOP_NS, WINDOW_S, T0 = 10 * 10**9, 400.0, 1_800_000_000 * 10**9

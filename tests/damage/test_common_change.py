@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from monitor.core.results import WHOLE, DamageReading
+from monitor.core import WHOLE, DamageReading
 from monitor.damage import AlarmSettings, alarm, slow_learning
 from monitor.damage.common_change import EVERY_NS, UNMEASURED, CommonChange, Expected, learn_common, nothing_learned
 from monitor.damage.covariate_law import CovariateLaw

@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
-from monitor.config import configuration
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadConfigurationError, BadInputError
-from monitor.core.results import WindowResult
+from monitor.config import Configuration, configuration
+from monitor.core import BadConfigurationError, BadInputError, WindowResult
 from monitor.damage import Baseline, learn_baseline, load_baseline, save_baseline
 from monitor.damage.common_change import UNMEASURED, CommonChange
 from monitor.damage.covariate_law import Axis, learn, stories_prior
 from monitor.damage.level import drift_m, drift_weights, drift_weights_of_some, level_db
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.pipeline import Pipeline, PipelineState
-from monitor.publish.results.lines import to_json, window_line
+from monitor.publish import to_json, window_line
 from monitor.service.serialization import from_bytes, to_bytes
 from tests.conftest import T0_NS, Cut
 

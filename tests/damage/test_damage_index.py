@@ -8,17 +8,13 @@ import re
 import numpy as np
 import pytest
 
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError
-from monitor.core.results import ModalEstimate, WindowResult
+from monitor.config import Configuration
+from monitor.core import BadInputError, ModalEstimate, WindowResult
 from monitor.damage import Baseline, damage_index, learn_baseline, load_baseline, save_baseline
 from monitor.damage.damage_index import sequential_reading
-from monitor.model.effects import parse_effect
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
+from monitor.model import Model, ShearFrame, parse_effect, simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.core.results import Array, DamageReading, Level
+from monitor.core import Array, DamageReading, Level
 from monitor.damage import alarm
 from monitor.damage.alarm import AlarmSettings, AlarmState
 from monitor.damage.detectable_loss import PROBABILITY, WITHIN_S, smallest_detectable_loss

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.core.results import WHOLE, Alarm, Level, ModalReading
+from monitor.core import WHOLE, Alarm, Level, ModalReading
 from monitor.damage import AlarmState, modal_parts
 from monitor.damage.alarm import AlarmSettings, acknowledge
 from monitor.damage.modal_alarm import detectable, hold, start, step

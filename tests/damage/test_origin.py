@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadConfigurationError
+from monitor.config import Configuration
+from monitor.core import BadConfigurationError
 from monitor.damage import Baseline, load_baseline, rebase_baseline, save_baseline
 from monitor.damage.baseline import learn_baseline
 from tests.damage.test_damage_index import drawing, exact_modes, truth

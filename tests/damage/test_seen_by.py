@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from monitor.core.results import ModalEstimate
+from monitor.core import ModalEstimate
 from monitor.damage import Baseline, damage_index
 from monitor.damage.updating import Observation, UpdatingSettings, predict
-from monitor.model.model import Model
-from monitor.model.structures import ShearFrame
+from monitor.model import Model, ShearFrame
 
 MASSES, STIFFNESS = np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986])
 SENSORS = np.eye(3)

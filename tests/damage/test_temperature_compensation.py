@@ -13,22 +13,17 @@ from hypothesis import strategies as st
 import monitor.damage.covariates as covariates
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
-from monitor.config import configuration
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError
-from monitor.core.results import Temperature, WindowResult
+from monitor.config import Configuration, configuration
+from monitor.core import BadInputError, Temperature, WindowResult
 from monitor.damage import Baseline, CovariateSettings, load_baseline, save_baseline
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.covariates import Change, learn_law
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
+from monitor.model import Model, simulate
 from monitor.pipeline import Pipeline
-from monitor.publish.results.lines import to_json, window_line
-from monitor.runs.calibrate import calibrate
-from monitor.runs.replay import replay
-from monitor.runs.synthetic_recording import cut_into_blocks
-from monitor.signals import temperature
-from monitor.signals.temperature import LAGS_S, TemperatureSettings, TemperatureState
+from monitor.publish import to_json, window_line
+from monitor.runs import calibrate, cut_into_blocks, replay
+from monitor.signals import LAGS_S, TemperatureSettings, temperature
+from monitor.signals.temperature import TemperatureState
 from tests.conftest import CHANNELS, T0_NS, Cut
 
 PER_DEGC = 1.5e-3

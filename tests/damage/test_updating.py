@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 
 from monitor.damage.alternative_solutions import second_solutions
 from monitor.damage.updating import Observation, UpdatingSettings, counterparts, predict, update
-from monitor.model.effects import parse_effect
-from monitor.model.model import Model
-from monitor.model.structures import MatrixStructure, ShearFrame
+from monitor.model import MatrixStructure, Model, ShearFrame, parse_effect
 from monitor.runs.paper_tables import updating_history
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])

@@ -7,9 +7,8 @@ import numpy as np
 from monitor.diagnosis.ambiguity import probabilities, tied_candidates
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate
+from monitor.inference import MapEstimate, Moments
 from monitor.inference.ambient_posterior import AmbientPosterior
-from monitor.inference.higher_moments import Moments
-from monitor.inference.map_estimate import MapEstimate
 from monitor.model.effects import BilinearStiffness, StiffnessChange
 
 RIVAL = 4.6

@@ -18,16 +18,9 @@ from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant, summarize_fit
 from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate
-from monitor.inference.higher_moments import normal_moments
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.observed_spectra import classify
-from monitor.inference.posterior import Posterior
-from monitor.inference.segments import gather
-from monitor.model.effects import Context, parse_effect
-from monitor.model.model import Model
-from monitor.model.prior import prior_from_drawing
-from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.inference import MapEstimate, Posterior, classify, gather, maximize_posterior, normal_moments
+from monitor.model import Context, Model, parse_effect, prior_from_drawing, simulate
+from monitor.runs import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
 pytestmark = pytest.mark.engine

@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
-from monitor.config.configuration import Configuration
+from monitor.config import Configuration
 from monitor.diagnosis.clock_drift import clock_drift_in_words, correct_clock_drifts
-from monitor.inference.segments import Segments, gather
+from monitor.inference import Segments, gather
 from tests.measured.sensor_faults import fast_clock
 
 RATE_HZ = 100.0

@@ -16,14 +16,11 @@ from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import _shows_other_direction
 from monitor.diagnosis.verdict import FittedCauses, _find_other_direction
-from monitor.inference import Posterior, maximize_posterior
-from monitor.inference.cross_spectra import Band, Excitation, channel_response, cross_spectra, extended
+from monitor.inference import Band, Posterior, maximize_posterior
+from monitor.inference.cross_spectra import Excitation, channel_response, cross_spectra, extended
 from monitor.inference.map_estimate import _shortened
-from monitor.model.effects import Condition, Effect, EffectError, UnmodelledMode, parse_effect
-from monitor.model.effects.base import System
-from monitor.model.model import Model
-from monitor.model.prior import StructuralPrior
-from monitor.model.simulation import simulate
+from monitor.model import Condition, Effect, EffectError, Model, StructuralPrior, System, parse_effect, simulate
+from monitor.model.effects import UnmodelledMode
 from tests.diagnosis.test_modal_start import CONTEXT, RATE, TORSION, TRUTH, diagnosed, posterior
 
 COUPLED = parse_effect(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.config.configuration import Configuration
+from monitor.config import Configuration
 from monitor.diagnosis.cross_validation import (
     HeldOutGain,
     _calibration_nats,
@@ -25,15 +25,10 @@ from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import refine_fit
 from monitor.diagnosis.verdict import Cause, Diagnosis
-from monitor.inference.map_estimate import maximize_posterior
-from monitor.inference.observed_spectra import classify
-from monitor.inference.segments import Segments, gather
-from monitor.model.effects import Context, Effect, parse_effect
-from monitor.model.model import Model
-from monitor.model.prior import prior_from_drawing
-from monitor.model.simulation import simulate
+from monitor.inference import Segments, classify, gather, maximize_posterior
+from monitor.model import Context, Effect, Model, parse_effect, prior_from_drawing, simulate
+from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import diagnose_segments
-from monitor.runs.synthetic_recording import cut_into_blocks
 
 pytestmark = pytest.mark.engine
 

@@ -8,10 +8,8 @@ from threadpoolctl import threadpool_limits
 
 from monitor.diagnosis.score_test import start_beside
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.inference.observed_spectra import classify
-from monitor.inference.segments import gather
-from monitor.model.effects import parse_effect
-from monitor.model.prior import prior_from_drawing
+from monitor.inference import classify, gather
+from monitor.model import parse_effect, prior_from_drawing
 from monitor.runs.diagnose import diagnose_segments
 from tests.inference.test_input_response import FORCED, pushed
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from monitor.config import configuration
-from monitor.core.errors import BadConfigurationError
+from monitor.core import BadConfigurationError
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content, effects_text, model_from_plain, model_to_plain, structure_text
 from monitor.diagnosis.fold_refit import fitted_model
@@ -22,13 +22,9 @@ from monitor.diagnosis.predictive_score import score
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.verdict import Cause, Diagnosis
-from monitor.inference.map_estimate import maximize_posterior
-from monitor.inference.observed_spectra import classify
-from monitor.inference.segments import Segments
-from monitor.model.effects import parse_effect
+from monitor.inference import Segments, classify, maximize_posterior
+from monitor.model import Model, ModelDiscrepancy, parse_effect, prior_from_drawing
 from monitor.model.effects.unmodelled_mode import UnmodelledMode
-from monitor.model.model import Model
-from monitor.model.prior import ModelDiscrepancy, prior_from_drawing
 from monitor.model.prior_file import from_plain, to_plain
 from tests.diagnosis.test_cross_validation import DAMPER, context_of, recorded, settings
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 from drivers.base import ACCELERATION
-from monitor.config.configuration import Configuration
+from monitor.config import Configuration
 from monitor.diagnosis import stepwise_selection
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content as content_of
@@ -19,17 +19,13 @@ from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.diagnosis.verdict import Diagnosis
-from monitor.inference.observed_spectra import classify
-from monitor.inference.posterior import Posterior
-from monitor.inference.segments import Segments, gather
-from monitor.model.effects import Effect, parse_effect
-from monitor.model.model import Model
-from monitor.model.prior import StructuralPrior
+from monitor.inference import Posterior, Segments, classify, gather
+from monitor.model import Effect, Model, StructuralPrior, parse_effect, simulate
 from monitor.model.prior_file import from_plain, to_plain
-from monitor.model.simulation import linear_system, simulate
+from monitor.model.simulation import linear_system
 from monitor.publish.reports.diagnosis_report import page
+from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import learn_healthy_prior
-from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
 pytestmark = pytest.mark.engine

@@ -13,9 +13,9 @@ from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
 from monitor.config import configuration
 from monitor.damage import load_baseline
-from monitor.inference.segments import gather
+from monitor.inference import gather
+from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import diagnose_segments
-from monitor.runs.synthetic_recording import cut_into_blocks
 
 ROOT = Path(__file__).parents[2]
 RECORDING = ROOT / "recordings" / "mini-shake-table-flexible.mcap"

@@ -16,8 +16,7 @@ from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.diagnosis.stepwise_selection import _prefer_cause_to_coupling, _SearchState, _sufficient
 from monitor.inference import join_coordinates, maximize_posterior
-from monitor.model import StructuralPrior
-from monitor.model.effects import Effect, parse_effect
+from monitor.model import Effect, StructuralPrior, parse_effect
 from tests.diagnosis.test_modal_start import CONTEXT, TORSION, posterior
 
 MACHINE = parse_effect("harmonic_excitation:floor 2:frequency_hz=17.5,force_n=0.6")

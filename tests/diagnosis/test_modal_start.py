@@ -17,15 +17,9 @@ from monitor.diagnosis.modal_start import find_modal_starts, fit_from_modes, ide
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.diagnosis.verdict import Diagnosis
-from monitor.inference import Posterior, tone_log_odds
-from monitor.inference.observed_spectra import ObservedSpectra, classify
-from monitor.inference.segments import gather
-from monitor.inference.starting_point import make_posterior
-from monitor.model.effects import Effect, parse_effect
-from monitor.model.model import Model
-from monitor.model.prior import StructuralPrior, prior_from_drawing
-from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.inference import ObservedSpectra, Posterior, classify, gather, make_posterior, tone_log_odds
+from monitor.model import Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
+from monitor.runs import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG
 
 RATE = 512.0

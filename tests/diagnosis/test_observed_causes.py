@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from monitor.diagnosis.observed_causes import add_observed_causes
-from monitor.model.effects.base import Condition
+from monitor.model import Condition
 from tests.diagnosis.test_clock_drift import CONFIG, RATE_HZ, segments, vibration
 
 ONES = np.ones(3)

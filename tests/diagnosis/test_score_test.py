@@ -26,18 +26,23 @@ from monitor.diagnosis.score_test import (
 )
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_initial_model
+from monitor.inference import (
+    MapEstimate,
+    Moments,
+    ObservedSpectra,
+    Posterior,
+    Prediction,
+    classify,
+    gather,
+    join_coordinates,
+    maximize_posterior,
+)
 from monitor.inference.cross_spectra import accelerance
-from monitor.inference.forward_model import Prediction
-from monitor.inference.higher_moments import Moments, _skewness
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.observed_spectra import ObservedSpectra, classify
-from monitor.inference.posterior import Posterior, join_coordinates
-from monitor.inference.segments import gather
-from monitor.model.effects import ChannelSwap, CubicStiffness, Effect, SensorGain, StiffnessChange
-from monitor.model.prior import prior_from_drawing
-from monitor.model.simulation import simulate
+from monitor.inference.higher_moments import _skewness
+from monitor.model import Effect, prior_from_drawing, simulate
+from monitor.model.effects import ChannelSwap, CubicStiffness, SensorGain, StiffnessChange
+from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import learn_healthy_prior
-from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_modal_start import TORSION
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 

@@ -8,21 +8,25 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.config.configuration import Configuration
+from monitor.config import Configuration
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.simulation_refit import refine_fit
-from monitor.inference.corrected_posterior import _bound_corrections, correct_posterior
-from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
-from monitor.inference.linearization import forced_motion, linearize
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.observed_spectra import classify
-from monitor.inference.posterior import Posterior
-from monitor.inference.segments import gather
-from monitor.model.effects import Effect, parse_effect
-from monitor.model.model import Model
-from monitor.model.prior import prior_from_drawing
-from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.inference import (
+    MapEstimate,
+    Posterior,
+    classify,
+    correct_posterior,
+    draw_forces,
+    gather,
+    linearize,
+    maximize_posterior,
+    simulate_exact,
+    simulate_spectra,
+)
+from monitor.inference.corrected_posterior import _bound_corrections
+from monitor.inference.linearization import forced_motion
+from monitor.model import Effect, Model, parse_effect, prior_from_drawing, simulate
+from monitor.runs import cut_into_blocks
 
 pytestmark = pytest.mark.engine
 

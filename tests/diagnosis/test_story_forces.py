@@ -10,9 +10,8 @@ import pytest
 
 from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.diagnosis.story_forces import StoryLaw, story_laws
-from monitor.inference.observed_spectra import classify
-from monitor.inference.segments import Segments, gather
-from monitor.model.prior import prior_from_drawing
+from monitor.inference import Segments, classify, gather
+from monitor.model import prior_from_drawing
 from tests.inference.test_input_response import FORCED, pushed
 
 pytestmark = pytest.mark.engine

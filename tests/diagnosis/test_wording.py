@@ -14,8 +14,7 @@ from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.drawing_refit import refit, refit_headline
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.wording import class_in_words, csd_error_in_words, headline, in_words, law_family
-from monitor.model.effects import FORMS
-from monitor.model.prior import prior_from_drawing
+from monitor.model import FORMS, prior_from_drawing
 from tests.diagnosis.test_cross_validation import settings
 
 pytestmark = pytest.mark.engine

@@ -18,7 +18,7 @@ from drivers.base import ACCELERATION, TEMPERATURE, EndOfStream, SampleBlock, So
 from drivers.mqtt import MqttPublisher, MqttSettings, MqttSource, PublisherSettings, decode, encode
 from drivers.mqtt_session import BrokerSettings, Connection
 from monitor.config import configuration, security_check
-from monitor.core.errors import BadConfigurationError
+from monitor.core import BadConfigurationError
 from tests.drivers.test_zenoh_bus import CHANNELS, T0_NS, N, block, until
 from tests.support.mosquitto import PATIENCE_S, Broker
 from tests.system.test_zenoh_tls import _certify as certify

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from monitor.core.results import Level, WindowResult
-from monitor.publish.base import Publisher
+from monitor.core import Level, WindowResult
+from monitor.publish import Publisher
 
 
 class AlarmLog(Publisher):

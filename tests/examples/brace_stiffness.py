@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from math import inf
 from typing import ClassVar, Literal, Self
 
-from monitor.core.results import Array
-from monitor.model.effects import Condition, Context, Effect, FittedSizes, Parameter
+from monitor.core import Array
+from monitor.model import Condition, Context, Effect, FittedSizes, Parameter
 from monitor.model.structures import Structure
 
 

@@ -10,14 +10,14 @@ import pytest
 
 from drivers import registry
 from drivers.base import SourceContext
-from monitor.config import configuration
-from monitor.config.configuration import Configuration, make_source
-from monitor.core.results import Alarm, Level, Skipped, WindowResult
-from monitor.diagnosis.wording import in_words, separating_measurement
-from monitor.model import prior_from_drawing
-from monitor.model.effects import EFFECTS, Condition, Context, FittedSizes, parse_effect
-from monitor.runs.session import Session
-from monitor.service.daemon import Daemon
+from monitor.config import Configuration, configuration
+from monitor.config.configuration import make_source
+from monitor.core import Alarm, Level, Skipped, WindowResult
+from monitor.diagnosis import in_words
+from monitor.diagnosis.wording import separating_measurement
+from monitor.model import EFFECTS, Condition, Context, FittedSizes, parse_effect, prior_from_drawing
+from monitor.runs import Session
+from monitor.service import Daemon
 from tests.conftest import Cli
 from tests.examples.alarm_log import AlarmLog
 from tests.examples.brace_stiffness import BraceStiffness

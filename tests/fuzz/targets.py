@@ -53,14 +53,13 @@ from drivers.socketcand_client import SocketcandBus
 from drivers.socketcand_server import frame_text
 from drivers.zenoh_bus import ZenohSettings, ZenohSource
 from monitor.config import configuration
-from monitor.core.errors import BadInputError, UserError
+from monitor.core import BadInputError, UserError
 from monitor.damage import alarm, load_baseline, save_baseline
-from monitor.runs import importers, ledger
-from monitor.runs.session import Session
-from monitor.service import serialization
+from monitor.runs import Session, importers, ledger
+from monitor.service import Request, serialization
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.outbox import Outbox
-from monitor.service.requests import Answer, Request, apply
+from monitor.service.requests import Answer, apply
 from monitor.service.restart import Saved
 from tests.support.frame_text import THREE_STORIES
 
@@ -575,9 +574,8 @@ def _baseline(data: bytes) -> None:
 
 @functools.cache
 def _baseline_seeds() -> list[bytes]:
-    from monitor.model.simulation import simulate
-    from monitor.runs.calibrate import calibrate
-    from monitor.runs.synthetic_recording import cut_into_blocks
+    from monitor.model import simulate
+    from monitor.runs import calibrate, cut_into_blocks
 
     settings = _settings()
     floors = simulate(settings.model(), duration_s=60.0, rate_hz=100.0, noise=0.03, seed=1).floors

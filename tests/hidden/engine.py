@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from drivers.base import SampleBlock
-from monitor.config.configuration import Configuration
-from monitor.diagnosis.verdict import Diagnosis
-from monitor.inference.segments import gather
-from monitor.model.prior import StructuralPrior, prior_from_drawing
+from monitor.config import Configuration
+from monitor.diagnosis import Diagnosis
+from monitor.inference import gather
+from monitor.model import StructuralPrior, prior_from_drawing
 from monitor.runs import diagnose
 
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.model.effects import parse_effect
-from monitor.model.model import Model
+from monitor.model import Model, ShearFrame, parse_effect
 from monitor.model.simulation import respond
-from monitor.model.structures import ShearFrame
 from tests.hidden import catalogue, shaken, world
 from tests.hidden.frame import Frame, drifts
 from tests.hidden.truth import Site, Truth, healthy

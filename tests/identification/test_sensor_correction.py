@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from monitor.config.configuration import load as load_config
-from monitor.core.results import ModalEstimate, WindowResult
+from monitor.core import ModalEstimate, WindowResult
 from monitor.damage import load_baseline, save_baseline
 from monitor.identification import SubArray
 from monitor.identification.sensor_correction import correct_modes, seen_by_sensors
-from monitor.model.effects import Context, parse_effect
-from monitor.model.structures import ShearFrame
+from monitor.model import Context, ShearFrame, parse_effect
 from monitor.pipeline import Pipeline
-from monitor.runs.calibrate import calibrate
+from monitor.runs import calibrate
 from monitor.runs.recordings import read_blocks
 from monitor.runs.synthetic_recording import write_simulated_recording
 from tests.conftest import T0_NS

@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.core.results import ModalEstimate, Skipped, Window
+from monitor.core import ModalEstimate, Skipped, Window
 from monitor.identification.ssi import SsiSettings, continuous, gram, poles, realise, state_space
 from monitor.identification.stabilization import SelectionSettings, advice, identify
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
+from monitor.model import Model, ShearFrame, simulate
+from monitor.signals import Conditioner, WindowGrid
 from monitor.signals import windows as window
-from monitor.signals.resampling import Conditioner
-from monitor.signals.windows import WindowGrid
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])

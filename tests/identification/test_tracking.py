@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor.core.results import ModalEstimate
+from monitor.core import ModalEstimate
 from monitor.identification.tracking import Observed, Status, TrackedModes, TrackSettings, TrackState, observed, step
 
 TOWER = Path(__file__).parents[1] / "data" / "tower-modal" / "tower.npz"

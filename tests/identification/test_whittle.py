@@ -6,19 +6,24 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from monitor.core.results import ModalEstimate, Window
+from monitor.core import ModalEstimate, Window
 from monitor.identification import whittle, whittle_model
 from monitor.identification.ssi import SsiSettings
 from monitor.identification.stabilization import SelectionSettings, identify
 from monitor.identification.whittle import RefinementSettings, refine
 from monitor.identification.whittle_model import cross_spectra, layout_of, predict
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
+from monitor.model import Model, ShearFrame, simulate
+from monitor.signals import (
+    LEAKAGE_OFFSETS,
+    Conditioner,
+    SegmentDesign,
+    WindowGrid,
+    leakage,
+    overlap_correlation,
+    taper,
+    transform,
+)
 from monitor.signals import windows as window
-from monitor.signals.resampling import Conditioner
-from monitor.signals.welch import LEAKAGE_OFFSETS, SegmentDesign, leakage, overlap_correlation, taper, transform
-from monitor.signals.windows import WindowGrid
 
 FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
 

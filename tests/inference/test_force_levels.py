@@ -9,23 +9,19 @@ import pytest
 from scipy.linalg import block_diag
 
 from drivers.base import ACCELERATION
-from monitor.core.results import Array
+from monitor.core import Array
+from monitor.diagnosis import DiagnosisSettings, diagnose
 from monitor.diagnosis.healthy_prior import learn_prior
 from monitor.diagnosis.lack_of_fit import drift_bands, find_changed_effects
 from monitor.diagnosis.score_test import _line_offset, candidate_starts
-from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.inference.force_levels import fit_levels, ground_levels, spectra_by_force
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import gather
-from monitor.model.effects import parse_effect
-from monitor.model.model import Model
-from monitor.model.prior import ModelDiscrepancy, prior_from_drawing
-from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import cut_into_blocks
-from monitor.signals.welch import hann_amplitude
+from monitor.model import Model, ModelDiscrepancy, parse_effect, prior_from_drawing, simulate
+from monitor.runs import cut_into_blocks
+from monitor.signals import hann_amplitude
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE, posed
 
 pytestmark = pytest.mark.engine

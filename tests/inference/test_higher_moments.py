@@ -8,24 +8,21 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.core.results import Array
+from monitor.core import Array
+from monitor.diagnosis import diagnose
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.selection_round import _choose_orientation
 from monitor.diagnosis.simulation_refit import RefittedCandidate
-from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.inference.ambient_posterior import AmbientPosterior
 from monitor.inference.higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather
-from monitor.model.effects import parse_effect
+from monitor.model import Model, parse_effect, prior_from_drawing, simulate
 from monitor.model.effects.gap_contact import GapContact
-from monitor.model.model import Model
-from monitor.model.prior import prior_from_drawing
-from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
 pytestmark = pytest.mark.engine

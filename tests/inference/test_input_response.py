@@ -10,27 +10,23 @@ import pytest
 
 from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
 from drivers.mcap_file import read_recordings
-from monitor.config.configuration import Configuration, load
-from monitor.core import BadInputError
-from monitor.core.results import Array
+from monitor.config import Configuration
+from monitor.config.configuration import load
+from monitor.core import Array, BadInputError
+from monitor.diagnosis import DiagnosisSettings, diagnose, score
 from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import LackOfFit
-from monitor.diagnosis.predictive_score import score
 from monitor.diagnosis.score_test import fit_candidate
-from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.inference.linearization import linearize
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather
 from monitor.inference.starting_point import make_posterior
-from monitor.model.effects import parse_effect
-from monitor.model.model import Model
-from monitor.model.prior import prior_from_drawing
-from monitor.model.simulation import level_wander, respond, simulate
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.model import Model, parse_effect, prior_from_drawing, simulate
+from monitor.model.simulation import level_wander, respond
+from monitor.runs import cut_into_blocks
 
 pytestmark = pytest.mark.engine
 

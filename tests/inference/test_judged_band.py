@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from drivers.base import ACCELERATION
-from monitor.config.configuration import Configuration
+from monitor.config import Configuration
 from monitor.core import BadInputError
 from monitor.diagnosis.healthy_prior import learn_prior
 from monitor.inference.exact_simulation import draw_forces
@@ -19,10 +19,9 @@ from monitor.inference.judged_band import find_judged_band
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
 from monitor.inference.starting_point import make_posterior
-from monitor.model.prior import prior_from_drawing
-from monitor.model.simulation import simulate
+from monitor.model import prior_from_drawing, simulate
+from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import diagnose_segments
-from monitor.runs.synthetic_recording import cut_into_blocks
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

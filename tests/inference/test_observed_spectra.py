@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from monitor.inference import classify, gather
-from monitor.model import Model, ShearFrame
-from monitor.model.simulation import simulate
+from monitor.model import Model, ShearFrame, simulate
 from monitor.signals import FrontEnd, ProcessingSettings
 from tests.conftest import CHANNELS, Cut
 

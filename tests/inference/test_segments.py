@@ -7,8 +7,7 @@ import pytest
 
 from monitor.core import BadInputError
 from monitor.inference import LeftOut, Segments, classify, gather
-from monitor.model import Model, ShearFrame
-from monitor.model.simulation import simulate
+from monitor.model import Model, ShearFrame, simulate
 from monitor.signals import FrontEnd, ProcessingSettings
 from tests.conftest import CHANNELS, Cut
 

@@ -7,7 +7,7 @@ import pytest
 
 from monitor.inference import Posterior, with_coordinates
 from monitor.inference.spectral_slopes import _joint_directions, _whitening
-from monitor.model.effects import Effect, parse_effect
+from monitor.model import Effect, parse_effect
 from tests.diagnosis.test_modal_start import TORSION, posterior
 
 COUPLED = parse_effect(

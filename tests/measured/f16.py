@@ -22,8 +22,8 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, FORCE, SampleBlock
-from monitor.config.configuration import Configuration
-from monitor.inference.segments import gather
+from monitor.config import Configuration
+from monitor.inference import gather
 from monitor.runs.diagnose import diagnose_segments, learn_healthy_prior
 
 Array = np.ndarray

@@ -22,9 +22,9 @@ from scipy.signal import resample
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
-from monitor.config.configuration import Configuration
-from monitor.inference.segments import gather
-from monitor.model.prior import StructuralPrior
+from monitor.config import Configuration
+from monitor.inference import gather
+from monitor.model import StructuralPrior
 from monitor.runs.diagnose import diagnose_segments, learn_healthy_prior
 from monitor.runs.recordings import read_blocks
 

@@ -24,11 +24,10 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION, GROUND, ROTATION_RATE
 from drivers.mcap_file import read_recordings
 from monitor.config import Configuration, configuration
-from monitor.diagnosis.witness import Witness, compare_witnesses
-from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor
+from monitor.diagnosis import WitnessRecord, WitnessSensor, compare_witnesses
+from monitor.diagnosis.witness import Witness
 from monitor.model import Condition, Model, ShearFrame
-from monitor.runs import diagnose
-from monitor.runs.importers import import_files
+from monitor.runs import diagnose, import_files
 from monitor.signals import SegmentDesign, transform
 
 Array = NDArray[np.float64]

@@ -29,12 +29,11 @@ from scipy.signal import resample_poly
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, FORCE, SampleBlock
-from monitor.config.configuration import Configuration
+from monitor.config import Configuration
 from monitor.diagnosis import content, fitted_model, structure_text
-from monitor.inference.segments import gather
+from monitor.inference import gather
 from monitor.model import Model
-from monitor.runs import diagnose
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks, diagnose
 
 RATE_HZ = 1e7 / 2**14 / 10.0
 """Rate of the samples, stretched in time. [Hz]"""

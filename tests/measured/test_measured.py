@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from monitor.config import configuration
-from monitor.config.configuration import Configuration
+from monitor.config import Configuration, configuration
 from monitor.model import Model, ShearFrame
 from tests.measured import f16, sensor_faults, shake_table_axes, shake_table_event, shake_table_laws
 from tests.measured.sensor_faults import Fault, cause_text, delayed, fast_clock, faults, outcome, unchanged

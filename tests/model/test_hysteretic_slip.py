@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from monitor.core.results import Array
+from monitor.core import Array
 from monitor.model.effects import parse_effect
 from monitor.model.effects.hysteretic_slip import _steady_cycle, linearized_element
 from monitor.model.integration import slipped

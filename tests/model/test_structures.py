@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 from scipy.io import mmwrite
 
-from monitor.config import configuration
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadConfigurationError, MissingInputError
-from monitor.core.results import WindowResult
+from monitor.config import Configuration, configuration
+from monitor.core import BadConfigurationError, MissingInputError, WindowResult
 from monitor.damage import Baseline, learn_baseline, load_baseline, save_baseline
 from monitor.model.effects import parse_effect
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
+from monitor.runs import cut_into_blocks
 from monitor.runs.calibrate import with_common_modes
-from monitor.runs.synthetic_recording import cut_into_blocks
 
 SHEAR = ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01)
 

@@ -12,26 +12,21 @@ import pytest
 from rerun.chunk import RrdReader
 
 from drivers.base import ACCELERATION
-from monitor.config.configuration import Configuration
-from monitor.diagnosis.cross_validation import HeldOutGain
-from monitor.diagnosis.files import content as content_of
+from monitor.config import Configuration
+from monitor.diagnosis import Diagnosis, DiagnosisSettings, HeldOutGain, StoryLaw, diagnose, in_words
+from monitor.diagnosis import content as content_of
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import fit_candidate
-from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import diagnose
-from monitor.diagnosis.story_forces import Loop, StoryLaw
-from monitor.diagnosis.verdict import Cause, Diagnosis
-from monitor.diagnosis.wording import in_words, separating_measurement
-from monitor.inference.observed_spectra import classify
-from monitor.inference.segments import Segments, gather
-from monitor.model.effects import EFFECTS, FORMS, Context, Effect, interval, parse_effect
-from monitor.model.prior import prior_from_drawing
-from monitor.model.simulation import simulate
+from monitor.diagnosis.story_forces import Loop
+from monitor.diagnosis.verdict import Cause
+from monitor.diagnosis.wording import separating_measurement
+from monitor.inference import Segments, classify, gather
+from monitor.model import EFFECTS, FORMS, Context, Effect, interval, parse_effect, prior_from_drawing, simulate
 from monitor.publish.reports.charts import decades, ticks
 from monitor.publish.reports.comparison import compare, level_dependence
 from monitor.publish.reports.diagnosis_report import page, write_report
 from monitor.publish.viewer.diagnosis_view import write_view
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 
 pytestmark = pytest.mark.engine
 

@@ -18,9 +18,7 @@ from monitor.events import Event, Review, Site, review_event
 from monitor.pipeline import Pipeline
 from monitor.publish import EventPage, Publisher, event_line, read_event, to_json
 from monitor.publish.reports.event_report import event_html
-from monitor.runs import page_of, read_event_line, write_event_motion, write_event_page
-from monitor.runs.event_recordings import EventRecordings
-from monitor.runs.session import Session
+from monitor.runs import EventRecordings, Session, page_of, read_event_line, write_event_motion, write_event_page
 from tests.conftest import Cli
 from tests.events.shaken import blocks, configuration
 from tests.events.test_review import shaken

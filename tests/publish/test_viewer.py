@@ -21,8 +21,7 @@ from scipy.signal import welch
 
 from drivers.base import ClockHealth
 from monitor.config import Configuration, configuration
-from monitor.core.parse import parse_address
-from monitor.core.results import (
+from monitor.core import (
     Alarm,
     DamageReading,
     Gap,
@@ -32,12 +31,10 @@ from monitor.core.results import (
     Skipped,
     StiffnessEstimate,
     WindowResult,
+    parse_address,
 )
 from monitor.damage import Assessment, LearnedRange, State
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
-from monitor.model.structures.drawing import Drawing
+from monitor.model import Drawing, Model, ShearFrame, simulate
 from monitor.publish.viewer import layout, picture
 from monitor.publish.viewer import scene as rerun_scene
 from monitor.publish.viewer.layout import _healthy, _trust
@@ -48,7 +45,8 @@ from monitor.publish.viewer.scene import Scene, loss_colour, make_scene
 from monitor.publish.viewer.spectra import predict_power
 from monitor.publish.viewer.state import StateDrawing, state_markdown
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
-from monitor.signals.sensor_health import ChannelHealth, Health
+from monitor.signals import Health
+from monitor.signals.sensor_health import ChannelHealth
 from tests.examples.beam import bridge
 from tests.publish.test_event_report import told as shaken_event
 

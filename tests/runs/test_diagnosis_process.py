@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
-from monitor.core.results import Alarm, Level, Skipped, StiffnessEstimate, WindowResult
-from monitor.diagnosis import trigger
-from monitor.diagnosis.trigger import Request, WatchSettings, WatchState
+from monitor.core import Alarm, Level, Skipped, StiffnessEstimate, WindowResult
+from monitor.diagnosis import Request, WatchSettings, trigger
+from monitor.diagnosis.trigger import WatchState
 from monitor.runs.diagnosis_process import DiagnosisQueue
 from monitor.runs.online_diagnosis import RecentBlocks
 from tests.conftest import T0_NS, Cut

@@ -17,7 +17,7 @@ from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock, SourceContext, 
 from drivers.can_bus import CanSource
 from drivers.mcap_file import McapWriter
 from drivers.socketcand_server import SocketcandServer, frame_text
-from monitor.core.errors import BadConfigurationError, MissingInputError
+from monitor.core import BadConfigurationError, MissingInputError
 from monitor.runs import emulate
 
 DEPLOY = Path(__file__).parents[2] / "deploy"

@@ -10,7 +10,7 @@ import pytest
 
 from drivers import frames
 from drivers.mcap_file import read_recordings
-from monitor.core.errors import BadInputError, MissingInputError
+from monitor.core import BadInputError, MissingInputError
 from monitor.runs.importers import import_files
 
 DBC = Path(__file__).parents[2] / "deploy" / "frame.dbc"

@@ -19,7 +19,7 @@ import scipy.io
 
 from drivers.base import ACCELERATION, FORCE
 from drivers.mcap_file import RecordingInfo, read_recordings
-from monitor.core.errors import BadInputError
+from monitor.core import BadInputError
 from monitor.core.extras import EXTRAS, MissingExtraError
 from monitor.runs import importers
 from monitor.runs.importers import ImportedChannel, import_files

@@ -11,8 +11,7 @@ import pytest
 
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE
 from drivers.mcap_file import RecordingInfo, read_recordings
-from monitor.core.errors import BadInputError, MissingInputError, WrongUsageError
-from monitor.core.parse import utc_ns
+from monitor.core import BadInputError, MissingInputError, WrongUsageError, utc_ns
 from monitor.runs.importers import csv_table, import_files
 
 DATA = Path(__file__).parents[1] / "data"

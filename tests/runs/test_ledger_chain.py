@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from monitor.core.errors import BadInputError, MissingInputError
+from monitor.core import BadInputError, MissingInputError
 from monitor.runs.ledger_chain import append_lines, read_head, verify
 
 

@@ -14,9 +14,9 @@ from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, BadInputError, Level, Samples, WindowResult
 from monitor.damage import ModalBaseline, load_baseline, load_modal_baseline, save_modal_baseline
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.pipeline import Pipeline, PipelineState
-from monitor.publish.results.lines import facts_of_line, replay_text, to_json, window_line
+from monitor.publish import facts_of_line, replay_text, to_json, window_line
 from monitor.runs import calibrate_modes, load_healthy
 from monitor.runs.baselines import modal_origin
 from monitor.service.serialization import from_bytes, to_bytes

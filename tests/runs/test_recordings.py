@@ -11,10 +11,9 @@ import pytest
 
 from drivers.mcap_file import read_recordings, recording_info
 from monitor.config import configuration
-from monitor.core.files import sha256
-from monitor.core.results import WindowResult
+from monitor.core import WindowResult, sha256
 from monitor.damage import baseline
-from monitor.inference.segments import gather
+from monitor.inference import gather
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, diagnose
 from tests.conftest import Cli

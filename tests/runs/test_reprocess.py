@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.runs.archive.inventory import Survey, expand_patterns, group_into_runs
 from monitor.runs.archive.reprocess import reprocess
 from tests.conftest import T0_NS, Cli, Cut

@@ -13,8 +13,8 @@ import pytest
 
 from monitor.config import Configuration, configuration
 from monitor.runs.warming import warm_up
+from monitor.service import Daemon
 from monitor.service import daemon as daemon_module
-from monitor.service.daemon import Daemon
 from tests.conftest import Cli
 from tests.service.test_daemon import SITE, Scripted, health
 

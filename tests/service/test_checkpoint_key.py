@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, cast
 
-from monitor.config.configuration import Configuration
+from monitor.config import Configuration
 from monitor.service.restart import Checkpointer
 
 FRAME = Path(__file__).parents[2] / "recordings" / "frame.toml"

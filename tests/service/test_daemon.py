@@ -26,11 +26,10 @@ from drivers.base import GROUND, TEMPERATURE, EndOfStream, SampleBlock, SourceEr
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import unfit
 from monitor.config import configuration
-from monitor.core.errors import BadConfigurationError, BadInputError, MissingInputError
-from monitor.core.results import Gap, Level, WindowResult
+from monitor.core import BadConfigurationError, BadInputError, Gap, Level, MissingInputError, WindowResult
 from monitor.damage import Assessment, Loss, State
-from monitor.publish.results.lines import to_json
-from monitor.runs.session import Session
+from monitor.publish import to_json
+from monitor.runs import Session
 from monitor.service import appended_lines
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon import Daemon

@@ -19,9 +19,8 @@ import pytest
 
 from drivers.base import SampleBlock
 from monitor.core import MissingInputError
-from monitor.publish.reports.period_report import read_period
+from monitor.publish import read_line, read_period
 from monitor.publish.results.files import read_all_lines
-from monitor.publish.results.lines import read_line
 from monitor.service import status
 from monitor.service.daemon import Daemon
 from monitor.service.restart import lock

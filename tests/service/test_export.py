@@ -14,7 +14,7 @@ import pyarrow.parquet
 import pytest
 import zstandard
 
-from monitor.core.errors import BadInputError, MissingInputError, WrongUsageError
+from monitor.core import BadInputError, MissingInputError, WrongUsageError
 from monitor.core.extras import EXTRAS, MissingExtraError
 from monitor.service.export import export
 from monitor.service.line_protocol import line

@@ -16,7 +16,7 @@ from deploy.compose import composed
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
 from monitor.config import configuration
 from monitor.damage import State
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.service import fleet
 from monitor.service.fleet import SiteStatus, code, status
 from monitor.service.fleet_view import text

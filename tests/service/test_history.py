@@ -13,8 +13,8 @@ from typing import Any
 import pyarrow.parquet
 import pytest
 
-from monitor.config.state_settings import StateSettings
-from monitor.core.errors import MissingInputError
+from monitor.config import StateSettings
+from monitor.core import MissingInputError
 from monitor.service import history
 from monitor.service.export import export
 from monitor.service.history import History, limit, open_database

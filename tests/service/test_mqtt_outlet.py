@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from drivers.mqtt_session import BrokerSettings, Connection, Message
-from monitor.core.results import Gap, Level
+from monitor.core import Gap, Level
 from monitor.damage import Assessment, State
 from monitor.service.outlets.mqtt import MqttOut, MqttOutSettings
 from tests.drivers.test_zenoh_bus import until

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from monitor.core.results import Alarm, AlarmCondition, Level, Skipped, WindowResult
+from monitor.core import Alarm, AlarmCondition, Level, Skipped, WindowResult
 from monitor.damage import Assessment, State
 from monitor.service.daemon_health import losses
 from monitor.service.outlets import delivery_workers, notices

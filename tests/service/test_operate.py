@@ -21,8 +21,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from monitor.config import LogSettings, configuration, security_check
-from monitor.core.errors import BadConfigurationError, MissingInputError
-from monitor.model.simulation import simulate
+from monitor.core import BadConfigurationError, MissingInputError
+from monitor.model import simulate
 from monitor.service import logs
 from monitor.service.logs import LineFormatter
 from monitor.service.outlets import inbox

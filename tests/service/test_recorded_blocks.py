@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.recorder import RecorderSettings
-from monitor.runs.online_diagnosis import RecentBlocks
+from monitor.runs import RecentBlocks
 from monitor.service.recorded_blocks import RecordedBlocks
 from monitor.service.threads import Recording
 from tests.conftest import T0_NS, Cut

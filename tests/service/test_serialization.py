@@ -21,12 +21,12 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from monitor.config import configuration
-from monitor.core.results import WindowResult
+from monitor.core import WindowResult
 from monitor.events import EventState, GroundState
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.pipeline import Pipeline, PipelineState
-from monitor.publish.results.lines import to_json, window_line
-from monitor.runs.session import Session, SessionState
+from monitor.publish import to_json, window_line
+from monitor.runs import Session, SessionState
 from monitor.service import serialization
 from monitor.service.restart import Saved
 from monitor.service.serialization import CheckpointError, from_bytes, load, previous, save, to_bytes

@@ -13,8 +13,9 @@ import pytest
 from drivers.base import SampleBlock
 from drivers.recorder_settings import RecorderSettings
 from monitor.config import OutputSettings
+from monitor.publish import closed_files, month_file, pack_month, read_lines
 from monitor.publish.reports.period_data import read_results
-from monitor.publish.results.files import closed_files, month_file, pack_month, read_all_lines, read_lines
+from monitor.publish.results.files import read_all_lines
 from monitor.runs import Session
 from monitor.service import restart
 from monitor.service.daemon import Daemon

@@ -21,7 +21,7 @@ import pytest
 from monitor.config import configuration, security_check
 from monitor.core.extras import EXTRAS
 from monitor.damage import Assessment, State
-from monitor.publish.results.files import pack_month
+from monitor.publish import pack_month
 from monitor.service.outlets import make_outlets
 from monitor.service.outlets.http_server import asgi
 from monitor.service.web import outlet, snapshots

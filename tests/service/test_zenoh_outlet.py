@@ -17,9 +17,9 @@ import pytest
 import zenoh
 
 from drivers.zenoh_session import SessionSettings, open_session
-from monitor.core.results import WHOLE, Alarm, AlarmCondition, DamageReading, Gap, Level, Skipped, WindowResult
+from monitor.core import WHOLE, Alarm, AlarmCondition, DamageReading, Gap, Level, Skipped, WindowResult
 from monitor.damage import Assessment, State, alarm
-from monitor.publish.results.lines import to_json, window_line
+from monitor.publish import to_json, window_line
 from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, Request, apply
 from tests.drivers.test_zenoh_bus import until

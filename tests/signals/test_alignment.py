@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.base import ACCELERATION, SampleBlock
-from monitor.core.errors import BadInputError
+from monitor.core import BadInputError
 from monitor.signals import alignment
 from monitor.signals.alignment import AlignState, Piece
 

@@ -7,10 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from monitor.model.effects import EFFECTS
-from monitor.model.model import Model
-from monitor.model.simulation import ExcitationKind, simulate
-from monitor.model.structures import ShearFrame
+from monitor.model import EFFECTS, ExcitationKind, Model, ShearFrame, simulate
 from monitor.signals import Conditioner
 from monitor.signals.channel_faults import CELL, Fault, RawFacts, find_faults
 

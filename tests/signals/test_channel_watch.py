@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import cheby1, sosfilt
 
-from monitor.core.results import Window
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
+from monitor.core import Window
+from monitor.model import Model, ShearFrame, simulate
 from monitor.signals import channel_watch, windows
 from monitor.signals.channel_watch import WatchState
 from monitor.signals.sensor_health import HealthSettings

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.model.effects import EFFECTS
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
+from monitor.model import EFFECTS, Model, ShearFrame, simulate
 from monitor.signals.mains_hum import Hum, find_hum
 from monitor.signals.welch import SegmentDesign, transform
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
+from monitor.model import Model, ShearFrame, simulate
 from monitor.signals.sensor_drift import Drift, find_drift
 from monitor.signals.welch import SegmentDesign, transform
 

@@ -10,11 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from monitor.config import configuration
-from monitor.core.results import Gap, WindowResult
-from monitor.model.effects import EFFECTS
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
+from monitor.core import Gap, WindowResult
+from monitor.model import EFFECTS, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline
 from monitor.signals import sensor_health
 from monitor.signals.sensor_health import ChannelHealth, Health, HealthSettings, HealthState

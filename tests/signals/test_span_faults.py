@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
+from monitor.model import Model, ShearFrame, simulate
 from monitor.signals.span_faults import SpanFaults, find_span_faults
 
 RATE, SPAN = 200.0, 2000

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.core.results import Skipped, Window
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
-from monitor.model.structures import ShearFrame
+from monitor.core import Skipped, Window
+from monitor.model import Model, ShearFrame, simulate
 from monitor.signals import window_quality, windows
 from monitor.signals.window_quality import QualitySettings
 from monitor.signals.windows import WindowGrid

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from monitor.core.results import Skipped, Window
+from monitor.core import Skipped, Window
 from monitor.identification.kernels import scatter
 from monitor.signals import windows
 from monitor.signals.windows import WindowGrid, WindowState

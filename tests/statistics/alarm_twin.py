@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from monitor.core.results import Array
-from monitor.damage import sequential_test
-from monitor.damage.alarm import AlarmSettings
-from monitor.signals.welch import overlap_correlation
+from monitor.core import Array
+from monitor.damage import AlarmSettings, sequential_test
+from monitor.signals import overlap_correlation
 
 HOP_S, WINDOW_S = 10.0, 400.0
 WINDOW, SEGMENTS = 40, 39

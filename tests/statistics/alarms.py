@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from drivers.base import ACCELERATION
-from monitor.core.results import Array, Level, WindowResult
-from monitor.damage import Baseline, learn_baseline
-from monitor.damage.alarm import AlarmSettings
-from monitor.model.simulation import simulate
+from monitor.core import Array, Level, WindowResult
+from monitor.damage import AlarmSettings, Baseline, learn_baseline
+from monitor.model import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 from tests.statistics.alarm_twin import HOP_S, MONTH, TWIN, WINDOW_S, Twin, episodes, evidence
 from tests.statistics.estimates import STIFFNESS, configuration
 

@@ -27,17 +27,13 @@ from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, SampleBlock
-from monitor.config.configuration import Configuration
+from monitor.config import Configuration
 from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.diagnosis.verdict import Cause, FittedCauses, _causes
-from monitor.inference.observed_spectra import classify
-from monitor.inference.segments import Segments, gather
-from monitor.model.effects import EFFECTS, Effect
-from monitor.model.prior import StructuralPrior
-from monitor.model.simulation import simulate
-from monitor.runs import diagnose
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.inference import Segments, classify, gather
+from monitor.model import EFFECTS, Effect, StructuralPrior, simulate
+from monitor.runs import cut_into_blocks, diagnose
 from tests.hidden import truth, world
 
 KINDS = {

@@ -19,14 +19,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION
-from monitor.config.configuration import Configuration
-from monitor.core.results import ModalEstimate, StiffnessEstimate, WindowResult
+from monitor.config import Configuration
+from monitor.core import ModalEstimate, StiffnessEstimate, WindowResult
 from monitor.damage import Baseline, damage_index, learn_baseline
-from monitor.identification.whittle import RefinementSettings
-from monitor.model.simulation import simulate
+from monitor.identification import RefinementSettings
+from monitor.model import simulate
 from monitor.pipeline import Pipeline
+from monitor.runs import cut_into_blocks
 from monitor.runs.paper_tables import MASSES_KG
-from monitor.runs.synthetic_recording import cut_into_blocks
 
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])
 BASELINE_S, WINDOW_S = 1200.0, 400.0

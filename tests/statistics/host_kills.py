@@ -26,8 +26,8 @@ import numpy as np
 from drivers.base import ACCELERATION
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
-from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.model import simulate
+from monitor.runs import cut_into_blocks
 from tests.conftest import CHANNELS, FRAME, T0_NS
 from tests.support.live_rig import Command, shm_monitor, until
 from tests.support.object_storage import object_storage

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from monitor.core.results import Array
+from monitor.core import Array
 
 MODES_HZ, DAMPING, DURATION_S = (5.2, 16.3, 23.0), 0.01, 7200
 """The paper's frame, lightly damped, and a record of two hours."""

@@ -21,11 +21,11 @@ import numpy as np
 
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
-from monitor.core.results import Level, ModalEstimate, WindowResult
+from monitor.core import Level, ModalEstimate, WindowResult
 from monitor.damage import Baseline, learn_baseline
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 from tests.statistics.estimates import STIFFNESS, configuration
 
 HOUR_S, RATE_HZ, BLOCK = 3600, 100.0, 6000

@@ -16,14 +16,14 @@ import numpy as np
 
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
-from monitor.core.results import Level, WindowResult
+from monitor.core import Level, WindowResult
 from monitor.damage import ModalBaseline, learn_modal_baseline
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.pipeline import Pipeline
+from monitor.runs import cut_into_blocks
 from monitor.runs.baselines import modal_origin
 from monitor.runs.calibrate import covariate_units, with_common_modes
 from monitor.runs.modal_calibration import common_modes
-from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.statistics.estimates import configuration
 
 WINDOW_S, HOP_S, RATE_HZ, BURN_IN_S, T0_NS = 400.0, 50.0, 128.0, 5.0, 1_800_000_000_000_000_000

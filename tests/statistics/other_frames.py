@@ -19,11 +19,10 @@ from scipy.signal import resample_poly
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, SampleBlock
-from monitor.config.configuration import Configuration
-from monitor.model.effects import Context, parse_effect
-from monitor.model.model import Model
-from monitor.model.simulation import respond_exactly, simulate
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.config import Configuration
+from monitor.model import Context, Model, parse_effect, simulate
+from monitor.model.simulation import respond_exactly
+from monitor.runs import cut_into_blocks
 from tests.hidden import engine
 
 LEAST_HZ = 1000.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from monitor.core.files import write_atomically
+from monitor.core import write_atomically
 
 if TYPE_CHECKING:
     from tests.statistics.estimates import Estimates

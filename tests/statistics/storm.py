@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.base import ACCELERATION
-from monitor.core.results import WHOLE, WindowResult
+from monitor.core import WHOLE, WindowResult
 from monitor.damage import Baseline, learn_baseline
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 from tests.statistics.estimates import STIFFNESS, configuration
 
 WINDOW_S, HOP_S, RATE_HZ, BURN_IN_S = 400, 100, 200.0, 5.0

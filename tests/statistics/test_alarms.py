@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.core.results import DamageReading, Level
-from monitor.damage import alarm, sequential_test
-from monitor.damage.alarm import AlarmSettings
+from monitor.core import DamageReading, Level
+from monitor.damage import AlarmSettings, alarm, sequential_test
 from tests.statistics.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S, evidence
 from tests.statistics.alarms import (
     THRESHOLD,

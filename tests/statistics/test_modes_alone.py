@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from monitor.core.results import Level
+from monitor.core import Level
 from monitor.pipeline import Pipeline
 from tests.statistics.modes_alone import SITE, calibrated, watch
 

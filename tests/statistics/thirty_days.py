@@ -19,12 +19,12 @@ from PIL import Image, ImageDraw
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
-from monitor.core.results import WHOLE, DamageReading, WindowResult
-from monitor.damage import Baseline, alarm, damage_index, law_lines, learn_baseline
-from monitor.damage.covariate_law import CovariateLaw, Effect
-from monitor.model.simulation import simulate
+from monitor.core import WHOLE, DamageReading, WindowResult
+from monitor.damage import Baseline, CovariateLaw, alarm, damage_index, law_lines, learn_baseline
+from monitor.damage.covariate_law import Effect
+from monitor.model import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 from monitor.signals import temperature
 from tests.statistics.estimates import STIFFNESS, configuration
 

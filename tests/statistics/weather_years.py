@@ -19,10 +19,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from monitor.core.results import WHOLE, DamageReading, Level
-from monitor.damage import AlarmSettings, alarm, slow_learning
-from monitor.damage.covariate_law import CovariateLaw
-from monitor.damage.covariates import Change, CovariateSettings, learn_law
+from monitor.core import WHOLE, DamageReading, Level
+from monitor.damage import AlarmSettings, CovariateLaw, CovariateSettings, alarm, slow_learning
+from monitor.damage.covariates import Change, learn_law
 from monitor.signals import LAGS_S
 
 HOUR_NS, CALIBRATION_H, YEAR_H = 3_600_000_000_000, 14 * 24, 365 * 24

@@ -14,14 +14,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION
-from monitor.config.configuration import Configuration
-from monitor.core.results import WindowResult
+from monitor.config import Configuration
+from monitor.core import WindowResult
 from monitor.damage import learn_baseline
-from monitor.model.effects import EFFECTS
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
+from monitor.model import EFFECTS, Model, simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.runs import cut_into_blocks
 from tests.statistics.estimates import BASELINE_S, WINDOW_S, configuration
 
 LOSS = 0.05

@@ -27,18 +27,15 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
-from monitor.core.results import Gap, Skipped, WindowResult
+from monitor.core import Gap, Skipped, WindowResult
 from monitor.damage import alarm, load_baseline, save_baseline
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Publisher
+from monitor.runs import Session, calibrate, cut_into_blocks
 from monitor.runs import session as session_module
-from monitor.runs.calibrate import calibrate
-from monitor.runs.session import Session
-from monitor.runs.synthetic_recording import cut_into_blocks
-from monitor.service import logs
-from monitor.service.daemon import Daemon
-from monitor.signals.sensor_health import Health
+from monitor.service import Daemon, logs
+from monitor.signals import Health
 from tests.statistics.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S
 from tests.support.frame_text import THREE_STORIES
 from tests.support.live_site import RATE, SIZE, given

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 from typing import Self
 
+from monitor.service import Request
 from monitor.service.outlets.base import Outlet
-from monitor.service.requests import Answer, Request
+from monitor.service.requests import Answer
 
 
 class Monitor:

@@ -20,8 +20,9 @@ import tomlkit
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
-from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import cut_into_blocks, parse_damage
+from monitor.model import simulate
+from monitor.runs import cut_into_blocks
+from monitor.runs.synthetic_recording import parse_damage
 from tests.support.mosquitto import Broker
 from tests.support.zenoh_router import Router, free_port
 

@@ -36,8 +36,8 @@ from drivers import codec
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
-from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import cut_into_blocks
+from monitor.model import simulate
+from monitor.runs import cut_into_blocks
 from tests.conftest import CHANNELS, T0_NS
 from tests.service.test_http_server import fetch
 from tests.service.test_notify import Drip, Hook

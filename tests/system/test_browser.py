@@ -16,10 +16,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from monitor.core.results import Level
-from monitor.publish.reports.diagnosis_report import write_report
-from monitor.publish.reports.period_report import read_period, write_period
-from monitor.publish.viewer.publisher import RerunPublisher
+from monitor.core import Level
+from monitor.publish import RerunPublisher, read_period, write_period, write_report
 from tests.publish.test_diagnosis_report import LOSS, searched
 from tests.publish.test_event_report import page, told
 from tests.publish.test_period_report import json_lines, line_of

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from monitor.damage import State
+from monitor.service import fleet_page
 from monitor.service.fleet import SiteStatus
-from monitor.service.fleet_html import fleet_page
 from tests.support.debian import demand
 from tests.system.test_browser import browser_tool
 

@@ -22,8 +22,7 @@ import numpy as np
 import pytest
 
 from monitor.runs.ledger_chain import verify
-from monitor.service import serialization
-from monitor.service.outlets.zenoh import ZenohOutSettings, ask
+from monitor.service import ZenohOutSettings, ask, serialization
 from monitor.service.restart import KeptAlarms
 from tests.service.test_daemon import SITE
 from tests.service.test_http_server import fetch

@@ -17,9 +17,8 @@ import pytest
 from drivers.base import SampleBlock, SourceError
 from drivers.mcap_file import read_recordings
 from drivers.recorder import Recorder
-from monitor.core import Busy
-from monitor.core.results import WindowResult
-from monitor.service.daemon import Daemon
+from monitor.core import Busy, WindowResult
+from monitor.service import Daemon
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.status import look

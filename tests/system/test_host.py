@@ -17,7 +17,7 @@ import pytest
 
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, configuration
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.service import is_of_share
 from tests.conftest import Cli, Cut
 from tests.support.live_rig import Command, until

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from drivers.mcap_file import read_recordings
-from monitor.publish.results.schema import LINE_SCHEMA
+from monitor.publish import LINE_SCHEMA
 from tests.conftest import Cli
 
 pytestmark = pytest.mark.system

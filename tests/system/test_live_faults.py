@@ -24,11 +24,11 @@ from drivers.socketcand_server import SocketcandServer, frame_text
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
 from drivers.zenoh_session import SessionSettings, leave, open_session
 from monitor.config import configuration
-from monitor.core.results import WindowResult
-from monitor.publish.base import Publisher
+from monitor.core import WindowResult
+from monitor.publish import Publisher
+from monitor.runs import Session
 from monitor.runs.emulate import CanSink, cut_blocks
-from monitor.runs.session import Session
-from monitor.service.daemon import Daemon
+from monitor.service import Daemon
 from tests.drivers.test_can_bus import accel, datagram, group  # noqa: F401 - a fixture
 from tests.support.live_rig import (
     DEPLOY,

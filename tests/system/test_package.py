@@ -17,7 +17,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from monitor.core.extras import EXTRAS, MissingExtraError, import_extra, missing_extra
+from monitor.core import import_extra, missing_extra
+from monitor.core.extras import EXTRAS, MissingExtraError
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = ROOT / "recordings"

@@ -28,15 +28,14 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import recorded
 from monitor.config import configuration
-from monitor.core.results import Level
-from monitor.damage import load_baseline
-from monitor.damage.alarm import AlarmState, StoryState, acknowledge
-from monitor.model.simulation import simulate
-from monitor.publish.results.lines import facts_of_line
-from monitor.runs.session import Session
-from monitor.service import serialization
+from monitor.core import Level
+from monitor.damage import AlarmState, StoryState, load_baseline
+from monitor.damage.alarm import acknowledge
+from monitor.model import simulate
+from monitor.publish import facts_of_line
+from monitor.runs import Session
+from monitor.service import Daemon, serialization
 from monitor.service.appended_lines import AppendedLines
-from monitor.service.daemon import Daemon
 from monitor.service.daemon_health import plain
 from monitor.service.restart import Checkpointer, Saved
 from monitor.service.threads import Recording

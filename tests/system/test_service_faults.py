@@ -28,12 +28,11 @@ import pytest
 from drivers.base import SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
-from monitor.core.results import Level, WindowResult
-from monitor.diagnosis.trigger import Request
-from monitor.publish.base import Publisher
-from monitor.runs.session import Session
-from monitor.service import history, serialization
-from monitor.service.daemon import Daemon
+from monitor.core import Level, WindowResult
+from monitor.diagnosis import Request
+from monitor.publish import Publisher
+from monitor.runs import Session
+from monitor.service import Daemon, history, serialization
 from monitor.service.daemon_health import failures
 from monitor.service.restart import KeptAlarms
 from tests.conftest import T0_NS, Cli, Cut

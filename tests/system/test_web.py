@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from monitor.config import configuration
-from monitor.model.simulation import simulate
+from monitor.model import simulate
 from monitor.service.status import look, tell
 from tests.service.test_daemon import SITE as BARE_SITE
 from tests.service.test_web import TOKEN

@@ -20,7 +20,8 @@ from drivers import codec
 from drivers.base import SourceContext, SourceError
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher, ZenohSettings, ZenohSource
 from drivers.zenoh_session import SessionSettings, open_session
-from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
+from monitor.service import ZenohOutSettings
+from monitor.service.outlets.zenoh import ZenohOut
 from tests.drivers.test_zenoh_bus import CHANNELS, block, take, until
 from tests.support.answering import Monitor
 from tests.support.zenoh_router import Router, free_port
