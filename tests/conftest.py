@@ -6,53 +6,18 @@ import contextlib
 import io
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import configuration
 from monitor.model import simulate
-from tests.support.frame_text import THREE_STORIES
-
-FRAME = (
-    THREE_STORIES
-    + """
-[processing]
-window_s = 20.0
-hop_s = 5.0
-
-[identification]
-block_rows = 10
-"""
-)
-T0_NS = 1_767_225_600_000_000_000
-CHANNELS = ("a1", "a2", "a3")
-
-Cut = Callable[..., list[SampleBlock]]
-Cli = Callable[..., subprocess.CompletedProcess[str]]
-
-
-def _cut(
-    values: np.ndarray,
-    rate_hz: float,
-    sizes: Sequence[int] = (100,),
-    *,
-    t0_ns: int = T0_NS,
-    first: int = 0,
-    channels: tuple[str, ...] = CHANNELS,
-) -> list[SampleBlock]:
-    """Blocks of `sizes` samples, taken over and over; `first` is the first sample's sequence."""
-    blocks, start, count = [], 0, 0
-    while start < len(values):
-        part = values[start : start + sizes[count % len(sizes)]].astype(np.float32)
-        t_ns = t0_ns + round((first + start) / rate_hz * 1e9)
-        blocks.append(SampleBlock(ACCELERATION, t_ns, first + start, rate_hz, channels, "m/s^2", part))
-        start, count = start + len(part), count + 1
-    return blocks
+from tests.support.can_group import group as group
+from tests.support.samples import FRAME, Cli, Cut, _cut
+from tests.support.site import site as site
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -24,9 +24,9 @@ from monitor.pipeline import Pipeline, Result
 from monitor.publish import Summary, to_json, window_line
 from monitor.runs import cut_into_blocks
 from monitor.runs.calibrate import with_common_modes
-from tests.conftest import T0_NS, Cut
-from tests.damage.test_updating import HEALTHY, two_directions
-from tests.model.test_structures import configured, learned, results_of
+from tests.support.learned import configured, learned, results_of
+from tests.support.samples import T0_NS, Cut
+from tests.support.two_directions import HEALTHY, two_directions
 
 RATE = 128.0
 DURATION_S = 42.0

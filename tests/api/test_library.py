@@ -18,7 +18,7 @@ from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.core import WindowResult
 from monitor.pipeline import Pipeline
-from tests.conftest import FRAME, Cut
+from tests.support.samples import FRAME, Cut
 
 NAMES = {
     "Cause", "Condition", "Context", "Diagnosis", "Effect", "FittedSizes", "Modes", "Parameter", "Recording", "Structure",

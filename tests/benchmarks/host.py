@@ -30,7 +30,8 @@ from monitor.runs import Session
 from monitor.service.host import Line, Place
 from monitor.service.threads import BlockQueue
 from tests.support.frame_text import THREE_STORIES
-from tests.support.live_rig import ROOT, Command, until
+from tests.support.live_rig import ROOT, Command
+from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
 _BLOCK_S = 1.0

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,7 +26,8 @@ from monitor.cli.app import app
 from monitor.config import configuration
 from monitor.damage import Baseline, Update, learn_baseline
 from monitor.model import Model, simulate
-from tests.conftest import T0_NS, Cli, Cut
+from tests.support.commands import Done, assert_ok, assert_refused, strict
+from tests.support.samples import T0_NS, Cli, Cut
 
 ROS2 = Path(__file__).parents[1] / "data" / "mcap-ros2"
 RATE = 200.0
@@ -39,15 +39,6 @@ ESTIMATES = LINE_KEYS - {"t_end_ns", "window_s", "alarm", "skipped"}
 SUMMARY_KEYS = {"windows", "skipped", "alarms", "dropped_samples", "gaps", "realtime_factor"}
 EPISODE_KEYS = {"level", "story", "t_first_ns", "t_last_ns", "ddi", "ddi_std", "loss_n_per_m"}
 
-Done = subprocess.CompletedProcess[str]
-
-
-def strict(text: str) -> object:
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} is no JSON")
-
-    return json.loads(text, parse_constant=refuse)
-
 
 def lines_of(out: Path) -> list[dict]:
     return [strict(line) for line in (out / "results.jsonl").read_text().splitlines()]  # type: ignore[misc]
@@ -56,25 +47,6 @@ def lines_of(out: Path) -> list[dict]:
 def tree(folder: Path) -> dict[str, int]:
     """Every file below a folder with when it was last written."""
     return {str(p.relative_to(folder)): p.stat().st_mtime_ns for p in folder.rglob("*") if p.is_file()}
-
-
-def assert_ok(done: Done) -> None:
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-
-
-def assert_refused(done: Done, codes: set[int], *words: str) -> None:
-    """One clear message, the right code, never a traceback."""
-    assert "Traceback" not in done.stderr, done.stderr[-2000:]
-    assert done.returncode in codes, (done.returncode, done.stderr)
-    if done.returncode == 2:
-        assert "Usage" in done.stderr
-    else:
-        assert [line[:7] for line in done.stderr.splitlines()].count("error: ") == 1, done.stderr
-        assert done.stderr.startswith("error: ") or done.stderr.startswith("warning: ")
-    told = " ".join(done.stderr.split())
-    assert all(word in told for word in words), (words, done.stderr)
-    assert done.stdout == ""
 
 
 class Site:

@@ -20,8 +20,8 @@ from typer.main import get_command
 from monitor.cli import view
 from monitor.cli.app import app
 from monitor.core import GAP, Skipped, WrongUsageError
-from tests.conftest import Cli
-from tests.publish.test_viewer import listening as addresses
+from tests.support.samples import Cli
+from tests.support.strangers import listening as addresses
 
 MODULE = [sys.executable, "-m", "monitor"]
 

@@ -10,9 +10,8 @@ import pytest
 
 from drivers.mcap_file import scan_messages
 from monitor.config import configuration
-from tests.cli.test_app import assert_ok, assert_refused, strict
-from tests.conftest import Cli
-from tests.diagnosis.test_files import KEYS
+from tests.support.commands import KEYS, assert_ok, assert_refused, strict
+from tests.support.samples import Cli
 
 pytestmark = pytest.mark.engine
 

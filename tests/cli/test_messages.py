@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.mcap_file import McapWriter
-from tests.conftest import T0_NS, Cli, Cut
+from tests.support.samples import T0_NS, Cli, Cut
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ from monitor.service.restart import lock
 from monitor.service.status import look, tell
 from monitor.signals import Health
 from monitor.signals.sensor_health import ChannelHealth
-from tests.conftest import CHANNELS, T0_NS
+from tests.support.samples import CHANNELS, T0_NS
 
 WINDOW_S, HOP_S, COUNT = 20.0, 5.0, 6
 KNOWN = Known(("storey above", "middle storey", "storey below"), has_baseline=True, alarm_loss=0.1, misfit=5.0)

@@ -12,7 +12,7 @@ from monitor.core.parse import parse_address, utc_ns
 from monitor.core.settings import settings_problems
 from monitor.service import Request
 from monitor.service.outlets.metrics import MetricsSettings
-from tests.conftest import T0_NS, Cli
+from tests.support.samples import T0_NS, Cli
 
 
 def test_an_address_is_host_and_port() -> None:

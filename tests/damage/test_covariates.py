@@ -19,7 +19,7 @@ from monitor.model import simulate
 from monitor.pipeline import Pipeline, PipelineState
 from monitor.publish import to_json, window_line
 from monitor.service.serialization import from_bytes, to_bytes
-from tests.conftest import T0_NS, Cut
+from tests.support.samples import T0_NS, Cut
 
 WIND = """
 [[covariates]]

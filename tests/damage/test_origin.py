@@ -13,7 +13,7 @@ from monitor.config import Configuration
 from monitor.core import BadConfigurationError
 from monitor.damage import Baseline, load_baseline, rebase_baseline, save_baseline
 from monitor.damage.baseline import learn_baseline
-from tests.damage.test_damage_index import drawing, exact_modes, truth
+from tests.support.exact_modes import drawing, exact_modes, truth
 
 
 def learned(config: Configuration) -> Baseline:

@@ -24,7 +24,7 @@ from monitor.publish import to_json, window_line
 from monitor.runs import calibrate, cut_into_blocks, replay
 from monitor.signals import LAGS_S, TemperatureSettings, temperature
 from monitor.signals.temperature import TemperatureState
-from tests.conftest import CHANNELS, T0_NS, Cut
+from tests.support.samples import CHANNELS, T0_NS, Cut
 
 PER_DEGC = 1.5e-3
 SETTINGS = TemperatureSettings()

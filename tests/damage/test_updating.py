@@ -11,6 +11,7 @@ from monitor.damage.alternative_solutions import second_solutions
 from monitor.damage.updating import Observation, UpdatingSettings, counterparts, predict, update
 from monitor.model import MatrixStructure, Model, ShearFrame, parse_effect
 from monitor.runs.paper_tables import updating_history
+from tests.support.two_directions import HEALTHY, two_directions
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 INITIAL = np.array([2251.8509, 2251.8509, 1811.292])
@@ -205,18 +206,6 @@ def test_shapes_leave_no_second_solution() -> None:
     assert second_solutions(first, np.eye(3), target, UpdatingSettings()).shape == (0, 3)
 
 
-def two_directions(stiffness: np.ndarray) -> Model:
-    """Two stories that sway along x (floors 1, 2) and along y (3, 4), each for itself."""
-    slopes = np.zeros((4, 4, 4))
-    for j, place in enumerate((slice(0, 2), slice(1, 2), slice(2, 4), slice(3, 4))):
-        slopes[j, place, place] = [[1.0, -1.0], [-1.0, 1.0]] if j % 2 == 0 else 1.0
-    structure = MatrixStructure.create(
-        0.3 * np.eye(4), np.tensordot(stiffness, slopes, axes=1), slopes, stiffness, 0.01
-    )
-    return Model(structure)
-
-
-HEALTHY = np.array([775.0, 775.0, 838.0, 838.0])
 """First modes at 5.00 and 5.20 Hz."""
 
 

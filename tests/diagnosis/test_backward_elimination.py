@@ -21,7 +21,7 @@ from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference import MapEstimate, Posterior, classify, gather, maximize_posterior, normal_moments
 from monitor.model import Context, Model, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
-from tests.diagnosis.test_simulation_refit import CONFIG, RATE
+from tests.support.jointed_frame import CONFIG, RATE
 
 pytestmark = pytest.mark.engine
 

@@ -21,7 +21,7 @@ from monitor.inference.cross_spectra import Excitation, channel_response, cross_
 from monitor.inference.map_estimate import _shortened
 from monitor.model import Condition, Effect, EffectError, Model, StructuralPrior, System, parse_effect, simulate
 from monitor.model.effects import UnmodelledMode
-from tests.diagnosis.test_modal_start import CONTEXT, RATE, TORSION, TRUTH, diagnosed, posterior
+from tests.support.turning_frame import CONTEXT, RATE, TORSION, TRUTH, diagnosed, posterior
 
 COUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45,"

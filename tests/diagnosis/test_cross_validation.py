@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.config import Configuration
 from monitor.diagnosis.cross_validation import (
     HeldOutGain,
     _calibration_nats,
@@ -26,34 +25,12 @@ from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import refine_fit
 from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.inference import Segments, classify, gather, maximize_posterior
-from monitor.model import Context, Effect, Model, parse_effect, prior_from_drawing, simulate
+from monitor.model import Effect, Model, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import diagnose_segments
+from tests.support.damped_frame import DAMPER, RATE, context_of, recorded, settings
 
 pytestmark = pytest.mark.engine
-
-RATE = 100.0
-TRUTH = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
-DAMPER = "story_damper:story 1:damping_n_s_per_m=1.5"
-
-
-def settings(**changes: object) -> Configuration:
-    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
-    return Configuration.model_validate({"structure": {**TRUTH, **changes}, "sensors": sensors})
-
-
-def recorded(effects: tuple[Effect, ...], seed: int, duration_s: float = 400.0, **more: object) -> Segments:
-    config = settings()
-    model = Model(config.model().structure, effects)
-    context = Context(model.structure, config.channels, config.instrumented().sensor_matrix, RATE)
-    motion = simulate(
-        model, duration_s=duration_s, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context, **more
-    )
-    return gather(cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100), config.front_end())
-
-
-def context_of(config: Configuration) -> Context:
-    return config.instrumented().context(RATE)
 
 
 def explained_by(effect: Effect, segments: Segments) -> Diagnosis:

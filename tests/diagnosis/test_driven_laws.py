@@ -11,7 +11,7 @@ from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.inference import classify, gather
 from monitor.model import parse_effect, prior_from_drawing
 from monitor.runs.diagnose import diagnose_segments
-from tests.inference.test_input_response import FORCED, pushed
+from tests.support.pushed_frame import FORCED, pushed
 
 pytestmark = pytest.mark.engine
 

@@ -26,11 +26,11 @@ from monitor.inference import Segments, classify, maximize_posterior
 from monitor.model import Model, ModelDiscrepancy, parse_effect, prior_from_drawing
 from monitor.model.effects.unmodelled_mode import UnmodelledMode
 from monitor.model.prior_file import from_plain, to_plain
-from tests.diagnosis.test_cross_validation import DAMPER, context_of, recorded, settings
+from tests.support.commands import KEYS
+from tests.support.damped_frame import DAMPER, context_of, recorded, settings
 
 pytestmark = pytest.mark.engine
 
-KEYS = {"verdict", "cause", "causes", "alternatives", "separating_measurement", "misfit", "gain", "standing", "tried"}
 TEXT = """# The drawing.
 [structure]
 kind = "shear_frame"   # no shear frame, really

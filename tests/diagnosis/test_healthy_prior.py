@@ -26,7 +26,7 @@ from monitor.model.simulation import linear_system
 from monitor.publish.reports.diagnosis_report import page
 from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import learn_healthy_prior
-from tests.diagnosis.test_simulation_refit import CONFIG, RATE
+from tests.support.jointed_frame import CONFIG, RATE
 
 pytestmark = pytest.mark.engine
 

@@ -2,56 +2,24 @@
 
 from __future__ import annotations
 
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.base import ACCELERATION
 from monitor.diagnosis import initial_fit, stepwise_selection
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit
 from monitor.diagnosis.modal_start import find_modal_starts, fit_from_modes, identify_modes
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import diagnose
-from monitor.diagnosis.verdict import Diagnosis
-from monitor.inference import ObservedSpectra, Posterior, classify, gather, make_posterior, tone_log_odds
-from monitor.model import Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
-from monitor.runs import cut_into_blocks
-from tests.diagnosis.test_simulation_refit import CONFIG
+from monitor.inference import tone_log_odds
+from monitor.model import parse_effect
+from tests.support.turning_frame import CONTEXT, TORSION, TRUTH, diagnosed, drawn, posterior, spectra
 
-RATE = 512.0
 """Rate of the samples, Hz: forces that are linear between them are white up to a twelfth of it."""
-TORSION = tuple(
-    parse_effect(f"unmodelled_mode:frame:frequency_hz={hz},damping_ratio=0.012,shape_1={a},shape_2={b},shape_3={c}")
-    for hz, a, b, c in ((7.4, 1.0, 0.8, 0.45), (17.5, 0.9, -0.5, -1.1))
-)
-TRUTH = CONFIG.model()
-CONTEXT = CONFIG.instrumented().context(RATE)
 OFF = np.array([1.3, 0.75, 1.25])
 """What the drawing says of the stiffnesses, over the truth."""
-
-
-@cache
-def spectra(*effects: Effect) -> ObservedSpectra:
-    """Averaged spectra of ten minutes of the true frame."""
-    model = Model(TRUTH.structure, effects)
-    motion = simulate(model, duration_s=600.0, rate_hz=RATE, noise=0.03, seed=5, context=CONTEXT)
-    return classify(
-        gather(cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128), CONFIG.front_end())
-    )
-
-
-def drawn(off: np.ndarray) -> StructuralPrior:
-    """What a drawing tells that is off by factors."""
-    structure = TRUTH.structure.with_stiffness(TRUTH.structure.stiffness_n_per_m * off)
-    return prior_from_drawing(Model(structure), np.r_[np.full(3, 0.2), np.full(3, 0.05)], 3)
-
-
-def posterior(off: np.ndarray, *effects: Effect) -> Posterior:
-    return make_posterior(spectra(*effects), drawn(off), CONTEXT)
 
 
 def relative_stiffness(x: np.ndarray) -> np.ndarray:
@@ -84,10 +52,6 @@ def test_the_spectra_are_fitted_from_there() -> None:
     assert evidence < fit.log_posterior
     shape = np.array([fit.effects[0].values()[f"shape_{i}"] for i in (1, 2, 3)])
     assert shape / shape[0] == pytest.approx(np.array([1.0, 0.8, 0.45]), abs=0.06)
-
-
-def diagnosed(off: np.ndarray, *effects: Effect) -> Diagnosis:
-    return diagnose(spectra(*effects), drawn(off), CONTEXT, DiagnosisSettings())
 
 
 @pytest.mark.engine

@@ -11,7 +11,7 @@ import pytest
 
 from monitor.diagnosis.observed_causes import add_observed_causes
 from monitor.model import Condition
-from tests.diagnosis.test_clock_drift import CONFIG, RATE_HZ, segments, vibration
+from tests.support.vibration import CONFIG, RATE_HZ, segments, vibration
 
 ONES = np.ones(3)
 

@@ -9,7 +9,7 @@ import pytest
 
 from monitor.diagnosis import cross_validation
 from monitor.diagnosis.repetition import find_repetition, state_repetition
-from tests.diagnosis.test_clock_drift import RATE_HZ, segments, vibration
+from tests.support.vibration import RATE_HZ, segments, vibration
 
 
 @dataclass(frozen=True)

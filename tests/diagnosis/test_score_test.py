@@ -43,8 +43,8 @@ from monitor.model import Effect, prior_from_drawing, simulate
 from monitor.model.effects import ChannelSwap, CubicStiffness, SensorGain, StiffnessChange
 from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import learn_healthy_prior
-from tests.diagnosis.test_modal_start import TORSION
-from tests.diagnosis.test_simulation_refit import CONFIG, RATE
+from tests.support.jointed_frame import CONFIG, RATE
+from tests.support.turning_frame import TORSION
 
 pytestmark = pytest.mark.engine
 

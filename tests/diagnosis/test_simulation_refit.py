@@ -25,27 +25,14 @@ from monitor.inference import (
 )
 from monitor.inference.corrected_posterior import _bound_corrections
 from monitor.inference.linearization import forced_motion
-from monitor.model import Effect, Model, parse_effect, prior_from_drawing, simulate
+from monitor.model import Effect, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
+from tests.support.jointed_frame import CONFIG, RATE, SENSORS, posed
 
 pytestmark = pytest.mark.engine
 
-RATE = 128.0
-FRAME = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
 CUBIC = "cubic_stiffness:story 2:k3_n_per_m3={:g}"
 STRONG = 1e8
-SENSORS = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
-CONFIG = Configuration.model_validate({"structure": FRAME, "sensors": SENSORS})
-
-
-def posed(effect: Effect, seed: int = 5) -> tuple[Posterior, MapEstimate]:
-    """A recording with the effect, and the model without it fitted."""
-    model = Model(CONFIG.model().structure, (effect,))
-    context = CONFIG.instrumented().context(RATE)
-    motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context)
-    blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
-    known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
-    return fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
 
 
 @pytest.fixture(scope="module")

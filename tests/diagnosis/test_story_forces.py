@@ -12,7 +12,7 @@ from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.diagnosis.story_forces import StoryLaw, story_laws
 from monitor.inference import Segments, classify, gather
 from monitor.model import prior_from_drawing
-from tests.inference.test_input_response import FORCED, pushed
+from tests.support.pushed_frame import FORCED, pushed
 
 pytestmark = pytest.mark.engine
 

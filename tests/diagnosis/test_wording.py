@@ -15,7 +15,7 @@ from monitor.diagnosis.drawing_refit import refit, refit_headline
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.wording import class_in_words, csd_error_in_words, headline, in_words, law_family
 from monitor.model import FORMS, prior_from_drawing
-from tests.diagnosis.test_cross_validation import settings
+from tests.support.damped_frame import settings
 
 pytestmark = pytest.mark.engine
 

@@ -1,6 +1,5 @@
 """CAN buses as sources: virtual ones, the socketcan code over a local socket, and whatever frames may bring."""
 
-import itertools
 import socket
 import struct
 import threading
@@ -9,53 +8,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
-import msgpack
 import numpy as np
 import pytest
 from can.interfaces.socketcan import socketcan
-from can.interfaces.udp_multicast.utils import pack_message
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from drivers import frames
-from drivers.base import EndOfStream, SampleBlock, SourceContext, SourceError
+from drivers.base import EndOfStream, SampleBlock, SourceError
 from drivers.can_bus import CanSource
 from drivers.frames import FrameError
 from drivers.registry import source_type
 from drivers.socketcand_server import frame_text
-
-DEPLOY = Path(__file__).parents[2] / "deploy"
-CHANNELS = ("a1", "a2", "a3")
-T0 = 1_767_225_600.0
-RATE = 1024.0
-_names = itertools.count()
-
-
-def source(folder: Path = DEPLOY, channels: tuple[str, ...] = CHANNELS, **table: object) -> CanSource:
-    table = {
-        "interface": "virtual",
-        "channel": f"test{next(_names)}",
-        "dbc": "frame.dbc",
-        "sample_rate_hz": RATE,
-    } | table
-    return CanSource(CanSource.Settings.model_validate(table), SourceContext(channels, folder))
-
-
-def accel(sequence: np.ndarray, values: np.ndarray | None = None, t0: float = T0) -> list[can.Message]:
-    """Frames of the shipped layout."""
-    (layout,) = frames.load(DEPLOY / "frame.dbc", CHANNELS)
-    data, _ = layout.encode(row_values(sequence) if values is None else values, sequence % 65536)
-    return [
-        can.Message(timestamp=t0 + k / RATE, arbitration_id=256, is_extended_id=False, data=row.tobytes())
-        for k, row in zip(sequence.tolist(), data, strict=True)
-    ]
-
-
-def row_values(sequence: np.ndarray) -> np.ndarray:
-    """Samples that tell their number."""
-    return np.column_stack([sequence % 1000, sequence // 1000 % 1000, -(sequence % 777)]) * 0.001
-
+from tests.support.can_group import CHANNELS, DEPLOY, RATE, T0, accel, datagram, row_values, source
 
 Feed = Callable[[list[can.Message]], None]
 
@@ -225,28 +191,6 @@ def test_bus_off_is_believed_at_once_if_the_controller_says_so(feeder: Feeder) -
         while True:
             found.append(reader.read(0.2))
     assert indices([b for b in found if b]) == list(range(50)) and reader.health().counts["bus_off"] == 1
-
-
-@pytest.fixture
-def group() -> Iterator[tuple[CanSource, Callable[[bytes], object]]]:
-    """A source on udp_multicast, and what sends it a datagram over loopback."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("", 0))
-        port = free.getsockname()[1]
-    reader = source(interface="udp_multicast", channel="239.74.163.2", options={"port": port})
-    try:
-        reader.open()
-    except SourceError as error:
-        pytest.skip(f"no multicast here: {error}")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        yield reader, lambda data: sender.sendto(data, ("127.0.0.1", port))
-    reader.close()
-
-
-def datagram(message: can.Message, **forged: object) -> bytes:
-    """A frame as udp_multicast sends it, with forged fields."""
-    fields = msgpack.unpackb(pack_message(message)) | forged
-    return bytes(msgpack.packb(fields))
 
 
 def test_malformed_datagrams_are_counted_and_close_nothing(

@@ -8,36 +8,12 @@ import pytest
 from google.protobuf import descriptor_pb2
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from drivers import codec
-from drivers.base import ACCELERATION, UNITS, SampleBlock
+from drivers.base import ACCELERATION, SampleBlock
 from drivers.merged import merged
-from tests.conftest import Cut
-
-
-@st.composite
-def blocks(draw: st.DrawFn) -> SampleBlock:
-    """Any block that the vocabulary allows, NaN and infinite samples among them."""
-    channels = tuple(draw(st.lists(st.text(max_size=5), min_size=1, max_size=4)))
-    shape = (draw(st.integers(0, 20)), len(channels))
-    return SampleBlock(
-        topic="/acceleration",
-        t_ns=draw(st.integers(0, 2**61)),
-        sequence=draw(st.integers(0, 2**61)),
-        sample_rate_hz=draw(st.floats(1e-3, 1e7)),
-        channels=channels,
-        unit=draw(st.sampled_from(UNITS)),
-        samples=draw(hnp.arrays(np.float32, shape, elements=st.floats(width=32))),
-    )
-
-
-def same(left: SampleBlock, right: SampleBlock) -> bool:
-    """Equal in every field, NaN equal to NaN."""
-    fields = ("topic", "t_ns", "sequence", "sample_rate_hz", "channels", "unit")
-    return all(getattr(left, name) == getattr(right, name) for name in fields) and np.array_equal(
-        left.samples, right.samples, equal_nan=True
-    )
+from tests.support.any_block import blocks, same
+from tests.support.samples import Cut
 
 
 @given(blocks())

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.can_open import CanSettings
 from drivers.live import LiveBounds, LiveSettings
-from tests.conftest import T0_NS
+from tests.support.samples import T0_NS
 
 S = 10**9
 RATE = 200.0

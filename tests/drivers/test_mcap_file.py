@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 from drivers import codec, mcap_records
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_messages
-from tests.drivers.test_codec import blocks, same
+from tests.support.any_block import blocks, same
 
 DATA = Path(__file__).parents[1] / "data"
 _S = 10**9

@@ -14,7 +14,7 @@ from drivers.base import ACCELERATION, EndOfStream, RecordingError, RecordingMis
 from drivers.mcap_file import McapWriter
 from drivers.mcap_source import McapSource
 from drivers.registry import source_type
-from tests.conftest import CHANNELS, T0_NS, Cut
+from tests.support.samples import CHANNELS, T0_NS, Cut
 
 
 @pytest.fixture

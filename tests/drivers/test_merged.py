@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from drivers.base import TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.merged import merged
-from tests.conftest import T0_NS, Cut
+from tests.support.samples import T0_NS, Cut
 
 
 def small(cut: Cut, n: int = 1000, sizes: tuple[int, ...] = (10,), rate_hz: float = 100.0) -> list[SampleBlock]:

@@ -19,9 +19,10 @@ from drivers.mqtt import MqttPublisher, MqttSettings, MqttSource, PublisherSetti
 from drivers.mqtt_session import BrokerSettings, Connection
 from monitor.config import configuration, security_check
 from monitor.core import BadConfigurationError
-from tests.drivers.test_zenoh_bus import CHANNELS, T0_NS, N, block, until
+from tests.support.certificates import certify
 from tests.support.mosquitto import PATIENCE_S, Broker
-from tests.system.test_zenoh_tls import _certify as certify
+from tests.support.numbered import CHANNELS, T0_NS, N, block
+from tests.support.waiting import until
 
 TOPIC = "shm/test-frame/acceleration"
 broker_test = pytest.mark.system

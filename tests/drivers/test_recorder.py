@@ -15,7 +15,7 @@ from drivers.base import TEMPERATURE, SampleBlock
 from drivers.mcap_file import read_recordings, scan_messages
 from drivers.mcap_writer import McapWriter
 from drivers.recorder import Recorder, RecorderSettings, unfit
-from tests.conftest import T0_NS, Cut
+from tests.support.samples import T0_NS, Cut
 
 RATE = 100.0
 

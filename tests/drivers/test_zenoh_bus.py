@@ -28,37 +28,9 @@ from drivers.reorder import Reorder
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher, ZenohSettings, ZenohSource
 from drivers.zenoh_session import Callbacks, SessionSettings, open_session
 from monitor.config import configuration as config
+from tests.support.numbered import CHANNELS, KEY, PATIENCE_S, T0_NS, N, block, take
+from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
-
-KEY = "shm/test-frame/acceleration"
-T0_NS = 1_767_225_600_000_000_000
-N = 16
-RATE = 1024.0
-CHANNELS = ("a1", "a2", "a3")
-PATIENCE_S = 60.0
-
-
-def block(i: int, n: int = N, t0_ns: int = T0_NS) -> SampleBlock:
-    values = np.full((n, 3), i, dtype=np.float32)
-    return SampleBlock(ACCELERATION, t0_ns + round(i * n / RATE * 1e9), i * n, RATE, CHANNELS, "m/s^2", values)
-
-
-def until(true: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < deadline, f"not within {PATIENCE_S:g} s: {what}"
-        time.sleep(0.01)
-
-
-def take(source: ZenohSource, count: int) -> list[int]:
-    """Numbers of the next blocks."""
-    numbers: list[int] = []
-    deadline = time.monotonic() + PATIENCE_S
-    while len(numbers) < count and time.monotonic() < deadline:
-        got = source.read(0.2)
-        if got is not None:
-            numbers.append(got.sequence // N)
-    return numbers
 
 
 @pytest.fixture
@@ -203,7 +175,7 @@ def test_a_publisher_ends_when_its_reader_has_taken_everything(
 _SENDER = """
 import sys, time
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
-from tests.drivers.test_zenoh_bus import KEY, block
+from tests.support.numbered import KEY, block
 endpoint, count, n, mode, wait = sys.argv[1:]
 publisher = ZenohPublisher(PublisherSettings(key=KEY, mode=mode, connect=(endpoint,)))
 while not list(publisher._session.get(KEY + "/received", timeout=1.0)):

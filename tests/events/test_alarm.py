@@ -13,7 +13,7 @@ from monitor.events.alarm import _MOST, EventAlarm, acknowledge, follow
 from monitor.events.limits import exceedances
 from monitor.pipeline import Pipeline
 from tests.events.shaken import blocks, configuration
-from tests.events.test_events import shaken
+from tests.support.quake import shaken
 
 LOW, HIGH = {"drift_ratio": 1e-5, "says": "go and look"}, {"drift_ratio": 0.5, "says": "clear the house"}
 LOST = {"residual_loss": 0.05, "says": "call the engineer"}

@@ -3,36 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 
-from monitor.events import Event
 from monitor.events.limits import judge
-from monitor.pipeline import Pipeline
 from monitor.publish import event_text
-from tests.events.shaken import RATE, STIFFNESS, Array, Shaken, blocks, configuration, kanai_tajimi, shake
-
-LIMIT = {"residual_loss": 0.05, "says": "send the engineer"}
-
-
-@cache
-def shaken(lost: float, seed: int, after_s: float = 75.0) -> Shaken:
-    """70 s of ambient motion, a quake of 20 s after which story 2 has lost a share of its stiffness, and ambient motion."""
-    rng = np.random.default_rng(seed)
-    wave = np.concatenate([np.zeros(round(70 * RATE)), kanai_tajimi(20.0, 1.0, 2.5, rng)])
-    first, state = shake(wave, rng)
-    stiffness = STIFFNESS * np.array([1.0, 1.0 - lost, 1.0])
-    second, _ = shake(np.zeros(round(after_s * RATE)), rng, stiffness=stiffness, start=state)
-    return Shaken(*(np.concatenate([getattr(first, n), getattr(second, n)]) for n in ("floors", "ground", "drifts")))
-
-
-def final(motion: Shaken, **events: object) -> tuple[Event, Pipeline]:
-    pipeline = Pipeline(configuration(events={"limits": [LIMIT], **events}))
-    told = [r for b in blocks(motion, n=1000) for r in pipeline.push(b) if isinstance(r, Event)]
-    (event,) = (e for e in told if e.revision == 0)
-    return event, pipeline
+from tests.events.shaken import Array
+from tests.support.losing_quake import final, shaken
 
 
 @pytest.mark.parametrize(("lost", "verdict"), [(0.0, None), (0.3, "send the engineer")])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -29,9 +28,9 @@ from tests.events.shaken import (
     Shaken,
     blocks,
     configuration,
-    kanai_tajimi,
     shake,
 )
+from tests.support.quake import ground, shaken, true_drifts
 
 WINDOWS = {"processing": {"window_s": 100.0, "hop_s": 50.0}}
 
@@ -45,27 +44,6 @@ def run(config: Configuration, data: Sequence[SampleBlock]) -> list[Result]:
 
 def events(results: Sequence[Result]) -> list[Event]:
     return [r for r in results if isinstance(r, Event)]
-
-
-def ground(duration_s: float, *quakes: tuple[float, float, int]) -> Array:
-    """Ground motion of which each quake has a begin, s, a peak, m/s^2, and a seed."""
-    out = np.zeros(round(duration_s * RATE))
-    for at_s, peak, seed in quakes:
-        rng = np.random.default_rng(seed)
-        wave = kanai_tajimi(20.0, peak, 2.5, rng)
-        out[round(at_s * RATE) :][: wave.size] += wave
-    return out
-
-
-@cache
-def shaken() -> Shaken:
-    """150 s with one quake at 80 s."""
-    return shake(ground(150.0, (80.0, 1.0, 3)), np.random.default_rng(4))[0]
-
-
-def true_drifts(motion: Shaken, event: Event) -> Array:
-    begin, end = (round((t - T0_NS) * 1e-9 * RATE) for t in (event.begin_ns, event.end_ns))
-    return np.asarray(np.abs(motion.drifts[begin:end]).max(axis=0))
 
 
 @pytest.mark.parametrize(("with_ground", "error"), [(True, 0.05), (False, 0.15)])

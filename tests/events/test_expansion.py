@@ -12,7 +12,7 @@ from monitor.config import Configuration
 from monitor.events import Event, Site
 from monitor.pipeline import Pipeline
 from tests.events.shaken import HEIGHTS, MASSES, STIFFNESS, blocks
-from tests.events.test_events import shaken, true_drifts
+from tests.support.quake import shaken, true_drifts
 
 
 def configuration(floors: tuple[int, ...], scale: tuple[float, ...], **events: object) -> Configuration:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,18 +17,9 @@ from monitor.pipeline import Pipeline
 from monitor.runs.recordings import read_blocks
 from tests.events.shaken import MASSES, RATE, STIFFNESS, T0_NS, Array, Shaken, blocks, kanai_tajimi, shake
 from tests.events.shaken import configuration as frame
+from tests.support.short_quake import BEGIN_S, END_S, shaken
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
-BEGIN_S, END_S = 30.0, 50.0
-
-
-@cache
-def shaken() -> Shaken:
-    """75 s with a quake of 20 s at 30 s."""
-    wave = np.zeros(round(75.0 * RATE))
-    quake = kanai_tajimi(END_S - BEGIN_S, 1.0, 2.5, np.random.default_rng(3))
-    wave[round(BEGIN_S * RATE) :][: quake.size] += quake
-    return shake(wave, np.random.default_rng(4))[0]
 
 
 def seen(motion: Shaken, *, with_ground: bool = True) -> Review:

@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from drivers.mcap_file import McapWriter
-from tests.conftest import Cli
 from tests.events.shaken import blocks, shake
-from tests.events.test_events import ground, shaken
-from tests.service.test_event_alarms import SITE
-
-STRUCTURE = SITE[SITE.index("[structure]") :]
+from tests.support.quake import ground, shaken
+from tests.support.samples import Cli
+from tests.support.short_quake import STRUCTURE
 
 
 def test_its_event_is_told_without_a_window(tmp_path: Path, main: Cli) -> None:

@@ -18,11 +18,11 @@ from monitor.diagnosis.wording import separating_measurement
 from monitor.model import EFFECTS, Condition, Context, FittedSizes, parse_effect, prior_from_drawing
 from monitor.runs import Session
 from monitor.service import Daemon
-from tests.conftest import Cli
 from tests.examples.alarm_log import AlarmLog
 from tests.examples.brace_stiffness import BraceStiffness
 from tests.examples.cantilever import write_cantilever
 from tests.examples.sine_source import SineSource
+from tests.support.samples import Cli
 
 
 @pytest.fixture

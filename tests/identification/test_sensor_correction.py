@@ -15,7 +15,7 @@ from monitor.pipeline import Pipeline
 from monitor.runs import calibrate
 from monitor.runs.recordings import read_blocks
 from monitor.runs.synthetic_recording import write_simulated_recording
-from tests.conftest import T0_NS
+from tests.support.samples import T0_NS
 
 CONTEXT = Context(ShearFrame(np.ones(3), 1000.0 * np.ones(3), 0.01), ("a1", "a2", "a3"), np.eye(3), 100.0)
 FAULTS = tuple(

@@ -22,7 +22,7 @@ from monitor.inference.segments import gather
 from monitor.model import Model, ModelDiscrepancy, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
 from monitor.signals import hann_amplitude
-from tests.diagnosis.test_simulation_refit import CONFIG, RATE, posed
+from tests.support.jointed_frame import CONFIG, RATE, posed
 
 pytestmark = pytest.mark.engine
 

@@ -23,7 +23,7 @@ from monitor.inference.segments import Segments, gather
 from monitor.model import Model, parse_effect, prior_from_drawing, simulate
 from monitor.model.effects.gap_contact import GapContact
 from monitor.runs import cut_into_blocks
-from tests.diagnosis.test_simulation_refit import CONFIG, RATE
+from tests.support.jointed_frame import CONFIG, RATE
 
 pytestmark = pytest.mark.engine
 

@@ -7,7 +7,7 @@ import numpy as np
 from monitor.inference import classify, gather
 from monitor.model import Model, ShearFrame, simulate
 from monitor.signals import FrontEnd, ProcessingSettings
-from tests.conftest import CHANNELS, Cut
+from tests.support.samples import CHANNELS, Cut
 
 RATE = 200.0
 FRONT_END = FrontEnd(CHANNELS, ProcessingSettings(), segment_s=20.0, n_lags=100)

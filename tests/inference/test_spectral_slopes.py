@@ -8,7 +8,7 @@ import pytest
 from monitor.inference import Posterior, with_coordinates
 from monitor.inference.spectral_slopes import _joint_directions, _whitening
 from monitor.model import Effect, parse_effect
-from tests.diagnosis.test_modal_start import TORSION, posterior
+from tests.support.turning_frame import TORSION, posterior
 
 COUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.02,shape_1=1.0,shape_2=0.8,shape_3=0.45,"

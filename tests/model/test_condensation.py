@@ -14,7 +14,7 @@ import scipy.linalg
 
 from monitor.config import configuration
 from monitor.model.structures import condense_massless
-from tests.conftest import Cli
+from tests.support.samples import Cli
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,16 +9,13 @@ import numpy as np
 import pytest
 from scipy.io import mmwrite
 
-from monitor.config import Configuration, configuration
-from monitor.core import BadConfigurationError, MissingInputError, WindowResult
-from monitor.damage import Baseline, learn_baseline, load_baseline, save_baseline
+from monitor.config import configuration
+from monitor.core import BadConfigurationError, MissingInputError
+from monitor.damage import load_baseline, save_baseline
 from monitor.model.effects import parse_effect
 from monitor.model.model import Model
-from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
-from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
-from monitor.runs.calibrate import with_common_modes
+from tests.support.learned import configured, learned, results_of
 
 SHEAR = ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01)
 
@@ -34,38 +31,12 @@ def matrices_table(structure: ShearFrame = SHEAR, **changes: object) -> dict:
     }
 
 
-def configured(structure: dict, floors: tuple[int, ...], **tables: object) -> Configuration:
-    sensors = [{"channel": f"a{i}", "floor": i} for i in floors]
-    return Configuration.model_validate({"structure": structure, "sensors": sensors, **tables})
-
-
 def toml(table: dict, folder: Path, floors: tuple[int, ...] = (1, 2, 3), more: str = "") -> Path:
     path = folder / "structure.toml"
     lines = [f"{key} = {json.dumps(value)}" for key, value in table.items()]
     sensors = [f'[[sensors]]\nchannel = "a{i}"\nfloor = {i}' for i in floors]
     path.write_text("\n".join(["[structure]", *lines, *sensors, more]))
     return path
-
-
-def results_of(model: Model, settings: Configuration, healthy: Baseline | None, seed: int, duration_s: float):
-    floors = simulate(model, duration_s=duration_s, rate_hz=128.0, noise=0.05, seed=seed).floors
-    pipeline = Pipeline(settings, healthy)
-    values = floors @ settings.instrumented().sensor_matrix.T
-    blocks = cut_into_blocks("/acceleration", values, settings.channels, 128.0, 0, 1280)
-    return [r for b in blocks for r in pipeline.push(b) if isinstance(r, WindowResult)]
-
-
-def learned(settings: Configuration, truth: Model, seed: int, duration_s: float) -> Baseline:
-    judged = [r for r in results_of(truth, settings, None, seed, duration_s) if r.skipped is None]
-    windows = with_common_modes(judged, settings.selection.required_modes)
-    return learn_baseline(
-        settings.instrumented(),
-        [r.modes for r in windows],
-        np.array([r.rms_m_s2 for r in windows]),
-        (),
-        updating=settings.updating,
-        compensation=settings.compensation,
-    )[0]
 
 
 @pytest.mark.engine

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -14,35 +12,13 @@ from rerun.chunk import RrdReader
 
 from drivers.mcap_file import recording_info
 from monitor.core import BadInputError, MissingInputError, WrongUsageError
-from monitor.events import Event, Review, Site, review_event
-from monitor.pipeline import Pipeline
+from monitor.events import Event
 from monitor.publish import EventPage, Publisher, event_line, read_event, to_json
-from monitor.publish.reports.event_report import event_html
 from monitor.runs import EventRecordings, Session, page_of, read_event_line, write_event_motion, write_event_page
-from tests.conftest import Cli
 from tests.events.shaken import blocks, configuration
-from tests.events.test_review import shaken
-
-LIMITS = [{"drift_ratio": 0.0005, "says": "inspect <this> story"}, {"residual_loss": 0.05, "says": "call the engineer"}]
-
-
-@cache
-def told() -> tuple[Event, Site, Review]:
-    config = configuration(events={"limits": LIMITS})
-    pipeline = Pipeline(config)
-    events = [e for b in blocks(shaken()) for e in pipeline.push(b) if isinstance(e, Event)]
-    (event,) = [e for e in [*events, *pipeline.finish()] if e.revision == 0]
-    found = review_event(
-        blocks(shaken()), config.front_end(), pipeline.site, event.begin_ns, event.end_ns, event.corner_hz
-    )
-    assert isinstance(found, Review)
-    return event, pipeline.site, found
-
-
-def page(event: Event, site: Site | None, seen: Review | None) -> str:
-    html = event_html(EventPage("house", event, "events/x.mcap", "ab" * 32, site, seen, "The samples are not kept."))
-    ElementTree.fromstring(html.partition("\n")[2])
-    return html
+from tests.support.event_pages import LIMITS, page, told
+from tests.support.samples import Cli
+from tests.support.short_quake import shaken
 
 
 def test_the_page_has_the_verdict_the_limits_and_every_chart() -> None:

@@ -22,19 +22,16 @@ from scipy.signal import welch
 from drivers.base import ClockHealth
 from monitor.config import Configuration, configuration
 from monitor.core import (
-    Alarm,
     DamageReading,
     Gap,
     Level,
     ModalEstimate,
     Samples,
-    Skipped,
-    StiffnessEstimate,
     WindowResult,
     parse_address,
 )
 from monitor.damage import Assessment, LearnedRange, State
-from monitor.model import Drawing, Model, ShearFrame, simulate
+from monitor.model import Model, ShearFrame, simulate
 from monitor.publish.viewer import layout, picture
 from monitor.publish.viewer import scene as rerun_scene
 from monitor.publish.viewer.layout import _healthy, _trust
@@ -48,44 +45,13 @@ from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thi
 from monitor.signals import Health
 from monitor.signals.sensor_health import ChannelHealth
 from tests.examples.beam import bridge
-from tests.publish.test_event_report import told as shaken_event
-
-T0 = 1_772_359_200_000_000_000
-SCENE = Scene(
-    name="test frame",
-    channels=("a1", "a 2", "a3"),
-    sensor_floor=(1, 2, 3),
-    drawing=Drawing.of_frame(np.array([0.093, 0.093, 0.1])),
-    story_names=("story 1", "story 2 (left columns)", "story 3"),
-    baseline_frequencies_hz=np.array([5.1, 14.4, 20.6]),
-    has_baseline=True,
-    alarm_loss=0.1,
-)
+from tests.support.event_pages import told as shaken_event
+from tests.support.strangers import listening
+from tests.support.viewer_results import SCENE, T0, window
 
 
 def second(k: int, n: int = 100) -> Samples:
     return Samples(T0 + k * 10**9, 100.0, np.arange(3.0 * n).reshape(n, 3) + 1000 * k)
-
-
-def window(k: int, level: Level = Level.NORMAL, skipped: str | None = None) -> WindowResult:
-    alarm = Alarm(level, (2,) if level is not Level.NORMAL else (), f"because {level.value}")
-    t_end = T0 + (400 + 10 * k) * 10**9
-    if skipped is not None:
-        return WindowResult(k, t_end, 400.0, None, None, None, alarm, Skipped(skipped))
-    modes = ModalEstimate(
-        frequencies_hz=np.array([5.0, 20.0]),
-        damping_ratio=np.array([0.01, 0.02]),
-        shapes=np.array([[1, 0.8, 0.4], [0.3, -1, 0.9]], dtype=complex),
-        model_mode=np.array([0, 2]),
-        deviations=np.full((4, 2, 8), 0.001),
-        first=0,
-        order=20,
-        poles=np.array([[10, 5.0, 0.01, 1], [20, 5.0, 0.01, 1], [20, 31.0, 0.2, 0]]),
-    )
-    stiffness = StiffnessEstimate(np.full(3, 2000.0), np.eye(3), True, 4, 1.5)
-    ddi = np.array([0.0, 0.08, 0.01])
-    damage = DamageReading(ddi, np.eye(3) * 0.01**2, ddi, ddi * 2000)
-    return WindowResult(k, t_end, 400.0, modes, stiffness, damage, alarm, None)
 
 
 def read(file: Path) -> dict[str, dict[int, object]]:
@@ -375,18 +341,6 @@ def test_abort_leaves_nothing(tmp_path: Path) -> None:
     view.window(window(0), "")
     view.abort()
     assert list(tmp_path.iterdir()) == []
-
-
-def listening(port: int) -> set[str]:
-    """Addresses, hexadecimal as the kernel lists them, on which somebody listens to the port."""
-    found = set()
-    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
-        for line in Path(table).read_text().splitlines()[1:]:
-            local, state = line.split()[1], line.split()[3]
-            address, _, number = local.partition(":")
-            if state == "0A" and int(number, 16) == port:
-                found.add(address)
-    return found
 
 
 def test_serves_over_ipv6_too() -> None:

@@ -15,7 +15,7 @@ from monitor.diagnosis import Request, WatchSettings, trigger
 from monitor.diagnosis.trigger import WatchState
 from monitor.runs.diagnosis_process import DiagnosisQueue
 from monitor.runs.online_diagnosis import RecentBlocks
-from tests.conftest import T0_NS, Cut
+from tests.support.samples import T0_NS, Cut
 
 WINDOW_S = 100.0
 S = 1_000_000_000

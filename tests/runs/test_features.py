@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import Cli
+from tests.support.samples import Cli
 
 ROWS = 400
 

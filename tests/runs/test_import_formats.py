@@ -24,7 +24,7 @@ from monitor.core.extras import EXTRAS, MissingExtraError
 from monitor.runs import importers
 from monitor.runs.importers import ImportedChannel, import_files
 from monitor.runs.importers.clocks import best_shift
-from tests.conftest import Cli
+from tests.support.samples import Cli
 
 h5py = pytest.importorskip("h5py")
 pyuff = pytest.importorskip("pyuff")

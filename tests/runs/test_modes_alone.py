@@ -20,7 +20,7 @@ from monitor.publish import facts_of_line, replay_text, to_json, window_line
 from monitor.runs import calibrate_modes, load_healthy
 from monitor.runs.baselines import modal_origin
 from monitor.service.serialization import from_bytes, to_bytes
-from tests.conftest import CHANNELS, FRAME, T0_NS, Cli, Cut
+from tests.support.samples import CHANNELS, FRAME, T0_NS, Cli, Cut
 
 RATE_HZ, WINDOW_S = 128.0, 20
 SENSORS = "".join(f'\n[[sensors]]\nchannel = "{name}"\n' for name in CHANNELS)

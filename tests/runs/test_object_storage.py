@@ -12,8 +12,8 @@ import pytest
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model import simulate
-from tests.conftest import Cli, Cut
 from tests.support.object_storage import object_storage
+from tests.support.samples import Cli, Cut
 from tests.support.zenoh_router import free_port
 
 s3fs = pytest.importorskip("s3fs")

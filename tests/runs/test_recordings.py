@@ -16,7 +16,7 @@ from monitor.damage import baseline
 from monitor.inference import gather
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, diagnose
-from tests.conftest import Cli
+from tests.support.samples import Cli
 
 FOLDER = Path(__file__).parents[2] / "recordings"
 INDEX = tomllib.loads((FOLDER / "index.toml").read_text())

@@ -23,10 +23,10 @@ from monitor.config import configuration
 from monitor.model import simulate
 from monitor.runs.archive.inventory import Survey, expand_patterns, group_into_runs
 from monitor.runs.archive.reprocess import reprocess
-from tests.conftest import T0_NS, Cli, Cut
 from tests.events.shaken import blocks
-from tests.events.test_events import shaken
-from tests.events.test_short_recording import STRUCTURE
+from tests.support.quake import shaken
+from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.short_quake import STRUCTURE
 
 pytestmark = pytest.mark.system
 

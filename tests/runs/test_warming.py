@@ -15,8 +15,8 @@ from monitor.config import Configuration, configuration
 from monitor.runs.warming import warm_up
 from monitor.service import Daemon
 from monitor.service import daemon as daemon_module
-from tests.conftest import Cli
-from tests.service.test_daemon import SITE, Scripted, health
+from tests.support.samples import Cli
+from tests.support.site import SITE, Scripted, health
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = ROOT / "recordings"

@@ -14,7 +14,7 @@ from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
 from monitor.core import BadConfigurationError
 from monitor.model import ShearFrame, parse_effect
-from tests.conftest import Cli
+from tests.support.samples import Cli
 
 FRAME = """
 [structure]

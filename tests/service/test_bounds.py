@@ -15,8 +15,8 @@ from drivers.base import SampleBlock
 from monitor.service import restart
 from monitor.service.daemon import Daemon
 from monitor.service.status import look, tell
-from tests.conftest import T0_NS, Cli, Cut
-from tests.service.test_daemon import RATE, Scripted, lines, own, replayed, site  # noqa: F401
+from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.site import RATE, Scripted, lines, own, replayed
 
 ZENOH = 'kind = "zenoh"\nkey = "a/b"\nmode = "peer"\nlisten = ["tcp/127.0.0.1:0"]'
 
@@ -37,13 +37,13 @@ def gaps(out: Path) -> int:
         return int(database.execute("SELECT count(*) FROM gaps").fetchone()[0])
 
 
-def test_scraps_with_gaps_between_them_fill_no_database(site: Path) -> None:  # noqa: F811
+def test_scraps_with_gaps_between_them_fill_no_database(site: Path) -> None:
     Daemon(site, Scripted(scraps(3000))).run()
     assert gaps(site.parent / "out") == 1
 
 
 def test_a_stream_faster_than_max_pace_is_cut_counted_and_told(
-    site: Path,  # noqa: F811
+    site: Path,
     record: np.ndarray,
     cut: Cut,
     caplog: pytest.LogCaptureFixture,
@@ -64,7 +64,7 @@ def test_a_stream_faster_than_max_pace_is_cut_counted_and_told(
 
 
 def test_blocks_of_another_century_are_set_aside_and_the_rest_goes_on(
-    site: Path,  # noqa: F811
+    site: Path,
     record: np.ndarray,
     cut: Cut,
 ) -> None:
@@ -80,7 +80,7 @@ def test_blocks_of_another_century_are_set_aside_and_the_rest_goes_on(
 
 
 def test_a_restart_after_blocks_of_another_century_is_a_replay_of_all_recordings(
-    site: Path,  # noqa: F811
+    site: Path,
     record: np.ndarray,
     cut: Cut,
     main: Cli,

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.base import GROUND, TEMPERATURE, EndOfStream, SampleBlock, SourceError, SourceHealth
+from drivers.base import GROUND, TEMPERATURE, SampleBlock, SourceError
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import unfit
 from monitor.config import configuration
@@ -39,92 +39,8 @@ from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.requests import Request
 from monitor.service.status import _source, look, tell, troubles_of
 from monitor.service.threads import BlockQueue, Reader
-from tests.conftest import T0_NS, Cli, Cut
-
-RATE = 128.0
-SITE = """
-[site]
-name = "bench"
-
-[source]
-kind = "mcap"
-files = ["rec.mcap"]
-
-[output]
-dir = "out"
-
-[recorder]
-min_free_gb = 0.0
-
-[watch]
-diagnose = false
-"""
-
-Step = SampleBlock | Exception | None
-
-
-class Scripted:
-    """A source that gives what it was told to: blocks, errors, or nothing in time."""
-
-    def __init__(self, script: Iterable[Step], hold: threading.Event | None = None) -> None:
-        self._script: Iterator[Step] = iter(script)
-        self._hold = hold
-        self.opened = self.closed = self.given = 0
-
-    def open(self) -> None:
-        self.opened += 1
-
-    def read(self, timeout_s: float) -> SampleBlock | None:
-        item = next(self._script, None if self._hold is not None else EndOfStream())
-        if isinstance(item, Exception):
-            raise item
-        if item is None:
-            time.sleep(min(timeout_s, 0.02))
-        else:
-            self.given += 1
-        return item
-
-    def health(self) -> SourceHealth:
-        return SourceHealth(self.opened > self.closed, {"blocks": self.given})
-
-    def close(self) -> None:
-        self.closed += 1
-
-
-@pytest.fixture
-def site(tmp_path: Path, frame_text: str) -> Path:
-    path = tmp_path / "site.toml"
-    path.write_text(SITE + frame_text)
-    return path
-
-
-def lines(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (folder / "results.jsonl").read_text().splitlines()]
-
-
-def health(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (folder / "health.jsonl").read_text().splitlines()]
-
-
-def summary(folder: Path) -> dict[str, Any]:
-    return dict(json.loads((folder / "summary.json").read_text()))
-
-
-def replayed(main: Cli, site: Path, recordings: Sequence[Path], out: Path) -> bytes:
-    done = main("replay", *recordings, "--structure", site, "--out", out)
-    assert done.returncode == 0, done.stderr
-    return (out / "results.jsonl").read_bytes()
-
-
-def own(out: Path) -> list[Path]:
-    return sorted((out / "recordings").glob("*.mcap"))
-
-
-def write(path: Path, blocks: Sequence[SampleBlock]) -> Path:
-    with McapWriter(path) as writer:
-        for block in blocks:
-            writer.write(block)
-    return path
+from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.site import RATE, Scripted, Step, health, lines, own, replayed, summary, write
 
 
 def test_run_gives_what_replay_gives_of_source_and_of_own_recordings(

@@ -8,7 +8,7 @@ import os
 import shutil
 import sqlite3
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -25,13 +25,12 @@ from monitor.service import status
 from monitor.service.daemon import Daemon
 from monitor.service.restart import lock
 from monitor.service.status import DOWN, HEALTHY, TROUBLE, look, tell
-from tests.conftest import Cli, Cut
-from tests.service.test_daemon import SITE, Scripted, lines, summary
+from tests.support.damages import DAMAGES, DEEP
 from tests.support.live_site import RATE
-from tests.system.test_service_faults import run_until
+from tests.support.samples import Cli, Cut
+from tests.support.site import SITE, Scripted, lines, run_until, summary
 
 S = 10**9
-DEEP = "[" * 100_000
 
 
 @pytest.fixture
@@ -164,42 +163,6 @@ def kept(stopped: Path) -> Path:
     (copy / "state" / "outbox.jsonl").write_text('{"version": 1}\n')
     (copy / "results-2025-12.jsonl.zst").write_bytes(b"a closed month")
     return copy
-
-
-def put_folder(path: Path) -> None:
-    path.unlink()
-    path.mkdir()
-    (path / "more").write_text("")
-
-
-def put_dangling_link(path: Path) -> None:
-    path.unlink()
-    path.symlink_to(path.parent / "nowhere" / "else")
-
-
-def flip_bits(path: Path) -> None:
-    data = bytearray(path.read_bytes())
-    for k in range(0, len(data), max(1, len(data) // 20)):
-        data[k] ^= 0x40
-    path.write_bytes(data)
-
-
-def put_after(data: bytes) -> Callable[[Path], object]:
-    return lambda path: path.write_bytes(path.read_bytes() + data)
-
-
-DAMAGES: dict[str, Callable[[Path], object]] = {
-    "nested": lambda path: path.write_text(DEEP + "\n"),
-    "no text": lambda path: path.write_bytes(b"\xff\xfe\n" * 100),
-    "zeros": lambda path: path.write_bytes(bytes(5000)),
-    "zeros after it": put_after(bytes(5000)),
-    "half a long line after it": put_after(b"x" * 3_000_000),
-    "empty": lambda path: path.write_bytes(b""),
-    "half of it": lambda path: os.truncate(path, path.stat().st_size // 2),
-    "bits": flip_bits,
-    "a folder": put_folder,
-    "a dangling link": put_dangling_link,
-}
 
 
 @pytest.mark.parametrize("damage", DAMAGES)

@@ -21,40 +21,12 @@ from monitor.service.requests import Answer, Request
 from monitor.service.restart import KeptAlarms
 from monitor.service.serialization import from_bytes, to_bytes
 from monitor.service.status import look, tell
-from tests.conftest import Cli
-from tests.events.shaken import HEIGHTS, MASSES, STIFFNESS, blocks
-from tests.events.test_events import shaken
-from tests.service.test_daemon import Scripted
-from tests.service.test_requests import Desk, ledger_of
-
-SITE = f"""
-[site]
-name = "bench"
-[output]
-dir = "out"
-[recorder]
-enabled = false
-[watch]
-diagnose = false
-[structure]
-kind = "shear_frame"
-masses_kg = {MASSES.tolist()}
-stiffness_n_per_m = {STIFFNESS.tolist()}
-damping_ratio = 0.02
-story_heights_m = {HEIGHTS.tolist()}
-[[sensors]]
-channel = "a1"
-floor = 1
-[[sensors]]
-channel = "a2"
-floor = 2
-[[sensors]]
-channel = "a3"
-floor = 3
-[[events.limits]]
-drift_ratio = 1e-5
-says = "go and look"
-"""
+from tests.events.shaken import blocks
+from tests.support.quake import shaken
+from tests.support.requests import Desk, ledger_of
+from tests.support.samples import Cli
+from tests.support.shaken_site import SITE
+from tests.support.site import Scripted
 
 
 @dataclass

@@ -18,7 +18,7 @@ from monitor.core import BadInputError, MissingInputError, WrongUsageError
 from monitor.core.extras import EXTRAS, MissingExtraError
 from monitor.service.export import export
 from monitor.service.line_protocol import line
-from tests.conftest import Cli
+from tests.support.samples import Cli
 
 T0_NS = 1_767_225_600_000_000_000
 ALL = (0, 1 << 62)

@@ -20,8 +20,9 @@ from monitor.model import simulate
 from monitor.service import fleet
 from monitor.service.fleet import SiteStatus, code, status
 from monitor.service.fleet_view import text
-from tests.conftest import T0_NS, Cli, Cut
-from tests.support.live_rig import DEPLOY, Command, until
+from tests.support.live_rig import DEPLOY, Command
+from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
 pytestmark = pytest.mark.system

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sqlite3
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -18,7 +17,8 @@ from monitor.core import MissingInputError
 from monitor.service import history
 from monitor.service.export import export
 from monitor.service.history import History, limit, open_database
-from tests.conftest import T0_NS, Cli
+from tests.support.samples import T0_NS, Cli
+from tests.support.waiting import until
 
 HOP_NS = 10 * 10**9
 ALL = (0, (1 << 63) - 1)
@@ -29,13 +29,6 @@ def line(number: int, **changes: Any) -> dict[str, Any]:
     values = {"frequencies_hz": [4.0 + number, 12.5, 17.25], "ddi": [0.001 * number, 0.2, -0.1], "misfit": 1.5}
     times = {"window": number, "t_end_ns": T0_NS + number * HOP_NS, "window_s": 400.0, "skipped": None}
     return {**times, **values, "alarm": {"level": "normal"}, **changes}
-
-
-def until(true: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + 30.0
-    while not true():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.02)
 
 
 @pytest.fixture

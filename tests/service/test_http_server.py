@@ -26,6 +26,7 @@ from cryptography.x509.oid import NameOID
 from monitor.service.outlets import http_server
 from monitor.service.outlets.http_server import Bounds, HttpServer, wsgi
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
+from tests.support.http import fetch
 
 PAGE = b"x" * 1000
 HEALTH: dict[str, Any] = {
@@ -60,11 +61,6 @@ def connect(port: int, text: bytes = b"") -> socket.socket:
     connection = socket.create_connection(("127.0.0.1", port), 10.0)
     connection.sendall(text)
     return connection
-
-
-def fetch(port: int, path: str = "/metrics", scheme: str = "http", **options: Any) -> bytes:
-    with urllib.request.urlopen(f"{scheme}://127.0.0.1:{port}{path}", timeout=10.0, **options) as answer:
-        return bytes(answer.read())
 
 
 def closed(connection: socket.socket) -> bool:

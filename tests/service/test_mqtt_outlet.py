@@ -12,9 +12,9 @@ from drivers.mqtt_session import BrokerSettings, Connection, Message
 from monitor.core import Gap, Level
 from monitor.damage import Assessment, State
 from monitor.service.outlets.mqtt import MqttOut, MqttOutSettings
-from tests.drivers.test_zenoh_bus import until
-from tests.service.test_zenoh_outlet import T0_NS, window
 from tests.support.mosquitto import Broker
+from tests.support.results import T0_NS, window
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.system
 SITE = "shm/tower-1"

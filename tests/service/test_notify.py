@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import ast
-import contextlib
-import http.server
 import json
 import logging
 import re
-import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +23,9 @@ from monitor.service.outlets import delivery_workers, notices
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.service.outlets.outbox import Outbox
-from tests.conftest import Cli
+from tests.support.hooks import Drip, Hook
+from tests.support.samples import Cli
+from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
 
 SETTINGS = NoticeSettings()
@@ -160,49 +159,6 @@ def test_a_finding_that_makes_the_state_doubtful_is_one_message() -> None:
     assert told_of([(window(10.0 * k), doubtful) for k in range(9)], told)[1] == []
 
 
-class Hook(http.server.ThreadingHTTPServer):
-    """Keeps what it is sent; answers with `status`."""
-
-    def __init__(self) -> None:
-        self.status = 200
-        self.refuses: str | None = None
-        self.got: list[dict[str, Any]] = []
-        self.paths: list[str] = []
-        self.tries = self.beats = 0
-        super().__init__(("127.0.0.1", 0), _Handler)
-        threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
-
-    @property
-    def url(self) -> str:
-        return f"json://127.0.0.1:{self.server_port}/hush-hush"
-
-    @property
-    def titles(self) -> list[str]:
-        return [item["title"] for item in self.got]
-
-
-class _Handler(http.server.BaseHTTPRequestHandler):
-    server: Hook
-
-    def do_POST(self) -> None:
-        body = json.loads(self.rfile.read(int(self.headers["content-length"])))
-        self.server.tries += 1
-        refused = self.server.refuses is not None and self.server.refuses in body["title"]
-        status = 422 if refused else self.server.status
-        if status == 200:
-            self.server.got.append(body)
-        self.send_response(status)
-        self.end_headers()
-
-    def do_GET(self) -> None:
-        self.server.beats += 1
-        self.server.paths.append(self.path)
-        self.send_response(self.server.status)
-        self.end_headers()
-
-    def log_message(self, format: str, *args: object) -> None: ...
-
-
 @pytest.fixture
 def hook() -> Iterator[Hook]:
     server = Hook()
@@ -214,13 +170,6 @@ def hook() -> Iterator[Hook]:
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(delivery_workers, "_RESEND_S", (0.05, 0.2))
-
-
-def until(is_so: Callable[[], object], what: str, timeout_s: float = 30.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not is_so():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.01)
 
 
 def notifier(place: Path, *urls: str, **settings: Any) -> Notifier:
@@ -451,38 +400,6 @@ def test_times_that_somebody_wrote_into_the_outbox_end_no_window(tmp_path: Path,
     again.window(window(10, s2=Level.WARNING), "")
     assert again.failed is None and again._begun().told.levels == {2: Level.WARNING}
     again.close(5.0)
-
-
-class Drip:
-    """Takes every request and answers with one byte of a header now and then, for ever."""
-
-    def __init__(self, pause_s: float = 0.05) -> None:
-        self.calls = 0
-        self._pause_s = pause_s
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._closed = threading.Event()
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    @property
-    def address(self) -> str:
-        return f"127.0.0.1:{self._listener.getsockname()[1]}"
-
-    def close(self) -> None:
-        self._closed.set()
-        self._listener.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                connection, _ = self._listener.accept()
-                self.calls += 1
-                threading.Thread(target=self._answer, args=(connection,), daemon=True).start()
-
-    def _answer(self, connection: socket.socket) -> None:
-        with contextlib.suppress(OSError), connection:
-            connection.sendall(b"HTTP/1.1 200 OK\r\nX-Long: ")
-            while not self._closed.wait(self._pause_s):
-                connection.sendall(b"a")
 
 
 @pytest.fixture

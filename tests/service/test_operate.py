@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
 import os
@@ -12,7 +11,7 @@ import sys
 import threading
 import time
 import urllib.request
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,8 +31,10 @@ from monitor.service.reload import changed
 from monitor.service.requests import Answer, Request
 from monitor.service.status import look
 from monitor.service.threads import Chores
-from tests.conftest import Cli
 from tests.support.live_site import RATE
+from tests.support.samples import Cli
+from tests.support.strangers import as_a_stranger
+from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -63,13 +64,6 @@ diagnose = false
 [alarm]
 alarm_loss = 0.10
 """
-
-
-def until(true: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + 60.0
-    while not true():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.05)
 
 
 @dataclass
@@ -344,19 +338,6 @@ def test_what_root_asks_belongs_to_the_daemon(tmp_path: Path) -> None:
     for path in (place.parent, place):
         assert (path.stat().st_uid, path.stat().st_gid) == (12345, 12346), path
     assert place.stat().st_mode & 0o777 == 0o644
-
-
-@contextlib.contextmanager
-def as_a_stranger() -> Iterator[None]:
-    """Root may read everything."""
-    root = os.geteuid() == 0
-    if root:
-        os.seteuid(65534)
-    try:
-        yield
-    finally:
-        if root:
-            os.seteuid(0)
 
 
 def test_what_a_stranger_may_not_read_is_told_and_no_wrong_usage(tmp_path: Path, frame_text: str, main: Cli) -> None:

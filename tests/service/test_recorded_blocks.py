@@ -11,7 +11,7 @@ from drivers.recorder import RecorderSettings
 from monitor.runs import RecentBlocks
 from monitor.service.recorded_blocks import RecordedBlocks
 from monitor.service.threads import Recording
-from tests.conftest import T0_NS, Cut
+from tests.support.samples import T0_NS, Cut
 
 
 @pytest.mark.parametrize("file_s", [3600.0, 15.0])  # one file that is being written, and several before it

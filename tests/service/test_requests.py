@@ -8,7 +8,6 @@ import shutil
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,35 +17,16 @@ from monitor.runs.ledger_chain import verify
 from monitor.service import restart
 from monitor.service.daemon import Daemon
 from monitor.service.outlets import inbox
-from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.requests import Answer, RateLimit, Request
 from monitor.service.status import look
-from tests.conftest import Cli, Cut
-from tests.service.test_daemon import RATE, Scripted, site  # noqa: F401
-from tests.service.test_damaged_state import DAMAGES
+from tests.support.damages import DAMAGES
+from tests.support.requests import Desk, ledger_of
+from tests.support.samples import Cli, Cut
+from tests.support.site import RATE, Scripted
 
 SHELVE = Request(action="shelve", story=2, who="Ada", note="while the disk is full", seconds=2_592_000.0)
 UNSHELVE = Request(action="unshelve", story=2, who="Ada")
-
-
-class Desk(Outlet):
-    """Makes its next request when the one before was answered, and keeps the answers."""
-
-    def __init__(self, *batches: Sequence[Request]) -> None:
-        self._batches = list(batches)
-        self.answers: list[Answer] = []
-        self.asked = 0
-
-    def take_requests(self) -> Sequence[Request]:
-        if len(self.answers) < self.asked or not self._batches:
-            return ()
-        batch = self._batches.pop(0)
-        self.asked += len(batch)
-        return batch
-
-    def answer_requests(self, answers: Sequence[Answer]) -> None:
-        self.answers += answers
 
 
 class Answered(Scripted):
@@ -72,12 +52,7 @@ def run(path: Path, blocks: Sequence[SampleBlock], *batches: Sequence[Request]) 
     return daemon, desk
 
 
-def ledger_of(path: Path) -> list[dict[str, Any]]:
-    place = path.parent / "out" / "ledger.jsonl"
-    return [json.loads(row) for row in place.read_text().splitlines()] if place.is_file() else []
-
-
-def test_what_the_ledger_cannot_take_is_refused_and_changes_nothing(site: Path, record: np.ndarray, cut: Cut) -> None:  # noqa: F811
+def test_what_the_ledger_cannot_take_is_refused_and_changes_nothing(site: Path, record: np.ndarray, cut: Cut) -> None:
     (site.parent / "out" / "ledger.jsonl").mkdir(parents=True)
     daemon, desk = run(site, cut(record, RATE)[:5], [SHELVE])
     (answer,) = desk.answers
@@ -93,7 +68,7 @@ def test_what_the_ledger_cannot_take_is_refused_and_changes_nothing(site: Path, 
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_whatever_the_ledger_holds_a_request_is_answered(
-    site: Path,  # noqa: F811
+    site: Path,
     record: np.ndarray,
     cut: Cut,
     main: Cli,
@@ -115,7 +90,7 @@ def test_whatever_the_ledger_holds_a_request_is_answered(
 
 
 def test_an_answer_comes_after_the_ledger_and_what_changes_nothing_is_not_written(
-    site: Path,  # noqa: F811
+    site: Path,
     record: np.ndarray,
     cut: Cut,
     monkeypatch: pytest.MonkeyPatch,
@@ -137,7 +112,7 @@ def test_an_answer_comes_after_the_ledger_and_what_changes_nothing_is_not_writte
     assert daemon.session.pipeline.state.alarm.stories[1].shelved is not None
 
 
-def test_what_was_accepted_outlasts_a_kill_at_that_moment(site: Path, record: np.ndarray, cut: Cut) -> None:  # noqa: F811
+def test_what_was_accepted_outlasts_a_kill_at_that_moment(site: Path, record: np.ndarray, cut: Cut) -> None:
     """A copy of the folder at the moment of the answer is what a kill would leave."""
     out, left = site.parent / "out", site.parent / "left"
 
@@ -189,7 +164,7 @@ def test_a_flood_of_files_waits_and_the_other_asker_does_not(tmp_path: Path) -> 
     assert len(box.take_requests()) == 1
 
 
-def test_status_shows_the_head_and_checks_the_chain(site: Path, record: np.ndarray, cut: Cut, main: Cli) -> None:  # noqa: F811
+def test_status_shows_the_head_and_checks_the_chain(site: Path, record: np.ndarray, cut: Cut, main: Cli) -> None:
     out = site.parent / "out"
     run(site, cut(record, RATE)[:5], [SHELVE], [UNSHELVE])
     found = json.loads(main("status", out, "--json").stdout)

@@ -30,7 +30,7 @@ from monitor.runs import Session, SessionState
 from monitor.service import serialization
 from monitor.service.restart import Saved
 from monitor.service.serialization import CheckpointError, from_bytes, load, previous, save, to_bytes
-from tests.conftest import Cut
+from tests.support.samples import Cut
 
 RATE = 128.0
 

@@ -21,8 +21,8 @@ from monitor.service import restart
 from monitor.service.daemon import Daemon
 from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import Recording
-from tests.conftest import Cli, Cut
-from tests.service.test_daemon import RATE, SITE, Scripted, replayed, site, write  # noqa: F401
+from tests.support.samples import Cli, Cut
+from tests.support.site import RATE, Scripted, replayed, write
 
 S = 10**9
 TURN_NS = 1_769_904_000 * S
@@ -37,7 +37,7 @@ def blocks(record: np.ndarray, cut: Cut) -> list[SampleBlock]:
 
 
 @pytest.fixture
-def monthly(site: Path) -> Path:  # noqa: F811
+def monthly(site: Path) -> Path:
     site.write_text(site.read_text().replace('dir = "out"', 'dir = "out"\npack_months = true'))
     return site
 
@@ -67,7 +67,7 @@ def test_a_closed_month_is_packed_and_read_as_before(monthly: Path, blocks: list
     assert main("export", out, "--out", monthly.parent / "w.csv").stdout.startswith(f"{whole.count(b'%c' % 10)} rows")
 
 
-def test_without_the_setting_all_months_stay_in_one_file(site: Path, blocks: list[SampleBlock]) -> None:  # noqa: F811
+def test_without_the_setting_all_months_stay_in_one_file(site: Path, blocks: list[SampleBlock]) -> None:
     out = run(site, blocks)
     assert not closed_files(out) and (out / "results.jsonl").read_bytes().count(b"\n") > 20
 
@@ -93,7 +93,7 @@ def test_a_restart_at_the_turn_of_the_month_writes_each_window_once(
     assert windows == list(range(len(windows))) and len(windows) > 20
 
 
-def test_results_that_were_moved_away_do_not_keep_it_from_starting(site: Path, blocks: list[SampleBlock]) -> None:  # noqa: F811
+def test_results_that_were_moved_away_do_not_keep_it_from_starting(site: Path, blocks: list[SampleBlock]) -> None:
     out = site.parent / "out"
     half = len(blocks) // 2
     with pytest.MonkeyPatch.context() as killed:
@@ -169,7 +169,7 @@ def test_recordings_go_first_then_closed_months_and_what_does_not_fit_is_told(
     assert storage.failed is None if says is None else says in str(storage.failed)
 
 
-def test_the_whole_folder_stays_within_its_budget(site: Path, record: np.ndarray, cut: Cut) -> None:  # noqa: F811
+def test_the_whole_folder_stays_within_its_budget(site: Path, record: np.ndarray, cut: Cut) -> None:
     text = site.read_text().replace('dir = "out"', f'dir = "out"\nkeep_gb = {1_000_000 / 2**30}')
     site.write_text(text.replace("[recorder]", "[recorder]\nfile_s = 30.0\nflush_s = 1.0"))
     blocks = cut(np.tile(record, (20, 1)), RATE, [1280])

@@ -7,7 +7,6 @@ import json
 import re
 import socket
 import threading
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -28,10 +27,11 @@ from monitor.service.web import outlet, snapshots
 from monitor.service.web.application import make_application
 from monitor.service.web.outlet import WebPage, read_token
 from monitor.service.web.snapshots import Snapshots, latest_events, latest_windows
-from tests.conftest import T0_NS, Cli
-from tests.service.test_daemon import SITE as BARE_SITE
+from tests.support.samples import T0_NS, Cli
+from tests.support.site import SITE as BARE_SITE
+from tests.support.site import TOKEN
+from tests.support.waiting import until
 
-TOKEN = "a-token-of-letters-0123456789"
 SECOND = 1_000_000_000
 PAGES = Path(snapshots.__file__).parent / "pages"
 ALARM = {"level": "normal", "stories": [], "reason": "no significant loss", "shelved": []}
@@ -470,13 +470,6 @@ def fetch(page: WebPage, path: str, token: str | None = TOKEN) -> dict[str, Any]
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     with urllib.request.urlopen(urllib.request.Request(f"{page.url}{path}", headers=headers), timeout=30.0) as answer:
         return cast(dict[str, Any], json.loads(answer.read()))
-
-
-def until(true: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + 60.0
-    while not true():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.02)
 
 
 def test_the_outlet_shows_the_past_and_what_comes(page: WebPage) -> None:

@@ -17,25 +17,16 @@ import pytest
 import zenoh
 
 from drivers.zenoh_session import SessionSettings, open_session
-from monitor.core import WHOLE, Alarm, AlarmCondition, DamageReading, Gap, Level, Skipped, WindowResult
+from monitor.core import WHOLE, DamageReading, Gap, Level
 from monitor.damage import Assessment, State, alarm
-from monitor.publish import to_json, window_line
 from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, Request, apply
-from tests.drivers.test_zenoh_bus import until
 from tests.support.answering import Monitor
+from tests.support.results import T0_NS, window
+from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
-T0_NS = 1_767_225_600_000_000_000
 SITE = "shm/tower-1"
-
-
-def window(k: int, level: Level = Level.NORMAL) -> tuple[WindowResult, str]:
-    active = {} if level is Level.NORMAL else {2: level}
-    conditions = {story: AlarmCondition.UNACKNOWLEDGED for story in active}
-    state = Alarm(level, tuple(active), f"because {k}", active, conditions)
-    result = WindowResult(k, T0_NS + k * 10**10, 400.0, None, None, None, state, Skipped("a test"))
-    return result, to_json(window_line(result))
 
 
 @pytest.fixture

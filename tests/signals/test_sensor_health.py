@@ -15,7 +15,7 @@ from monitor.model import EFFECTS, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline
 from monitor.signals import sensor_health
 from monitor.signals.sensor_health import ChannelHealth, Health, HealthSettings, HealthState
-from tests.conftest import CHANNELS, Cut
+from tests.support.samples import CHANNELS, Cut
 
 RATE = 200.0
 SETTINGS = HealthSettings()

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from tests.events.shaken import MASSES, RATE, STIFFNESS, Array, Shaken, kanai_tajimi
-from tests.events.test_early_loss import final, shaken
+from tests.support.losing_quake import final, shaken
 
 _SUB = 20
 """Steps of the integration in a sample."""

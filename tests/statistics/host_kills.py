@@ -28,9 +28,10 @@ from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model import simulate
 from monitor.runs import cut_into_blocks
-from tests.conftest import CHANNELS, FRAME, T0_NS
-from tests.support.live_rig import Command, shm_monitor, until
+from tests.support.live_rig import Command, shm_monitor
 from tests.support.object_storage import object_storage
+from tests.support.samples import CHANNELS, FRAME, T0_NS
+from tests.support.waiting import until
 
 _RATE = 128.0
 _SITES = 4

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from monitor.core import Skipped
 from monitor.identification import fit_single_modes
 from monitor.runs import look
-from tests.identification.test_model_free import RATE_HZ, identified, response, shear_frame
+from tests.support.shear_response import RATE_HZ, identified, response, shear_frame
 
 pytestmark = pytest.mark.slow
 DAMPING, FRAMES, NEAR = 0.01, 8, 0.02

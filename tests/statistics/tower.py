@@ -17,7 +17,7 @@ import numpy as np
 
 from monitor.core import Level
 from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
-from tests.identification.test_tracking import DAY_NS, TOWER, Tower
+from tests.support.tower import DAY_NS, TOWER, Tower
 
 LEVEL = TOWER.with_name("level.csv")
 LOSS, LOSS_DAYS = 0.01, 5

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +24,7 @@ from monitor.model import simulate
 from monitor.runs import cut_into_blocks
 from monitor.runs.synthetic_recording import parse_damage
 from tests.support.mosquitto import Broker
+from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,14 +38,6 @@ PATIENCE_S = 60.0
 _RMS = 4.0
 """Of every recording, m/s^2: its peaks fit the DBC's range."""
 _TICKS = os.sysconf("SC_CLK_TCK")
-
-
-def until(true: Callable[[], object], what: str, patience_s: float = PATIENCE_S) -> None:
-    """Wait; fails after `patience_s`."""
-    deadline = time.monotonic() + patience_s
-    while not true():
-        assert time.monotonic() < deadline, f"not within {patience_s:g} s: {what}"
-        time.sleep(0.02)
 
 
 def _environment() -> dict[str, str]:

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
 from monitor.config import configuration
 from monitor.service import Daemon, logs
-from tests.conftest import CHANNELS, T0_NS
+from tests.support.samples import CHANNELS, T0_NS
 
 RATE, SIZE = 128.0, 64
 

@@ -38,13 +38,13 @@ from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model import simulate
 from monitor.runs import cut_into_blocks
-from tests.conftest import CHANNELS, T0_NS
-from tests.service.test_http_server import fetch
-from tests.service.test_notify import Drip, Hook
 from tests.support.faulty_disk import Disk, faulty_disk, is_possible
 from tests.support.frame_text import THREE_STORIES
+from tests.support.hooks import Drip, Hook
+from tests.support.http import fetch
+from tests.support.samples import CHANNELS, T0_NS
+from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
-from tests.system.test_service_faults import until
 
 ROOT = Path(__file__).parents[2]
 RATE, SIZE = 128.0, 256

@@ -8,9 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -18,29 +16,19 @@ from PIL import Image
 
 from monitor.core import Level
 from monitor.publish import RerunPublisher, read_period, write_period, write_report
-from tests.publish.test_diagnosis_report import LOSS, searched
-from tests.publish.test_event_report import page, told
-from tests.publish.test_period_report import json_lines, line_of
-from tests.publish.test_viewer import SCENE, window
+from tests.support.browser import ROOT, browser_tool
 from tests.support.debian import demand
+from tests.support.event_pages import page, told
+from tests.support.period_lines import json_lines, line_of
+from tests.support.searched import LOSS, searched
+from tests.support.viewer_results import SCENE, window
 
 pytestmark = pytest.mark.system
-
-ROOT = Path(__file__).parents[2]
 
 
 def shot(page: str, picture: Path, seconds: float = 1.0) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "docs/browser.py"), page, str(picture), str(seconds)]
     return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
-
-
-def browser_tool() -> ModuleType:
-    spec = spec_from_file_location("browser", ROOT / "docs/browser.py")
-    assert spec is not None
-    assert spec.loader is not None
-    tool = module_from_spec(spec)
-    spec.loader.exec_module(tool)
-    return tool
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from monitor.runs import demo
-from tests.conftest import Cli
 from tests.support.debian import demand
+from tests.support.samples import Cli
 
 pytestmark = pytest.mark.system
 

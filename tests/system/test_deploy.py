@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from monitor.config import configuration, security_check
-from tests.conftest import Cli
 from tests.support.debian import demand
+from tests.support.samples import Cli
 
 pytestmark = pytest.mark.system
 

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from drivers.mcap_file import recording_info
-from tests.conftest import T0_NS
 from tests.events.shaken import RATE as SHAKEN_RATE
 from tests.events.shaken import STIFFNESS, kanai_tajimi, shake, structure_text
-from tests.service.test_http_server import fetch
 from tests.support.faulty_disk import faulty_disk, is_possible
+from tests.support.http import fetch
 from tests.support.live_site import RATE, SIZE, given
+from tests.support.samples import T0_NS
+from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
-from tests.system.test_service_faults import until
 
 pytestmark = pytest.mark.system
 

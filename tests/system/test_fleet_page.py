@@ -9,8 +9,8 @@ import pytest
 from monitor.damage import State
 from monitor.service import fleet_page
 from monitor.service.fleet import SiteStatus
+from tests.support.browser import browser_tool
 from tests.support.debian import demand
-from tests.system.test_browser import browser_tool
 
 pytestmark = pytest.mark.system
 

@@ -24,11 +24,11 @@ import pytest
 from monitor.runs.ledger_chain import verify
 from monitor.service import ZenohOutSettings, ask, serialization
 from monitor.service.restart import KeptAlarms
-from tests.service.test_daemon import SITE
-from tests.service.test_http_server import fetch
 from tests.support.faulty_disk import Disk, faulty_disk, is_possible
+from tests.support.http import fetch
+from tests.support.site import SITE, lines
+from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
-from tests.system.test_service_faults import lines, until
 
 pytestmark = [pytest.mark.system, pytest.mark.skipif(not is_possible(), reason="only root may mount a disk")]
 

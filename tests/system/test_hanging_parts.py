@@ -22,10 +22,10 @@ from monitor.service import Daemon
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.status import look
-from tests.conftest import Cut
-from tests.service.test_daemon import SITE, Scripted, own
 from tests.support.live_site import RATE
-from tests.system.test_service_faults import lines, until
+from tests.support.samples import Cut
+from tests.support.site import SITE, Scripted, lines, own
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.system
 

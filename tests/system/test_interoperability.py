@@ -13,7 +13,7 @@ from mcap.writer import Writer
 
 from drivers.mcap_file import read_recordings
 from monitor.publish import LINE_SCHEMA
-from tests.conftest import Cli
+from tests.support.samples import Cli
 
 pytestmark = pytest.mark.system
 

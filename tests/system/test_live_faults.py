@@ -29,7 +29,7 @@ from monitor.publish import Publisher
 from monitor.runs import Session
 from monitor.runs.emulate import CanSink, cut_blocks
 from monitor.service import Daemon
-from tests.drivers.test_can_bus import accel, datagram, group  # noqa: F401 - a fixture
+from tests.support.can_group import accel, datagram
 from tests.support.live_rig import (
     DEPLOY,
     KEY,
@@ -216,7 +216,7 @@ class Wire:
 def test_malformed_datagrams_beside_every_frame_cost_no_window(
     tmp_path: Path,
     stream: list[SampleBlock],
-    group: tuple[CanSource, Callable[[bytes], object]],  # noqa: F811
+    group: tuple[CanSource, Callable[[bytes], object]],
 ) -> None:
     site, (reader, send) = make_site(tmp_path, "can", PROCESSING, **QUICK), group
     values = np.concatenate([block.samples for block in stream])[: round(31 * RATE_HZ)].astype(float)

@@ -18,9 +18,9 @@ import pytest
 
 from drivers.zenoh_session import SessionSettings, open_session
 from monitor.runs.ledger_chain import verify
-from tests.service.test_daemon import SITE
+from tests.support.site import SITE, lines
+from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
-from tests.system.test_service_faults import lines, until
 
 pytestmark = pytest.mark.system
 

@@ -39,12 +39,11 @@ from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import plain
 from monitor.service.restart import Checkpointer, Saved
 from monitor.service.threads import Recording
-from tests.conftest import T0_NS, Cli, Cut
-from tests.service.test_daemon import SITE as BARE_SITE
-from tests.service.test_daemon import Scripted
 from tests.support.live_site import RATE, SIZE, forked, given
+from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.site import SITE as BARE_SITE
+from tests.support.site import Scripted, run_until
 from tests.support.zenoh_router import free_port
-from tests.system.test_service_faults import run_until
 
 pytestmark = pytest.mark.system
 

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -35,15 +35,13 @@ from monitor.runs import Session
 from monitor.service import Daemon, history, serialization
 from monitor.service.daemon_health import failures
 from monitor.service.restart import KeptAlarms
-from tests.conftest import T0_NS, Cli, Cut
-from tests.service.test_daemon import SITE, Scripted, own, summary
 from tests.support.live_site import RATE
+from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.site import SITE, Endless, Scripted, lines, own, run_until, summary
+from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
 
 pytestmark = pytest.mark.system
-
-ROOT = Path(__file__).parents[2]
-S = 10**9
 
 
 @pytest.fixture
@@ -53,41 +51,8 @@ def site(tmp_path: Path, frame_text: str) -> Path:
     return path
 
 
-def until(true: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + 90.0
-    while not true():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.05)
-
-
-def lines(folder: Path, name: str = "results.jsonl") -> list[dict[str, Any]]:
-    """Of a file that grows; half a line is left out."""
-    file = folder / name
-    whole = file.read_bytes().rpartition(b"\n")[0] if file.exists() else b""
-    return [json.loads(line) for line in whole.splitlines()]
-
-
-class Endless(Scripted):
-    """Gives its blocks, then nothing, and asks the daemon to end once they were evaluated."""
-
-    def __init__(self, blocks: list[SampleBlock], windows: int) -> None:
-        super().__init__(blocks, hold=threading.Event())
-        self._windows = windows
-        self.daemon: Daemon
-
-    def read(self, timeout_s: float) -> SampleBlock | None:
-        block = super().read(timeout_s)
-        if block is None and self.daemon.session.windows >= self._windows and not self.daemon._stopping:
-            os.kill(os.getpid(), signal.SIGTERM)
-        return block
-
-
-def run_until(site: Path, blocks: list[SampleBlock], windows: int) -> Daemon:
-    """A daemon that is told to end when it has seen so many windows: it keeps its state."""
-    source = Endless(blocks, windows)
-    source.daemon = daemon = Daemon(site, source)
-    daemon.run()
-    return daemon
+ROOT = Path(__file__).parents[2]
+S = 10**9
 
 
 def expected(site: Path, blocks: list[SampleBlock]) -> list[dict[str, Any]]:

@@ -12,12 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import Cli, Cut
 from tests.statistics.host_kills import Sink, outbox
-from tests.support.live_rig import Command, until
+from tests.support.host_sites import Frames, alarms, results
+from tests.support.host_sites import site as site_file
+from tests.support.live_rig import Command
 from tests.support.object_storage import object_storage
-from tests.system.test_host import Frames, alarms, results
-from tests.system.test_host import site as site_file
+from tests.support.samples import Cli, Cut
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.system
 

@@ -26,11 +26,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from tests.service.test_daemon import SITE
-from tests.service.test_http_server import fetch
-from tests.service.test_notify import Drip, Hook, until
+from tests.support.hooks import Drip, Hook
+from tests.support.http import fetch
+from tests.support.site import SITE, lines
+from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
-from tests.system.test_service_faults import lines
 
 pytestmark = pytest.mark.system
 

@@ -22,12 +22,12 @@ from monitor.service import site as site_module
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.restart import lock
 from monitor.service.status import running
-from tests.conftest import Cut
-from tests.service.test_daemon import SITE, write
-from tests.service.test_operate import as_a_stranger
 from tests.support.live_site import RATE
+from tests.support.samples import Cut
+from tests.support.site import SITE, write
+from tests.support.strangers import as_a_stranger
+from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
-from tests.system.test_service_faults import until
 
 pytestmark = pytest.mark.system
 

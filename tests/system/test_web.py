@@ -23,12 +23,12 @@ import pytest
 from monitor.config import configuration
 from monitor.model import simulate
 from monitor.service.status import look, tell
-from tests.service.test_daemon import SITE as BARE_SITE
-from tests.service.test_web import TOKEN
+from tests.support.browser import browser_tool
 from tests.support.debian import demand
-from tests.support.live_rig import until
 from tests.support.live_site import RATE
-from tests.system.test_browser import browser_tool
+from tests.support.site import SITE as BARE_SITE
+from tests.support.site import TOKEN
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.system
 

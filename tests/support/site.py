@@ -1,0 +1,136 @@
+"""A site on recordings: its file, its source by script, its daemon and the files that the daemon writes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.base import EndOfStream, SampleBlock, SourceHealth
+from drivers.mcap_file import McapWriter
+from monitor.service import Daemon
+from tests.support.samples import Cli
+
+RATE = 128.0
+
+
+SITE = """
+[site]
+name = "bench"
+
+[source]
+kind = "mcap"
+files = ["rec.mcap"]
+
+[output]
+dir = "out"
+
+[recorder]
+min_free_gb = 0.0
+
+[watch]
+diagnose = false
+"""
+
+
+Step = SampleBlock | Exception | None
+
+
+class Scripted:
+    """A source that gives what it was told to: blocks, errors, or nothing in time."""
+
+    def __init__(self, script: Iterable[Step], hold: threading.Event | None = None) -> None:
+        self._script: Iterator[Step] = iter(script)
+        self._hold = hold
+        self.opened = self.closed = self.given = 0
+
+    def open(self) -> None:
+        self.opened += 1
+
+    def read(self, timeout_s: float) -> SampleBlock | None:
+        item = next(self._script, None if self._hold is not None else EndOfStream())
+        if isinstance(item, Exception):
+            raise item
+        if item is None:
+            time.sleep(min(timeout_s, 0.02))
+        else:
+            self.given += 1
+        return item
+
+    def health(self) -> SourceHealth:
+        return SourceHealth(self.opened > self.closed, {"blocks": self.given})
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture
+def site(tmp_path: Path, frame_text: str) -> Path:
+    path = tmp_path / "site.toml"
+    path.write_text(SITE + frame_text)
+    return path
+
+
+def lines(folder: Path, name: str = "results.jsonl") -> list[dict[str, Any]]:
+    """Of a file that grows; half a line is left out."""
+    file = folder / name
+    whole = file.read_bytes().rpartition(b"\n")[0] if file.exists() else b""
+    return [json.loads(line) for line in whole.splitlines()]
+
+
+def health(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "health.jsonl").read_text().splitlines()]
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    return dict(json.loads((folder / "summary.json").read_text()))
+
+
+def replayed(main: Cli, site: Path, recordings: Sequence[Path], out: Path) -> bytes:
+    done = main("replay", *recordings, "--structure", site, "--out", out)
+    assert done.returncode == 0, done.stderr
+    return (out / "results.jsonl").read_bytes()
+
+
+def own(out: Path) -> list[Path]:
+    return sorted((out / "recordings").glob("*.mcap"))
+
+
+def write(path: Path, blocks: Sequence[SampleBlock]) -> Path:
+    with McapWriter(path) as writer:
+        for block in blocks:
+            writer.write(block)
+    return path
+
+
+TOKEN = "a-token-of-letters-0123456789"
+
+
+class Endless(Scripted):
+    """Gives its blocks, then nothing, and asks the daemon to end once they were evaluated."""
+
+    def __init__(self, blocks: list[SampleBlock], windows: int) -> None:
+        super().__init__(blocks, hold=threading.Event())
+        self._windows = windows
+        self.daemon: Daemon
+
+    def read(self, timeout_s: float) -> SampleBlock | None:
+        block = super().read(timeout_s)
+        if block is None and self.daemon.session.windows >= self._windows and not self.daemon._stopping:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return block
+
+
+def run_until(site: Path, blocks: list[SampleBlock], windows: int) -> Daemon:
+    """A daemon that is told to end when it has seen so many windows: it keeps its state."""
+    source = Endless(blocks, windows)
+    source.daemon = daemon = Daemon(site, source)
+    daemon.run()
+    return daemon

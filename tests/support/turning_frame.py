@@ -1,0 +1,54 @@
+"""A frame that turns, which the model cannot."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from drivers.base import ACCELERATION
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.stepwise_selection import diagnose
+from monitor.diagnosis.verdict import Diagnosis
+from monitor.inference import ObservedSpectra, Posterior, classify, gather, make_posterior
+from monitor.model import Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
+from monitor.runs import cut_into_blocks
+from tests.support.jointed_frame import CONFIG
+
+RATE = 512.0
+
+
+TORSION = tuple(
+    parse_effect(f"unmodelled_mode:frame:frequency_hz={hz},damping_ratio=0.012,shape_1={a},shape_2={b},shape_3={c}")
+    for hz, a, b, c in ((7.4, 1.0, 0.8, 0.45), (17.5, 0.9, -0.5, -1.1))
+)
+
+
+TRUTH = CONFIG.model()
+
+
+CONTEXT = CONFIG.instrumented().context(RATE)
+
+
+@cache
+def spectra(*effects: Effect) -> ObservedSpectra:
+    """Averaged spectra of ten minutes of the true frame."""
+    model = Model(TRUTH.structure, effects)
+    motion = simulate(model, duration_s=600.0, rate_hz=RATE, noise=0.03, seed=5, context=CONTEXT)
+    return classify(
+        gather(cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128), CONFIG.front_end())
+    )
+
+
+def drawn(off: np.ndarray) -> StructuralPrior:
+    """What a drawing tells that is off by factors."""
+    structure = TRUTH.structure.with_stiffness(TRUTH.structure.stiffness_n_per_m * off)
+    return prior_from_drawing(Model(structure), np.r_[np.full(3, 0.2), np.full(3, 0.05)], 3)
+
+
+def posterior(off: np.ndarray, *effects: Effect) -> Posterior:
+    return make_posterior(spectra(*effects), drawn(off), CONTEXT)
+
+
+def diagnosed(off: np.ndarray, *effects: Effect) -> Diagnosis:
+    return diagnose(spectra(*effects), drawn(off), CONTEXT, DiagnosisSettings())
