@@ -10,7 +10,11 @@ HEAVY := (engine or system or docs) and not representative
 
 LOCK := out/lock/bin/uv pip compile --quiet --generate-hashes --no-annotate --no-header --python-version 3.11
 
-.PHONY: demo test test-all test-heavy test-slow lint format lock audit benchmark docs site sizes wheels clean
+SEED ?= 1
+MUTANTS ?= 60
+TREE ?= .
+
+.PHONY: demo test test-all test-heavy test-slow mutation lint format lock audit benchmark docs site sizes wheels clean
 
 demo: $(STAMP)
 	$(BIN)/shm-monitor demo
@@ -38,6 +42,13 @@ lint: $(DEV)
 format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# Small faults put into the product: which do no tests notice? tests/mutation.py tells more; hours, resumable.
+mutation: $(WARM)
+	$(BIN)/pip install --quiet --disable-pip-version-check --target out/mutation/packages/operators cosmic-ray==8.7.0
+	$(BIN)/pip install --quiet --disable-pip-version-check --target out/mutation/packages/coverage coverage==7.17.5
+	echo "import coverage; coverage.process_startup()" > out/mutation/packages/coverage/sitecustomize.py
+	PYTHONPATH=out/mutation/packages/coverage $(BIN)/python -m tests.mutation --seed $(SEED) --mutants $(MUTANTS) --tree $(TREE)
 
 benchmark: $(DEV)
 	$(BIN)/python tests/benchmarks/speed.py
