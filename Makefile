@@ -8,6 +8,10 @@ WARM := .venv/.compiled
 # What `make test` leaves to `make test-all`; each test that is not slow is in one of the two.
 HEAVY := (engine or system or docs) and not representative
 
+# A tier's wall and CPU time, and where in the tests it went, are kept in out/times: tests/times.py.
+TIER := $(BIN)/python -m tests.times run
+PYTEST := $(BIN)/python -m pytest -p tests.times
+
 LOCK := out/lock/bin/uv pip compile --quiet --generate-hashes --no-annotate --no-header --python-version 3.11
 
 SEED ?= 1
@@ -19,16 +23,17 @@ TREE ?= .
 demo: $(STAMP)
 	$(BIN)/shm-monitor demo
 
-test: $(WARM) lint
-	$(BIN)/python -m pytest -n auto --dist loadscope -m "not slow and not ($(HEAVY))"
+test: $(WARM)
+	$(TIER) lint $(MAKE) --no-print-directory lint
+	$(TIER) default $(PYTEST) -n auto --dist loadscope -m "not slow and not ($(HEAVY))"
 
 # All that is not slow: `make test`, then what it leaves out.
 test-all: test test-heavy
 
 # Diagnoses side by side; then whole commands, daemons and browsers one by one, for they watch clocks and ports.
 test-heavy: $(WARM) test
-	$(BIN)/python -m pytest -n auto --dist loadscope -m "not slow and engine and not representative"
-	$(BIN)/python -m pytest -m "not slow and not engine and $(HEAVY)"
+	$(TIER) engine $(PYTEST) -n auto --dist loadscope -m "not slow and engine and not representative"
+	$(TIER) system $(PYTEST) -m "not slow and not engine and $(HEAVY)"
 
 test-slow: $(DEV)
 	$(BIN)/python -m pytest -m slow --timeout 7200 -s
