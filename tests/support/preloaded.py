@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from threadpoolctl import threadpool_limits
 
-import monitor.cli.host
-import monitor.cli.run
-import tests.support.live_site  # noqa: F401
+from monitor.cli import app, host, run
 from monitor.runs import warm_up
+from tests.support import live_site
+
+LOADED = app, host, run, live_site
 
 with threadpool_limits(limits=1):
     warm_up()
