@@ -41,9 +41,10 @@ def _call(*words: str) -> None:
 
 
 class Command(Forked):
-    """``shm-monitor ARGUMENTS`` as a process of its own; what it says goes to a file."""
+    """``shm-monitor ARGUMENTS`` as a process of its own; what it says replaces the content of a file."""
 
     def __init__(self, log: Path, *arguments: object) -> None:
+        log.write_bytes(b"")
         super().__init__(log, _call, *map(str, arguments))
 
 
@@ -137,14 +138,14 @@ def make_site(folder: Path, kind: str, processing: dict[str, float], **tables: d
     return site
 
 
-def blocks(seconds: float, seed: int, *damage: str) -> list[SampleBlock]:
+def blocks(seconds: float, seed: int, *damage: str, size: int = 1024) -> list[SampleBlock]:
     """A simulated stream of the shipped site file's frame whose amplitudes the DBC can carry."""
     settings = configuration.load(DEPLOY / "can.toml")
     model = settings.model()
     model = replace(model, effects=(*model.effects, *map(synthetic_recording.parse_damage, damage)))
     floors = simulate(model, duration_s=seconds, rate_hz=RATE_HZ, noise=0.03, seed=seed).floors
     floors *= _RMS / np.sqrt(np.mean(floors**2))
-    return list(cut_into_blocks(ACCELERATION, floors, settings.channels, RATE_HZ, T0_NS, 1024))
+    return list(cut_into_blocks(ACCELERATION, floors, settings.channels, RATE_HZ, T0_NS, size))
 
 
 def quantised(stream: list[SampleBlock]) -> list[SampleBlock]:

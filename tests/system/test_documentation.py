@@ -99,7 +99,9 @@ def run(page: Path, folder: Path, *, slow: bool) -> None:
         (folder / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "deploy", folder / "deploy")  # results go beside it
     site = folder / "deploy/mcap.toml"
-    site.write_text(site.read_text().replace("speed = 100.0", "speed = 2000.0"))  # several pages run it, for ten seconds each
+    site.write_text(
+        site.read_text().replace("speed = 100.0", "speed = 2000.0")
+    )  # several pages run it, for ten seconds each
     environment = programs(folder)
     for block in blocks(page):
         if block.mark == "slow" and not slow:
@@ -204,7 +206,9 @@ def api_reference(folder: Path, *names: str) -> set[str]:
     pytest.importorskip("pdoc")
     command = [sys.executable, str(API), str(folder), *names]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder, timeout=240, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, cwd=folder, timeout=240, check=False
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert "Hankel" in (folder / "monitor/identification/ssi.html").read_text(encoding="utf-8")
     return {path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.html")}
