@@ -93,8 +93,8 @@ def summary(folder: Path) -> dict[str, Any]:
     return dict(json.loads((folder / "summary.json").read_text()))
 
 
-def replayed(main: Cli, site: Path, recordings: Sequence[Path], out: Path) -> bytes:
-    done = main("replay", *recordings, "--structure", site, "--out", out)
+def replayed(main: Cli, site: Path, recordings: Sequence[Path], out: Path, *options: object) -> bytes:
+    done = main("replay", *recordings, "--structure", site, *options, "--out", out)
     assert done.returncode == 0, done.stderr
     return (out / "results.jsonl").read_bytes()
 

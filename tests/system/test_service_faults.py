@@ -1,6 +1,6 @@
 """Faults of the machine under a running daemon: disks, clocks, state, whoever it talks to, memory.
 
-What each costs is told in docs/operations.md; kill -9 is tests/system/test_restart.py,
+What each costs is told in docs/operations.md; kill -9 is tests/service/test_restart.py,
 faults of the source tests/system/test_live_faults.py.
 """
 
