@@ -11,8 +11,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from dataclasses import dataclass
 from multiprocessing import forkserver
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
@@ -51,6 +51,16 @@ def _begin(log: Path, environment: dict[str, str], work: Callable[..., None], ar
     os.environ.update(environment)
     os.chdir(ROOT)
     work(*arguments)
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a process holds."""
+
+    threads: int
+    handles: int
+    children: int
+    memory_mb: float
 
 
 class Forked:
@@ -129,16 +139,17 @@ class Forked:
         return {name: value.strip() for name, _, value in (row.partition(":") for row in rows)}
 
     @property
+    def holds(self) -> Held:
+        """What it holds at present."""
+        children = Path(f"/proc/{self.pid}/task").glob("*/children")
+        return Held(
+            threads=int(self.status["Threads"]),
+            handles=len(os.listdir(f"/proc/{self.pid}/fd")),
+            children=sum(len(path.read_text().split()) for path in children),
+            memory_mb=self.rss_mb,
+        )
+
+    @property
     def rss_mb(self) -> float:
         """Memory in use, MiB."""
         return int(self.status["VmRSS"].split()[0]) / 1024
-
-
-@contextmanager
-def ended(*processes: Forked) -> Iterator[None]:
-    """Processes that have ended when the block is left."""
-    try:
-        yield
-    finally:
-        for one in processes:
-            one.kill()

@@ -34,7 +34,7 @@ _RMS = 4.0
 """Of every recording, m/s^2: its peaks fit the DBC's range."""
 
 
-def _call(*words: str) -> None:
+def call(*words: str) -> None:
     """Do what the command line says."""
     sys.argv = ["shm-monitor", *words]
     main()
@@ -45,7 +45,7 @@ class Command(Forked):
 
     def __init__(self, log: Path, *arguments: object) -> None:
         log.write_bytes(b"")
-        super().__init__(log, _call, *map(str, arguments))
+        super().__init__(log, call, *map(str, arguments))
 
 
 def shm_monitor(*arguments: object) -> None:

@@ -24,14 +24,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import typer
 
-from monitor.cli.app import app
+from monitor.cli import command_line
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "recordings/README.md"], key=lambda p: p.as_posix()
 )
+COMMANDS = command_line().commands
 _BLOCK = re.compile(
     r"(?:<!-- (?P<mark>not run|slow|first): (?P<why>[^\n]*?) -->\n)?^```(?P<kind>\w*)\n(?P<text>.*?)^```$",
     re.DOTALL | re.MULTILINE,
@@ -65,12 +65,10 @@ def commands(text: str) -> list[list[str]]:
 
 def parse(arguments: list[str]) -> None:
     """Read a command line as the program does, without running it."""
-    group = typer.main.get_command(app)
     name, *rest = arguments
-    assert name in group.commands, f"no command {name!r}"  # type: ignore[attr-defined]
-    command = group.commands[name]  # type: ignore[attr-defined]
+    assert name in COMMANDS, f"no command {name!r}"
     if "--help" not in rest:
-        command.make_context(name, rest)
+        COMMANDS[name].make_context(name, rest)
 
 
 def programs(folder: Path) -> dict[str, str]:
@@ -138,20 +136,23 @@ def test_the_slow_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
     run(page, tmp_path, slow=True)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: f"{p.parent.name}-{p.stem}")
+each_page = pytest.mark.parametrize("page", PAGES, ids=lambda p: f"{p.parent.name}-{p.stem}")
+
+
+@each_page
 def test_the_command_line_knows_every_command(page: Path) -> None:
     """In blocks that run or not, and in the running text."""
     text = page.read_text(encoding="utf-8")
     inline = [words for code in re.findall(r"`(shm-monitor [^`]+)`", text) for words in commands(code)]
     for words in inline:
-        assert words[0] in typer.main.get_command(app).commands or words[0].startswith("-"), words  # type: ignore[attr-defined]
+        assert words[0] in COMMANDS or words[0].startswith("-"), words
     for block in blocks(page):
         if block.kind in ("sh", "text", ""):
             for words in commands(block.text):
                 parse(words)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: f"{p.parent.name}-{p.stem}")
+@each_page
 def test_code_compiles_and_links_lead_somewhere(page: Path) -> None:
     for block in blocks(page):
         if block.kind == "python":

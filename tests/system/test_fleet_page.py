@@ -7,19 +7,19 @@ from pathlib import Path
 import pytest
 
 from monitor.damage import State
-from monitor.service import fleet_page
-from monitor.service.fleet import SiteStatus
+from monitor.service import fleet, fleet_page
 from tests.support.browser import browser_tool
 from tests.support.debian import demand
 
 pytestmark = pytest.mark.system
 
 
-def sites(count: int) -> list[SiteStatus]:
+def sites(count: int) -> list[fleet.SiteStatus]:
     found = [
-        SiteStatus(f"bridge-{k:05d}", State.NORMAL, "Nothing.", ddi=1e-6 * k, t_end_ns=10**18) for k in range(count)
+        fleet.SiteStatus(f"bridge-{k:05d}", State.NORMAL, "Nothing.", ddi=1e-6 * k, t_end_ns=10**18)
+        for k in range(count)
     ]
-    found[7] = SiteStatus("a </script><b>", State.ALARM, "Story 2 lost <i>20</i> %.", troubles=("no data",))
+    found[7] = fleet.SiteStatus("a </script><b>", State.ALARM, "Story 2 lost <i>20</i> %.", troubles=("no data",))
     return sorted(found, key=lambda site: (-site.state.rank, site.site))
 
 

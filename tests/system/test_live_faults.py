@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import random
-import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -97,9 +96,21 @@ def demand_holes_skipped(lines: list[dict[str, Any]], holes: Sequence[tuple[floa
         assert (line["ddi"] is None) == broken
 
 
-def demand_whole_end(site: Site, daemon: Command) -> None:
-    """SIGTERM: exit 0, whole recordings that give the same results again."""
-    code, took_s = daemon.stop(signal.SIGTERM)
+@contextmanager
+def flood_of(send: Callable[[], object]) -> Iterator[None]:
+    """Send without a pause while the context lasts."""
+    over = threading.Event()
+    flooding = threading.Thread(target=lambda: [send() for _ in iter(over.is_set, True)], daemon=True)
+    flooding.start()
+    yield
+    over.set()
+    flooding.join()
+
+
+def demand_whole_end(site: Site, daemon: Command, amid: AbstractContextManager[None] | None = None) -> None:
+    """SIGTERM, amid a flood too: exit 0, whole recordings that give the same results again."""
+    with amid or nullcontext():
+        code, took_s = daemon.stop()
     assert code == 0, daemon.said
     assert took_s < 10.0  # 5 s on a machine with nothing else to do
     assert "Traceback" not in daemon.said
@@ -152,13 +163,7 @@ def test_can_frames_lost_repeated_swapped_and_a_flood_of_foreign_ones(
             server.send(b"".join(text + more for text, more in wire[start : start + 64]))
         until(lambda: len(site.results) == 9, "all windows")
         assert daemon.rss_mb - before < 50.0
-        # It ends in the middle of a flood too.
-        over = threading.Event()
-        flooding = threading.Thread(target=lambda: [server.send(foreign) for _ in iter(over.is_set, True)], daemon=True)
-        flooding.start()
-        demand_whole_end(site, daemon)
-        over.set()
-        flooding.join()
+        demand_whole_end(site, daemon, flood_of(lambda: server.send(foreign)))
     holes = sorted((k / RATE_HZ, (k + 1) / RATE_HZ) for k in lost)
     demand_holes_skipped(site.results, holes)
     assert site.results[:2] == lines_of(site, stream)[:2]
@@ -285,12 +290,7 @@ def test_zenoh_blocks_lost_repeated_swapped_among_hostile_payloads(
                 put(bytes(2 << 20))
         until(lambda: len(site.results) == 9, "all windows")
         assert daemon.rss_mb - before < 50.0
-        over = threading.Event()
-        flooding = threading.Thread(target=lambda: [put(b"\xff" * 1000) for _ in iter(over.is_set, True)], daemon=True)
-        flooding.start()
-        demand_whole_end(site, daemon)
-        over.set()
-        flooding.join()
+        demand_whole_end(site, daemon, flood_of(lambda: put(b"\xff" * 1000)))
     demand_holes_skipped(site.results, [(k / 8, (k + 1) / 8) for k in sorted(lost)])
     assert site.results[:2] == lines_of(site, stream)[:2]
     counts = site.health["source"]["counts"]

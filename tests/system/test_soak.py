@@ -17,7 +17,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,28 +48,6 @@ heartbeat_url = "http://{drip}/beat"
 heartbeat_s = 1.0
 blind_s = 1.0
 """
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What the process holds."""
-
-    threads: int
-    handles: int
-    children: int
-    memory_mb: float
-    windows: int
-
-
-def sample(daemon: LiveDaemon) -> Sample:
-    children = Path(f"/proc/{daemon.pid}/task").glob("*/children")
-    return Sample(
-        int(daemon.status["Threads"]),
-        len(os.listdir(f"/proc/{daemon.pid}/fd")),
-        sum(len(path.read_text().split()) for path in children),
-        daemon.rss_mb,
-        len(daemon.windows),
-    )
 
 
 def _user() -> int | None:
@@ -185,14 +162,14 @@ def soak(
     daemon.until(lambda: hook.got, "the address that is well has its message")
     daemon.until(lambda: "Notifier" in daemon.failed, "the address that drips is told")
     time.sleep(seconds / 5.0)  # until all that is made once has been made
-    seen = [sample(daemon)]
+    seen, windows = [daemon.holds], [len(daemon.windows)]
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
         time.sleep(3.0)
-        seen.append(sample(daemon))
+        seen.append(daemon.holds)
+        windows.append(len(daemon.windows))
     assert daemon.code is None, daemon.said
-    judged = np.diff([s.windows for s in seen])
-    assert judged.min() > 0, judged
+    assert np.diff(windows).min() > 0, windows
     assert max(s.children for s in seen) <= 4, seen
     assert np.ptp([s.threads for s in seen]) <= 4, seen
     assert np.ptp([s.handles for s in seen]) <= 40, seen
