@@ -184,21 +184,6 @@ def test_a_slow_disk_holds_up_no_evaluation(
     assert list(read_recordings(own(site.parent / "out")))
 
 
-def test_a_disk_that_hangs_does_not_keep_it_from_ending(
-    site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    release = threading.Event()
-    source = Endless(cut(record, RATE), 9)
-    source.daemon = daemon = Daemon(site, source)
-    fsync = os.fsync
-    monkeypatch.setattr(os, "fsync", lambda handle: release.wait(120.0) and fsync(handle))
-    daemon.run()
-    assert not release.is_set()
-    release.set()
-    until(lambda: len(lines(site.parent / "out")) == 9, "results are there")
-    monkeypatch.undo()
-
-
 # --- clocks ------------------------------------------------------------------------------------------------------------
 
 
