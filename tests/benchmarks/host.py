@@ -204,7 +204,7 @@ def _live(given: argparse.Namespace, sites: list[tuple[str, float]]) -> dict[str
     try:
         until(lambda: "READY" in host.said, "READY", 600.0)
         ready_s = time.monotonic() - begun_s
-        before, begin_s = _used(host.process.pid), time.time() + 8.0
+        before, begin_s = _used(host.pid), time.time() + 8.0
         emulators = _start_emulators(given, router, begin_s, len(sites))
         own = [sys.executable, "-m", "tests.benchmarks.host", "--seconds", str(given.seconds), "--make-trouble"]
         trouble = [
@@ -214,10 +214,10 @@ def _live(given: argparse.Namespace, sites: list[tuple[str, float]]) -> dict[str
         course = []
         while any(one.poll() is None for one in emulators):
             time.sleep(10.0)
-            course.append({"t_s": round(time.time() - begin_s), **_used(host.process.pid)})
+            course.append({"t_s": round(time.time() - begin_s), **_used(host.pid)})
         sent = [json.loads(one.communicate()[0]) for one in emulators]
         told = [one.communicate()[0].strip() for one in trouble]
-        after = _used(host.process.pid)
+        after = _used(host.pid)
         code, end_s = host.stop(signal.SIGTERM)
     finally:
         host.kill()

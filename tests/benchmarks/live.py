@@ -31,9 +31,9 @@ from tests.support.live_rig import (  # noqa: E402
     router_for,
     samples,
     shm_monitor,
-    until,
     write,
 )  # fmt: skip
+from tests.support.waiting import until  # noqa: E402
 
 MOST_CPU_PERCENT = 10.0
 MOST_LATENCY_MS = 100.0

@@ -99,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         show_growth(max(2, rounds // 2), (3,) if given.quick else (3, 10, 30, 100), told)
         some = archive.write(folder / "reading.mcap", archive.configuration(), min(hours, 1.0))
         show_reading(some, max(2, rounds // 5), min(hours, 1.0), told)
-        told["replay"] = archive.replays(folder, hours)
+        told["replay"] = archive.replays(folder, hours, 1 if given.quick else None)
         print(f"\nreplay: {json.dumps(told['replay'], indent=1)}", flush=True)
         if not given.quick:
             told["reprocess"] = archive.reprocessing(folder, hours)

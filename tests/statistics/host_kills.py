@@ -142,7 +142,7 @@ def _record(out: Path, seconds: float) -> None:
 
 
 def _children(host: Command) -> list[int]:
-    pid = host.process.pid
+    pid = host.pid
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
@@ -153,7 +153,7 @@ def _kill(host: Command, kills: int, every_s: float) -> tuple[int, dict[str, flo
     for _ in range(kills):
         time.sleep(chance.uniform(0.3, 1.7) * every_s)
         before = _children(host)
-        if len(before) < 2 or host.process.poll() is not None:
+        if len(before) < 2 or host.code is not None:
             break
         victim, begun_s = chance.choice(before), time.monotonic()
         os.kill(victim, signal.SIGKILL)

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
 import sys
-import time
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,85 +16,42 @@ import tomlkit
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
+from monitor.cli import main
 from monitor.config import configuration
 from monitor.model import simulate
-from monitor.runs import cut_into_blocks
-from monitor.runs.synthetic_recording import parse_damage
+from monitor.runs import cut_into_blocks, synthetic_recording
+from tests.support.forked import ROOT, Forked
 from tests.support.mosquitto import Broker
-from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
-ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
 KEY = "shm/lab-frame/acceleration"
 RATE_HZ = 1024.0
 FACTOR = 0.001
 """Of deploy/frame.dbc, m/s^2."""
 T0_NS = 1_767_225_600_000_000_000
-PATIENCE_S = 60.0
 _RMS = 4.0
 """Of every recording, m/s^2: its peaks fit the DBC's range."""
-_TICKS = os.sysconf("SC_CLK_TCK")
 
 
-def _environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+def call(*words: str) -> None:
+    """Do what the command line says."""
+    sys.argv = ["shm-monitor", *words]
+    main()
 
 
-class Command:
-    """``shm-monitor ARGUMENTS`` as a process of its own; what it says goes to a file."""
+class Command(Forked):
+    """``shm-monitor ARGUMENTS`` as a process of its own; what it says replaces the content of a file."""
 
     def __init__(self, log: Path, *arguments: object) -> None:
-        self._log = log
-        with log.open("wb") as said:
-            command = [sys.executable, "-m", "monitor", *map(str, arguments)]
-            self.process = subprocess.Popen(command, stdout=said, stderr=said, cwd=ROOT, env=_environment())
-
-    @property
-    def said(self) -> str:
-        """Everything so far."""
-        return self._log.read_text(errors="replace")
-
-    def wait_for(self, text: str) -> None:
-        """Until it has said that."""
-        until(lambda: text in self.said or self.process.poll() is not None, f"{text!r} in {self._log}")
-        assert text in self.said, self.said
-
-    def finish(self, patience_s: float) -> None:
-        """Until it ends by itself, with success."""
-        assert self.process.wait(patience_s) == 0, self.said
-
-    def stop(self, number: int = signal.SIGTERM) -> tuple[int, float]:
-        """Exit code after a signal, and how long it took, s."""
-        begun = time.monotonic()
-        self.process.send_signal(number)
-        return self.process.wait(PATIENCE_S), time.monotonic() - begun
-
-    def kill(self) -> None:
-        """End it at once, if it still runs."""
-        if self.process.poll() is None:
-            self.process.kill()
-            self.process.wait()
-
-    @property
-    def cpu_s(self) -> float:
-        """Time of this process alone on any core."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / _TICKS
-
-    @property
-    def rss_mb(self) -> float:
-        """Memory in use, MiB."""
-        status = Path(f"/proc/{self.process.pid}/status").read_text()
-        return int(status.partition("VmRSS:")[2].split()[0]) / 1024
+        log.write_bytes(b"")
+        super().__init__(log, call, *map(str, arguments))
 
 
-def shm_monitor(*arguments: object) -> str:
+def shm_monitor(*arguments: object) -> None:
     """Run a command to its end."""
-    command = [sys.executable, "-m", "monitor", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=_environment(), check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    with tempfile.TemporaryDirectory() as folder, Command(Path(folder) / "log", *arguments) as command:
+        command.finish(600.0)
 
 
 @dataclass(frozen=True)
@@ -184,14 +138,14 @@ def make_site(folder: Path, kind: str, processing: dict[str, float], **tables: d
     return site
 
 
-def blocks(seconds: float, seed: int, *damage: str) -> list[SampleBlock]:
+def blocks(seconds: float, seed: int, *damage: str, size: int = 1024) -> list[SampleBlock]:
     """A simulated stream of the shipped site file's frame whose amplitudes the DBC can carry."""
     settings = configuration.load(DEPLOY / "can.toml")
     model = settings.model()
-    model = replace(model, effects=(*model.effects, *map(parse_damage, damage)))
+    model = replace(model, effects=(*model.effects, *map(synthetic_recording.parse_damage, damage)))
     floors = simulate(model, duration_s=seconds, rate_hz=RATE_HZ, noise=0.03, seed=seed).floors
     floors *= _RMS / np.sqrt(np.mean(floors**2))
-    return list(cut_into_blocks(ACCELERATION, floors, settings.channels, RATE_HZ, T0_NS, 1024))
+    return list(cut_into_blocks(ACCELERATION, floors, settings.channels, RATE_HZ, T0_NS, size))
 
 
 def quantised(stream: list[SampleBlock]) -> list[SampleBlock]:

@@ -10,7 +10,9 @@ import multiprocessing
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -18,7 +20,9 @@ from threadpoolctl import threadpool_limits
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
 from monitor.config import configuration
 from monitor.service import Daemon, logs
+from tests.support.forked import Forked
 from tests.support.samples import CHANNELS, T0_NS
+from tests.support.site import lines
 
 RATE, SIZE = 128.0, 64
 
@@ -57,21 +61,51 @@ class Live:
     def close(self) -> None: ...
 
 
-def forked(log: Path, arguments: list[str]) -> None:
-    """In a process that has imported everything already."""
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    os.dup2(descriptor, 1)
-    os.dup2(descriptor, 2)
-    main(arguments)
+def daemon(site: Path, stream: Path, position: Path, pace_s: float, missed: int) -> None:
+    """Monitor the stream until the process is told to end."""
+    settings = configuration.load(site)
+    logs.begin(settings.log, settings.site_name)
+    source = Live(np.load(stream), position, pace_s, missed)
+    with threadpool_limits(limits=1):
+        Daemon(site, source).run()
+
+
+class LiveDaemon(Forked):
+    """A daemon of FOLDER/site.toml on the stream of FOLDER/stream.npy; what it says is appended to FOLDER/log."""
+
+    def __init__(self, folder: Path, pace_s: float, missed: int = 0, work: Callable[..., None] = daemon) -> None:
+        files = [folder / name for name in ("site.toml", "stream.npy", "position")]
+        super().__init__(folder / "log", work, *files, pace_s, missed)
+        self.out, self._position = folder / "out", folder / "position"
+
+    @property
+    def given(self) -> int:
+        """Blocks of the stream so far."""
+        return given(self._position)
+
+    @property
+    def windows(self) -> list[dict[str, Any]]:
+        """Lines of results.jsonl so far."""
+        return lines(self.out)
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """Parts that fail, by the latest line of health."""
+        return dict(lines(self.out, "health.jsonl")[-1]["failed"])
+
+    def wait_for_windows(self, count: int) -> None:
+        """Until there are so many."""
+        self.until(lambda: len(self.windows) >= count, f"{count} windows")
+
+
+def save_stream(folder: Path, floors: np.ndarray) -> None:
+    """Keep what the source of a folder gives."""
+    np.save(folder / "stream.npy", floors.astype(np.float32))
 
 
 def main(arguments: list[str]) -> None:
     site, stream, position, pace_s, missed = arguments
-    settings = configuration.load(Path(site))
-    logs.begin(settings.log, settings.site_name)
-    source = Live(np.load(stream), Path(position), float(pace_s), int(missed))
-    with threadpool_limits(limits=1):
-        Daemon(Path(site), source).run()
+    daemon(Path(site), Path(stream), Path(position), float(pace_s), int(missed))
 
 
 if __name__ == "__main__":

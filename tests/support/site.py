@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ import pytest
 
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter
-from monitor.service import Daemon
+from monitor.core import WindowResult
+from monitor.service import Daemon, outlets
 from tests.support.samples import Cli
 
 RATE = 128.0
@@ -93,8 +94,8 @@ def summary(folder: Path) -> dict[str, Any]:
     return dict(json.loads((folder / "summary.json").read_text()))
 
 
-def replayed(main: Cli, site: Path, recordings: Sequence[Path], out: Path) -> bytes:
-    done = main("replay", *recordings, "--structure", site, "--out", out)
+def replayed(main: Cli, site: Path, recordings: Sequence[Path], out: Path, *options: object) -> bytes:
+    done = main("replay", *recordings, "--structure", site, *options, "--out", out)
     assert done.returncode == 0, done.stderr
     return (out / "results.jsonl").read_bytes()
 
@@ -110,6 +111,25 @@ def write(path: Path, blocks: Sequence[SampleBlock]) -> Path:
     return path
 
 
+class Told(outlets.Outlet):
+    """Keeps what the daemon tells: the lines of its windows and of its health."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.health_lines: list[Mapping[str, Any]] = []
+
+    def window(self, result: WindowResult, line: str) -> None:
+        self.lines.append(line)
+
+    def health_line(self, line: Mapping[str, Any]) -> None:
+        self.health_lines.append(line)
+
+    @property
+    def failed_parts(self) -> dict[str, str]:
+        """By the latest line of health."""
+        return dict(self.health_lines[-1]["failed"]) if self.health_lines else {}
+
+
 TOKEN = "a-token-of-letters-0123456789"
 
 
@@ -118,12 +138,13 @@ class Endless(Scripted):
 
     def __init__(self, blocks: list[SampleBlock], windows: int) -> None:
         super().__init__(blocks, hold=threading.Event())
-        self._windows = windows
+        self._windows, self._asked = windows, False
         self.daemon: Daemon
 
     def read(self, timeout_s: float) -> SampleBlock | None:
         block = super().read(timeout_s)
-        if block is None and self.daemon.session.windows >= self._windows and not self.daemon._stopping:
+        if block is None and self.daemon.session.windows >= self._windows and not self._asked:
+            self._asked = True
             os.kill(os.getpid(), signal.SIGTERM)
         return block
 

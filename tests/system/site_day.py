@@ -18,7 +18,6 @@ import random
 import re
 import signal
 import socket
-import subprocess
 import sys
 import tempfile
 import threading
@@ -34,19 +33,20 @@ import zenoh
 
 from drivers import codec
 from drivers.base import ACCELERATION, SampleBlock
-from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model import simulate
 from monitor.runs import cut_into_blocks
 from tests.support.faulty_disk import Disk, faulty_disk, is_possible
+from tests.support.forked import Forked, Held
 from tests.support.frame_text import THREE_STORIES
 from tests.support.hooks import Drip, Hook
 from tests.support.http import fetch
+from tests.support.live_rig import call, shm_monitor
 from tests.support.samples import CHANNELS, T0_NS
+from tests.support.site import lines, summary, write
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
 
-ROOT = Path(__file__).parents[2]
 RATE, SIZE = 128.0, 256
 BLOCK_S = SIZE / RATE
 KEY = "shm/day/acceleration"
@@ -91,24 +91,13 @@ hop_s = 5.0
 
 
 @dataclass
-class Sample:
-    """What the process holds, and what it says of itself."""
-
-    life: int
-    wall_s: float
-    threads: int
-    handles: int
-    memory_mb: float
-    windows: float
-
-
-@dataclass
 class Report:
     """What came of the day."""
 
     data_h: float = 0.0
     lives: int = 0
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[tuple[int, Held]] = field(default_factory=list)
+    """What the process held, by its life."""
     ends_s: list[float] = field(default_factory=list)
     """Time that each end by SIGTERM took, s."""
     troubles: list[tuple[float, float]] = field(default_factory=list)
@@ -132,7 +121,7 @@ class Report:
         """Return the greatest growth within a life from its fifth sample on: threads, handles, memory in MB."""
         most = {"threads": 0.0, "handles": 0.0, "memory_mb": 0.0}
         for life in range(self.lives):
-            own = [s for s in self.samples if s.life == life][4:]
+            own = [held for number, held in self.samples if number == life][4:]
             for name in most if len(own) > 1 else ():
                 most[name] = max(most[name], getattr(own[-1], name) - getattr(own[0], name))
         return most
@@ -254,7 +243,7 @@ class Day:
         self._hours, self._pace, self._seed = hours, pace, seed
         self._draw, self.report = random.Random(seed), Report(data_h=hours)
         self._metrics, self._bus = free_port(), free_port()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._daemon: Forked | None = None
         self._disk: Disk | None = None
 
     def run(self) -> Report:
@@ -299,39 +288,32 @@ class Day:
         for path, seconds, seed in ((bare, 900.0, 1), (weak, 180.0, 2)):
             model = configuration.load(path).model()
             parts.append(simulate(model, duration_s=seconds, rate_hz=RATE, noise=0.03, seed=seed).floors)
-        with McapWriter(self._folder / "healthy.mcap") as writer:
-            for block in cut_into_blocks(ACCELERATION, parts[0], CHANNELS, RATE, T0_NS, SIZE):
-                writer.write(block)
+        healthy = list(cut_into_blocks(ACCELERATION, parts[0], CHANNELS, RATE, T0_NS, SIZE))
+        write(self._folder / "healthy.mcap", healthy)
         files = [self._folder / name for name in ("healthy.mcap", "baseline.json")]
-        self._command("calibrate", files[0], "--structure", bare, "--out", files[1])
+        shm_monitor("calibrate", files[0], "--structure", bare, "--out", files[1])
         return np.concatenate(parts)
 
-    def _command(self, *words: object) -> None:
-        command = [sys.executable, "-m", "monitor", *map(str, words)]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
+    @property
+    def _running(self) -> Forked:
+        assert self._daemon is not None and self._daemon.code is None, (self._folder / "log").read_text()[-2000:]
+        return self._daemon
 
     def _start(self, stream: Stream) -> None:
         stream.going.clear()
-        with (self._folder / "log").open("ab") as log:
-            command = [sys.executable, "-m", "monitor", "run", str(self._folder / "site.toml")]
-            self._process = subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT)
+        self._daemon = Forked(self._folder / "log", call, "run", str(self._folder / "site.toml"))
         self.report.lives += 1
-        until(lambda: (self._folder / "log").read_text().count("READY\n") == self.report.lives, "it has started")
+        until(lambda: self._running.said.count("READY\n") == self.report.lives, "it has started")
         time.sleep(5.0)  # the node, too, is connected again
         stream.going.set()
 
     def _kill(self) -> None:
-        assert self._process is not None
-        self._process.kill()
-        self._process.wait()
+        if self._daemon is not None:
+            self._daemon.kill()
 
     def _end(self) -> None:
-        assert self._process is not None
-        begun_s = time.monotonic()
-        self._process.terminate()
-        code = self._process.wait(30.0)
-        self.report.ends_s.append(time.monotonic() - begun_s)
+        code, seconds = self._running.stop()
+        self.report.ends_s.append(seconds)
         assert code in {0, -signal.SIGTERM}, code  # by the signal itself while it starts
 
     def _live(self, stream: Stream) -> None:
@@ -358,9 +340,7 @@ class Day:
             yield from names
 
     def _do(self, name: str, stream: Stream) -> None:
-        assert self._process is not None
-        assert self._process.poll() is None, (self._folder / "log").read_text()[-2000:]
-        disk = self._disk
+        running, disk = self._running, self._disk
         if name == "kill":
             self._kill()
             self._start(stream)
@@ -371,7 +351,7 @@ class Day:
             site = self._folder / "site.toml"
             seconds = self._draw.randrange(60, 90)
             site.write_text(re.sub(r"clear_s = \d+\.0", f"clear_s = {seconds}.0", site.read_text()))
-            self._process.send_signal(signal.SIGHUP)
+            running.send(signal.SIGHUP)
         elif name == "hang" and disk is not None:
             disk.hang()
             time.sleep(8.0)
@@ -382,26 +362,18 @@ class Day:
             disk.make_room()
 
     def _note(self, life: int) -> None:
-        """Sample what the process holds."""
-        assert self._process is not None
-        place = Path(f"/proc/{self._process.pid}")
-        with contextlib.suppress(OSError, KeyError, ValueError, IndexError):
-            rows = dict(row.split(":", 1) for row in (place / "status").read_text().splitlines())
-            text = fetch(self._metrics).decode()
-            windows = float(re.findall(r"^shm_windows_total (\S+)", text, re.M)[0])
-            memory_mb = int(rows["VmRSS"].split()[0]) / 1024
-            handles = len(os.listdir(place / "fd"))
-            self.report.samples.append(
-                Sample(life, time.monotonic(), int(rows["Threads"]), handles, memory_mb, windows)
-            )
+        """Note what the process holds, while it answers."""
+        with contextlib.suppress(OSError, KeyError):
+            fetch(self._metrics)
+            self.report.samples.append((life, self._running.holds))
 
     def _compare(self, site: Path) -> None:
         """Replay the recordings, and compare the results line by line."""
         report, again = self.report, self._folder / "again"
         recordings = sorted((self._out / "recordings").glob("*.mcap"))
         files = ["--structure", site, "--baseline", self._folder / "baseline.json", "--out", again]
-        self._command("replay", *recordings, *files)
-        live, replayed = (_lines(folder) for folder in (self._out, again))
+        shm_monitor("replay", *recordings, *files)
+        live, replayed = ((folder / "results.jsonl").read_text().splitlines() for folder in (self._out, again))
         report.windows, report.replayed = len(live), len(replayed)
         report.judged = sum(json.loads(text)["skipped"] is None for text in live)
         known: dict[int, list[str]] = {}  # two windows end at one time where the clock was set back
@@ -417,23 +389,10 @@ class Day:
             told = ("skipped", "frequencies_hz", "frequencies_std_hz")
             if not any(all(line[key] == wanted[key] for key in told) for wanted in map(json.loads, others)):
                 report.unlike.append(t_s)
-        summary, health = (json.loads(text) for text in (_text(self._out / "summary.json"), _last(self._out)))
-        report.latency_ms, report.lost = summary["latency_ms"], health["lost"]
+        report.latency_ms, report.lost = summary(self._out)["latency_ms"], lines(self._out, "health.jsonl")[-1]["lost"]
         rows = (self._folder / "log").read_text().splitlines()
         report.log_rows = len(rows)
         report.strange_rows = [row for row in rows if row != "READY" and not row.startswith("time=")]
-
-
-def _lines(folder: Path) -> list[str]:
-    return (folder / "results.jsonl").read_text().splitlines()
-
-
-def _text(path: Path) -> str:
-    return path.read_text()
-
-
-def _last(out: Path) -> str:
-    return (out / "health.jsonl").read_text().splitlines()[-1]
 
 
 def live_through(folder: Path, hours: float, pace: float, seed: int) -> Report:
@@ -446,7 +405,6 @@ def main() -> None:
     hours, pace, seed = (*map(float, sys.argv[1:]), *(24.0, 15.0, 1.0)[len(sys.argv) - 1 :])
     with tempfile.TemporaryDirectory() as folder:
         report = live_through(Path(folder), hours, pace, int(seed))
-    own = report.samples
     print(
         f"{report.data_h:g} h of data, {report.lives} lives, deeds {report.counts}, ends in {np.round(report.ends_s, 1)} s"
     )
@@ -457,7 +415,7 @@ def main() -> None:
         f"not as in the replay, outside of kills and full disks: {len(report.unlike)} {np.round(report.unlike[:20], 1)}"
     )
     for name in ("threads", "handles", "memory_mb"):
-        values = [getattr(s, name) for s in own]
+        values = [getattr(held, name) for _, held in report.samples]
         print(f"{name}: {min(values):.0f} to {max(values):.0f}; most growth in a life {report.growth()[name]:.0f}")
     print(f"latency of the last life: {report.latency_ms}; lost: {report.lost}; messages {report.messages}")
     print(f"log: {report.log_rows} rows; no records: {report.strange_rows[:5]}")

@@ -6,9 +6,10 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +17,9 @@ from PIL import Image
 
 from monitor.core import Level
 from monitor.publish import RerunPublisher, read_period, write_period, write_report
+from tests.support import event_pages
 from tests.support.browser import ROOT, browser_tool
 from tests.support.debian import demand
-from tests.support.event_pages import page, told
 from tests.support.period_lines import json_lines, line_of
 from tests.support.searched import LOSS, searched
 from tests.support.viewer_results import SCENE, window
@@ -26,14 +27,17 @@ from tests.support.viewer_results import SCENE, window
 pytestmark = pytest.mark.system
 
 
-def shot(page: str, picture: Path, seconds: float = 1.0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "docs/browser.py"), page, str(picture), str(seconds)]
+def shot(place: str, picture: Path, seconds: float = 1.0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "docs/browser.py"), place, str(picture), str(seconds)]
     return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _chromium() -> None:
+def page() -> Iterator[Any]:
+    """A page of the browser."""
     demand("chromium")
+    with browser_tool().browser(1140, 1000) as shown:
+        yield shown
 
 
 def write_period_report(folder: Path) -> None:
@@ -56,12 +60,12 @@ def write_diagnosis_report(folder: Path) -> None:
 
 
 def write_event_report(folder: Path) -> None:
-    (folder / "r.html").write_text(page(*told()))
+    (folder / "r.html").write_text(event_pages.page(*event_pages.told()))
 
 
 @pytest.mark.parametrize("write", [write_period_report, write_diagnosis_report, write_event_report])
 def test_a_report_is_read_on_a_telephone_without_scrolling_sideways(
-    write: Callable[[Path], None], tmp_path: Path
+    write: Callable[[Path], None], tmp_path: Path, page: Any
 ) -> None:
     """At 390 px nothing reaches beyond the edge, no text is below 11 px, and no labels of an axis overlap."""
     write(tmp_path)
@@ -71,20 +75,19 @@ def test_a_report_is_read_on_a_telephone_without_scrolling_sideways(
       const boxes = [...s.querySelectorAll('text')].map(t => t.getBoundingClientRect()).filter(b => b.width > 0);
       return boxes.flatMap((a, i) => boxes.slice(i + 1).filter(b => a.left < b.right - 1 && b.left < a.right - 1 &&
         a.top < b.bottom - 3 && b.top < a.bottom - 3)); }).length"""
-    with browser_tool().browser(1140, 1000) as page:
-        for width in (390, 1280):
-            size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
-            page.call("Emulation.setDeviceMetricsOverride", **size)
-            page.call("Page.navigate", url=(tmp_path / "r.html").as_uri())
-            for _ in range(60):
-                page.wait(0.5)
-                if page.value("document.readyState") == "complete":
-                    break
-            assert page.value("document.documentElement.scrollWidth") <= width
-            assert page.value(smallest) >= 11.0
-            assert page.value("document.querySelectorAll('figure > svg').length") >= 5
-            assert page.value(overlaps) == 0, width
-        assert page.errors == []
+    for width in (390, 1280):
+        size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
+        page.call("Emulation.setDeviceMetricsOverride", **size)
+        page.call("Page.navigate", url=(tmp_path / "r.html").as_uri())
+        for _ in range(300):
+            page.wait(0.1)
+            if page.value("document.readyState") == "complete":
+                break
+        assert page.value("document.documentElement.scrollWidth") <= width
+        assert page.value(smallest) >= 11.0
+        assert page.value("document.querySelectorAll('figure > svg').length") >= 5
+        assert page.value(overlaps) == 0, width
+    assert page.errors == []
 
 
 def test_the_period_report_draws(tmp_path: Path) -> None:
@@ -102,9 +105,9 @@ def test_the_period_report_draws(tmp_path: Path) -> None:
 
 
 def test_an_error_of_a_page_is_told(tmp_path: Path) -> None:
-    page = tmp_path / "bad.html"
-    page.write_text("<!DOCTYPE html><title>x</title><p>x<script>nowhere.at.all()</script>")
-    done = shot(str(page), tmp_path / "x.png")
+    bad = tmp_path / "bad.html"
+    bad.write_text("<!DOCTYPE html><title>x</title><p>x<script>nowhere.at.all()</script>")
+    done = shot(str(bad), tmp_path / "x.png")
     assert done.returncode == 1
     assert "nowhere is not defined" in done.stderr
 

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +14,17 @@ from tests.events.shaken import RATE as SHAKEN_RATE
 from tests.events.shaken import STIFFNESS, kanai_tajimi, shake, structure_text
 from tests.support.faulty_disk import faulty_disk, is_possible
 from tests.support.http import fetch
-from tests.support.live_site import RATE, SIZE, given
+from tests.support.live_site import RATE, SIZE, LiveDaemon, save_stream
 from tests.support.samples import T0_NS
-from tests.support.waiting import until
+from tests.support.site import lines
 from tests.support.zenoh_router import free_port
 
 pytestmark = pytest.mark.system
 
 QUIET_S, QUAKE_S, AFTER_S = 25.0, 25.0, 30.0
 """Of the stream's time."""
-PACE_S = 0.04
-"""Between two blocks of half a second: twelve times real time."""
+PACE_S = 0.02
+"""Between two blocks of half a second: 25 times real time."""
 SITE = """
 [site]
 name = "bench"
@@ -60,19 +55,6 @@ says = "look at it"
 """
 
 
-@contextmanager
-def running(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    arguments = [folder / "site.toml", folder / "stream.npy", folder / "position", PACE_S, 0]
-    command = [sys.executable, "-m", "tests.support.live_site", *map(str, arguments)]
-    with (folder / "log").open("ab") as log:
-        process = subprocess.Popen(command, stdout=log, stderr=log, cwd=Path(__file__).parents[2])
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
     """A site file, and the stream of its frame: quiet, a quake, quiet.  It is simulated at another rate, and so slower."""
@@ -81,45 +63,36 @@ def site(tmp_path: Path) -> Path:
     wave = np.zeros(round((QUIET_S + QUAKE_S + AFTER_S) * RATE))
     quake = kanai_tajimi(QUAKE_S * slower, 1.0, 2.5, np.random.default_rng(3))
     wave[round(QUIET_S * RATE) :][: quake.size] += quake
-    np.save(tmp_path / "stream.npy", shake(wave, np.random.default_rng(4))[0].floors.astype(np.float32))
+    save_stream(tmp_path, shake(wave, np.random.default_rng(4))[0].floors)
     return tmp_path
 
 
-def at_s(folder: Path) -> float:
+def at_s(daemon: LiveDaemon) -> float:
     """Time of the stream that the source has given."""
-    return given(folder / "position") * SIZE / RATE
+    return daemon.given * SIZE / RATE
 
 
 def event_lines(folder: Path) -> list[dict[str, Any]]:
-    path = folder / "out" / "events.jsonl"
-    return [json.loads(text) for text in path.read_bytes().splitlines()] if path.exists() else []
-
-
-def wait(process: subprocess.Popen[bytes], folder: Path, condition: Callable[[], bool], what: str) -> None:
-    until(lambda: process.poll() is not None or condition(), what)
-    assert process.poll() is None, (folder / "log").read_text()
+    return lines(folder / "out", "events.jsonl")
 
 
 def test_an_event_in_which_the_daemon_is_killed_is_told_once_after_the_restart(site: Path) -> None:
-    with running(site) as process:
-        wait(process, site, lambda: at_s(site) > QUIET_S + 0.5 * QUAKE_S, "the middle of the quake")
-        process.kill()
-        process.wait()
+    with LiveDaemon(site, PACE_S) as daemon:
+        daemon.until(lambda: at_s(daemon) > QUIET_S + 0.5 * QUAKE_S, "the middle of the quake")
     assert not event_lines(site)
-    with running(site) as process:
-        wait(process, site, lambda: at_s(site) > QUIET_S + QUAKE_S + AFTER_S - 5.0, "the end of the stream")
-        process.terminate()
-        assert process.wait(60.0) == 0
-    lines = event_lines(site)
-    assert lines and all(n == 1 for n in Counter((line["id"], line["revision"]) for line in lines).values())
-    first = lines[0]
+    with LiveDaemon(site, PACE_S) as daemon:
+        daemon.until(lambda: at_s(daemon) > QUIET_S + QUAKE_S + AFTER_S - 5.0, "the end of the stream")
+        assert daemon.stop()[0] == 0
+    found = event_lines(site)
+    assert found and all(n == 1 for n in Counter((line["id"], line["revision"]) for line in found).values())
+    first = found[0]
     begin_s = (first["t_begin_ns"] - T0_NS) * 1e-9
     assert abs(begin_s - QUIET_S) < 3.0 and first["verdict"] == "look at it"
     info = recording_info(site / "out" / first["recording"])
     assert info.t_start_ns <= first["t_begin_ns"] - 10 * 10**9, "what was recorded before the kill belongs to it"
     page = (site / "out" / "events" / f"{first['id']}.html").read_text()
     assert "look at it" in page and "a1: acceleration" in page
-    assert "Traceback" not in (site / "log").read_text()
+    assert "Traceback" not in daemon.said
 
 
 @pytest.mark.skipif(not is_possible(), reason="only root may mount a disk")
@@ -128,16 +101,15 @@ def test_an_event_at_a_full_disk_keeps_its_line_and_is_told(site: Path) -> None:
     backing.mkdir()
     out.mkdir()
     port = int((site / "site.toml").read_text().partition("127.0.0.1:")[2].partition('"')[0])
-    with faulty_disk(backing, out) as disk, running(site) as process:
-        wait(process, site, lambda: at_s(site) > QUIET_S + 5.0, "the quake")
+    with faulty_disk(backing, out) as disk, LiveDaemon(site, PACE_S) as daemon:
+        daemon.until(lambda: at_s(daemon) > QUIET_S + 5.0, "the quake")
         disk.fill()
         blocked = 'shm_output_failed{output="events"} 1.0'
-        wait(process, site, lambda: blocked in fetch(port).decode(), "the recording cannot be written")
+        daemon.until(lambda: blocked in fetch(port).decode(), "the recording cannot be written")
         disk.make_room()
-        wait(process, site, lambda: event_lines(site), "the line")
-        process.terminate()
-        assert process.wait(60.0) == 0
+        daemon.until(lambda: event_lines(site), "the line")
+        assert daemon.stop()[0] == 0
         line = event_lines(site)[0]
         assert line["revision"] == 0 and all(peak > 0.0 for peak in line["peak_acceleration_m_s2"].values())
         assert not (out / line["recording"]).exists()
-    assert "cannot be written" in (site / "log").read_text() and "Traceback" not in (site / "log").read_text()
+    assert "cannot be written" in daemon.said and "Traceback" not in daemon.said

@@ -7,19 +7,19 @@ from pathlib import Path
 import pytest
 
 from monitor.damage import State
-from monitor.service import fleet_page
-from monitor.service.fleet import SiteStatus
+from monitor.service import fleet, fleet_page
 from tests.support.browser import browser_tool
 from tests.support.debian import demand
 
 pytestmark = pytest.mark.system
 
 
-def sites(count: int) -> list[SiteStatus]:
+def sites(count: int) -> list[fleet.SiteStatus]:
     found = [
-        SiteStatus(f"bridge-{k:05d}", State.NORMAL, "Nothing.", ddi=1e-6 * k, t_end_ns=10**18) for k in range(count)
+        fleet.SiteStatus(f"bridge-{k:05d}", State.NORMAL, "Nothing.", ddi=1e-6 * k, t_end_ns=10**18)
+        for k in range(count)
     ]
-    found[7] = SiteStatus("a </script><b>", State.ALARM, "Story 2 lost <i>20</i> %.", troubles=("no data",))
+    found[7] = fleet.SiteStatus("a </script><b>", State.ALARM, "Story 2 lost <i>20</i> %.", troubles=("no data",))
     return sorted(found, key=lambda site: (-site.state.rank, site.site))
 
 
@@ -30,8 +30,8 @@ def test_ten_thousand_sites_are_filtered_and_sorted(tmp_path: Path) -> None:
     assert file.stat().st_size < 2e6
     with browser_tool().browser(1140, 800) as shown:
         shown.call("Page.navigate", url=file.as_uri())
-        for _ in range(60):
-            shown.wait(1.0)
+        for _ in range(600):
+            shown.wait(0.1)
             if shown.value("document.querySelectorAll('#space .row').length"):
                 break
         first = "document.querySelector('#space .row').innerText"

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import signal
-import urllib.request
 from pathlib import Path
 
 import pyarrow.compute
@@ -15,6 +14,7 @@ import pytest
 
 from monitor.service import is_of_share
 from tests.support.host_sites import Frames, alarms, results, site
+from tests.support.http import fetch
 from tests.support.live_rig import Command
 from tests.support.samples import Cli, Cut
 from tests.support.waiting import until
@@ -30,7 +30,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory, frame_text: str, cut: Cut, m
     frames = Frames(folder, frame_text, cut, main)
     for k in range(3):
         frames.write(f"r{k}", frames.sound(30.0, 10 + k), frames.weak(45.0, 20 + k))
-    frames.write("flood", *[frames.sound(100.0, 30)] * 30)
+    frames.write("flood", *[frames.sound(100.0, 30)] * 15)
     (folder / "garbage.mcap").write_bytes(bytes(range(256)) * 100)
     for k in range(3):
         path = site(folder / "run", frame_text, f"s{k}", f"r{k}")
@@ -57,51 +57,43 @@ def test_each_site_is_filled_as_run_fills_it(bench: Path, frame_text: str, main:
 def test_a_folder_is_watched_and_faults_stay_with_their_site(bench: Path, frame_text: str) -> None:
     folder, port = bench / "watched", free_port()
     for k in range(2):
-        site(folder, frame_text, f"s{k}", f"r{k}", "speed = 12.0")
+        site(folder, frame_text, f"s{k}", f"r{k}", "speed = 25.0")
     site(folder, frame_text, "flood", "flood")
     site(folder, frame_text, "garbage", "garbage")
     twin = site(folder, frame_text, "twin", "r0")
     twin.write_text(twin.read_text().replace('name = "twin"', 'name = "s1"'))
     (folder / "bad.toml").write_text("[site\n")
-    host = Command(folder / "host.log", "host", folder, "--metrics", f"127.0.0.1:{port}")
-    try:
+    with Command(folder / "host.log", "host", folder, "--metrics", f"127.0.0.1:{port}") as host:
         host.wait_for("READY")
         for name in ("bad", "garbage", "twin"):  # told by name
             host.wait_for(f"{name} is started again")
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics") as answer:
-            metrics = answer.read().decode()
+        metrics = fetch(port).decode()
         assert 'shm_host_site{is="waiting",site="bad"} 1.0' in metrics
         site(folder, frame_text, "s2", "r2")
-        shutil.copy(site(folder, frame_text, "late", "r0", "speed = 2.0"), folder / "late.kept")
+        shutil.copy(site(folder, frame_text, "late", "r0", "speed = 6.0"), folder / "late.kept")
         until(lambda: results(folder, "late"), "a site that came later")
         (folder / "late.toml").unlink()
         host.wait_for("late ends")
         until(lambda: all(equal(bench, folder, f"s{k}") for k in range(3)), "all windows of the others")
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics") as answer:
-            metrics = answer.read().decode()
+        metrics = fetch(port).decode()
         assert 'shm_windows_total{site="s0"}' in metrics or 'shm_host_site{is="over",site="s0"} 1.0' in metrics
         code, seconds = host.stop()
         assert code == 0 and seconds < 30.0, host.said
-    finally:
-        host.kill()
     for k in range(2):
         assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}")
 
 
 def test_sites_go_on_from_their_checkpoints(bench: Path, frame_text: str) -> None:
     folder = bench / "restarted"
-    paths = [site(folder, frame_text, f"s{k}", f"r{k}", "speed = 8.0") for k in range(3)]
+    paths = [site(folder, frame_text, f"s{k}", f"r{k}", "speed = 15.0") for k in range(3)]
     for number in (signal.SIGTERM, signal.SIGKILL, None):
-        host = Command(folder / "host.log", "host", *paths)
-        try:
+        with Command(folder / "host.log", "host", *paths) as host:
             if number is None:
                 host.finish(60.0)
             else:
                 before = sum(len(results(folder, f"s{k}")) for k in range(3))
                 until(lambda before=before: sum(len(results(folder, f"s{k}")) for k in range(3)) > before, "a window")
                 assert host.stop(number)[0] == (0 if number is signal.SIGTERM else -number)
-        finally:
-            host.kill()
     for k in range(3):
         assert equal(bench, folder, f"s{k}")
         assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}")
@@ -124,27 +116,23 @@ def test_the_results_of_all_sites_are_one_dataset(bench: Path, frame_text: str, 
 
 
 def children(host: Command) -> list[int]:
-    pid = host.process.pid
+    pid = host.pid
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
 def test_a_worker_that_is_killed_is_started_again_and_its_sites_go_on(bench: Path, frame_text: str) -> None:
     folder, port = bench / "workers", free_port()
-    paths = [site(folder, frame_text, f"s{k}", f"r{k}", "speed = 8.0") for k in range(3)]
-    host = Command(folder / "host.log", "host", *paths, "--workers", 2, "--metrics", f"127.0.0.1:{port}")
-    try:
+    paths = [site(folder, frame_text, f"s{k}", f"r{k}", "speed = 15.0") for k in range(3)]
+    with Command(folder / "host.log", "host", *paths, "--workers", 2, "--metrics", f"127.0.0.1:{port}") as host:
         host.wait_for("READY")
         first = children(host)
         assert len(first) == 2
         until(lambda: all(results(folder, f"s{k}") for k in range(3)), "a window of each")
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics") as answer:
-            metrics = answer.read().decode()
+        metrics = fetch(port).decode()
         assert all(f'shm_windows_total{{site="s{k}"}}' in metrics for k in range(3))
         os.kill(first[0], signal.SIGKILL)
         until(lambda: len(children(host)) == 2 and children(host) != first, "another process")
         host.finish(60.0)
-    finally:
-        host.kill()
     for k in range(3):
         assert equal(bench, folder, f"s{k}")
         assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}")
@@ -155,22 +143,19 @@ def test_workers_end_in_order_on_sigterm_and_with_their_parent(bench: Path, fram
     site(folder, frame_text, "s0", "r0", "speed = 1.0")
     site(folder, frame_text, "s1", "r1", "speed = 1.0")
     for number in (signal.SIGTERM, signal.SIGKILL):
-        host = Command(folder / "host.log", "host", folder, "--workers", 2)
-        try:
+        with Command(folder / "host.log", "host", folder, "--workers", 2) as host:
             host.wait_for("READY")
             workers = children(host)
             code, seconds = host.stop(number)
             assert code == (0 if number is signal.SIGTERM else -number) and seconds < 75.0
             until(lambda workers=workers: not any(map(lives, workers)), "no process is left")
-        finally:
-            host.kill()
         assert (folder / "out-s0" / "state" / "checkpoint").exists()
 
 
 def test_another_host_takes_over_the_sites_of_one_that_dies(bench: Path, frame_text: str) -> None:
     folder = bench / "shared"
     for k in range(3):
-        site(folder, frame_text, f"s{k}", f"r{k}", "speed = 4.0")
+        site(folder, frame_text, f"s{k}", f"r{k}", "speed = 8.0")
     owned = {n: [f"s{k}" for k in range(3) if is_of_share(Path(f"s{k}.toml"), n, 2)] for n in (1, 2)}
     assert owned[1] and owned[2]
     hosts = {n: Command(folder / f"host{n}.log", "host", folder, "--standby", "--share", f"{n}/2") for n in (1, 2)}

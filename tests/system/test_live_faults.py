@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 import random
-import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import can
 import numpy as np
 import pytest
 import zenoh
 
-from drivers import codec, frames
+from drivers import codec
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
 from drivers.can_bus import CanSource
 from drivers.mcap_file import read_recordings
@@ -27,11 +27,9 @@ from monitor.config import configuration
 from monitor.core import WindowResult
 from monitor.publish import Publisher
 from monitor.runs import Session
-from monitor.runs.emulate import CanSink, cut_blocks
 from monitor.service import Daemon
 from tests.support.can_group import accel, datagram
 from tests.support.live_rig import (
-    DEPLOY,
     KEY,
     RATE_HZ,
     T0_NS,
@@ -41,9 +39,9 @@ from tests.support.live_rig import (
     make_site,
     quantised,
     router_for,
-    until,
     write,
 )  # fmt: skip
+from tests.support.waiting import until
 from tests.support.zenoh_router import Router
 
 pytestmark = pytest.mark.system
@@ -74,17 +72,14 @@ def lines_of(site: Site, stream: Sequence[SampleBlock]) -> list[dict[str, Any]]:
 @pytest.fixture(scope="module")
 def stream() -> list[SampleBlock]:
     """A minute, as CAN can carry it, in the blocks of a node."""
-    return list(cut_blocks(quantised(blocks(60.0, 5)), 128))
+    return quantised(blocks(60.0, 5, size=128))
 
 
 @contextmanager
 def daemon_at(site: Site) -> Iterator[Command]:
-    running = site.run()
-    try:
+    with site.run() as running:
         running.wait_for("READY")
         yield running
-    finally:
-        running.kill()
 
 
 def end_s(line: dict[str, Any]) -> float:
@@ -101,9 +96,21 @@ def demand_holes_skipped(lines: list[dict[str, Any]], holes: Sequence[tuple[floa
         assert (line["ddi"] is None) == broken
 
 
-def demand_whole_end(site: Site, daemon: Command) -> None:
-    """SIGTERM: exit 0, whole recordings that give the same results again."""
-    code, took_s = daemon.stop(signal.SIGTERM)
+@contextmanager
+def flood_of(send: Callable[[], object]) -> Iterator[None]:
+    """Send without a pause while the context lasts."""
+    over = threading.Event()
+    flooding = threading.Thread(target=lambda: [send() for _ in iter(over.is_set, True)], daemon=True)
+    flooding.start()
+    yield
+    over.set()
+    flooding.join()
+
+
+def demand_whole_end(site: Site, daemon: Command, amid: AbstractContextManager[None] | None = None) -> None:
+    """SIGTERM, amid a flood too: exit 0, whole recordings that give the same results again."""
+    with amid or nullcontext():
+        code, took_s = daemon.stop()
     assert code == 0, daemon.said
     assert took_s < 10.0  # 5 s on a machine with nothing else to do
     assert "Traceback" not in daemon.said
@@ -111,20 +118,9 @@ def demand_whole_end(site: Site, daemon: Command) -> None:
     assert lines_of(site, list(read_recordings(site.recordings))) == site.results
 
 
-def can_texts(stream: Sequence[SampleBlock]) -> list[bytes]:
-    """Frames on the wire."""
-    texts: list[bytes] = []
-    layouts = frames.load(DEPLOY / "frame.dbc", stream[0].channels)
-    sink = CanSink(
-        layouts,
-        lambda layout, times, data: texts.extend(
-            frame_text(layout.frame_id, layout.extended, t, row.tobytes()) for t, row in zip(times, data, strict=True)
-        ),
-        lambda: None,
-    )
-    for block in stream:
-        sink.send(block)
-    return texts
+def can_messages(stream: Sequence[SampleBlock]) -> list[can.Message]:
+    values = np.concatenate([block.samples for block in stream]).astype(float)
+    return accel(np.arange(len(values)), values)
 
 
 @contextmanager
@@ -140,10 +136,10 @@ def test_can_frames_lost_repeated_swapped_and_a_flood_of_foreign_ones(
     tmp_path: Path, stream: list[SampleBlock]
 ) -> None:
     site, rng = make_site(tmp_path, "can", PROCESSING, **QUICK), random.Random(1)
-    texts = can_texts(stream)
+    texts = [frame_text(m.arbitration_id, m.is_extended_id, m.timestamp, m.data) for m in can_messages(stream)]
     foreign = b"".join(frame_text(0x200 + k, False, T0_NS / S, bytes(8)) for k in range(20))
     lost = {k for k in range(round(25 * RATE_HZ), round(30 * RATE_HZ)) if rng.random() < 0.01}
-    flooded = ((10, 20), (40, 50))  # in the first windows, and where memory is counted
+    flooded = ((10, 15), (40, 45))  # in the first windows, and where memory is counted
     wire = [
         (texts[k], foreign if any(low <= k / RATE_HZ < high for low, high in flooded) else b"")
         for k in range(len(texts))
@@ -167,13 +163,7 @@ def test_can_frames_lost_repeated_swapped_and_a_flood_of_foreign_ones(
             server.send(b"".join(text + more for text, more in wire[start : start + 64]))
         until(lambda: len(site.results) == 9, "all windows")
         assert daemon.rss_mb - before < 50.0
-        # It ends in the middle of a flood too.
-        over = threading.Event()
-        flooding = threading.Thread(target=lambda: [server.send(foreign) for _ in iter(over.is_set, True)], daemon=True)
-        flooding.start()
-        demand_whole_end(site, daemon)
-        over.set()
-        flooding.join()
+        demand_whole_end(site, daemon, flood_of(lambda: server.send(foreign)))
     holes = sorted((k / RATE_HZ, (k + 1) / RATE_HZ) for k in lost)
     demand_holes_skipped(site.results, holes)
     assert site.results[:2] == lines_of(site, stream)[:2]
@@ -219,14 +209,14 @@ def test_malformed_datagrams_beside_every_frame_cost_no_window(
     group: tuple[CanSource, Callable[[bytes], object]],
 ) -> None:
     site, (reader, send) = make_site(tmp_path, "can", PROCESSING, **QUICK), group
-    values = np.concatenate([block.samples for block in stream])[: round(31 * RATE_HZ)].astype(float)
-    wire = Wire(reader, send, [datagram(message) for message in accel(np.arange(len(values)), values)])
+    messages = can_messages(stream)[: round(31 * RATE_HZ)]
+    wire = Wire(reader, send, [datagram(message) for message in messages])
     Daemon(site.path, wire).run()
     assert [line["skipped"] for line in site.results] == [None] * 3
     assert site.summary["gaps"] == 0 and site.summary["quality"]["lost_s"] == 0.0
     source = site.health["source"]
     assert wire.opened == 1 and source["lost"] == 0
-    assert source["counts"]["undecodable"] == wire.malformed == len(values)
+    assert source["counts"]["undecodable"] == wire.malformed == len(messages)
 
 
 @pytest.fixture
@@ -300,12 +290,7 @@ def test_zenoh_blocks_lost_repeated_swapped_among_hostile_payloads(
                 put(bytes(2 << 20))
         until(lambda: len(site.results) == 9, "all windows")
         assert daemon.rss_mb - before < 50.0
-        over = threading.Event()
-        flooding = threading.Thread(target=lambda: [put(b"\xff" * 1000) for _ in iter(over.is_set, True)], daemon=True)
-        flooding.start()
-        demand_whole_end(site, daemon)
-        over.set()
-        flooding.join()
+        demand_whole_end(site, daemon, flood_of(lambda: put(b"\xff" * 1000)))
     demand_holes_skipped(site.results, [(k / 8, (k + 1) / 8) for k in sorted(lost)])
     assert site.results[:2] == lines_of(site, stream)[:2]
     counts = site.health["source"]["counts"]
@@ -316,7 +301,7 @@ def test_zenoh_blocks_lost_repeated_swapped_among_hostile_payloads(
 
 def test_a_router_and_a_publisher_that_die(zenoh_site: tuple[Site, Router]) -> None:
     site, router = zenoh_site
-    stream = list(cut_blocks(blocks(90.0, 6), 128))
+    stream = blocks(90.0, 6, size=128)
     with daemon_at(site) as daemon:
         with node_of(site) as publisher:
             for block in stream[:160]:
@@ -325,17 +310,14 @@ def test_a_router_and_a_publisher_that_die(zenoh_site: tuple[Site, Router]) -> N
             for block in stream[160:240]:
                 publisher.send(block)
             router.start()
-            until(lambda: daemon.process.poll() is None and _rejoined(site), "both ends join again")
+            daemon.until(lambda: _rejoined(site), "both ends join again")
             for block in stream[240:320]:
                 publisher.send(block)
             until(lambda: len(site.results) == 5, "windows up to 40 s")
         assert site.results == lines_of(site, stream)[:5]  # the cache held what the dead router did not pass on
         rest = write(site.path.with_name("rest.mcap"), stream[320:])
-        nodes = Command(site.path.with_name("nodes.log"), "emulate", rest, *site.destination, "--speed", "10")
-        try:
+        with Command(site.path.with_name("nodes.log"), "emulate", rest, *site.destination, "--speed", "10"):
             until(lambda: len(site.results) >= 6, "the window of 45 s")
-        finally:
-            nodes.kill()
         with node_of(site) as publisher:
             for block in stream[480:]:  # from 60 s on
                 publisher.send(block)

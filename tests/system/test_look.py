@@ -20,19 +20,8 @@ def test_from_a_recording_to_a_structure_that_calibrates(main: Cli, frame_text: 
 
     (tmp_path / "true.toml").write_text(frame_text)
     for name, seed in (("a", 1), ("b", 2)):
-        done(
-            "simulate",
-            "--structure",
-            "true.toml",
-            "--out",
-            f"{name}.mcap",
-            "--duration",
-            400,
-            "--rate",
-            200,
-            "--seed",
-            seed,
-        )
+        size = ("--duration", 400, "--rate", 200, "--seed", seed)
+        done("simulate", "--structure", "true.toml", "--out", f"{name}.mcap", *size)
     text = done("look", "a.mcap", "--out", "out", "--write-structure", "frame.toml", "--mass-kg", 1.0)
     assert text.startswith("mode")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"look.html", "look.json", "modes.csv"}

@@ -17,8 +17,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from monitor.core import import_extra, missing_extra
-from monitor.core.extras import EXTRAS, MissingExtraError
+pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = ROOT / "recordings"
@@ -101,7 +100,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.system
 def test_wheel_and_sdist_hold_every_file_of_the_packages(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     (sdist,) = built.glob("*.tar.gz")
@@ -121,7 +119,6 @@ def test_wheel_and_sdist_hold_every_file_of_the_packages(built: Path) -> None:
     assert wheel.stat().st_size < 2e6
 
 
-@pytest.mark.system
 def test_the_wheel_installs_and_its_library_and_commands_answer(built: Path, tmp_path: Path) -> None:
     (wheel,) = built.glob("*.whl")
     place = tmp_path / "packages"
@@ -137,7 +134,6 @@ def test_the_wheel_installs_and_its_library_and_commands_answer(built: Path, tmp
     assert asked.stdout.strip() == f"{PROJECT['version']} ('a1',)", asked.stderr
 
 
-@pytest.mark.system
 def test_the_core_replays_and_diagnoses_and_names_the_extra_that_it_lacks(core: Path, tmp_path: Path) -> None:
     frame = RECORDINGS / "mini-shake-table-flexible.mcap"
     (tmp_path / "out").mkdir()
@@ -152,29 +148,17 @@ def test_the_core_replays_and_diagnoses_and_names_the_extra_that_it_lacks(core: 
     ]  # fmt: skip
     assert json.loads((tmp_path / "out/summary.json").read_text())["windows"] == 9
     (tmp_path / "s.toml").write_text(TWO_STORIES)
-    simulated = ("r.mcap", "--structure", "s.toml", "--out")
-    made = run(
-        core,
-        "-m",
-        "monitor",
-        "simulate",
-        *simulated[1:],
-        "r.mcap",
-        "--duration",
-        "80",
-        "--rate",
-        "100",
-        folder=tmp_path,
-    )
+    options = ("--structure", "s.toml", "--out")
+    size = ("--duration", "80", "--rate", "100")
+    made = run(core, "-m", "monitor", "simulate", *options, "r.mcap", *size, folder=tmp_path)
     assert made.returncode == 0, made.stderr
-    found = run(core, "-m", "monitor", "diagnose", *simulated, "diagnosis", folder=tmp_path)
+    found = run(core, "-m", "monitor", "diagnose", "r.mcap", *options, "diagnosis", folder=tmp_path)
     assert found.returncode == 0, found.stderr
     assert found.stderr.splitlines() == [f"warning: diagnosis.rrd is left out: {says}"]
     assert (tmp_path / "diagnosis/report.html").exists()
     assert not (tmp_path / "diagnosis/diagnosis.rrd").exists()
 
 
-@pytest.mark.system
 def test_a_command_or_a_site_that_needs_an_extra_names_it(core: Path, tmp_path: Path) -> None:
     site = (
         RECORDINGS / "frame.toml"
@@ -191,19 +175,3 @@ def test_a_command_or_a_site_that_needs_an_extra_names_it(core: Path, tmp_path: 
         assert done.returncode == code, done.stderr
         assert done.stderr.count(f"needs the extra {extra}: pip install 'shm-monitor[{extra}]'") == 1, done.stderr
         assert "Traceback" not in done.stderr
-
-
-def test_the_extras_are_those_of_the_distribution(monkeypatch: pytest.MonkeyPatch) -> None:
-    optional = dict(PROJECT["optional-dependencies"])
-    (everything,) = optional.pop("all")
-    assert Requirement(everything).extras == set(optional) == set(EXTRAS)
-    locked = (ROOT / "requirements-dev.in").read_text(encoding="utf-8") + (ROOT / "requirements.in").read_text(
-        encoding="utf-8"
-    )
-    for extra, lines in optional.items():
-        for line in lines:
-            assert line in locked.splitlines(), f"{line} of {extra}"
-        assert missing_extra(extra) is None, "the tests' environment has all of them"
-    monkeypatch.setitem(EXTRAS, "plot", ("matplotlib", "no_such_module"))
-    with pytest.raises(MissingExtraError, match=r"plot\(\) needs the extra plot: pip install 'shm-monitor\[plot\]'"):
-        import_extra("matplotlib.pyplot", "plot()")

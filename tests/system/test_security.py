@@ -44,9 +44,10 @@ def problems(tree: ast.AST) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_data_never_become_code(path: Path) -> None:
-    assert not problems(ast.parse(path.read_text(encoding="utf-8")))
+def test_data_never_become_code() -> None:
+    assert len(SOURCES) > 100
+    found = {str(path): problems(ast.parse(path.read_text(encoding="utf-8"))) for path in SOURCES}
+    assert not {path: what for path, what in found.items() if what}
 
 
 def test_it_would_be_seen() -> None:

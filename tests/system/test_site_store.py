@@ -120,11 +120,11 @@ def machines(
     hosts = [Command(folders[1] / "host.log", "host", folders[1], "--standby")]  # without a site as yet
     try:
         hosts[0].wait_for("READY")
-        site(folders[0], frame_text, sink, store, "speed = 4.0")
+        site(folders[0], frame_text, sink, store, "speed = 8.0")
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{link.port}")
         hosts.insert(0, Command(folders[0] / "host.log", "host", folders[0], "--standby"))
         until(lambda: results(folders[0], "tower"), "a window")
-        site(folders[1], frame_text, sink, store, "speed = 4.0")
+        site(folders[1], frame_text, sink, store, "speed = 8.0")
         hosts[1].wait_for("tower stands by")
         yield hosts, folders, link, sink
     finally:
@@ -176,7 +176,7 @@ def test_a_second_run_of_a_site_ends_and_a_bad_address_is_told(
 ) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server}")
     store = 'store = "s3://city/second"\nstore_every_s = 1.0'
-    first, second = (site(bench / name, frame_text, Sink(), store, "speed = 4.0") for name in ("first", "second"))
+    first, second = (site(bench / name, frame_text, Sink(), store, "speed = 8.0") for name in ("first", "second"))
     running = Command(tmp_path / "log", "run", first)
     try:
         running.wait_for("READY")

@@ -1,6 +1,6 @@
 """A daemon in narrow limits, with everything that may hang or flood at once: it goes on judging, stays as it is, and ends.
 
-Less than a minute, with compiled functions on the disk (a cold cache is not part of it).  Handles are limited everywhere; tasks
+Handles are limited everywhere; tasks
 and memory, as the units limit them, where a control group can be made, and processes where root may start an unprivileged user's.
 """
 
@@ -10,7 +10,6 @@ import contextlib
 import os
 import resource
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -18,28 +17,27 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from tests.support import live_site
 from tests.support.hooks import Drip, Hook
 from tests.support.http import fetch
-from tests.support.site import SITE, lines
+from tests.support.live_site import LiveDaemon
+from tests.support.site import SITE
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
 
 pytestmark = pytest.mark.system
 
-ROOT = Path(__file__).parents[2]
 USER = 64123
 """Unprivileged user id, where the test runs as root: root has no limit of processes."""
 PACE_S = 0.05
 """Pause between two blocks of half a second of data."""
-SOAK_S = 45.0
 TABLES = """
 serve = "127.0.0.1:{viewer}"
 [output.metrics]
@@ -50,29 +48,6 @@ heartbeat_url = "http://{drip}/beat"
 heartbeat_s = 1.0
 blind_s = 1.0
 """
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What the process holds."""
-
-    threads: int
-    handles: int
-    children: int
-    memory_mb: float
-    windows: int
-
-
-def sample(pid: int, out: Path) -> Sample:
-    rows = dict(row.split(":", 1) for row in Path(f"/proc/{pid}/status").read_text().splitlines())
-    children = Path(f"/proc/{pid}/task").glob("*/children")
-    return Sample(
-        int(rows["Threads"]),
-        len(os.listdir(f"/proc/{pid}/fd")),
-        sum(len(path.read_text().split()) for path in children),
-        int(rows["VmRSS"].split()[0]) / 1024,
-        len(lines(out)),
-    )
 
 
 def _user() -> int | None:
@@ -109,8 +84,8 @@ def groups() -> Iterator[list[Path]]:
         group.rmdir()
 
 
-def limit(groups: list[Path], user: int | None) -> None:
-    """Enter the control groups and take the limits of systemd's defaults, in the daemon's process."""
+def limited(groups: list[Path], user: int | None, *arguments: Any) -> None:
+    """Enter the control groups, take the limits of systemd's defaults, and monitor."""
     for group in groups:
         (group / "cgroup.procs").write_text("0")
     resource.setrlimit(resource.RLIMIT_NOFILE, (1024, 1024))
@@ -119,6 +94,8 @@ def limit(groups: list[Path], user: int | None) -> None:
         os.setgroups([])
         os.setgid(user)
         os.setuid(user)
+    os.environ["HOME"] = str(Path(arguments[0]).parent)
+    live_site.daemon(*arguments)
 
 
 def hold(port: int, count: int, text: bytes, held: list[socket.socket]) -> None:
@@ -167,84 +144,59 @@ def read_slowly(port: int) -> None:
             time.sleep(0.1)
 
 
-@contextlib.contextmanager
-def daemon(folder: Path, groups: list[Path], user: int | None) -> Iterator[subprocess.Popen[bytes]]:
-    """A daemon of the site in the folder, with limits; killed at the end if it has not ended."""
-    files = [folder / name for name in ("site.toml", "stream.npy", "position")]
-    own = {} if user is None else {"NUMBA_CACHE_DIR": str(folder / "cache"), "HOME": str(folder)}
-    with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.live_site", *map(str, files), str(PACE_S), "0"],
-            stdout=log,
-            stderr=log,
-            cwd=ROOT,
-            env={**os.environ, **own},
-            preexec_fn=partial(limit, groups, user),
-        )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
 class Ports(NamedTuple):
     metrics: int
     viewer: int
 
 
 def soak(
-    process: subprocess.Popen[bytes], folder: Path, ports: Ports, hook: Hook, attack: Attack, held: list[socket.socket]
+    daemon: LiveDaemon, seconds: float, ports: Ports, hook: Hook, attack: Attack, held: list[socket.socket]
 ) -> None:
     """Attack the daemon, look at it for a while, and end it."""
-    out = folder / "out"
-    until(lambda: process.poll() is not None or len(lines(out)) >= 5, "windows", 150.0)
-    assert process.poll() is None, (folder / "log").read_text()
+    daemon.wait_for_windows(5)
     hold(ports.metrics, 200, b"GET /metrics HTTP/1.1\r\n", held)
     hold(ports.viewer, 100, b"PRI * HTTP/2.0\r\n", held)
     for _ in range(2):
         attack.repeat(lambda: read_slowly(ports.metrics), 0.0)
         attack.repeat(lambda: fetch(ports.metrics) and None, 0.0)
-    until(lambda: hook.got, "the address that is well has its message")
-    time.sleep(10.0)  # until all that is made once has been made
-    seen = [sample(process.pid, out)]
-    end_s = time.monotonic() + SOAK_S
+    daemon.until(lambda: hook.got, "the address that is well has its message")
+    daemon.until(lambda: "Notifier" in daemon.failed, "the address that drips is told")
+    time.sleep(seconds / 5.0)  # until all that is made once has been made
+    seen, windows = [daemon.holds], [len(daemon.windows)]
+    end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
-        time.sleep(5.0)
-        seen.append(sample(process.pid, out))
-    assert process.poll() is None, (folder / "log").read_text()
-    judged = np.diff([s.windows for s in seen])
-    assert judged.min() > 0, judged
+        time.sleep(3.0)
+        seen.append(daemon.holds)
+        windows.append(len(daemon.windows))
+    assert daemon.code is None, daemon.said
+    assert np.diff(windows).min() > 0, windows
     assert max(s.children for s in seen) <= 4, seen
     assert np.ptp([s.threads for s in seen]) <= 4, seen
     assert np.ptp([s.handles for s in seen]) <= 40, seen
     assert seen[-1].memory_mb - seen[0].memory_mb < 64.0, seen
-    assert attack.answers > SOAK_S  # readers are served beside those that hang
-    failed = lines(out, "health.jsonl")[-1]["failed"]
-    assert failed.keys() == {"Notifier"} and "delivery to address 1 (json) has taken" in failed["Notifier"], failed
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(5.0) == 0
+    assert attack.answers > seconds  # readers are served beside those that hang
+    assert daemon.failed.keys() == {"Notifier"}, daemon.failed
+    assert "address 1 (json) " in daemon.failed["Notifier"], daemon.failed
+    assert seconds < 30.0 or "has taken" in daemon.failed["Notifier"], daemon.failed
+    code, took_s = daemon.stop()
+    assert code == 0 and took_s < 5.0
 
 
+@pytest.mark.parametrize("seconds", [12.0, pytest.param(45.0, marks=pytest.mark.slow)])
 def test_it_goes_on_judging_stays_as_it_is_and_ends(
-    folder: Path, groups: list[Path], frame_text: str, record: np.ndarray
+    folder: Path, groups: list[Path], frame_text: str, record: np.ndarray, seconds: float
 ) -> None:
     user = _user()
     if user is not None:
         os.chown(folder, user, user)
-    site, out, (metrics, viewer) = folder / "site.toml", folder / "out", (free_port(), free_port())
+    ports = Ports(free_port(), free_port())
     drip, hook, attack, held = Drip(0.2), Hook(), Attack(), list[socket.socket]()
-    tables = TABLES.format(viewer=viewer, metrics=metrics, drip=drip.address, hook=hook.url)
-    site.write_text(SITE.replace('dir = "out"\n', f'dir = "out"{tables}', 1) + frame_text)
-    np.save(folder / "stream.npy", record.astype(np.float32))
-    if user is not None:  # who cannot write beside the modules compiles into a cache of its own, before
-        with daemon(folder, groups, user) as first:
-            until(lambda: first.poll() is not None or len(lines(out)) >= 5, "compiled", 150.0)
-        shutil.rmtree(out)
-        (folder / "position").unlink()
-    with daemon(folder, groups, user) as process:
+    tables = TABLES.format(viewer=ports.viewer, metrics=ports.metrics, drip=drip.address, hook=hook.url)
+    (folder / "site.toml").write_text(SITE.replace('dir = "out"\n', f'dir = "out"{tables}', 1) + frame_text)
+    live_site.save_stream(folder, record)
+    with LiveDaemon(folder, PACE_S, work=partial(limited, groups, user)) as daemon:
         try:
-            soak(process, folder, Ports(metrics, viewer), hook, attack, held)
+            soak(daemon, seconds, ports, hook, attack, held)
         finally:
             attack.end()
             for one in held:
@@ -252,8 +204,8 @@ def test_it_goes_on_judging_stays_as_it_is_and_ends(
             drip.close()
             hook.shutdown()
             hook.server_close()
-    found = lines(out)
+    found = daemon.windows
     assert [line["window"] for line in found] == list(range(len(found)))
     assert all(line["skipped"] is None for line in found)
-    said = (folder / "log").read_text().splitlines()
+    said = daemon.said.splitlines()
     assert all(row.startswith("time=") for row in said if row != "READY"), said

@@ -2,93 +2,46 @@
 
 from __future__ import annotations
 
-import json
-import os
-import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from monitor.config import configuration
 from monitor.model import simulate
-from monitor.service.status import look, tell
+from monitor.service import status
 from tests.support.browser import browser_tool
 from tests.support.debian import demand
-from tests.support.live_site import RATE
+from tests.support.live_site import RATE, LiveDaemon, save_stream
 from tests.support.site import SITE as BARE_SITE
 from tests.support.site import TOKEN
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.system
 
-ROOT = Path(__file__).parents[2]
 PACE_S = 0.025
 """Between two blocks of half a second: twenty times real time, four windows a second."""
 READERS, HANGING = 50, 40
 
 
-@dataclass(frozen=True)
-class Running:
-    """A daemon with a page."""
-
-    process: subprocess.Popen[bytes]
-    out: Path
-    url: str
-    position: Path
-
-    @property
-    def windows(self) -> int:
-        """Lines of results.jsonl so far."""
-        results = self.out / "results.jsonl"
-        return results.read_bytes().count(b"\n") if results.exists() else 0
-
-    @property
-    def failed(self) -> dict[str, str]:
-        """Parts that fail, by the latest whole line of health.jsonl."""
-        whole = (self.out / "health.jsonl").read_bytes().rpartition(b"\n")[0]
-        return dict(json.loads(whole.splitlines()[-1])["failed"])
-
-    def stop(self) -> int:
-        """Exit code after SIGTERM."""
-        self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(60.0)
-
-
 @contextmanager
-def running(folder: Path, frame_text: str, keys: str) -> Iterator[Running]:
-    site, log, position = folder / "site.toml", folder / "log", folder / "position"
+def running(folder: Path, frame_text: str, keys: str) -> Iterator[tuple[LiveDaemon, str]]:
+    """A daemon with a page, and its address."""
+    site = folder / "site.toml"
     site.write_text(BARE_SITE.replace('dir = "out"', f'dir = "out"\nweb = "127.0.0.1:0"\n{keys}') + frame_text)
-    if not (folder / "stream.npy").exists():
-        model = configuration.load(site).model()
-        stream = simulate(model, duration_s=120.0, rate_hz=RATE, noise=0.03, seed=6).floors
-        np.save(folder / "stream.npy", stream.astype(np.float32))
-    arguments = map(str, (site, folder / "stream.npy", position, PACE_S, 0))
-    with log.open("wb") as said:
-        command = [sys.executable, "-m", "tests.support.live_site", *arguments]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-        process = subprocess.Popen(command, stdout=said, stderr=said, cwd=ROOT, env=environment)
-    try:
-        until(lambda: "READY" in log.read_text() or process.poll() is not None, "READY")
-        assert process.poll() is None, log.read_text()
-        (address,) = [text.split()[-1] for text in log.read_text().splitlines() if text.startswith("web page at ")]
-        one = Running(process, folder / "out", address, position)
-        until(lambda: one.windows >= 3, "windows")
-        yield one
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
+    model = configuration.load(site).model()
+    save_stream(folder, simulate(model, duration_s=120.0, rate_hz=RATE, noise=0.03, seed=6).floors)
+    with LiveDaemon(folder, PACE_S) as daemon:
+        daemon.wait_for("READY")
+        (address,) = [text.split()[-1] for text in daemon.said.splitlines() if text.startswith("web page at ")]
+        daemon.wait_for_windows(3)
+        yield daemon, address
 
 
 def wait_for(page: Any, expression: str) -> None:
@@ -116,14 +69,14 @@ def test_a_browser_reads_the_page_with_the_token_at_a_desk_and_on_a_telephone(tm
     demand("chromium")
     (tmp_path / "web.token").write_text(TOKEN)
     with (
-        running(tmp_path, frame_text, 'web_token_file = "web.token"') as one,
+        running(tmp_path, frame_text, 'web_token_file = "web.token"') as (_, url),
         browser_tool().browser(1280, 900) as page,
     ):
         for width, scheme in ((1280, "light"), (390, "dark")):
             size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
             page.call("Emulation.setDeviceMetricsOverride", **size)
             page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-            page.call("Page.navigate", url=one.url)
+            page.call("Page.navigate", url=url)
             if width > 390:  # the tab keeps the token
                 for token, after in (
                     ("wrong" * 5, "login-says').textContent.includes('not the monitor')"),
@@ -163,7 +116,7 @@ def test_a_browser_reads_the_page_with_the_token_at_a_desk_and_on_a_telephone(tm
             "performance.getEntriesByType('resource').map(e => e.name).join() + location.href"
         )
         assert page.value("document.cookie") == ""
-        page.call("Page.navigate", url=f"{one.url}api")
+        page.call("Page.navigate", url=f"{url}api")
         wait_for(page, "document.querySelectorAll('#paths section').length >= 7")
         assert page.value("document.documentElement.scrollWidth") <= 390
         assert own_errors(page) == []
@@ -197,24 +150,28 @@ def test_readers_that_hang_and_fifty_at_once_hold_up_nothing_and_the_end_is_told
     tmp_path: Path, frame_text: str
 ) -> None:
     demand("chromium")
-    with running(tmp_path, frame_text, "") as one, browser_tool().browser(1280, 900) as page, ExitStack() as ending:
-        status = look(one.out)
-        assert status["web"] == one.url
-        assert f"web       {one.url}" in tell(status)
-        page.call("Page.navigate", url=one.url)
+    with (
+        running(tmp_path, frame_text, "") as (daemon, url),
+        browser_tool().browser(1280, 900) as page,
+        ExitStack() as ending,
+    ):
+        found = status.look(daemon.out)
+        assert found["web"] == url
+        assert f"web       {url}" in status.tell(found)
+        page.call("Page.navigate", url=url)
         wait_for(page, "document.querySelectorAll('#modes canvas').length >= 3")
         assert own_errors(page) == []
 
-        port = int(one.url.rstrip("/").rpartition(":")[2])
+        port = int(url.rstrip("/").rpartition(":")[2])
         for k in range(HANGING):
             ending.callback(
                 hang(port, b"GET /uplot.js HTTP/1.1\r\nHost: localhost\r\n" + (b"\r\n" if k % 2 else b"")).close
             )
-        before, drawn = one.windows, page.value("rows.length")
+        before, drawn = len(daemon.windows), page.value("rows.length")
         answers: list[int] = []
         failures: list[str] = []
         readers = [
-            threading.Thread(target=read_all, args=(one.url, answers, failures), daemon=True) for _ in range(READERS)
+            threading.Thread(target=read_all, args=(url, answers, failures), daemon=True) for _ in range(READERS)
         ]
         for reader in readers:
             reader.start()
@@ -222,9 +179,9 @@ def test_readers_that_hang_and_fifty_at_once_hold_up_nothing_and_the_end_is_told
             reader.join(120.0)
         assert failures == []
         assert len(answers) == 6 * READERS
-        until(lambda: one.windows >= before + 10, "windows go on")
+        until(lambda: len(daemon.windows) >= before + 10, "windows go on")
         wait_for(page, f"rows.length > {drawn}")
-        assert one.failed == {}
+        assert daemon.failed == {}
 
         # What a fault in the page could ask for: the browser refuses it.
         page.errors.clear()
@@ -238,7 +195,7 @@ def test_readers_that_hang_and_fifty_at_once_hold_up_nothing_and_the_end_is_told
 
         for _ in range(HANGING):
             ending.callback(hang(port, b"GET / HTTP/1.1\r\n").close)
-        assert one.stop() == 0
+        assert daemon.stop()[0] == 0
         page.value("heard -= LATE_MS")  # as if it had not answered for that long
         page.value("refresh()")
         wait_for(page, "document.getElementById('word').textContent === 'No answer'")

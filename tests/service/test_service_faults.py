@@ -1,15 +1,15 @@
 """Faults of the machine under a running daemon: disks, clocks, state, whoever it talks to, memory.
 
-What each costs is told in docs/operations.md; kill -9 is tests/system/test_restart.py,
+What each costs is told in docs/operations.md; kill -9 is tests/service/test_restart.py,
 faults of the source tests/system/test_live_faults.py.
 """
 
 from __future__ import annotations
 
+import ctypes
 import json
 import logging
 import os
-import signal
 import socket
 import sqlite3
 import subprocess
@@ -17,8 +17,9 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +29,15 @@ import pytest
 from drivers.base import SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
-from monitor.core import Level, WindowResult
+from monitor.core import Level
 from monitor.diagnosis import Request
-from monitor.publish import Publisher
 from monitor.runs import Session
 from monitor.service import Daemon, history, serialization
-from monitor.service.daemon_health import failures
 from monitor.service.restart import KeptAlarms
-from tests.support.live_site import RATE
+from tests.support import live_site
+from tests.support.live_site import RATE, LiveDaemon
 from tests.support.samples import T0_NS, Cli, Cut
-from tests.support.site import SITE, Endless, Scripted, lines, own, run_until, summary
+from tests.support.site import SITE, Endless, Scripted, Told, lines, own, run_until, summary, write
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
 
@@ -57,114 +57,64 @@ S = 10**9
 
 def expected(site: Path, blocks: list[SampleBlock]) -> list[dict[str, Any]]:
     """What a replay says."""
-
-    class Kept(Publisher):
-        lines: list[dict[str, Any]]
-
-        def window(self, result: WindowResult, line: str) -> None:
-            self.lines.append(json.loads(line))
-
-    kept = Kept()
-    kept.lines = []
-    session = Session(configuration.load(site), None, (kept,), None, site.parent / "none")
+    told = Told()
+    session = Session(configuration.load(site), None, (told,), None, site.parent / "none")
     for block in blocks:
         session.push(block)
-    return kept.lines
+    return [json.loads(line) for line in told.lines]
 
 
 # --- disks -------------------------------------------------------------------------------------------------------------
 
 
-class SmallDisk:
-    """A file system of a few MB in a namespace of its own, and a daemon in it."""
-
-    def __init__(self, site: Path, stream: np.ndarray, size: str) -> None:
-        self._folder = folder = site.parent
-        np.save(folder / "stream.npy", stream.astype(np.float32))
-        (folder / "out").mkdir()
-        self.position = folder / "position"
-        run = f"{sys.executable} -m tests.support.live_site {site} {folder}/stream.npy {self.position} 0.025 0"
-        mount = f"mount -t tmpfs -o size={size} none {folder}/out"
-        daemon = f"({run} 2> {folder}/log & echo $!; wait $!; echo $? > {folder}/code)"
-        script = f"{mount} && echo mounted && {daemon} & exec sh"
-        self._shell = subprocess.Popen(
-            ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            cwd=ROOT,
-        )
-        assert self._shell.stdout is not None
-        if self._shell.stdout.readline() != "mounted\n":
-            self._shell.kill()
-            self._shell.wait()
-            pytest.skip("no mount namespaces here")
-        self._pid = int(self._shell.stdout.readline())
-        self.out = Path(f"/proc/{self._shell.pid}/root{folder}/out")
-
-    def sh(self, command: str) -> None:
-        """Do something there."""
-        assert self._shell.stdin is not None and self._shell.stdout is not None
-        self._shell.stdin.write(f"{{ {command}; }} > /dev/null 2>&1; echo done\n")
-        self._shell.stdin.flush()
-        assert self._shell.stdout.readline() == "done\n"
-
-    @property
-    def given(self) -> int:
-        return int(self.position.read_text() or 0) if self.position.exists() else 0
-
-    def end(self) -> int:
-        """Exit code of the daemon after SIGTERM."""
-        os.kill(self._pid, signal.SIGTERM)
-        until((self._folder / "code").exists, "it ends")
-        return int((self._folder / "code").read_text())
-
-    def close(self) -> None:
-        with suppress(ProcessLookupError):
-            os.kill(self._pid, signal.SIGKILL)
-        self._shell.kill()
-        self._shell.communicate()
-
-
-@contextmanager
-def small_disk(site: Path, stream: np.ndarray, size: str) -> Iterator[SmallDisk]:
-    disk = SmallDisk(site, stream, size)
-    try:
-        yield disk
-    finally:
-        disk.close()
+def on_a_small_disk(size: str, site: Path, *arguments: Any) -> None:
+    """Monitor in a namespace of one's own, where the output folder is a file system of this size."""
+    user, group = os.getuid(), os.getgid()
+    if ctypes.CDLL(None).unshare(0x1000_0000 | 0x0002_0000):  # for users and mounts
+        print("no namespaces here")
+        return
+    for name, text in (("setgroups", "deny"), ("uid_map", f"0 {user} 1"), ("gid_map", f"0 {group} 1")):
+        Path(f"/proc/self/{name}").write_text(text)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", site.parent / "out"], check=True)
+    print("mounted")
+    live_site.daemon(site, *arguments)
 
 
 def test_a_full_disk_costs_recordings_and_no_result(site: Path, record: np.ndarray) -> None:
     site.write_text(site.read_text() + "\n[state]\ncheckpoint_s = 10.0\n")
-    with small_disk(site, record, "4m") as disk:
-        until(lambda: len(lines(disk.out)) >= 2, "windows")
-        disk.sh(f"head -c 100m /dev/zero > {site.parent}/out/filler")
-        before = disk.given
-        until(lambda: disk.given >= before + 120, "a minute of data")  # blocks of half a second
-        until(lambda: "no checkpoint" in (site.parent / "log").read_text(), "a checkpoint fails")
-        disk.sh(f"rm {site.parent}/out/filler")
-        came = len(lines(disk.out))
-        until(lambda: len(lines(disk.out)) >= came + 6, "lines go on")
-        until(lambda: lines(disk.out, "health.jsonl")[-1]["recorder"]["recording"], "the recorder goes on")
-        until(lambda: not lines(disk.out, "health.jsonl")[-1]["failed"], "nothing is blocked")
-        assert disk.end() == 0
-        found = lines(disk.out)
+    folder = site.parent
+    (folder / "out").mkdir()
+    live_site.save_stream(folder, record)
+    with LiveDaemon(folder, 0.025, work=partial(on_a_small_disk, "4m")) as daemon, ExitStack() as undo:
+        until(lambda: daemon.code is not None or "mounted" in daemon.said, "a small disk")
+        if "no namespaces" in daemon.said:
+            pytest.skip("no mount namespaces here")
+        seen = os.open(f"/proc/{daemon.pid}/root{folder}/out", os.O_RDONLY)  # after the daemon's end, too
+        undo.callback(os.close, seen)
+        out = daemon.out = Path(f"/proc/self/fd/{seen}")
+        daemon.wait_for_windows(2)
+        with suppress(OSError):
+            (out / "filler").write_bytes(bytes(8 << 20))
+        before = daemon.given
+        daemon.until(lambda: daemon.given >= before + 120, "a minute of data")  # blocks of half a second
+        daemon.wait_for("no checkpoint")
+        (out / "filler").unlink()
+        daemon.wait_for_windows(len(daemon.windows) + 6)
+        daemon.until(lambda: lines(out, "health.jsonl")[-1]["recorder"]["recording"], "the recorder goes on")
+        daemon.until(lambda: not daemon.failed, "nothing is blocked")
+        assert daemon.stop()[0] == 0
+        found = daemon.windows
         assert [line["window"] for line in found] == list(range(len(found)))
         assert all(line["skipped"] is None for line in found)
-        assert lines(disk.out, "health.jsonl")[-1]["recorder"]["lost_blocks"] > 0
-        assert (disk.out / "state" / "checkpoint").exists() and not list(disk.out.rglob("*.damaged*"))
-    said = (site.parent / "log").read_text()
-    assert "Traceback" not in said and "no checkpoint" in said
+        assert lines(out, "health.jsonl")[-1]["recorder"]["lost_blocks"] > 0
+        assert (out / "state" / "checkpoint").exists() and not list(out.rglob("*.damaged*"))
+    assert "Traceback" not in daemon.said
 
 
 def test_a_read_only_disk_is_one_message_at_start(site: Path, record: np.ndarray) -> None:
     script = "mount -t tmpfs -o ro none $0 && exec $1 -m monitor run $2"
     (site.parent / "out").mkdir()
-    write = site.parent / "rec.mcap"
-    with McapWriter(write):
-        pass
+    write(site.parent / "rec.mcap", [])
     command = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script]
     done = subprocess.run(
         [*command, site.parent / "out", sys.executable, site], capture_output=True, text=True, cwd=ROOT, check=False
@@ -175,10 +125,17 @@ def test_a_read_only_disk_is_one_message_at_start(site: Path, record: np.ndarray
 
 
 def test_a_disk_that_turns_read_only_stops_no_result(
-    site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(history, "_COMMIT_S", 0.01)
-    daemon = Daemon(site, Scripted(cut(record, RATE)))
+    told, blocks = Told(), cut(record, RATE)
+
+    def script() -> Iterator[SampleBlock]:
+        yield from blocks[:-1]
+        until(lambda: {"health.jsonl", "history"} <= told.failed_parts.keys(), "told")
+        yield blocks[-1]
+
+    daemon = Daemon(site, Scripted(script()), [told])
+    really = os.write
 
     def refuse(*_: object, **__: object) -> None:
         raise OSError(30, os.strerror(30))
@@ -186,15 +143,10 @@ def test_a_disk_that_turns_read_only_stops_no_result(
     def refuse_sql(*_: object) -> None:
         raise sqlite3.OperationalError("attempt to write a readonly database")
 
-    really = os.write
-
     def write(handle: int, data: bytes) -> int:
-        # Pipes and sockets go on as before.
-        return (
+        if os.readlink(f"/proc/self/fd/{handle}").startswith(str(site.parent)):
             refuse()
-            if str(os.readlink(f"/proc/self/fd/{handle}")).startswith(str(site.parent))
-            else really(handle, data)
-        )  # type: ignore[func-returns-value]
+        return really(handle, data)  # pipes and sockets go on as before
 
     for place, name, how in (
         (os, "write", write),
@@ -204,14 +156,10 @@ def test_a_disk_that_turns_read_only_stops_no_result(
         (history.History, "_write", refuse_sql),
     ):
         monkeypatch.setattr(place, name, how)
-    told: list[str] = []
-    monkeypatch.setattr(daemon._lines, "write", lambda line: told.append(line))
     daemon.run()
-    failed = failures(daemon._outputs())
     monkeypatch.undo()
-    assert [json.loads(line) for line in told] == expected(site, cut(record, RATE))
-    assert {"health.jsonl", "history"} <= failed.keys()
-    assert daemon._recording.health().lost_blocks > 0  # type: ignore[union-attr]
+    assert [json.loads(line) for line in told.lines] == expected(site, blocks)
+    assert told.health_lines[-1]["recorder"]["lost_blocks"] > 0
 
 
 def test_a_slow_disk_holds_up_no_evaluation(
@@ -234,21 +182,6 @@ def test_a_slow_disk_holds_up_no_evaluation(
     assert len(waited) >= 4 and "MainThread" not in waited
     assert lines(site.parent / "out") == expected(site, cut(record, RATE))
     assert list(read_recordings(own(site.parent / "out")))
-
-
-def test_a_disk_that_hangs_does_not_keep_it_from_ending(
-    site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    release = threading.Event()
-    source = Endless(cut(record, RATE), 9)
-    source.daemon = daemon = Daemon(site, source)
-    fsync = os.fsync
-    monkeypatch.setattr(os, "fsync", lambda handle: release.wait(120.0) and fsync(handle))
-    daemon.run()
-    assert not release.is_set()
-    release.set()
-    until(lambda: len(lines(site.parent / "out")) == 9, "results are there")
-    monkeypatch.undo()
 
 
 # --- clocks ------------------------------------------------------------------------------------------------------------
@@ -375,10 +308,8 @@ def _connects(port: int, held: list[socket.socket]) -> bool:
 def test_a_diagnosis_that_hangs_or_is_killed_is_a_finding_and_ends_with_the_daemon(
     site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
-    text = site.read_text().replace(
-        "diagnose = false", f"diagnose = true\ntime_limit_s = {1.0 if how == 'hangs' else 60.0}"
-    )
-    site.write_text(text)
+    limit_s = 1.0 if how == "hangs" else 60.0
+    site.write_text(site.read_text().replace("diagnose = false", f"diagnose = true\ntime_limit_s = {limit_s}"))
     program = "import os, time; " + ("time.sleep(600)" if how == "hangs" else "os.kill(os.getpid(), 9)")
     started: list[subprocess.Popen[bytes]] = []
 
@@ -387,20 +318,25 @@ def test_a_diagnosis_that_hangs_or_is_killed_is_a_finding_and_ends_with_the_daem
             super().__init__([sys.executable, "-c", program], **options)
             started.append(self)
 
-    monkeypatch.setattr("monitor.runs.diagnosis_process.subprocess.Popen", Bad)
+    def ask_for_a_diagnosis(daemon: Daemon) -> None:
+        """As a run does that goes on from a checkpoint with one pending."""
+        diagnosis = daemon.session.online_diagnosis
+        request = Request(T0_NS, T0_NS + S, "by hand")
+        diagnosis.restore(replace(diagnosis.state, pending=(request,), asked=1))
+
+    monkeypatch.setattr(subprocess, "Popen", Bad)
     daemon = Daemon(site, Scripted(cut(record, RATE)))
-    daemon.session.online_diagnosis._submit(Request(T0_NS, T0_NS + S, "by hand"))
+    ask_for_a_diagnosis(daemon)
     daemon.run()
     (finding,) = summary(site.parent / "out")["findings"]
     assert finding["verdict"] is None
     assert len(lines(site.parent / "out")) == 9
     # The one that still runs when the daemon ends is ended with it.
-    monkeypatch.setattr("monitor.runs.diagnosis_process.subprocess.Popen", Bad)
-    daemon = Daemon(site, Endless(cut(record, RATE), 9))
-    daemon.reader.source.daemon = daemon  # type: ignore[attr-defined]
-    daemon.session.online_diagnosis._submit(Request(T0_NS, T0_NS + S, "by hand"))
+    source = Endless(cut(record, RATE), 9)
+    source.daemon = daemon = Daemon(site, source)
+    ask_for_a_diagnosis(daemon)
     daemon.run()
-    assert started and all(process.poll() is not None for process in started)
+    assert len(started) == 2 and all(process.poll() is not None for process in started)
 
 
 # --- memory ------------------------------------------------------------------------------------------------------------
@@ -408,23 +344,11 @@ def test_a_diagnosis_that_hangs_or_is_killed_is_a_finding_and_ends_with_the_daem
 
 def test_a_flood_fits_the_memory_that_the_unit_allows(site: Path, record: np.ndarray) -> None:
     """A stream as fast as it can be taken, in less than the MemoryHigh of deploy/shm-monitor.service."""
-    folder = site.parent
-    np.save(folder / "stream.npy", record.astype(np.float32))
-    arguments = [site, folder / "stream.npy", folder / "position", 0, 0]
-    with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.live_site", *map(str, arguments)], stdout=log, stderr=log, cwd=ROOT
-        )
-    try:
-        until(lambda: process.poll() is not None or len(lines(folder / "out")) >= 60, "windows")
-        assert process.poll() is None, (folder / "log").read_text()
-        status = Path(f"/proc/{process.pid}/status").read_text()
-        assert int(status.partition("VmHWM:")[2].split()[0]) < 700 * 1024
-        process.terminate()
-        assert process.wait(60.0) == 0
-    finally:
-        process.kill()
-        process.wait()
+    live_site.save_stream(site.parent, record)
+    with LiveDaemon(site.parent, 0.0) as daemon:
+        daemon.wait_for_windows(60)
+        assert int(daemon.status["VmHWM"].split()[0]) < 700 * 1024
+        assert daemon.stop()[0] == 0
 
 
 def test_memory_that_is_refused_ends_the_process_for_the_platform_to_start_again(

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
 import random
 import re
-import signal
+import shutil
 import sqlite3
-import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +21,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from drivers.base import SampleBlock
-from drivers.mcap_file import McapWriter, read_recordings
+from drivers.mcap_file import read_recordings
 from drivers.recorder import recorded
 from monitor.config import configuration
 from monitor.core import Level
@@ -39,10 +35,11 @@ from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import plain
 from monitor.service.restart import Checkpointer, Saved
 from monitor.service.threads import Recording
-from tests.support.live_site import RATE, SIZE, forked, given
+from tests.support.live_rig import Command
+from tests.support.live_site import RATE, SIZE, LiveDaemon, save_stream
 from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.site import SITE as BARE_SITE
-from tests.support.site import Scripted, run_until
+from tests.support.site import Scripted, lines, own, replayed, run_until, summary, write
 from tests.support.zenoh_router import free_port
 
 pytestmark = pytest.mark.system
@@ -78,28 +75,31 @@ FAST_S, STEADY_S = 0.01, 0.0625
 """Between two blocks of half a second: 50 times real time; and 8 times, at which the recorder can keep to its `flush_s`."""
 
 
+Bench = tuple[Path, np.ndarray]
+
+
 @pytest.fixture(scope="module")
-def floors(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, np.ndarray]:
-    """A healthy record, and one in which story 2 softens and recovers."""
-    path = tmp_path_factory.mktemp("s") / "s.toml"
+def bench(frame_text: str, tmp_path_factory: pytest.TempPathFactory, cut: Cut, main: Cli) -> Bench:
+    """A baseline, and a record in which story 2 softens and recovers."""
+    folder = tmp_path_factory.mktemp("bench")
+    path, weak = folder / "s.toml", folder / "weak.toml"
     path.write_text(frame_text)
-    model = configuration.load(path).model()
-    weak = path.with_name("weak.toml")
     weak.write_text(frame_text.replace("1514.8507", "900.0"))
-    healthy = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.03, seed=6).floors
-    damaged = simulate(configuration.load(weak).model(), duration_s=90.0, rate_hz=RATE, noise=0.03, seed=7).floors
-    return healthy, np.concatenate([healthy[: round(90 * RATE)], damaged])
+    healthy, damaged = (
+        simulate(configuration.load(file).model(), duration_s=seconds, rate_hz=RATE, noise=0.03, seed=seed).floors
+        for file, seconds, seed in ((path, 400.0, 6), (weak, 90.0, 7))
+    )
+    write(folder / "healthy.mcap", cut(healthy, RATE))
+    done = main("calibrate", folder / "healthy.mcap", "--structure", path, "--out", folder / "baseline.json")
+    assert done.returncode == 0, done.stderr
+    return folder / "baseline.json", np.concatenate([healthy[: round(90 * RATE)], damaged])
 
 
 @pytest.fixture
-def site(tmp_path: Path, frame_text: str, floors: tuple[np.ndarray, np.ndarray], cut: Cut, main: Cli) -> Path:
+def site(tmp_path: Path, frame_text: str, bench: Bench) -> Path:
     path = tmp_path / "site.toml"
     path.write_text(SITE + frame_text)
-    with McapWriter(tmp_path / "healthy.mcap") as writer:
-        for block in cut(floors[0], RATE):
-            writer.write(block)
-    done = main("calibrate", tmp_path / "healthy.mcap", "--structure", path, "--out", tmp_path / "baseline.json")
-    assert done.returncode == 0, done.stderr
+    shutil.copy(bench[0], tmp_path / "baseline.json")
     return path
 
 
@@ -115,18 +115,6 @@ class Toll:
     episodes: int = 0
 
 
-def start(site: Path, *arguments: object) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", *map(str, arguments)]
-    with (site.parent / "log").open("ab") as log:
-        return subprocess.Popen(command, stdout=log, stderr=log, cwd=Path(__file__).parents[2])
-
-
-def kill(process: subprocess.Popen[bytes], after_s: float) -> None:
-    time.sleep(after_s)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-
-
 def last_level(results: Path) -> str:
     """Of the last whole line."""
     if not results.exists():
@@ -137,32 +125,21 @@ def last_level(results: Path) -> str:
     return str(json.loads(last)["alarm"]["level"]) if last else ""
 
 
-def kill_at_a_change(process: BaseProcess, results: Path, within_s: float) -> None:
+def kill_at_a_change(daemon: LiveDaemon, within_s: float) -> None:
     """At once when an alarm comes, grows or goes, and its line has just been written."""
+    results = daemon.out / "results.jsonl"
     deadline, level = time.monotonic() + within_s, last_level(results)
     while time.monotonic() < deadline and last_level(results) == level:
         time.sleep(0.001)
-    process.kill()
-    process.join()
+    daemon.kill()
 
 
-def wait_for_lines(path: Path, count: int, process: subprocess.Popen[bytes]) -> None:
-    deadline = time.monotonic() + 120.0
-    while time.monotonic() < deadline and (not path.exists() or path.read_bytes().count(b"\n") < count):
-        assert process.poll() is None
-        time.sleep(0.05)
-
-
-def lines(path: Path) -> dict[int, str]:
-    """By window; each once, in order."""
-    texts = (path / "results.jsonl").read_text().splitlines()
+def lines_by_number(out: Path) -> dict[int, str]:
+    """Each window once, in order."""
+    texts = (out / "results.jsonl").read_text().splitlines()
     numbers = [json.loads(text)["window"] for text in texts]
     assert numbers == sorted(set(numbers))
     return dict(zip(numbers, texts, strict=True))
-
-
-def own(out: Path) -> list[Path]:
-    return sorted((out / "recordings").glob("*.mcap"))
 
 
 def kept_s(out: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -200,22 +177,21 @@ def check(site: Path, main: Cli, toll: Toll) -> None:
     """The results are a replay of the recordings, but for windows told of samples that were lost with a crash."""
     out, again = site.parent / "out", site.parent / "again"
     assert not list(out.rglob("*.damaged*")) and not list(out.rglob("*.part"))
-    done = main("replay", *own(out), "--structure", site, "--baseline", site.parent / "baseline.json", "--out", again)
-    assert done.returncode == 0, done.stderr
-    live, replayed = lines(out), lines(again)
-    assert replayed.keys() <= live.keys()
+    replayed(main, site, own(out), again, "--baseline", site.parent / "baseline.json")
+    live, wanted_lines = lines_by_number(out), lines_by_number(again)
+    assert wanted_lines.keys() <= live.keys()
     begin, end = kept_s(out)
     toll.lost_s = [taken - max(first, end[end <= taken + 1e-6].max()) for first, taken in toll.lives_s]
     level = "normal"
     for number, text in live.items():
         line = json.loads(text)
-        if text != replayed.get(number):
+        if text != wanted_lines.get(number):
             t_s = (line["t_end_ns"] - T0_NS) * 1e-9
             assert np.any((end[:-1] < t_s) & (t_s <= begin[1:] + 1e-3)), line
             assert line["alarm"]["level"] == level  # nothing that an operator would miss
             toll.not_replayed += 1
         level = line["alarm"]["level"]
-    told, wanted = (plain(json.loads((p / "summary.json").read_text())) for p in (out, again))
+    told, wanted = (plain(summary(folder)) for folder in (out, again))
     same = ("gaps", "frequencies_hz", "quality", "dropped_samples")
     assert {k: told[k] for k in same} == {k: wanted[k] for k in same}
     # The lines that a crash left without their samples are compared above; the summary counts them as they stand, and takes
@@ -245,7 +221,9 @@ def check_state(site: Path) -> None:
         None,
         site.parent,
     )
-    session.stated = {number: facts_of_line(json.loads(text)) for number, text in lines(site.parent / "out").items()}
+    session.stated = {
+        number: facts_of_line(json.loads(text)) for number, text in lines_by_number(site.parent / "out").items()
+    }
     file = (site.parent / "out" / "state" / "checkpoint").read_bytes()
     saved = serialization.from_bytes(file, json.loads(file.partition(b"\n")[0])["key"], Saved)
     with threadpool_limits(limits=1):
@@ -260,99 +238,75 @@ def check_state(site: Path) -> None:
 def run_with_kills(
     site: Path, stream: np.ndarray, main: Cli, kills: int, seed: int, pace_s: float, longest_s: float
 ) -> Toll:
-    """Each fifth kill comes while the daemon starts, each tenth when an alarm changes, if one does in a while.
-
-    The daemons are forked from a process that has imported all there is, so that most of a life is work.
-    """
+    """Each fifth kill comes while the daemon starts, each tenth when an alarm changes, if one does in a while."""
     folder, draw, toll = site.parent, random.Random(seed), Toll()
-    np.save(folder / "stream.npy", stream.astype(np.float32))
-    position, results = folder / "position", folder / "out" / "results.jsonl"
-    processes = multiprocessing.get_context("forkserver")
-    processes.set_forkserver_preload(["tests.support.live_site"])
-
-    def begin(missed: int) -> BaseProcess:
-        arguments = [str(a) for a in (site, folder / "stream.npy", position, pace_s, missed)]
-        process = processes.Process(target=forked, args=(folder / "log", arguments))
-        process.start()
-        return process
-
-    process, taken, missed = begin(0), 0, 0
-    wait_for(lambda: results.exists() and results.read_bytes().count(b"\n") >= 3, process, folder)
-    for number in range(kills):
-        if number % 10 == 8:
-            kill_at_a_change(process, results, 2.0 * longest_s)
-        else:
-            time.sleep(draw.uniform(0.0, 0.5 if number % 5 == 4 else longest_s))
-            assert process.is_alive(), (folder / "log").read_text()
-            process.kill()
-            process.join()
-        first, taken = taken + missed, given(position)
-        toll.lives_s.append((min(first, taken) * SIZE / RATE, taken * SIZE / RATE))
-        missed = draw.choice([0, 0, 0, 0, 3, 20, 20, 100])
-        process = begin(missed)
-        if number % 5 != 3:  # the next kill comes while it starts
-            wait_for(lambda taken=taken: given(position) > taken, process, folder)
-    time.sleep(2.0)
-    process.terminate()
-    process.join(60.0)
-    assert process.exitcode == 0
+    save_stream(folder, stream)
+    daemon, taken, missed = LiveDaemon(folder, pace_s), 0, 0
+    try:
+        daemon.wait_for_windows(3)
+        for number in range(kills):
+            if number % 10 == 8:
+                kill_at_a_change(daemon, 2.0 * longest_s)
+            else:
+                time.sleep(draw.uniform(0.0, 0.5 if number % 5 == 4 else longest_s))
+                assert daemon.code is None, daemon.said
+                daemon.kill()
+            first, taken = taken + missed, daemon.given
+            toll.lives_s.append((min(first, taken) * SIZE / RATE, taken * SIZE / RATE))
+            missed = draw.choice([0, 0, 0, 0, 3, 20, 20, 100])
+            daemon = LiveDaemon(folder, pace_s, missed)
+            if number % 5 != 3:  # the next kill comes while it starts
+                daemon.until(lambda d=daemon, taken=taken: d.given > taken, "a block")
+        before = len(daemon.windows)
+        daemon.wait_for_windows(before + 4)
+        assert daemon.stop()[0] == 0
+    finally:
+        daemon.kill()
+    assert "not resumed" not in daemon.said and "Traceback" not in daemon.said
     check(site, main, toll)
     return toll
 
 
-def wait_for(condition: Callable[[], bool], process: BaseProcess, folder: Path) -> None:
-    deadline = time.monotonic() + 120.0
-    while not condition():
-        assert process.is_alive() and time.monotonic() < deadline, (folder / "log").read_text()
-        time.sleep(0.01)
-
-
-def test_ten_kills(site: Path, floors: tuple[np.ndarray, np.ndarray], main: Cli) -> None:
-    toll = run_with_kills(site, floors[1], main, 10, 1, FAST_S, 1.0)
-    log = (site.parent / "log").read_text()
-    assert "not resumed" not in log and "Traceback" not in log
+def test_ten_kills(site: Path, bench: Bench, main: Cli) -> None:
+    toll = run_with_kills(site, bench[1], main, 10, 1, FAST_S, 1.0)
     assert toll.windows > 20
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-def test_two_hundred_kills(site: Path, floors: tuple[np.ndarray, np.ndarray], main: Cli) -> None:
+def test_two_hundred_kills(site: Path, bench: Bench, main: Cli) -> None:
     text = site.read_text().replace("flush_s = 1.0", "flush_s = 10.0")
     site.write_text(text.replace("latching = true", "latching = false\nclear_s = 10.0"))  # so that many come and go
-    toll = run_with_kills(site, floors[1], main, 200, int(os.environ.get("SEED", "2")), STEADY_S, 8.0)
-    log = (site.parent / "log").read_text()
+    toll = run_with_kills(site, bench[1], main, 200, int(os.environ.get("SEED", "2")), STEADY_S, 8.0)
     lost = sorted(toll.lost_s)
     print(
         f"{len(lost)} kills, {toll.windows} windows, {toll.episodes} alarms, {toll.not_replayed} windows told of lost samples; "
         f"lost of the stream: median {lost[len(lost) // 2]:.1f} s, most {lost[-1]:.1f} s of data"
     )
-    assert "not resumed" not in log and "Traceback" not in log
     assert toll.episodes >= 2
     assert lost[-1] <= 10.0 + 1.0  # besides `flush_s`, what was on its way
 
 
 @pytest.mark.parametrize("checkpoint_s", [20.0, 1e4])
 def test_a_recording_as_source_goes_on_and_nothing_shows(
-    site: Path, floors: tuple[np.ndarray, np.ndarray], cut: Cut, main: Cli, checkpoint_s: float
+    site: Path, bench: Bench, cut: Cut, main: Cli, checkpoint_s: float
 ) -> None:
     """Also where the first checkpoint is not due before the end."""
     site.write_text(site.read_text().replace("checkpoint_s = 20.0", f"checkpoint_s = {checkpoint_s}"))
     folder, draw = site.parent, random.Random(3)
-    with McapWriter(folder / "rec.mcap") as writer:
-        for block in cut(floors[1], RATE):
-            writer.write(block)
-    out, healthy = folder / "out", folder / "baseline.json"
+    recording = write(folder / "rec.mcap", cut(bench[1], RATE))
+    out, again = folder / "out", folder / "again"
     for _ in range(3):
-        process = start(site, "monitor", "run", site)
-        count = (out / "results.jsonl").read_bytes().count(b"\n") if (out / "results.jsonl").exists() else 0
-        wait_for_lines(out / "results.jsonl", count + 2, process)
-        kill(process, draw.uniform(0.0, 0.3))
-    assert start(site, "monitor", "run", site).wait(120.0) == 0
-    done = main("replay", folder / "rec.mcap", "--structure", site, "--baseline", healthy, "--out", folder / "again")
-    assert done.returncode == 0, done.stderr
-    assert (out / "results.jsonl").read_bytes() == (folder / "again" / "results.jsonl").read_bytes()
-    told, wanted = (plain(json.loads((p / "summary.json").read_text())) for p in (out, folder / "again"))
-    assert told["alarms"] and told["alarms"] == wanted["alarms"] and told["quality"] == wanted["quality"]
+        with Command(folder / "log", "run", site) as daemon:
+            count = len(lines(out))
+            daemon.until(lambda count=count: len(lines(out)) >= count + 2, "two more windows")
+            time.sleep(draw.uniform(0.0, 0.3))
+    with Command(folder / "log", "run", site) as daemon:
+        daemon.finish(120.0)
+    wanted = replayed(main, site, [recording], again, "--baseline", bench[0])
+    assert (out / "results.jsonl").read_bytes() == wanted
+    told, wanted_summary = plain(summary(out)), plain(summary(again))
+    assert told["alarms"] and all(told[key] == wanted_summary[key] for key in ("alarms", "quality"))
     assert not (out / "state" / "checkpoint").exists()  # the recording is over: the next one begins anew
 
 
@@ -372,8 +326,7 @@ def test_the_summary_counts_what_the_results_say_where_a_power_cut_lost_samples(
         path.write_bytes(data)
     later = [replace(b, t_ns=b.t_ns + 60 * 10**9, sequence=b.sequence + len(record)) for b in blocks]
     Daemon(site, Scripted(later)).run()
-    found = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
-    told = json.loads((out / "summary.json").read_text())
+    found, told = lines(out), summary(out)
     assert [line["window"] for line in found] == list(range(len(found))) and len(found) > 12
     assert all(line["skipped"] is None for line in found[:9])
     assert told["windows"] == len(found)
@@ -414,8 +367,8 @@ def test_an_acknowledged_alarm_stays_so_with_and_without_checkpoints(
 
     def alarm_of_story_2(change: Callable[[AlarmState], AlarmState] | None) -> StoryState:
         """As a new process finds it; then it is changed, as the data or an operator would."""
-        recording, lines = Recording(out / "recordings", settings.recorder), AppendedLines(out / "results.jsonl")
-        keeper = Checkpointer(out, settings, None, recording, lines)
+        recording, results = Recording(out / "recordings", settings.recorder), AppendedLines(out / "results.jsonl")
+        keeper = Checkpointer(out, settings, None, recording, results)
         session = Session(settings, None, (), None, tmp_path)
         keeper.resume(lambda: session, lambda _: None)
         recording.flush(10.0)
@@ -426,7 +379,7 @@ def test_an_acknowledged_alarm_stays_so_with_and_without_checkpoints(
             if checkpoint_s:
                 keeper.save(session)
         recording.close(10.0)
-        lines.close()
+        results.close()
         return found
 
     assert alarm_of_story_2(raise_it) == StoryState()

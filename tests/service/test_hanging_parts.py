@@ -24,7 +24,7 @@ from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.status import look
 from tests.support.live_site import RATE
 from tests.support.samples import Cut
-from tests.support.site import SITE, Scripted, lines, own
+from tests.support.site import SITE, Scripted, Told, lines, own
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.system
@@ -40,25 +40,17 @@ def site(tmp_path: Path, frame_text: str) -> Path:
     return path
 
 
-class Told(Outlet):
-    """Keeps what it is told; calls `first` at the first window."""
+class ToldFirst(Told):
+    """Calls `first` at the first window."""
 
     def __init__(self, first: Callable[[], None]) -> None:
+        super().__init__()
         self._first = first
-        self.windows = 0
-        self.line: Mapping[str, Any] = {}
 
     def window(self, result: WindowResult, line: str) -> None:
-        self.windows += 1
-        if self.windows == 1:
+        super().window(result, line)
+        if len(self.lines) == 1:
             self._first()
-
-    def health_line(self, line: Mapping[str, Any]) -> None:
-        self.line = line
-
-    @property
-    def failed_parts(self) -> Mapping[str, str]:
-        return dict(self.line.get("failed", {}))
 
 
 class Ending(Scripted):
@@ -119,7 +111,7 @@ def test_a_disk_that_hangs_longer_than_the_queue_lasts_stops_nothing_and_is_told
     out = site.parent / "out"
     blocks = cut(np.tile(record, (6, 1)), RATE, [8])
     with hanging(monkeypatch, out, names) as answers:
-        told, metrics = Told(answers.clear), Metrics("bench", MetricsSettings(listen="127.0.0.1:0"))
+        told, metrics = ToldFirst(answers.clear), Metrics("bench", MetricsSettings(listen="127.0.0.1:0"))
 
         def is_told() -> bool:
             """In health and metrics, and in the status as far as the disk takes what it reads."""
@@ -128,13 +120,13 @@ def test_a_disk_that_hangs_longer_than_the_queue_lasts_stops_nothing_and_is_told
             )
             return said and "recorder" in told.failed_parts and "recorder" in failed_outputs(metrics)
 
-        source = Ending(blocks, lambda: told.windows == WINDOWS and is_told())
+        source = Ending(blocks, lambda: len(told.lines) == WINDOWS and is_told())
         Daemon(site, source, [told, metrics]).run()
         ended_s = time.monotonic()
-        assert not answers.is_set() and len(blocks) == 5760 and told.windows == WINDOWS
+        assert not answers.is_set() and len(blocks) == 5760 and len(told.lines) == WINDOWS
         assert source.asked_s is not None and ended_s - source.asked_s < 7.0  # 5 s are promised
         assert told.failed_parts["recorder"].startswith("does not answer for ")
-        recorder = told.line["recorder"]
+        recorder = told.health_lines[-1]["recorder"]
         assert not recorder["recording"] and recorder["lost_blocks"] > 0
     until(lambda: len(lines(out)) == WINDOWS, "results are there")
 
@@ -149,11 +141,7 @@ def test_an_outlet_that_does_not_answer_is_told_once_and_so_is_its_return(site: 
         def failed(self) -> str | None:
             return busy.overdue
 
-    told: list[Mapping[str, str]] = []
-
-    class Lines(Outlet):
-        def health_line(self, line: Mapping[str, Any]) -> None:
-            told.append(line["failed"])
+    told = Told()
 
     def script() -> Iterator[None]:
         busy.begin()
@@ -170,8 +158,8 @@ def test_an_outlet_that_does_not_answer_is_told_once_and_so_is_its_return(site: 
         looked[0] = seconds[0] + 0.5
         return seconds[0]
 
-    Daemon(site, Scripted(script()), [Stuck(), Lines()], clock=clock, tick_s=0.001, quiet_s=1e6).run()
-    ready, failed, again, last = told
+    Daemon(site, Scripted(script()), [Stuck(), told], clock=clock, tick_s=0.001, quiet_s=1e6).run()
+    ready, failed, again, last = (line["failed"] for line in told.health_lines)
     assert ready == again == last == {} and failed.keys() == {"Stuck"}
     assert failed["Stuck"] in {f"does not answer for {k} s" for k in (5, 6, 7)}
 
@@ -180,33 +168,28 @@ def test_an_error_that_nobody_expected_of_a_recorder_costs_its_block_and_is_told
     site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Until the main loop has told of it, every block fails; then blocks are recorded again."""
-    told = threading.Event()
-    blocks, failed, write = cut(record, RATE), list[Mapping[str, str]](), Recorder.write
+    told, blocks, write = Told(), cut(record, RATE), Recorder.write
+
+    def is_told() -> bool:
+        return any("recorder" in line["failed"] for line in told.health_lines)
 
     def failing(recorder: Recorder, block: SampleBlock) -> None:
-        if block.sequence > 3000 and not told.is_set():
+        if block.sequence > 3000 and not is_told():
             raise RuntimeError("a bug")
         write(recorder, block)
-
-    class Lines(Outlet):
-        def health_line(self, line: Mapping[str, Any]) -> None:
-            failed.append(line["failed"])
-            if "recorder" in line["failed"]:
-                told.set()
 
     def script() -> Iterator[SampleBlock]:
         for k, block in enumerate(blocks):
             if k == len(blocks) - 10:
-                until(told.is_set, "told")
+                until(is_told, "told")
             yield block
 
     monkeypatch.setattr(Recorder, "write", failing)
-    daemon = Daemon(site, Scripted(script()), [Lines()])
-    daemon.run()
-    assert {"recorder": "RuntimeError: a bug"} in failed and failed[-1] == {}
+    Daemon(site, Scripted(script()), [told]).run()
+    assert {"recorder": "RuntimeError: a bug"} in [line["failed"] for line in told.health_lines]
+    assert told.failed_parts == {}
     assert len(lines(site.parent / "out")) == 9
-    health = daemon._recording.health()
-    assert health is not None and health.recording and 0 < health.lost_blocks < len(blocks)
+    assert 0 < told.health_lines[-1]["recorder"]["lost_blocks"] < len(blocks)
     recorded = [block.sequence for block in read_recordings(own(site.parent / "out"))]
     assert recorded[0] == 0 and recorded[-1] == blocks[-1].sequence
 

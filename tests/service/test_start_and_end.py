@@ -22,6 +22,7 @@ from monitor.service import site as site_module
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.restart import lock
 from monitor.service.status import running
+from tests.support.live_rig import Command
 from tests.support.live_site import RATE
 from tests.support.samples import Cut
 from tests.support.site import SITE, write
@@ -74,10 +75,9 @@ def test_a_folder_that_cannot_be_written_ends_it_with_66(site: Path, taken: str)
     """A file stands where a folder is to be, first before the lock and then after it."""
     (site.parent / taken).parent.mkdir(exist_ok=True)
     (site.parent / taken).write_text("")
-    process = start(site)
-    _, said = process.communicate(timeout=60.0)
-    assert process.returncode == 66, said
-    assert said.count("\n") == 1 and f"{site.parent / 'out'}: cannot be written: " in said
+    with Command(site.parent / "log", "run", site) as daemon:
+        assert daemon.wait() == 66, daemon.said
+    assert daemon.said.count("\n") == 1 and f"{site.parent / 'out'}: cannot be written: " in daemon.said
 
 
 @pytest.mark.parametrize("fails", ["lock", "recordings"])
@@ -104,9 +104,8 @@ def test_a_start_that_fails_has_shown_nothing_outside(
 
 
 def test_a_source_that_is_missing_ends_it_with_66(site: Path) -> None:
-    process = start(site)
-    _, said = process.communicate(timeout=60.0)
-    assert process.returncode == 66 and "rec.mcap" in said, said
+    with Command(site.parent / "log", "run", site) as daemon:
+        assert daemon.wait() == 66 and "rec.mcap" in daemon.said, daemon.said
 
 
 def test_sigterm_while_an_outlet_is_joining_ends_it_with_0(
@@ -117,15 +116,11 @@ def test_sigterm_while_an_outlet_is_joining_ends_it_with_0(
     site = make_site(tmp_path, frame_text, client)
     write(site.parent / "rec.mcap", cut(record, RATE))
     site.write_text(site.read_text().replace('files = ["rec.mcap"]', 'files = ["rec.mcap"]\nspeed = 1.0'))
-    process = start(site)
-    assert process.stderr is not None
-    while (line := process.stderr.readline()) != "READY\n":
-        assert line, "it ended"
-    process.send_signal(signal.SIGTERM)
-    asked_s = time.monotonic()
-    _, said = process.communicate(timeout=60.0)
-    assert process.returncode == 0, said
-    assert time.monotonic() - asked_s < 7.0  # 5 s are promised
+    with Command(tmp_path / "log", "run", site) as daemon:
+        daemon.wait_for("READY\n")
+        code, seconds = daemon.stop()
+    assert code == 0, daemon.said
+    assert seconds < 7.0  # 5 s are promised
 
 
 def test_the_lock_can_be_opened_by_its_owner_alone(site: Path, held: Path) -> None:
