@@ -30,10 +30,10 @@ test: $(WARM)
 # All that is not slow: `make test`, then what it leaves out.
 test-all: test test-heavy
 
-# Diagnoses side by side; then whole commands, daemons and browsers one by one, for they watch clocks and ports.
+# Diagnoses side by side; then whole commands, daemons and browsers, three at a time, for they wait more than they compute.
 test-heavy: $(WARM) test
 	$(TIER) engine $(PYTEST) -n auto --dist loadscope -m "not slow and engine and not representative"
-	$(TIER) system $(PYTEST) -m "not slow and not engine and $(HEAVY)"
+	$(TIER) system $(PYTEST) -n 3 --dist loadscope -m "not slow and not engine and $(HEAVY)"
 
 test-slow: $(DEV)
 	$(BIN)/python -m pytest -m slow --timeout 7200 -s
