@@ -177,7 +177,6 @@ def test_a_read_only_disk_is_one_message_at_start(site: Path, record: np.ndarray
 def test_a_disk_that_turns_read_only_stops_no_result(
     site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(history, "_COMMIT_S", 0.01)
     daemon = Daemon(site, Scripted(cut(record, RATE)))
 
     def refuse(*_: object, **__: object) -> None:
