@@ -14,9 +14,6 @@ from monitor.model import InstrumentedModel
 
 _DIGITS = 1e9
 """Matrices that differ by less than their largest entry over this number have one fingerprint. [ratio; rounding]"""
-_FAR_RANGES = 5.0
-"""A healthy value further from the drawn one than so many times the prior's range (two standard deviations) is another
-structure's. [1; judgement: a mass stated to 10 % may be 1.6 times the drawn one, a stiffness stated to 40 % 7 times]"""
 MOST_LISTED = 3
 """Most items of one kind that a message lists. [1; judgement]"""
 
