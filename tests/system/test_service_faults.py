@@ -206,7 +206,7 @@ def test_a_disk_that_turns_read_only_stops_no_result(
     told: list[str] = []
     monkeypatch.setattr(daemon._lines, "write", lambda line: told.append(line))
     daemon.run()
-    failed = failures(daemon._outputs())
+    failed = failures(daemon.outputs())
     monkeypatch.undo()
     assert [json.loads(line) for line in told] == expected(site, cut(record, RATE))
     assert {"health.jsonl", "history"} <= failed.keys()
