@@ -463,7 +463,7 @@ def test_without_data_a_line_of_health_comes_at_the_stated_interval(site: Path) 
 
     Daemon(site, Scripted(silence()), [Desk()], clock=clock, tick_s=0.001, quiet_s=60.0).run()
     assert all(60.0 <= step <= 65.0 for step in np.diff(told_s)[:-1])
-    assert len(health(site.parent / "out")) == len(told_s)
+    assert len(health(site.parent / "out")) >= len(told_s)
 
 
 def test_a_state_is_outdated_once_no_data_have_come_for_a_window_s_length(

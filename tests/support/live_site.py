@@ -1,4 +1,4 @@
-"""A daemon on a source that outlives it: ``python -m tests.support.live_site SITE STREAM.npy POSITION PACE_S MISSED``.
+"""A daemon on a source that outlives it: ``python -m tests.support.live_site SITE STREAM.npy POSITION PACE_S MISSED [QUIET_S]``.
 
 The source gives blocks of the stream, over and over; the file POSITION says how many it has given, so that the next process
 goes on after them, less MISSED blocks that nobody took while it was away.
@@ -66,12 +66,12 @@ def forked(log: Path, arguments: list[str]) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    site, stream, position, pace_s, missed = arguments
+    site, stream, position, pace_s, missed, *quiet_s = arguments
     settings = configuration.load(Path(site))
     logs.begin(settings.log, settings.site_name)
     source = Live(np.load(stream), Path(position), float(pace_s), int(missed))
     with threadpool_limits(limits=1):
-        Daemon(Path(site), source).run()
+        Daemon(Path(site), source, **({"quiet_s": float(quiet_s[0])} if quiet_s else {})).run()
 
 
 if __name__ == "__main__":
