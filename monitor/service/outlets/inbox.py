@@ -24,7 +24,7 @@ _MOST = 64
 
 
 class Inbox(Outlet):
-    """Read the operators' requests from a folder, at most twice a second.
+    """Read the operators' requests from a folder, by default at most twice a second.
 
     A file is removed only after its request was applied, so that a request interrupted by a power cut is applied again.
     Applying a request twice has the same effect as once, because every request states the wanted result.  A request that
