@@ -118,12 +118,13 @@ class Endless(Scripted):
 
     def __init__(self, blocks: list[SampleBlock], windows: int) -> None:
         super().__init__(blocks, hold=threading.Event())
-        self._windows = windows
+        self._windows, self._is_told = windows, False
         self.daemon: Daemon
 
     def read(self, timeout_s: float) -> SampleBlock | None:
         block = super().read(timeout_s)
-        if block is None and self.daemon.session.windows >= self._windows and not self.daemon._stopping:
+        if block is None and self.daemon.session.windows >= self._windows and not self._is_told:
+            self._is_told = True
             os.kill(os.getpid(), signal.SIGTERM)
         return block
 
