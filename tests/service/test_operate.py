@@ -356,7 +356,6 @@ def test_what_a_stranger_may_not_read_is_told_and_no_wrong_usage(tmp_path: Path,
         ("run", site),
     ]
     for command in commands:  # everything is imported while that is allowed
-        main(*command[:1], "--help")
         main(*command)
     for path in (closed, tmp_path):
         path.chmod(0o700)

@@ -47,15 +47,8 @@ HEALTH: dict[str, Any] = {
     "uptime_s": 5.0,
     "disk_free_bytes": 1 << 30,
 }
-FINDING = {
-    "id": "1",
-    "t_ns": T0_NS,
-    "from_ns": T0_NS,
-    "reason": "warning",
-    "verdict": "named",
-    "says": "Softer.",
-    "causes": [],
-}
+FINDING: dict[str, Any] = {"id": "1", "t_ns": T0_NS, "from_ns": T0_NS, "reason": "warning", "verdict": "named"}
+FINDING |= {"says": "Softer.", "causes": []}
 SUMMARY: dict[str, Any] = {
     "windows": 3,
     "skipped": 1,
@@ -65,14 +58,8 @@ SUMMARY: dict[str, Any] = {
     "findings": [FINDING],
     "quality": {"availability": 1.0, "gaps": 0},
 }
-EVENT: dict[str, Any] = {
-    "id": "e1",
-    "revision": 0,
-    "t_begin_ns": T0_NS,
-    "t_end_ns": T0_NS + SECOND,
-    "verdict": None,
-    "spectrum": {},
-}
+EVENT: dict[str, Any] = {"id": "e1", "revision": 0, "t_begin_ns": T0_NS, "t_end_ns": T0_NS + SECOND}
+EVENT |= {"verdict": None, "spectrum": {}}
 
 
 def line(k: int, **changes: Any) -> dict[str, Any]:
@@ -238,13 +225,8 @@ def test_data_need_the_token_in_the_header_and_pages_hold_none() -> None:
     ask = asking(filled(), TOKEN)
     described = content(ask, "/openapi.json", Host="monitor.example")["paths"]
     for path in described:
-        for fields in (
-            {},
-            {"Authorization": "Bearer"},
-            {"Authorization": f"Bearer {TOKEN}x"},
-            {"Authorization": f"Basic {TOKEN}"},
-        ):
-            code, headers, body = ask(path, **fields)
+        for shown in (None, "Bearer", f"Bearer {TOKEN}x", f"Basic {TOKEN}"):
+            code, headers, body = ask(path, **({} if shown is None else {"Authorization": shown}))
             assert (code, headers["www-authenticate"]) == (401, "Bearer")
             assert b"Story" not in body
         assert ask(f"{path}?token={TOKEN}", Cookie=f"token={TOKEN}")[0] == 401, "not in the address, no cookie"
@@ -262,35 +244,28 @@ def test_without_a_token_a_name_from_elsewhere_is_refused() -> None:
         assert ask("/api/v1/status", Host=host)[0] == 403
 
 
-@pytest.mark.parametrize(
-    ("path", "method", "code"),
-    [
-        ("/nothing", "GET", 404),
-        ("/api/v1/", "GET", 404),
-        ("/api/v1/status/", "GET", 404),
-        ("/../pyproject.toml", "GET", 404),
-        ("/%2e%2e/outlet.py", "GET", 404),
-        ("/api/v1/status", "POST", 405),
-        ("/api/v1/status", "DELETE", 405),
-        ("/api/v1/windows?limit=0", "GET", 400),
-        ("/api/v1/windows?limit=2001", "GET", 400),
-        ("/api/v1/windows?limit=x", "GET", 400),
-        ("/api/v1/windows?limit=%C2%B2", "GET", 400),
-        ("/api/v1/windows?since_ns=-1", "GET", 400),
-        ("/api/v1/windows?since_ns=" + "9" * 40, "GET", 400),
-        ("/api/v1/status", "HEAD", 200),
-        ("/", "HEAD", 200),
-    ],
-)
-def test_each_answer_has_its_code_and_the_policy(path: str, method: str, code: int) -> None:
-    got, headers, body = asking(filled())(path, method)
-    assert got == code
-    assert headers["content-security-policy"].startswith("default-src 'self';")
-    assert headers["x-content-type-options"] == "nosniff"
-    assert headers["connection"] == "close"
-    assert (body == b"") == (method == "HEAD")
-    if code >= 400:
-        assert "error" in json.loads(body)
+ANSWERS = {
+    404: ("/nothing", "/api/v1/", "/api/v1/status/", "/../pyproject.toml", "/%2e%2e/outlet.py"),
+    405: ("POST /api/v1/status", "DELETE /api/v1/status"),
+    400: tuple(
+        f"/api/v1/windows?{query}"
+        for query in ("limit=0", "limit=2001", "limit=x", "limit=%C2%B2", "since_ns=-1", "since_ns=" + "9" * 40)
+    ),
+    200: ("HEAD /api/v1/status", "HEAD /"),
+}
+
+
+@pytest.mark.parametrize("code", ANSWERS)
+def test_each_answer_has_its_code_and_the_policy(code: int) -> None:
+    for asked in ANSWERS[code]:
+        method, _, path = asked.rpartition(" ")
+        got, headers, body = asking(filled())(path, method or "GET")
+        assert got == code, asked
+        assert headers["content-security-policy"].startswith("default-src 'self';")
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["connection"] == "close"
+        assert (body == b"") == (method == "HEAD")
+        assert code < 400 or "error" in json.loads(body)
 
 
 def test_the_pages_name_nothing_outside_and_have_no_inline_code() -> None:
@@ -401,10 +376,7 @@ def test_a_token_that_could_be_guessed_or_not_be_sent_is_refused(text: str, tmp_
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        (
-            'web = "0.0.0.0:8080"',
-            r"output.web: all who reach 0.0.0.0:8080 could read without a token; set web_token_file",
-        ),
+        ('web = "0.0.0.0:8080"', r"output.web: all who reach 0.0.0.0:8080 could read without a token; set web_token"),
         ('web = "[::]:8080"', r"output.web: all who reach"),
         ('web = "127.0.0.1:0"\nweb_token_file = "none"', r"output.web_token_file: .*none: No such file"),
         ('web_token_file = "none"', r"without `web` there is no page"),
