@@ -146,11 +146,8 @@ def _cdr(data: bytes) -> None:
 def _cdr_seeds() -> list[bytes]:
     def message(order: str, frame: bytes) -> bytes:
         head = struct.pack(order + "iII", 1_767_225_600, 5, len(frame)) + frame
-        return (
-            bytes([0, order == "<", 0, 0])
-            + head.ljust(-(-len(head) // 8) * 8, b"\0")
-            + struct.pack(order + "37d", *range(37))
-        )
+        values = struct.pack(order + "37d", *range(37))
+        return bytes([0, order == "<", 0, 0]) + head.ljust(-(-len(head) // 8) * 8, b"\0") + values
 
     return [message("<", b"imu\0"), message(">", b"link_7\0"), message("<", b"")]
 
@@ -215,10 +212,6 @@ def _mqtt_json(data: bytes) -> None:
     assert counts["blocks"] == (got is not None) == 1 - counts["undecodable"]
 
 
-def _mqtt_json_seeds() -> list[bytes]:
-    return [mqtt.encode(block(k, 4), "json") for k in range(2)]
-
-
 def _json_request(data: bytes) -> None:
     with contextlib.suppress(ValidationError):
         request = Request.model_validate_json(data[:4096])
@@ -241,12 +234,9 @@ def _request_file(data: bytes) -> None:
 
 
 def _request_seeds() -> list[bytes]:
-    rows = [
-        {"action": "acknowledge", "story": 1, "who": "ann"},
-        {"action": "shelve", "story": 0, "who": "bo", "note": "works", "seconds": 3600.0},
-        {"action": "reset", "story": 3, "who": "x"},
-    ]
-    return [json.dumps(row).encode() for row in rows]
+    shelve = {"action": "shelve", "story": 0, "who": "bo", "note": "works", "seconds": 3600.0}
+    others = [{"action": "acknowledge", "story": 1, "who": "ann"}, {"action": "reset", "story": 3, "who": "x"}]
+    return [json.dumps(row).encode() for row in (shelve, *others)]
 
 
 # --- the CAN bus -------------------------------------------------------------------------------------------------------
@@ -313,10 +303,6 @@ class _Frames:
 
     def shutdown(self) -> None:
         pass
-
-
-def _can_frames(data: bytes) -> None:
-    _read_all(_Frames(data))
 
 
 @functools.cache
@@ -470,13 +456,11 @@ def _csv_seeds() -> list[bytes]:
 def _npz_seeds() -> list[bytes]:
     samples, made = np.sin(np.arange(90.0).reshape(30, 3)), []
     t = np.arange(30) / 100
-    for arrays in (
-        {"samples": samples, "rate_hz": 100.0, "channels": ["a1", "a2", "a3"]},
-        {"x": samples[:, 0], "t": t},
-    ):
+    named: dict[str, Any] = {"samples": samples, "rate_hz": 100.0, "channels": ["a1", "a2", "a3"]}
+    for arrays in (named, {"x": samples[:, 0], "t": t}):
         for save in (np.savez, np.savez_compressed):
             file = io.BytesIO()
-            save(file, **cast(Any, arrays))
+            save(file, **arrays)
             made.append(file.getvalue())
     return made
 
@@ -623,20 +607,16 @@ def _stream() -> _Stream:
     return _Stream()
 
 
-def _pipeline(data: bytes) -> None:
-    _stream().push(data)
-
-
 TARGETS: dict[str, Target] = {
     "protobuf": Target(_protobuf, _protobuf_seeds, 0.2),
     "cdr": Target(_cdr, _cdr_seeds, 0.13),
     "request": Target(_json_request, _request_seeds, 0.14),
-    "can": Target(_can_frames, _can_seeds, 0.06, 4000),
+    "can": Target(lambda data: _read_all(_Frames(data)), _can_seeds, 0.06, 4000),
     "socketcand": Target(_socketcand, _socketcand_seeds, 0.06, 4000),
     "udp_multicast": Target(_udp_multicast, _udp_multicast_seeds, 0.02, 8000),
     "can_log": Target(_can_log, _can_log_seeds, 0.02, 4000),
     "zenoh": Target(_zenoh, _zenoh_seeds, 0.08),
-    "mqtt_json": Target(_mqtt_json, _mqtt_json_seeds, 0.02),
+    "mqtt_json": Target(_mqtt_json, lambda: [mqtt.encode(block(k, 4), "json") for k in range(2)], 0.02),
     "request_file": Target(_request_file, _request_seeds, 0.03),
     "mcap": Target(_mcap, _mcap_seeds, 0.05),
     "crash_file": Target(_crash_file, _mcap_seeds, 0.02),
@@ -650,7 +630,7 @@ TARGETS: dict[str, Target] = {
     "baseline": Target(_baseline, _baseline_seeds, 0.02),
     "finding": Target(_finding, _finding_seeds, 0.02),
     "outbox": Target(_outbox, _outbox_seeds, 0.02),
-    "pipeline": Target(_pipeline, _protobuf_seeds, 0.01),
+    "pipeline": Target(lambda data: _stream().push(data), _protobuf_seeds, 0.01),
 }
 
 
