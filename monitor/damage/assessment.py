@@ -630,7 +630,7 @@ def _unjudged(course: Course, known: Known) -> list[Fact]:
     """State why nothing, or not enough, can be said of damage."""
     says = []
     if course.last is None:
-        says.append("no window of data yet" if course.windows == 0 else "no window since the monitor was upgraded")
+        says.append("no window of data yet")
     elif course.judged is None or not any(judged for _, judged in course.recent):
         reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
         latest = course.last.skipped if course.last is not None else None

@@ -44,6 +44,8 @@ class Baseline:
     windows: int
     level_range_m_s2: tuple[float, float]
     """Smallest and largest response level of the windows: RMS, mean over channels."""
+    origin: Origin
+    """Whose the baseline is."""
     reference_temperature_degc: float | None = None
     """Mean temperature over the windows; None without a temperature channel."""
     law: CovariateLaw | None = None
@@ -52,17 +54,15 @@ class Baseline:
     """Shape (c, c), s^4: how the level that the law was learned at was measured (`level.drift_weights`)."""
     motion: Array | None = None
     """Shape (c, c), (m/s^2)^2: mean covariance of the accelerations over the windows, by which fewer channels measure the same
-    level; None in files of older versions."""
+    level; None without accelerations."""
     recordings: tuple[dict[str, Any], ...] = field(default=())
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
     """UTC of the first sample of the healthy data and of their end, ns."""
     reference: StructuralPrior | None = None
     """Prior of a diagnosis; None where the healthy data were too short for one, or the drawing was changed since."""
-    origin: Origin | None = None
-    """Whose the baseline is; None in files of older versions, which did not note it."""
     converged: bool = True
-    """Whether the updating to the healthy modes converged; True in files of older versions, which did not note it."""
+    """Whether the updating to the healthy modes converged."""
     doubts: tuple[str, ...] = ()
     """Why it may not be this structure's, or why losses against it are not to be trusted; not in the file."""
 

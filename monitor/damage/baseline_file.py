@@ -20,7 +20,7 @@ from monitor.core import (
 )
 from monitor.damage import covariates
 from monitor.damage.baseline import Baseline
-from monitor.damage.origin import Origin, far_values, number_differences, sensor_differences
+from monitor.damage.origin import Origin, number_differences, sensor_differences
 from monitor.damage.updating import UpdatingSettings
 from monitor.model import InstrumentedModel, Matrix, Positive, prior_file
 
@@ -34,17 +34,6 @@ class _Strict(Settings):
     """Part of the file, validated strictly: JSON types are not converted."""
 
     model_config = ConfigDict(strict=True)
-
-
-class _Temperature(_Strict):
-    """Temperature dependence in files of older versions."""
-
-    per_degc: Vector
-    covariance: Matrix
-    lag_s: float
-    reference_degc: float
-    range_degc: tuple[float, float]
-    extrapolation: float
 
 
 class _Axis(_Strict):
@@ -65,7 +54,7 @@ class _Common(_Strict):
 
     square: Matrix
     windows: int
-    lowest: tuple[Matrix, Matrix] | None = None
+    lowest: tuple[Matrix, Matrix]
 
 
 class Law(_Strict):
@@ -78,7 +67,7 @@ class Law(_Strict):
     posterior: tuple[Matrix, ...]
     mixing: Matrix
     scatter: float
-    common: _Common | None = None
+    common: _Common | None
 
 
 class _Effect(_Strict):
@@ -107,9 +96,9 @@ class _Reference(_Strict):
     precision: Matrix
     basis: tuple[Matrix, ...]
     reference_degc: float | None
-    error: _StandingError | None = None
-    judged_hz: tuple[float, float] | None = None
-    ln_forces: Vector | None = None
+    error: _StandingError | None
+    judged_hz: tuple[float, float] | None
+    ln_forces: Vector | None
 
 
 class _Origin(_Strict):
@@ -148,14 +137,13 @@ class _Content(_Strict):
     reference_temperature_degc: float | None
     recordings: tuple[dict[str, str], ...]
     span_ns: tuple[int, int]
-    temperature: _Temperature | None = None
-    law: Law | None = None
-    drift_weights: Matrix | None = None
-    motion: Matrix | None = None
-    stiffness_correction_n_per_m: Matrix | None = None
-    reference: _Reference | None = None
-    origin: _Origin | None = None
-    converged: bool = True
+    law: Law | None
+    drift_weights: Matrix | None
+    motion: Matrix | None
+    stiffness_correction_n_per_m: Matrix | None
+    reference: _Reference | None
+    origin: _Origin
+    converged: bool
 
 
 def _plain(value: Any) -> Any:
@@ -170,11 +158,10 @@ def save_baseline(baseline: Baseline, path: Path) -> None:
         "format": FORMAT,
         "stiffness_n_per_m": structure.stiffness_n_per_m.tolist(),
         "masses_kg": structure.masses_kg.tolist(),
-        "temperature": None,
         "law": covariates.to_plain(baseline.law),
         "stiffness_correction_n_per_m": _plain(baseline.model.correction),
         "reference": prior_file.to_plain(baseline.reference),
-        "origin": None if baseline.origin is None else asdict(baseline.origin),
+        "origin": asdict(baseline.origin),
     }
     content = {name: own[name] if name in own else _plain(getattr(baseline, name)) for name in _Content.model_fields}
     write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
@@ -273,34 +260,27 @@ def _demand_own(
     ValueError
         If the content is damaged.
     """
-    here, there = Origin.of(instrumented), None if c.origin is None else Origin(**c.origin.model_dump())
+    here, there = Origin.of(instrumented), Origin(**c.origin.model_dump())
     numbers = len(c.masses_kg), len(c.stiffness_n_per_m)
-    if there is not None and (len(there.masses_kg), len(there.stiffness_n_per_m)) != numbers:
+    if (len(there.masses_kg), len(there.stiffness_n_per_m)) != numbers:
         raise ValueError("the numbers of masses and stiffnesses are not those of its origin")
     says = number_differences(*numbers, instrumented) + sensor_differences(c.channels, c.floors, instrumented)
-    says += [] if there is None else there.sampling_differences(here)
+    says += there.sampling_differences(here)
     if c.log != (updating.eigenvalue == "log") or bool(c.gauges) != updating.use_shapes:
         says.append("it was learned with another [updating] eigenvalue or use_shapes")
     mend = "name this structure's own baseline, or make it with 'calibrate'"
     if not says and not redrawn:
-        if there is None:
-            says = far_values(c.masses_kg, c.stiffness_n_per_m, instrumented)
-        else:
-            says = there.drawing_differences(here)
-            mend += f"; if the structure is the same and only its drawing was changed, use 'calibrate --rebase {path}'"
+        says = there.drawing_differences(here)
+        mend += f"; if the structure is the same and only its drawing was changed, use 'calibrate --rebase {path}'"
     if not says:
         return
-    if there is not None and there.is_named_otherwise(here):
+    if there.is_named_otherwise(here):
         says.insert(0, f"it is of {there.name!r}, this is {here.name!r}")
     raise BadConfigurationError(f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: {mend}")
 
 
-def _doubts(path: Path, there: Origin | None, here: Origin) -> tuple[str, ...]:
+def _doubts(path: Path, there: Origin, here: Origin) -> tuple[str, ...]:
     """Say why a baseline may not be this structure's."""
-    if there is None:
-        return (
-            f"the baseline {path.name} was written by an older version, which did not note whose it is; calibrate anew",
-        )
     if there.is_named_otherwise(here):
         return (
             f"the baseline {path.name} is of {there.name!r}, and this is {here.name!r}, drawn alike: if it is the same "
@@ -322,9 +302,7 @@ def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
     # The correction known at calibration: a correction that a diagnosis added later is contained in `misfit` already.
     known = c.stiffness_correction_n_per_m
     model = replace(model, correction=None if known is None else np.array(known).reshape(size, size))
-    former = None if c.temperature is None else c.temperature.model_dump()
     law = None if c.law is None else c.law.model_dump()
-    n_stories = len(c.stiffness_n_per_m)
     reference = None if c.reference is None else c.reference.model_dump()
     return Baseline(
         model=model.with_stiffness(np.array(c.stiffness_n_per_m)).with_masses(np.array(c.masses_kg)),
@@ -343,13 +321,13 @@ def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
         windows=c.windows,
         level_range_m_s2=c.level_range_m_s2,
         reference_temperature_degc=c.reference_temperature_degc,
-        law=covariates.from_plain(law, n_stories) or covariates.from_former(former, n_stories),
+        law=covariates.from_plain(law, len(c.stiffness_n_per_m)),
         drift_weights=None if c.drift_weights is None else np.array(c.drift_weights),
         motion=None if c.motion is None else np.array(c.motion),
         recordings=c.recordings,
         span_ns=c.span_ns,
         reference=prior_file.from_plain(reference, model, instrumented.channels),
-        origin=None if c.origin is None else Origin(**c.origin.model_dump()),
+        origin=Origin(**c.origin.model_dump()),
         converged=c.converged,
     )
 

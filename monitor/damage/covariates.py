@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from monitor.core import Array, Settings
-from monitor.damage.common_change import CommonChange, learn_common, nothing_learned
+from monitor.damage.common_change import CommonChange, learn_common
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn, stories_prior
 from monitor.damage.level import drift_m
 from monitor.signals import LAGS_S
@@ -272,55 +272,11 @@ def from_plain(content: dict[str, Any] | None, n: int) -> CovariateLaw | None:
         raise ValueError("its dependence on covariates is damaged")
     if any(a.slope_std.size != a.knots.size + 2 or not 0 <= a.lag < len(LAGS_S) for a in axes):
         raise ValueError("its covariates are damaged")
-    common = content.get("common")
+    common = content["common"]
     if common is not None:
-        lowest = common.get("lowest")
-        common = replace(
-            nothing_learned(n), square=np.array(common["square"], dtype=float), windows=int(common["windows"])
-        )
-        if lowest is not None:  # a file of an older version does not say how far the stories went
-            common = replace(common, lowest=np.array(lowest, dtype=float))
+        square, lowest = (np.array(common[name], dtype=float) for name in ("square", "lowest"))
+        common = CommonChange(square, int(common["windows"]), lowest)
         fits = common.square.shape == (n, n) and common.lowest.shape == (2, n + 2, n) and common.windows >= 0
         if not (fits and np.isfinite(common.square).all() and np.isfinite(common.lowest).all()):
             raise ValueError("its common change is damaged")
     return CovariateLaw(axes, **arrays, scatter=float(content["scatter"]), common=common)
-
-
-def from_former(content: dict[str, Any] | None, n: int) -> CovariateLaw | None:
-    """Convert the temperature dependence in a file of an older version: one slope for each story.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        If the content is damaged or belongs to another structure.
-    """
-    if content is None:
-        return None
-    slope, covariance = (np.array(content[name], dtype=float) for name in ("per_degc", "covariance"))
-    low, high = map(float, content["range_degc"])
-    reference, extrapolation = (float(content[k]) for k in ("reference_degc", "extrapolation"))
-    finite = np.isfinite([*slope.flat, *covariance.flat, low, high, reference, extrapolation]).all()
-    if slope.shape != (n,) or covariance.shape != (n, n) or not finite or content["lag_s"] not in LAGS_S:
-        raise ValueError("its temperature dependence is damaged")
-    # Columns: the slope; below, within and above the range seen.  Outside, a share of the slope is uncertain.
-    size, directions = np.linalg.eigh(covariance)
-    root = directions * np.sqrt(np.maximum(size, 1e-12 * max(size[-1], 1e-300)))
-    along = np.linalg.solve(root, extrapolation * slope)
-    posterior = np.zeros((n, 4, 4))
-    posterior[:, 0, 0] = 1.0
-    turn, _ = np.linalg.qr(np.column_stack([along, np.eye(n)]))
-    posterior[0, 1, 1] = posterior[0, 3, 3] = float(along @ along)
-    axis = Axis(
-        TEMPERATURE,
-        "degC",
-        np.array([low, high]),
-        np.zeros(4),
-        LAGS_S.index(content["lag_s"]),
-        float(content["lag_s"]),
-        reference,
-        (low, high),
-    )
-    spread = np.zeros((4, 4))
-    spread[0, 0] = (high - low) ** 2 / 12.0
-    slopes = np.column_stack([slope, np.zeros((n, 3))])
-    return CovariateLaw((axis,), np.zeros(4), spread, slopes, posterior, root @ turn)

@@ -62,8 +62,7 @@ class ModalBaseline:
     shape_law: CovariateLaw | None = None
     """Dependence of the shapes' components but the gauges', mode by mode."""
     motion: Array | None = None
-    """Shape (c, c), (m/s^2)^2: covariance of the windows' accelerations, by which fewer channels measure the same level;
-    None in a file of an older version."""
+    """Shape (c, c), (m/s^2)^2: covariance of the windows' accelerations, by which fewer channels measure the same level."""
     recordings: tuple[dict[str, Any], ...] = field(default=())
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)

@@ -54,7 +54,7 @@ class _Content(Settings):
     reference_temperature_degc: float | None
     law: Law | None
     shape_law: Law | None
-    motion: Matrix | None = None
+    motion: Matrix | None
     recordings: tuple[dict[str, str], ...]
     span_ns: tuple[int, int]
 

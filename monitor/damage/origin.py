@@ -14,9 +14,6 @@ from monitor.model import InstrumentedModel
 
 _DIGITS = 1e9
 """Matrices that differ by less than their largest entry over this number have one fingerprint. [ratio; rounding]"""
-_FAR_RANGES = 5.0
-"""A healthy value further from the drawn one than so many times the prior's range (two standard deviations) is another
-structure's. [1; judgement: a mass stated to 10 % may be 1.6 times the drawn one, a stiffness stated to 40 % 7 times]"""
 MOST_LISTED = 3
 """Most items of one kind that a message lists. [1; judgement]"""
 
@@ -121,29 +118,6 @@ def number_differences(n_masses: int, n_stiffnesses: int, here: InstrumentedMode
     if (n_masses, n_stiffnesses) == (n, p):
         return []
     return [f"it has {n_masses} masses and {n_stiffnesses} stiffnesses there, {n} and {p} here"]
-
-
-def far_values(masses_kg: Sequence[float], stiffness_n_per_m: Sequence[float], here: InstrumentedModel) -> list[str]:
-    """List the healthy masses and stiffnesses of a baseline that lie far beyond the prior's range about the drawn ones."""
-    drawn, p = here.model.structure, here.model.structure.n_stories
-    ranges = 2.0 * _FAR_RANGES * here.prior_std
-
-    def far(values: Sequence[float], drawn_values: Array, reach: Array) -> list[float]:
-        """Take the healthy value where it is far from the drawn one, else the drawn one."""
-        is_far = np.abs(np.log(np.array(values) / drawn_values)) > reach
-        return list(np.where(is_far, values, drawn_values))
-
-    masses, stiffness = drawn.masses_kg, drawn.stiffness_n_per_m
-    return [
-        *_value_differences(
-            "floor {} weighs {} kg there and {} kg here", far(masses_kg, masses, ranges[p:]), masses.tolist()
-        ),
-        *_value_differences(
-            "story {} has {} N/m there and is drawn with {} N/m here",
-            far(stiffness_n_per_m, stiffness, ranges[:p]),
-            stiffness.tolist(),
-        ),
-    ]
 
 
 def _value_differences(sentence: str, there: Sequence[float], here: Sequence[float]) -> list[str]:

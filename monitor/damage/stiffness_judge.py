@@ -23,7 +23,6 @@ from monitor.core import (
 from monitor.damage import alarm, damage_index, slow_learning
 from monitor.damage.alarm import AlarmState
 from monitor.damage.baseline import Baseline
-from monitor.damage.common_change import nothing_learned
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.detectable_loss import smallest_detectable_loss
 from monitor.damage.judge import LEAST_SHARE, Judged, JudgeSettings, Memory, View, explained, hidden_words
@@ -183,8 +182,6 @@ class StiffnessJudge:
         """Learn the covariates' law on from healthy service."""
         if law is None or not settings.compensation.learn_in_service:
             return memory.learning
-        if law.common is None:  # of a baseline of an older version
-            law = replace(law, common=nothing_learned(len(law.mixing)))
         state = memory.learning or slow_learning.start(law, t_end_ns)
         # The index has what the law explains taken out; it is put back.
         change = np.log1p(-np.minimum(reading.ddi, 1.0 - 1e-6)) + sum(reading.covariate_effect.values(), np.zeros(1))

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from monitor.core import Array
-from monitor.model.effects import FORMS, Effect
+from monitor.model.effects import FORMS
 from monitor.model.model import Model
 from monitor.model.prior import ModelDiscrepancy, StructuralPrior, as_stated
 
@@ -54,8 +53,9 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     mean, precision = (np.array(content[name], dtype=float) for name in ("mean", "precision"))
     basis = np.array(content["basis"], dtype=float).reshape(-1, n, n)
     first = p + 2 * n + len(channels) + basis.shape[0]
-    size = first + sum(len(e["parameters"]) for e in content["effects"])
-    degc, forces = content["reference_degc"], content.get("ln_forces")  # baselines of before do not have the forces
+    effects = tuple(FORMS[e["effect"]].create(e["location"], e["parameters"]) for e in content["effects"])
+    size = first + sum(len(e.parameters) for e in effects)
+    degc, forces = content["reference_degc"], content["ln_forces"]
     ln_forces = None if forces is None else np.array(forces, dtype=float)
     if ln_forces is not None and (ln_forces.shape != (n,) or not np.isfinite(ln_forces).all()):
         raise ValueError(f"the reference's forces are not {n} finite numbers")
@@ -68,10 +68,6 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     if not (np.isfinite(sizes) & (sizes > 0.0)).all():
         raise ValueError("the reference holds stiffnesses or masses that are not finite, above zero")
     healthy = model.with_stiffness(sizes[:p]).with_masses(sizes[p:])
-    corrected = replace(healthy, correction=np.tensordot(mean[first - basis.shape[0] : first], basis, axes=1))
-    stated, mean, precision = _with_eccentricities(content["effects"], mean, precision, first, corrected)
-    effects = tuple(FORMS[e["effect"]].create(e["location"], e["parameters"]) for e in stated)
-    mean, precision = _with_later_parameters(stated, effects, mean, precision, first)
     for effect in effects:
         effect.check(healthy.structure, channels)
     known = {(e.name, e.location) for e in effects}
@@ -87,78 +83,6 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
         judged_hz=None if content["judged_hz"] is None else tuple(content["judged_hz"]),
         ln_forces=ln_forces,
     ).with_known_lines()
-
-
-def _with_eccentricities(
-    effects: list[dict[str, Any]], mean: Array, precision: Array, first: int, healthy: Model
-) -> tuple[list[dict[str, Any]], Array, Array]:
-    """Convert the couplings of modes, which baselines held before they held eccentricities, in effects as a file has them.
-
-    A coupling c_j was a stiffness ``-c_j w^2 sqrt(m m_j)`` between floor j and a mode of angular frequency w; m is the mean mass.
-
-    Parameters
-    ----------
-    mean, precision : ndarray, shape (p,) and (p, p)
-        Of all coordinates; those of the effects begin at `first`.
-    healthy : Model
-        The structure at `mean`, without effects.
-
-    Returns
-    -------
-    effects : list of dict
-    mean, precision : ndarray, shape (p,) and (p, p)
-    """
-    masses, stiffness = healthy.structure.masses_kg, healthy.structural_matrices()[1]
-    mean, slopes, out, n = mean.copy(), np.eye(mean.size), [], masses.size
-    for effect in effects:
-        values, end = dict(effect["parameters"]), first + len(effect["parameters"])
-        names = [name for name in values if name.startswith("coupling_")]
-        if names:
-            squared = (2.0 * np.pi * values["frequency_hz"]) ** 2
-            by_coupling = np.linalg.solve(stiffness, np.diag(-squared * np.sqrt(masses.mean() * masses)))
-            own = slice(end - n, end)
-            mean[own] = by_coupling @ [values.pop(name) for name in names]
-            slopes[own, own], slopes[own, first] = by_coupling, 2.0 * mean[own]  # by the logarithm of the frequency
-            values |= {f"eccentricity_{j + 1}": float(e) for j, e in enumerate(mean[own])}
-        out.append({**effect, "parameters": values})
-        first = end
-    if out == effects:
-        return effects, mean, precision
-    back = np.linalg.inv(slopes)
-    return out, mean, back.T @ precision @ back
-
-
-def _with_later_parameters(
-    stated: list[dict[str, Any]], effects: tuple[Effect, ...], mean: Array, precision: Array, first: int
-) -> tuple[Array, Array]:
-    """Add the parameters of effects that a baseline of before does not have, held where they were without being parameters.
-
-    The arms of the forces on a coupled mode are such; they come last, and were zero.
-
-    Parameters
-    ----------
-    stated : list of dict
-        Effects as the file has them.
-    effects : tuple of Effect
-    mean, precision : ndarray, shape (p,) and (p, p)
-        Of all coordinates that the file has; those of the effects begin at `first`.
-
-    Returns
-    -------
-    mean, precision : ndarray
-        Of all coordinates.
-    """
-    for of_file, effect in zip(stated, effects, strict=True):
-        end, size = first + len(of_file["parameters"]), len(effect.parameters)
-        later = np.arange(len(of_file["parameters"]), size)
-        if later.size:
-            mean = np.insert(mean, end, effect.coordinates[later])
-            known = np.insert(np.insert(precision, [end] * later.size, 0.0, axis=0), [end] * later.size, 0.0, axis=1)
-            own = first + later
-            known[own, own] = as_stated((effect,))[later]
-            precision = known
-        first += size
-    return mean, precision
 
 
 def _error_to_plain(error: ModelDiscrepancy) -> dict[str, Any]:

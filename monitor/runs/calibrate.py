@@ -150,18 +150,14 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
     """
     instrumented = config.instrumented()
     old, here = load_baseline(path, instrumented, config.updating, redrawn=True), Origin.of(instrumented)
-    if old.origin is None:
-        says = [f"{path.name} does not note whose it is: it is taken for this structure's on your word"]
-    else:
-        says = old.origin.drawing_differences(here)
-        if old.origin.is_named_otherwise(here):
-            says.insert(
-                0,
-                f"it was of {old.origin.name!r} and is of {here.name!r} now: right only if that is the same structure",
-            )
-        if old.origin.fingerprint == here.fingerprint:
-            says.append("masses, stiffnesses and matrices are drawn as before: all else is kept")
-            return replace(old, origin=here, doubts=()), tuple(says), old.converged
+    says = old.origin.drawing_differences(here)
+    if old.origin.is_named_otherwise(here):
+        says.insert(
+            0, f"it was of {old.origin.name!r} and is of {here.name!r} now: right only if that is the same structure"
+        )
+    if old.origin.fingerprint == here.fingerprint:
+        says.append("masses, stiffnesses and matrices are drawn as before: all else is kept")
+        return replace(old, origin=here, doubts=()), tuple(says), old.converged
     new, fit = rebase_baseline(old, instrumented, config.updating)
     says.append(f"the updating to the healthy modes {'converged' if fit.converged else 'did NOT converge'}")
     says.append(

@@ -14,7 +14,6 @@ _log = logging.getLogger(__name__)
 
 _PIECE_BYTES = 1 << 20
 """Length of the pieces in which the end of the last complete line is looked for, backwards. [bytes; cost]"""
-_MOST_PENDING_BYTES = 16 << 20
 
 
 def at_once(flush: Callable[[], None]) -> None:
@@ -37,6 +36,8 @@ class AppendedLines:
     run : callable, optional
         Calls the function that it is given, which writes the lines that wait: at once by default, else in another thread, so
         that `write` waits for no disk.
+    most_pending_bytes : int
+        Size of the lines that may wait.
 
     Attributes
     ----------
@@ -56,8 +57,10 @@ class AppendedLines:
         path: Path,
         most_bytes: int | None = None,
         run: Callable[[Callable[[], None]], None] = at_once,
+        most_pending_bytes: int = 16 << 20,
     ) -> None:
         self._path, self._most_bytes, self._run = path, most_bytes, run
+        self._most_pending_bytes = most_pending_bytes
         self._pending = b""
         self._lock = threading.Lock()
         """Held while lines are queued or taken; no holder waits for a disk."""
@@ -88,7 +91,7 @@ class AppendedLines:
         """Append one line; a failing disk does not raise, `failed` then holds the reason."""
         data = line.encode() + b"\n"
         with self._lock:
-            is_room = len(self._pending) + len(data) <= _MOST_PENDING_BYTES
+            is_room = len(self._pending) + len(data) <= self._most_pending_bytes
             if is_room:
                 self._pending += data
                 self.size += len(data)

@@ -13,6 +13,7 @@ import sqlite3
 import threading
 from collections import deque
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,31 +24,26 @@ from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
-VERSION = 4
+VERSION = 1
 """Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES`."""
-UPGRADES: dict[int, str] = {
-    1: "ALTER TABLE windows ADD COLUMN state TEXT;",
-    2: "ALTER TABLE gaps ADD COLUMN number INTEGER NOT NULL DEFAULT 1; ALTER TABLE gaps ADD COLUMN lost_s REAL; "
-    "UPDATE gaps SET lost_s = duration_s;",
-    3: "ALTER TABLE windows ADD COLUMN frequency_change TEXT; ALTER TABLE windows ADD COLUMN frequency_change_std TEXT; "
-    "ALTER TABLE alarms ADD COLUMN change REAL; ALTER TABLE alarms ADD COLUMN change_std REAL;",
-}
+UPGRADES: Mapping[int, str] = {}
 """Version -> SQL that upgrades a database of that version to the next version."""
-_SCHEMA_VERSION = 2
-"""Version that `_SCHEMA` makes; a new database is then upgraded like an old one. [1; definition]"""
 _SCHEMA = """
 CREATE TABLE windows (
     id INTEGER PRIMARY KEY, t_end_ns INTEGER NOT NULL, window INTEGER NOT NULL, window_s REAL, level TEXT, skipped TEXT,
     temperature_degc REAL, misfit REAL, frequencies_hz TEXT, frequencies_std_hz TEXT, damping_ratio TEXT, damping_std TEXT,
-    ddi TEXT, ddi_std TEXT, loss_n_per_m TEXT, state TEXT, UNIQUE (t_end_ns, window));
+    ddi TEXT, ddi_std TEXT, loss_n_per_m TEXT, state TEXT, frequency_change TEXT, frequency_change_std TEXT,
+    UNIQUE (t_end_ns, window));
 CREATE TABLE alarms (
     id INTEGER PRIMARY KEY, story INTEGER NOT NULL, t_first_ns INTEGER NOT NULL, t_last_ns INTEGER, level TEXT,
-    ddi REAL, ddi_std REAL, loss_n_per_m REAL, UNIQUE (story, t_first_ns));
+    ddi REAL, ddi_std REAL, loss_n_per_m REAL, change REAL, change_std REAL, UNIQUE (story, t_first_ns));
 CREATE TABLE requests (id INTEGER PRIMARY KEY, t_ns INTEGER, action TEXT, story INTEGER, who TEXT, note TEXT, seconds REAL);
 CREATE TABLE findings (
     id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL, from_ns INTEGER NOT NULL, reason TEXT, verdict TEXT, says TEXT, causes TEXT,
     UNIQUE (t_ns, from_ns));
-CREATE TABLE gaps (id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL, duration_s REAL, reason TEXT, UNIQUE (t_ns, reason));
+CREATE TABLE gaps (
+    id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL, duration_s REAL, reason TEXT, number INTEGER NOT NULL DEFAULT 1, lost_s REAL,
+    UNIQUE (t_ns, reason));
 CREATE TABLE health (
     id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL UNIQUE, rate_hz REAL, samples INTEGER, availability REAL, gaps INTEGER,
     lost_s REAL, overlaps INTEGER, channels TEXT);
@@ -58,12 +54,25 @@ _UPDATED = {"alarms": "(story, t_first_ns)", "findings": "(t_ns, from_ns)"}
 """Table whose rows are updated -> columns that identify a row; rows of the other tables never change."""
 _NORMAL = {"windows": "level = 'normal'", "health": "gaps = 0 AND availability >= 1.0"}
 _ONE_IN = 60
-_MOST_QUEUED = 20_000
-_MOST_GAPS = 100_000
-"""Most rows of gaps; the oldest go first. [1; cost: some 10 MB]"""
-_COMMIT_S, _RETRY_S, _LIMIT_EVERY, _LIMIT_ROWS = 1.0, 10.0, 1000, 5000
+_LIMIT_EVERY, _LIMIT_ROWS = 1000, 5000
 
 Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How often the history is written, and how much of it at most waits and is kept."""
+
+    commit_s: float = 1.0
+    """Time in which rows are collected for one transaction."""
+    retry_s: float = 10.0
+    """Pause before a write that failed is repeated."""
+    lock_s: float = 2.0
+    """Longest wait for a database that somebody else has locked."""
+    most_queued: int = 20_000
+    """Most rows that wait."""
+    most_gaps: int = 100_000
+    """Most rows of gaps; the oldest go first (some 10 MB)."""
 
 
 class History:
@@ -80,6 +89,7 @@ class History:
     hop_s, span_s : float
         Time from one window to the next, and from one health span to the next, s.  Age is counted in rows, which a wrong
         clock cannot falsify.  Gaps at most `hop_s` apart are one row.
+    pace : Pace
 
     Attributes
     ----------
@@ -87,8 +97,8 @@ class History:
         Number of rows lost because too many waited.
     """
 
-    def __init__(self, path: Path, settings: StateSettings, hop_s: float, span_s: float) -> None:
-        self._path, self._enabled = path, settings.history
+    def __init__(self, path: Path, settings: StateSettings, hop_s: float, span_s: float, pace: Pace = Pace()) -> None:
+        self._path, self._enabled, self._pace = path, settings.history, pace
         day = 86_400.0
         full = {"windows": settings.windows_days * day / hop_s, "health": settings.health_days * day / span_s}
         per_day = {"windows": day / hop_s, "health": day / span_s}
@@ -164,7 +174,7 @@ class History:
 
     def _put(self, table: str, row: Row) -> None:
         """Queue a row, or count it as dropped if the queue is full."""
-        if len(self._rows) >= _MOST_QUEUED:
+        if len(self._rows) >= self._pace.most_queued:
             if not self._losing:
                 _log.error("%s: %d rows wait; rows are lost from here on", self._path, len(self._rows))
             self._losing = True
@@ -178,11 +188,11 @@ class History:
         database: sqlite3.Connection | None = None
         while self._rows or not self._closing.is_set():
             self._wake.wait()
-            self._closing.wait(_COMMIT_S)  # collect many rows for one transaction
+            self._closing.wait(self._pace.commit_s)  # collect many rows for one transaction
             self._wake.clear()
             try:
                 with self._busy:
-                    database = open_database(self._path) if database is None else database
+                    database = open_database(self._path, wait_s=self._pace.lock_s) if database is None else database
                     self._write(database)
                 self._failure, self._losing = None, False
             except (sqlite3.Error, OSError) as error:
@@ -195,7 +205,7 @@ class History:
                     continue
                 if self._closing.is_set():
                     return
-                self._closing.wait(_RETRY_S)
+                self._closing.wait(self._pace.retry_s)
                 self._wake.set()
         if database is not None:
             database.close()
@@ -226,29 +236,31 @@ class History:
                 with database:
                     limit(database, table, full, most)
             with database:
-                database.execute("DELETE FROM gaps WHERE id <= (SELECT max(id) FROM gaps) - ?", (_MOST_GAPS,))
+                database.execute("DELETE FROM gaps WHERE id <= (SELECT max(id) FROM gaps) - ?", (self._pace.most_gaps,))
 
 
-def open_database(path: Path) -> sqlite3.Connection:
-    """Open the database; create it, or upgrade its schema, if necessary.
+def open_database(
+    path: Path, version: int = VERSION, upgrades: Mapping[int, str] = UPGRADES, wait_s: float = 2.0
+) -> sqlite3.Connection:
+    """Open the database; create it, or upgrade its schema to `version`, if necessary.
 
     Raises
     ------
     sqlite3.Error
         The database cannot be used, or was written by a newer program.
     """
-    database = sqlite3.connect(path, timeout=2.0, check_same_thread=False)
+    database = sqlite3.connect(path, timeout=wait_s, check_same_thread=False)
     try:
         database.execute("PRAGMA journal_mode = WAL")
         database.execute("PRAGMA synchronous = NORMAL")
-        make_tables(database)
+        make_tables(database, version, upgrades)
     except BaseException:
         database.close()
         raise
     return database
 
 
-def make_tables(database: sqlite3.Connection) -> None:
+def make_tables(database: sqlite3.Connection, version: int = VERSION, upgrades: Mapping[int, str] = UPGRADES) -> None:
     """Create the tables of an empty database, or upgrade those of an older one.
 
     Raises
@@ -256,13 +268,14 @@ def make_tables(database: sqlite3.Connection) -> None:
     sqlite3.Error
         The database cannot be used, or was written by a newer program.
     """
-    (version,) = database.execute("PRAGMA user_version").fetchone()
-    if version > VERSION:
-        raise sqlite3.DatabaseError(f"written by a newer program (version {version}, this one knows {VERSION})")
-    while version < VERSION:
-        script = _SCHEMA if version == 0 else UPGRADES[version]
-        version = _SCHEMA_VERSION if version == 0 else version + 1
-        database.executescript(f"BEGIN; {script} PRAGMA user_version = {version}; COMMIT;")
+    (written,) = database.execute("PRAGMA user_version").fetchone()
+    if written > version:
+        raise sqlite3.DatabaseError(f"written by a newer program (version {written}, this one knows {version})")
+    for before in range(written, version):
+        script = _SCHEMA if before == 0 else upgrades.get(before)
+        if script is None:
+            raise sqlite3.DatabaseError(f"of version {before}, which cannot be upgraded")
+        database.executescript(f"BEGIN; {script} PRAGMA user_version = {before + 1}; COMMIT;")
 
 
 def window_row(line: Mapping[str, Any]) -> Row:

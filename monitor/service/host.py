@@ -165,7 +165,7 @@ _R = TypeVar("_R")
 _SiteWork = Callable[Concatenate["Host", Place, _P], _R]
 
 
-def _named_in_the_log(work: _SiteWork[_P, _R]) -> _SiteWork[_P, _R]:
+def named_in_the_log(work: _SiteWork[_P, _R]) -> _SiteWork[_P, _R]:
     """Decorate the work for one site: while it lasts, the lines of the log carry the site's name."""
 
     @wraps(work)
@@ -347,7 +347,7 @@ class Host:
             place.state = State.ENDING
             self._enders.submit(self._end, place, True)
 
-    @_named_in_the_log
+    @named_in_the_log
     def _evaluate(self, place: Place) -> None:
         """Evaluate the next block of a site."""
         if place.queue is None or place.site is None or (item := place.queue.take(0.0)) is None:
@@ -376,7 +376,7 @@ class Host:
                 continue
             self._step_site(place, place.site, now)
 
-    @_named_in_the_log
+    @named_in_the_log
     def _step_site(self, place: Place, site: Site, now: float) -> None:
         """Look after one site."""
         place.stepped_s = now
@@ -413,7 +413,7 @@ class Host:
         self._done.append(job)
         self._wake.set()
 
-    @_named_in_the_log
+    @named_in_the_log
     def _end(self, place: Place, in_order: bool) -> None:
         """Finish and close a site (in a thread that may wait)."""
         site = place.site
@@ -457,7 +457,7 @@ class Host:
             place.pause_s = 0.0
         self._wait(place)
 
-    @_named_in_the_log
+    @named_in_the_log
     def _wait(self, place: Place) -> None:
         """Have a site started again after a pause."""
         place.pause_s = min(max(_RETRY_S[0], 2.0 * place.pause_s), _RETRY_S[1])
@@ -491,7 +491,7 @@ class Host:
         waiting = [place for place in due if place.state is State.WAITING]
         return waiting + [place for place in due if place.state is State.STANDBY and self._is_free(place, now)]
 
-    @_named_in_the_log
+    @named_in_the_log
     def _is_free(self, place: Place, now: float) -> bool:
         """Look whether nobody monitors a site that stands by."""
         place.due_s = now + _LOOK_S
@@ -522,7 +522,7 @@ class Host:
         place.out = place.path.resolve().parent / settings.output.dir
         place.store = store_of(settings, place.out, self._clock)
 
-    @_named_in_the_log
+    @named_in_the_log
     def _stand_by(self, place: Place) -> None:
         """Have a site wait until nobody else monitors it (in the main thread)."""
         place.queue, place.is_told, place.free_s = None, True, None
@@ -530,7 +530,7 @@ class Host:
         if self.metrics is not None:
             self.metrics.remove(place.name)
 
-    @_named_in_the_log
+    @named_in_the_log
     def _open(self, place: Place) -> None:
         """Start a site."""
         try:
@@ -592,7 +592,7 @@ class Host:
         self._arrived.append(place)
         self._wake.set()
 
-    @_named_in_the_log
+    @named_in_the_log
     def _opened(self, place: Place, site: Site) -> None:
         """Begin to read the source of a site (in the main thread)."""
         place.site, place.state, place.failure = site, State.RUNNING, ""

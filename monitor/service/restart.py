@@ -105,6 +105,8 @@ class Checkpointer:
 
     Attributes
     ----------
+    key : str
+        Checksum of all that the results depend on; a checkpoint with another one is not resumed from.
     written : dict of int to WindowFacts
         Windows whose lines a previous run wrote after its last checkpoint, by their indices; they are not published again.
     resuming : bool
@@ -124,7 +126,7 @@ class Checkpointer:
         tables["sensors"] = [s.model_dump(mode="json", include={"channel", "floor"}) for s in config.floor_sensors]
         structure = config.structure.model_dump(mode="json", exclude={"name"})
         baseline = None if healthy is None else sha256(healthy)
-        self._key = serialization.fingerprint({"tables": tables, "structure": structure, "baseline": baseline})
+        self.key = serialization.fingerprint({"tables": tables, "structure": structure, "baseline": baseline})
         self._alarm_key = ""
         self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
         self._seconds, self._due, self._busy = 0.0, False, False
@@ -153,7 +155,7 @@ class Checkpointer:
         Without a usable checkpoint only the alarms are restored: an announced alarm stays active until the data, or an
         operator, end it.
         """
-        saved = serialization.load(self._place, self._key, Saved) if self._config.state.checkpoint_s else None
+        saved = serialization.load(self._place, self.key, Saved) if self._config.state.checkpoint_s else None
         session = begin()
         # Alarms are identified by their stories, so their states fit any configuration with the same number of stories.
         stories = {"stories": len(session.pipeline.state.alarm.stories) - 1}
@@ -220,7 +222,7 @@ class Checkpointer:
                 raise OSError(self._lines.failed)
             serialization.save(self._alarms, self._alarm_key, _alarms_of(state.pipeline))
             if self._config.state.checkpoint_s:
-                serialization.save(self._place, self._key, Saved(state, stamp_ns, results_bytes))
+                serialization.save(self._place, self.key, Saved(state, stamp_ns, results_bytes))
             self.failed = None
         except OSError as error:
             self.failed = f"{self._place}: {error.strerror or error}"

@@ -24,139 +24,13 @@ import numpy as np
 
 from drivers.disk import sync_folder
 from monitor.core import finish, partial
-from monitor.events import EventState, GroundState
 
 _log = logging.getLogger(__name__)
 
 FORMAT = "shm-monitor state"
-
-
-def _without_doubled_sums(tree: Any) -> Any:
-    """Upgrade from version 1: remove sums of a window's blocks that follow from other fields."""
-    run = tree["session"]["pipeline"]["run"] if "session" in tree else None
-    for block in run["window"]["blocks"] if run is not None else ():
-        block["shifted"] = block.pop("second")
-        del block["first"], block["total"]
-    return tree
-
-
-def _with_course(tree: Any) -> Any:
-    """Upgrade from version 2, whose summary counted windows and episodes itself."""
-    if "session" in tree:
-        summary = tree["session"]["summary"]
-        losses = [episode | {"story": episode["story"] or 0} for episode in summary.pop("alarms")]
-        counts = {name: summary.pop(name) for name in ("windows", "skipped", "skip_reasons")}
-        unknown = dict.fromkeys(("last", "judged", "misfit_since_ns", "unexplained", "rms_range"))
-        summary["course"] = {**counts, "recent": [], "losses": losses, **unknown}
-        means, n = summary.pop("frequencies_hz") or [], summary.pop("n_frequencies")
-        summary |= {"modes": [[k, [n, hz]] for k, hz in enumerate(means, 1)], "other_modes": [], "missing_modes": []}
-        findings = tree["session"]["watcher"]
-        findings["found"] = [json.dumps({"ddi_effect": None} | json.loads(text)) for text in findings["found"]]
-    return tree
-
-
-def _with_span_faults(tree: Any) -> Any:
-    """Upgrade from version 3, whose health of a channel had neither resolution nor steps, drift, dropouts and hum."""
-    if "session" in tree:
-        new = {
-            "resolution_m_s2": 0.0,
-            "step_m_s2": 0.0,
-            "drift_m_s2": 0.0,
-            "held_s": 0.0,
-            "hum_hz": None,
-            "mains_hz": None,
-        }
-        for span in tree["session"]["pipeline"]["health"]["spans"]:
-            span["channels"] = [channel | new for channel in span["channels"]]
-    return tree
-
-
-def _with_events_covariates_and_left_out_channels(tree: Any) -> Any:
-    """Upgrade from version 4, which had temperature alone, no events, and no windows without one of the channels.
-
-    The stage of events begins anew, and so does the sequential test: what its windows had in common is not known.
-    """
-    if "session" in tree:
-        pipeline = tree["session"]["pipeline"]
-        pipeline |= {"events": plain(EventState()), "ground": plain(GroundState()), "covariates": [], "learning": None}
-        pipeline["watch"] = {"channels": []}
-        if (run := pipeline["run"]) is not None:
-            n_channels = run["window"]["samples"].shape[1]
-            run["lost"] = {"held": np.zeros(n_channels), "pending": np.zeros(n_channels, dtype=bool)}
-            run["window"]["lost"] = []
-        history = pipeline["alarm"]["history"]
-        n = history["ddi"].shape[1]
-        history |= {name: history[name][:0] for name in ("t_ns", "ddi", "variance")}
-        history |= {"common": np.zeros((0, n, n)), "memory_s": 0.0, "channels": [], "before": None}
-        for span in pipeline["health"]["spans"]:
-            span["channels"] = [channel | {"lost": 0.0} for channel in span["channels"]]
-        course = tree["session"]["summary"]["course"]
-        course["outages"] = []
-        for name in ("last", "judged"):
-            if course[name] is not None:
-                course[name]["left_out"] = []
-    return tree
-
-
-def _with_modes_alone(tree: Any) -> Any:
-    """Upgrade from version 5, which knew no structure without a model."""
-    if "session" in tree:
-        tree["session"]["pipeline"]["alarm"]["shapes"] = None
-        course = tree["session"]["summary"]["course"]
-        for part in (course["last"], course["judged"], *course["losses"]):
-            if part is not None:
-                part["modal"] = False
-    return tree
-
-
-def _with_alarms_of_events(tree: Any) -> Any:
-    """Upgrade from version 6, in which an event that exceeded a limit had no alarm."""
-    if "session" in tree:
-        tree["session"]["pipeline"]["events"]["alarms"] = []
-    elif "stories" in tree:
-        tree["events"] = []
-    return tree
-
-
-def _with_common_change(tree: Any) -> Any:
-    """Upgrade from version 7, whose covariates' law did not hold what the stories do together."""
-    pipeline: dict[str, Any] = tree["session"]["pipeline"] if "session" in tree else {"learning": None}
-    if (learning := pipeline["learning"]) is not None:
-        n, modes_alone = len(learning["law"]["mixing"]), pipeline["alarm"]["shapes"] is not None
-        learning["law"]["common"] = None if modes_alone else {"square": np.zeros((n, n)), "windows": 0}
-    return tree
-
-
-def _with_range_of_common_change(tree: Any) -> Any:
-    """Upgrade from version 8, which did not keep how far the stories went together: 0 until it is seen again."""
-    learning = tree["session"]["pipeline"]["learning"] if "session" in tree else None
-    if learning is not None and (common := learning["law"]["common"]) is not None:
-        n = len(common["square"])
-        common["lowest"] = np.zeros((2, n + 2, n))
-    return tree
-
-
-def _with_kept_pieces(tree: Any) -> Any:
-    """Upgrade from version 9, in which the events' latest samples were one array."""
-    if "session" in tree:
-        events = tree["session"]["pipeline"]["events"]
-        events["kept"] = [events["kept"]] if len(events["kept"]) else []
-    return tree
-
-
-VERSION = 10
+VERSION = 1
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
-UPGRADES: dict[int, Callable[[Any], Any]] = {
-    1: _without_doubled_sums,
-    2: _with_course,
-    3: _with_span_faults,
-    4: _with_events_covariates_and_left_out_channels,
-    5: _with_modes_alone,
-    6: _with_alarms_of_events,
-    7: _with_common_change,
-    8: _with_range_of_common_change,
-    9: _with_kept_pieces,
-}
+UPGRADES: Mapping[int, Callable[[Any], Any]] = {}
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"
@@ -270,8 +144,14 @@ def to_bytes(key: str, value: object) -> bytes:
     return json.dumps(head).encode() + b"\n" + body
 
 
-def from_bytes(data: bytes, key: str, cls: type[T]) -> T:
-    """Restore a value of class `cls` from the content of a checkpoint.
+def from_bytes(
+    data: bytes,
+    key: str,
+    cls: type[T],
+    version: int = VERSION,
+    upgrades: Mapping[int, Callable[[Any], Any]] = UPGRADES,
+) -> T:
+    """Restore a value of class `cls`, as it is since `version`, from the content of a checkpoint of that version or before.
 
     Raises
     ------
@@ -286,17 +166,17 @@ def from_bytes(data: bytes, key: str, cls: type[T]) -> T:
             raise CheckpointError("this is no checkpoint")
         if head["sha256"] != hashlib.sha256(body).hexdigest():
             raise CheckpointError("its checksum does not fit: it is damaged")
-        version = int(head["version"])
-        if version > VERSION:
-            raise CheckpointError(f"it was written by a newer program (version {version}, this one knows {VERSION})")
+        written = int(head["version"])
+        if written > version:
+            raise CheckpointError(f"it was written by a newer program (version {written}, this one knows {version})")
         if head["key"] != key:
             raise CheckpointError("it belongs to another configuration or baseline")
         text, _, arrays = body.partition(b"\n")
         tree = json.loads(text, object_hook=lambda item: _unpack(item, arrays))
-        while version < VERSION:
-            if version not in UPGRADES:
-                raise CheckpointError(f"it is of version {version}, which cannot be upgraded")
-            tree, version = UPGRADES[version](tree), version + 1
+        while written < version:
+            if written not in upgrades:
+                raise CheckpointError(f"it is of version {written}, which cannot be upgraded")
+            tree, written = upgrades[written](tree), written + 1
         result = build(cls, tree)
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
         raise CheckpointError(f"it does not fit this program: {error!r}") from error

@@ -400,7 +400,7 @@ class Site(Publisher):
         self._publish_state()
         self._health_s = self._checked_s = self._clock()
         self._line_writer.do("free space", self._vitals.look_at_disk)
-        line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
+        line = self._vitals.line(span, self.reader, self._recording.health(), self.outputs())
         line["ledger_head"] = self._requests.head
         line["web"] = next((outlet.url for outlet in self._outlets if outlet.url), None)
         for name in line["failed"].keys() - self._failed:
@@ -481,7 +481,7 @@ class Site(Publisher):
         if now - self._checked_s < _CHECK_S:
             return False
         self._checked_s = now
-        return failures(self._outputs()).keys() != self._failed
+        return failures(self.outputs()).keys() != self._failed
 
     @property
     def _present(self) -> Assessment:
@@ -517,7 +517,7 @@ class Site(Publisher):
         for outlet in self._outlets:
             outlet.summary(content)
 
-    def _outputs(self) -> list[tuple[str, Way]]:
+    def outputs(self) -> list[tuple[str, Way]]:
         """List every part beside the main thread with its name: source, recorder, outlets, viewer, checkpoint, history, files."""
         own: dict[str, Way | None] = {"source": self.reader, "recorder": self._recording, "viewer": self._view}
         own |= {"checkpoint": self._keeper, "history": self._history, "store": self._store}

@@ -46,7 +46,7 @@ _TAIL_BYTES = 4096
 """Length of the end of such a file by which it is known again. [bytes; judgement: lines and messages differ by their times]"""
 _SILENT = 3.0
 """Intervals without another manifest after which its monitor counts as gone. [1; judgement: one write may fail]"""
-_OBJECT_BYTES = 4 << 20
+OBJECT_BYTES = 4 << 20
 """Longest object. [bytes; cost: it is held in memory, and the manifest is not written while it is sent]"""
 _TIMEOUT_S = 5.0
 """Longest wait for a connection, or for an answer. [s; judgement]"""
@@ -124,6 +124,10 @@ class SiteStore:
         Interval at which this is done, s.
     clock : callable
         Seconds of a clock that never goes back.
+    client : callable
+        Returns the client of the storage.
+    thread : callable
+        Makes the thread that does the work.
 
     Attributes
     ----------
@@ -134,8 +138,17 @@ class SiteStore:
     dropped = 0  # what could not be stored is stored by a later attempt
 
     def __init__(
-        self, url: str, site: str, out: Path, every_s: float, *, clock: Callable[[], float] = time.monotonic
+        self,
+        url: str,
+        site: str,
+        out: Path,
+        every_s: float,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        client: Callable[[], Any] | None = None,
+        thread: Callable[[Callable[[], None], str], threading.Thread] = background,
     ) -> None:
+        self._client, self._new_thread = client or _client, thread
         self.url = f"{url.rstrip('/')}/{site}"
         bucket, _, prefix = self.url.removeprefix("s3://").partition("/")
         self._bucket, self._prefix, self._out, self.every_s, self._clock = bucket, f"{prefix}/", out, every_s, clock
@@ -220,7 +233,7 @@ class SiteStore:
             if not self._owner:
                 raise MissingInputError(f"{self.url}: {error}") from error
             self._fail(error)
-        self._last, self._thread = None, background(self._work, "store")
+        self._last, self._thread = None, self._new_thread(self._work, "store")
         self._thread.start()
 
     def settle(self, timeout_s: float) -> None:
@@ -505,7 +518,7 @@ class SiteStore:
 
     def _list(self) -> Iterator[str]:
         with _told():
-            pages = _client().get_paginator("list_objects_v2").paginate(Bucket=self._bucket, Prefix=self._prefix)
+            pages = self._client().get_paginator("list_objects_v2").paginate(Bucket=self._bucket, Prefix=self._prefix)
             for page in pages:
                 yield from (entry["Key"].removeprefix(self._prefix) for entry in page.get("Contents", ()))
 
@@ -518,8 +531,8 @@ class SiteStore:
         """Call the storage; return body and ETag of the answer, None where there is no such object or the condition fails."""
         with self._busy, _told():
             try:
-                answer = getattr(_client(), what)(Bucket=self._bucket, Key=self._prefix + Key, **options)
-            except _client().exceptions.ClientError as error:
+                answer = getattr(self._client(), what)(Bucket=self._bucket, Key=self._prefix + Key, **options)
+            except self._client().exceptions.ClientError as error:
                 if error.response["Error"]["Code"] in _CONFLICTS | _ABSENT:
                     return None
                 raise
@@ -550,7 +563,7 @@ class _Objects:
 
     def add(self, data: bytes) -> Part:
         """Append bytes, and say where they will be."""
-        if len(self._data) + len(data) > _OBJECT_BYTES:
+        if len(self._data) + len(data) > OBJECT_BYTES:
             self.close()
         self._data += data
         return Part(f"{self._name}-{self._count}", len(self._data) - len(data), len(data))
@@ -574,7 +587,7 @@ def _objects(files: dict[str, StoredFile]) -> set[str]:
 
 def _pieces(file: BinaryIO, length: int) -> Iterator[bytes]:
     """Read the next bytes of a file, in pieces that fit an object; fewer where the file is shorter."""
-    while length > 0 and (data := file.read(min(length, _OBJECT_BYTES))):
+    while length > 0 and (data := file.read(min(length, OBJECT_BYTES))):
         length -= len(data)
         yield data
 

@@ -609,25 +609,6 @@ def test_check_and_the_daemon_refuse_another_structures_baseline(site: Site, cal
     assert tree(tmp_path) == kept
 
 
-def test_a_baseline_of_an_older_version_is_doubtful(site: Site, calibrated: Done, tmp_path: Path) -> None:
-    """It does not say whose it is: it is compared as far as it goes, and nothing reads as an all-clear."""
-    assert_ok(calibrated)
-    old = tmp_path / "old.json"
-    content = json.loads(site.baseline.read_text())
-    del content["origin"]
-    old.write_text(json.dumps(content))
-    arguments = ("--baseline", old, "--out", tmp_path / "out")
-    done = site.main("replay", site.healthy, "--structure", site.watch, *arguments)
-    assert_ok(done)
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["state"] == "doubtful" and "which did not note whose it is" in summary["headline"]
-    other = tmp_path / "other.toml"
-    other.write_text(site.watch.read_text().replace("0.3514", "0.84"))
-    assert_refused(
-        site.main("replay", site.healthy, "--structure", other, *arguments), {78}, "old.json", "and 0.84 kg here"
-    )
-
-
 def test_a_changed_drawing_is_rebased_without_recordings(site: Site, calibrated: Done, tmp_path: Path) -> None:
     """Masses 5 % larger make stiffnesses 5 % larger, since the healthy modes stay; the result belongs to the new drawing."""
     assert_ok(calibrated)

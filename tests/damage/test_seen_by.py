@@ -10,6 +10,7 @@ import pytest
 
 from monitor.core import ModalEstimate
 from monitor.damage import Baseline, damage_index
+from monitor.damage.origin import Origin
 from monitor.damage.updating import Observation, UpdatingSettings, predict
 from monitor.model import Model, ShearFrame
 
@@ -47,6 +48,7 @@ def baseline() -> Baseline:
         floors=(1, 2, 3),
         windows=1,
         level_range_m_s2=(1.0, 1.0),
+        origin=Origin("frame", "shear_frame", (), (), "", "m/s^2", None, None),
     )
 
 

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import monitor.damage.covariates as covariates
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, configuration
@@ -215,32 +214,6 @@ def test_scatter_beyond_the_windows_own_widens_the_laws_error() -> None:
     calm, widened = (learned(c) for c in (some, wild))
     assert (widened.over_range("temperature")[1] > 1.2 * calm.over_range("temperature")[1]).all()
     assert widened.scatter > 1.5 > calm.scatter
-
-
-FORMER = {
-    "per_degc": [PER_DEGC] * 3,
-    "covariance": np.diag([1e-8, 2e-8, 3e-8]).tolist(),
-    "lag_s": 0.0,
-    "reference_degc": 15.0,
-    "range_degc": [10.0, 20.0],
-    "extrapolation": 0.5,
-}
-"""Temperature dependence in a file of an older version."""
-
-
-def test_a_former_dependence_predicts_as_it_did() -> None:
-    law = covariates.from_former(FORMER, 3)
-    assert law is not None
-    for degc, beyond in ((15.0, 0.0), (20.0, 0.0), (4.0, 6.0), (25.0, 5.0)):
-        effect, away = law.expected(at(degc)), degc - 15.0
-        scale = np.exp(PER_DEGC * away)
-        np.testing.assert_allclose(effect.relative, np.full(3, scale - 1.0), atol=1e-12)
-        outside = np.full((3, 3), (0.5 * PER_DEGC * beyond) ** 2)
-        was = (np.array(FORMER["covariance"]) * away**2 + outside) * scale**2
-        np.testing.assert_allclose(effect.covariance, was, atol=1e-12)
-    effect = law.expected({})
-    assert not effect.relative.any()
-    assert np.sqrt(np.diag(effect.covariance)) == pytest.approx(UNIFORM * 10.0 / np.sqrt(12.0))
 
 
 def test_uncertainty_grows_beyond_the_range_seen() -> None:

@@ -29,9 +29,8 @@ def one(name: str, runs: int, seed: int) -> None:
 
     root = Path(__file__).parents[2]
     compiled = [path for path in (root / "monitor").rglob("*.py") if "\n@compiled" in path.read_text()]
-    left_out = [
-        ".".join(path.relative_to(root).with_suffix("").parts) for path in compiled
-    ]  # numba compiles no tracing
+    # numba compiles no tracing
+    left_out = [".".join(path.relative_to(root).with_suffix("").parts) for path in compiled]
     with atheris.instrument_imports(include=["drivers", "monitor"], exclude=left_out):
         for module in [m for m in sys.modules if m.split(".")[0] in ("drivers", "monitor")]:
             del sys.modules[module]
@@ -64,29 +63,15 @@ def main() -> None:
     failed = False
     for name in asked.targets or TARGETS:
         runs, begun = round(asked.runs * TARGETS[name].share), time.monotonic()
-        command = [
-            sys.executable,
-            "-m",
-            "tests.fuzz.run",
-            "--one",
-            "--runs",
-            str(runs),
-            "--seed",
-            str(asked.seed),
-            name,
-        ]
+        command = [sys.executable, *f"-m tests.fuzz.run --one --runs {runs} --seed {asked.seed} {name}".split()]
         with tempfile.TemporaryDirectory(dir=MEMORY) as place:  # libFuzzer leaves without tidying up
             environment = {**os.environ, "TMPDIR": place}
-            done = subprocess.run(
-                command, capture_output=True, text=True, errors="replace", check=False, env=environment
-            )
+            done = subprocess.run(command, capture_output=True, text=True, errors="replace", env=environment)
         seconds = time.monotonic() - begun
-        said = dict(
-            row.removeprefix("stat::").split(":", 1) for row in done.stderr.splitlines() if row.startswith("stat::")
-        )
+        rows = (row for row in done.stderr.splitlines() if row.startswith("stat::"))
+        said = dict(row.removeprefix("stat::").split(":", 1) for row in rows)
         count = said.get("number_of_executed_units", "?").strip()
-        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
-        peak = int(said.get("peak_rss_mb", str(peak)))
+        peak = int(said.get("peak_rss_mb", resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024))
         kept = int(said.get("new_units_added", "0"))
         outcome = "FAULT" if done.returncode else "ok" if kept else "NOT GUIDED"
         print(f"{name:<14} {count:>8}   {seconds:7.1f}   {peak:8}   {kept:4}   {outcome}", flush=True)

@@ -14,7 +14,7 @@ FRAME = Path(__file__).parents[2] / "recordings" / "frame.toml"
 
 def key(text: str, out: Path) -> str:
     config = Configuration.model_validate(tomllib.loads(text))
-    return Checkpointer(out, config, None, cast(Any, None), cast(Any, None))._key
+    return Checkpointer(out, config, None, cast(Any, None), cast(Any, None)).key
 
 
 def test_a_label_of_a_sensor_belongs_to_the_same_checkpoint_and_another_channel_does_not(tmp_path: Path) -> None:

@@ -44,19 +44,12 @@ def told(**answer: Any) -> SiteStatus:
     return status("a", json.dumps(whole).encode(), True, NOW_NS, 60.0)
 
 
-def test_a_site_that_is_well_says_its_largest_loss_and_first_mode() -> None:
+def test_a_site_says_its_state_its_largest_loss_first_mode_and_last_event() -> None:
     wanted = SiteStatus("a", State.NORMAL, WELL["headline"], (), (), (), 0.2, 0.02, 5.2, 7, 1.0)
     assert told() == wanted and wanted.content["says"] == WELL["headline"] and code([wanted]) == 0
-
-
-def test_the_last_event_is_shown_with_its_verdict() -> None:
-    event = {"id": "20260101T000319.97Z", "verdict": "inspect it", "drift_peak_m": [None, 0.0048]}
-    found = told(event=event)
+    found = told(event={"id": "20260101T000319.97Z", "verdict": "inspect it", "drift_peak_m": [None, 0.0048]})
     assert found.event == "20260101T000319.97Z: inspect it; largest drift 4.8 mm in story 2"
     assert found.event in text([found]) and told(event=None).event == ""
-
-
-def test_an_alarm_is_said_with_its_stories() -> None:
     found = told(**LOST, alarm={"level": "warning", "active": {"2": "warning"}, "reason": "story 2 lost 20 %"})
     assert (found.state, found.stories, found.says) == (State.WARNING, (2,), LOST["headline"])
     assert found.doubts == ("A doubt.",) and code([found, told()]) == 10
@@ -65,18 +58,17 @@ def test_an_alarm_is_said_with_its_stories() -> None:
 @pytest.mark.parametrize(
     ("answer", "says"),
     [
-        ({"source": {"connected": False, "detail": "cable out"}}, "no data: cable out"),
-        ({"failed": {"recorder": "disk full"}}, "recorder: disk full"),
+        ({"source": {"connected": False, "detail": "cable out"}}, " no data: cable out."),
+        ({"failed": {"recorder": "disk full"}}, " recorder: disk full."),
+        ({"source": {"connected": False, "error": "", "ended": True}}, ""),
     ],
 )
-def test_what_does_not_work_of_a_monitor_is_no_all_clear(answer: dict[str, Any], says: str) -> None:
+def test_what_does_not_work_of_a_monitor_is_no_all_clear_and_the_end_of_a_source_is_no_fault(
+    answer: dict[str, Any], says: str
+) -> None:
     found = told(health={**HEALTH, **answer})
-    assert (found.state, found.says, code([found])) == (State.NORMAL, f"{WELL['headline']} {says}.", 11)
-
-
-def test_a_source_that_is_read_to_its_end_is_no_fault() -> None:
-    found = told(health={**HEALTH, "source": {"connected": False, "error": "", "ended": True}})
-    assert (found.says, code([found])) == (WELL["headline"], 0)
+    assert (found.state, found.says) == (State.NORMAL, WELL["headline"] + says)
+    assert code([found]) == (11 if says else 0)
 
 
 @pytest.mark.parametrize("wall_ns", [NOW_NS - 86_400 * 10**9, NOW_NS + 86_400 * 10**9])
@@ -112,31 +104,21 @@ def test_an_older_monitor_that_says_no_state_is_not_judged_but_its_alarm_stands(
     assert (found.state, found.says) == (State.ALARM, "story 1 lost 12 %")
 
 
-def test_no_site_at_all_is_no_all_clear() -> None:
+def test_an_answer_that_makes_no_sense_is_not_judged_and_no_site_at_all_is_no_all_clear() -> None:
+    for answer in (b"", b"[]", b'"x"', b"{", b'{"results": 3}', b'{"health": {"wall_ns": "x"}}', b"\xff"):
+        found = status("a", answer, True, NOW_NS, 60.0)
+        assert (found.state, found.says) == (State.NOT_JUDGED, "The monitor's answer cannot be understood."), answer
     assert code([]) == 11
 
 
-@pytest.mark.parametrize(
-    "answer", [b"", b"[]", b'"x"', b"{", b'{"results": 3}', b'{"health": {"wall_ns": "x"}}', b"\xff"]
-)
-def test_an_answer_that_makes_no_sense_is_not_judged(answer: bytes) -> None:
-    found = status("a", answer, True, NOW_NS, 60.0)
-    assert (found.state, found.says) == (State.NOT_JUDGED, "The monitor's answer cannot be understood.")
-
-
-def test_a_young_monitor_has_said_nothing_yet() -> None:
+def test_who_is_young_missing_or_hangs_is_told_apart_with_a_line_a_site() -> None:
     young = {"state": "not_judged", "headline": "No window of data yet.", "doubts": []}
     found = told(**young, results=None, alarm=None, health=None)
     assert found == SiteStatus("a", State.NOT_JUDGED, "No window of data yet.")
-
-
-def test_who_is_missing_is_told_from_who_hangs() -> None:
-    assert status("a", None, False, NOW_NS, 60.0).says == "The monitor is not there."
+    missing = status("b", None, False, NOW_NS, 60.0)
+    assert missing.says == "The monitor is not there."
     assert status("a", None, True, NOW_NS, 60.0).says == "The monitor is there, but does not answer."
-
-
-def test_the_table_has_a_line_a_site() -> None:
-    lines = text([told(), status("b", None, False, NOW_NS, 60.0)]).splitlines()
+    lines = text([told(), missing]).splitlines()
     assert lines[1].split()[:9] == ["a", "normal", "20.0", "+-", "2.0", "%", "5.2", "Hz", "1970-01-01T00:00:00"]
     assert lines[1].endswith(WELL["headline"])
     assert lines[2].split() == ["b", "not", "judged", "The", "monitor", "is", "not", "there."]

@@ -14,9 +14,8 @@ import pytest
 
 from monitor.config import StateSettings
 from monitor.core import MissingInputError
-from monitor.service import history
 from monitor.service.export import export
-from monitor.service.history import History, limit, open_database
+from monitor.service.history import VERSION, History, Pace, limit, open_database
 from tests.support.samples import T0_NS, Cli
 from tests.support.waiting import until
 
@@ -38,14 +37,12 @@ def place(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def begin(place: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], History]]:
+def begin(place: Path) -> Iterator[Callable[..., History]]:
     """Histories that try again soon."""
-    monkeypatch.setattr(history, "_COMMIT_S", 0.01)
-    monkeypatch.setattr(history, "_RETRY_S", 0.05)
     made: list[History] = []
 
-    def new() -> History:
-        made.append(History(place, StateSettings(), 10.0, 10.0))
+    def new(**pace: int) -> History:
+        made.append(History(place, StateSettings(), 10.0, 10.0, Pace(commit_s=0.01, retry_s=0.05, lock_s=0.05, **pace)))
         return made[-1]
 
     yield new
@@ -61,24 +58,24 @@ def rows(place: Path, what: str) -> list[tuple[Any, ...]]:
             return []  # it is being made
 
 
-def test_what_is_put_in_comes_out_once(begin: Callable[[], History], place: Path) -> None:
+def test_what_is_put_in_comes_out_once(begin: Callable[..., History], place: Path) -> None:
     for _ in range(2):  # a restart tells the same again
         one = begin()
         for number in range(3):
-            one.window(line(number))
+            one.window(line(number, state="doubtful"))
         one.gap(T0_NS, 3.0, "lost")
         one.finding(
             {"t_ns": T0_NS, "from_ns": 0, "reason": "r", "verdict": "named", "says": "s", "causes": ["x"], "id": "1"}
         )
         one.close(10.0)
-    assert rows(place, "SELECT count(*), max(t_end_ns) FROM windows") == [(3, T0_NS + 2 * HOP_NS)]
+    assert rows(place, "SELECT count(*), max(t_end_ns), state FROM windows") == [(3, T0_NS + 2 * HOP_NS, "doubtful")]
     assert json.loads(rows(place, "SELECT ddi FROM windows WHERE window = 2")[0][0]) == [0.002, 0.2, -0.1]
     assert rows(place, "SELECT reason FROM gaps") == [("lost",)]
     assert rows(place, "SELECT verdict, causes FROM findings") == [("named", '["x"]')]
 
 
 def test_neighbouring_gaps_are_one_row_and_a_restart_tells_none_twice(
-    begin: Callable[[], History], place: Path
+    begin: Callable[..., History], place: Path
 ) -> None:
     """A sender of scraps with gaps between them gives one row, not one a scrap; far gaps stay rows of their own."""
     for _ in range(2):
@@ -96,31 +93,13 @@ def test_neighbouring_gaps_are_one_row_and_a_restart_tells_none_twice(
     ]
 
 
-def test_the_number_of_gaps_is_bounded(
-    begin: Callable[[], History], place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(history, "_MOST_GAPS", 100)
-    one = begin()
+def test_the_number_of_gaps_is_bounded(begin: Callable[..., History], place: Path) -> None:
+    one = begin(most_gaps=100)
     for k in range(2000):
         one.gap(T0_NS + k * 2 * HOP_NS, 1.0, "gap")
     one.close(10.0)
     found = rows(place, "SELECT t_ns FROM gaps ORDER BY t_ns")
     assert 100 <= len(found) <= 1100 and found[-1] == (T0_NS + 1999 * 2 * HOP_NS,)
-
-
-def test_the_state_of_a_window_is_kept_also_in_a_database_that_knew_no_state(
-    begin: Callable[[], History], place: Path, tmp_path: Path
-) -> None:
-    with closing(sqlite3.connect(place)) as database:
-        database.executescript(history._SCHEMA.replace(" state TEXT,", "") + "PRAGMA user_version = 1;")
-        database.execute("INSERT INTO windows (t_end_ns, window) VALUES (?, 0)", (T0_NS,))
-        database.commit()
-    one = begin()
-    one.window(line(1, state="doubtful"))
-    one.close(10.0)
-    assert rows(place, "SELECT window, state FROM windows ORDER BY window") == [(0, None), (1, "doubtful")]
-    assert export(tmp_path, "windows", tmp_path / "w.parquet", ALL) == 2
-    assert pyarrow.parquet.read_table(tmp_path / "w.parquet")["state"].to_pylist() == [None, "doubtful"]
 
 
 def test_without_a_history_there_is_no_database(place: Path, tmp_path: Path) -> None:
@@ -132,7 +111,7 @@ def test_without_a_history_there_is_no_database(place: Path, tmp_path: Path) -> 
         export(tmp_path, "windows", tmp_path / "w.csv", ALL)
 
 
-def test_an_alarm_is_one_row_that_follows_it(begin: Callable[[], History], place: Path) -> None:
+def test_an_alarm_is_one_row_that_follows_it(begin: Callable[..., History], place: Path) -> None:
     one = begin()
     alarm = {"story": 2, "t_first_ns": T0_NS, "t_last_ns": None, "level": "advisory"}
     whole = {"story": None, "t_first_ns": T0_NS, "t_last_ns": None, "level": "warning"}
@@ -145,7 +124,7 @@ def test_an_alarm_is_one_row_that_follows_it(begin: Callable[[], History], place
     assert told == [(0, "warning", None), (2, "alarm", T0_NS + 1)]
 
 
-def test_a_locked_database_is_waited_for_and_nothing_is_lost(begin: Callable[[], History], place: Path) -> None:
+def test_a_locked_database_is_waited_for_and_nothing_is_lost(begin: Callable[..., History], place: Path) -> None:
     one = begin()
     one.window(line(0))
     until(lambda: place.exists() and rows(place, "SELECT * FROM windows"), "a first row")
@@ -160,7 +139,7 @@ def test_a_locked_database_is_waited_for_and_nothing_is_lost(begin: Callable[[],
 
 @pytest.mark.parametrize("damage", [b"no database at all" * 100, "newer", "torn"])
 def test_a_damaged_or_newer_database_is_set_aside(
-    begin: Callable[[], History], place: Path, damage: bytes | str
+    begin: Callable[..., History], place: Path, damage: bytes | str
 ) -> None:
     if isinstance(damage, bytes):
         place.write_bytes(damage)
@@ -172,7 +151,7 @@ def test_a_damaged_or_newer_database_is_set_aside(
             )
             database.commit()
             if damage == "newer":
-                database.execute(f"PRAGMA user_version = {history.VERSION + 1}")
+                database.execute(f"PRAGMA user_version = {VERSION + 1}")
         if damage == "torn":
             data = bytearray(place.read_bytes())
             data[4096:] = bytes(len(data) - 4096)
@@ -183,13 +162,15 @@ def test_a_damaged_or_newer_database_is_set_aside(
     until(lambda: place.exists() and rows(place, "SELECT window FROM windows") == [(7,)], "a new one is begun")
 
 
-def test_an_older_database_is_upgraded(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_older_database_is_upgraded_step_by_step(place: Path) -> None:
     open_database(place).close()
-    monkeypatch.setattr(history, "VERSION", history.VERSION + 1)
-    monkeypatch.setattr(history, "UPGRADES", {history.VERSION - 1: "ALTER TABLE gaps ADD COLUMN place TEXT;"})
-    with closing(open_database(place)) as database:
-        assert database.execute("PRAGMA user_version").fetchone() == (history.VERSION,)
-        database.execute("SELECT place FROM gaps")
+    first = {VERSION: "ALTER TABLE gaps ADD COLUMN place TEXT;"}
+    with pytest.raises(sqlite3.DatabaseError, match="cannot be upgraded"):
+        open_database(place, VERSION + 2, first)
+    second = {VERSION + 1: "UPDATE gaps SET place = 'here'; ALTER TABLE gaps ADD COLUMN floor INTEGER;"}
+    with closing(open_database(place, VERSION + 2, first | second)) as database:
+        assert database.execute("PRAGMA user_version").fetchone() == (VERSION + 2,)
+        database.execute("SELECT place, floor FROM gaps")
 
 
 def test_old_rows_thin_out_and_go(place: Path) -> None:
@@ -204,7 +185,7 @@ def test_old_rows_thin_out_and_go(place: Path) -> None:
         assert database.execute("SELECT min(id) FROM windows").fetchone() == (540,)
 
 
-def test_a_row_that_no_database_holds_is_left_out_and_counted(begin: Callable[[], History], place: Path) -> None:
+def test_a_row_that_no_database_holds_is_left_out_and_counted(begin: Callable[..., History], place: Path) -> None:
     """As a damaged line of results.jsonl can give them, which is read again after a restart."""
     one = begin()
     for bad in ({"skipped": "\ud800"}, {"window": 1 << 70}):
@@ -216,15 +197,18 @@ def test_a_row_that_no_database_holds_is_left_out_and_counted(begin: Callable[[]
 
 
 def test_a_queue_that_is_full_counts_what_it_refuses(
-    begin: Callable[[], History], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    begin: Callable[..., History], place: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(history, "_MOST_QUEUED", 5)
-    one = begin()
-    monkeypatch.setattr(one, "_write", lambda database: (_ for _ in ()).throw(sqlite3.OperationalError("full")))
-    for number in range(20):
-        one.window(line(number))
-    until(lambda: one.failed, "it is told")
-    assert one.dropped >= 10
+    open_database(place).close()
+    with closing(sqlite3.connect(place, isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        one = begin(most_queued=5)
+        for number in range(20):
+            one.window(line(number))
+        assert one.dropped == 15
+        other.execute("ROLLBACK")
+    one.close(10.0)
+    assert rows(place, "SELECT window FROM windows ORDER BY window") == [(number,) for number in range(5)]
     assert len([r for r in caplog.records if "rows are lost" in r.getMessage()]) == 1
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.service import logs
-from monitor.service.host import Line, Place, _named_in_the_log
+from monitor.service.host import Line, Place, named_in_the_log
 from monitor.service.threads import BlockQueue
 
 
@@ -69,7 +69,7 @@ def test_blocks_that_cost_much_for_little_data_wait_too() -> None:
 def test_the_log_names_a_site_only_while_its_work_is_done() -> None:
     seen = []
 
-    @_named_in_the_log
+    @named_in_the_log
     def work(_host: object, _place: Place) -> None:
         seen.append(logs.site_name.get())
         raise OSError("no disk")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
-import ipaddress
 import logging
 import os
 import socket
@@ -12,21 +10,19 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from asyncio.selector_events import BaseSelectorEventLoop
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
 
-from monitor.service.outlets import http_server
 from monitor.service.outlets.http_server import Bounds, HttpServer, wsgi
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
+from tests.support.certificates import certify
 from tests.support.http import fetch
+from tests.support.waiting import until
 
 PAGE = b"x" * 1000
 HEALTH: dict[str, Any] = {
@@ -49,12 +45,18 @@ def application(environment: dict[str, Any], start: Callable[[str, list[tuple[st
     return [PAGE * (20_000 if environment["PATH_INFO"] == "/long" else 1)]
 
 
+@contextmanager
+def serving(**bounds: float) -> Iterator[HttpServer]:
+    one = HttpServer("127.0.0.1", 0, wsgi(application), bounds=Bounds(**bounds))  # type: ignore[arg-type]
+    yield one
+    one.close(60.0)
+    assert not any(t.name == "http" for t in threading.enumerate())
+
+
 @pytest.fixture
 def server() -> Iterator[HttpServer]:
-    one = HttpServer("127.0.0.1", 0, wsgi(application))
-    yield one
-    one.close(5.0)
-    assert not any(t.name == "http" for t in threading.enumerate())
+    with serving() as one:
+        yield one
 
 
 def connect(port: int, text: bytes = b"") -> socket.socket:
@@ -96,17 +98,16 @@ def test_hundreds_of_half_requests_cost_no_thread_and_shut_out_nobody(server: Ht
         assert fetch(server.port) == PAGE
         assert threading.active_count() == threads
         ours = len(os.listdir("/proc/self/fd")) - handles - len(held)
-        assert ours <= server._bounds.connections + 1
+        assert ours <= Bounds().connections + 1 and server.connections <= Bounds().connections
     finally:
         for one in held:
             one.close()
 
 
 @pytest.mark.parametrize("how", ["silent", "drips", "reads slowly"])
-def test_a_connection_has_one_time_limit_in_all(server: HttpServer, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_bounds", replace(server._bounds, connection_s=0.5))
-    ended = threading.Event()
-    with connect(server.port, b"GET /long HTTP/1.1\r\n\r\n" if how == "reads slowly" else b"GET ") as one:
+def test_a_connection_has_one_time_limit_in_all(how: str) -> None:
+    ended, text = threading.Event(), b"GET /long HTTP/1.1\r\n\r\n" if how == "reads slowly" else b"GET "
+    with serving(connection_s=0.5) as server, connect(server.port, text) as one:
 
         def drip() -> None:
             while not ended.wait(0.02):
@@ -118,10 +119,8 @@ def test_a_connection_has_one_time_limit_in_all(server: HttpServer, how: str, mo
         thread = threading.Thread(target=drip)
         if how != "silent":
             thread.start()
-        deadline = time.monotonic() + 10.0
-        while server._serving or time.monotonic() < deadline - 9.8:
-            assert time.monotonic() < deadline, "still open"
-            time.sleep(0.02)
+        until(lambda: server.connections == 1, "open")
+        until(lambda: server.connections == 0, "closed", 10.0)
         ended.set()
         if how != "silent":
             thread.join(10.0)
@@ -144,12 +143,20 @@ def test_what_is_no_request_is_closed_and_an_error_is_one_line(
     assert capfd.readouterr().err == ""
 
 
-def test_requests_are_taken_no_faster_than_they_may_cost(server: HttpServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_bounds", replace(server._bounds, per_s=10))
-    begun = time.monotonic()
-    for _ in range(6):
-        fetch(server.port)
-    assert time.monotonic() - begun > 0.35
+def test_requests_are_taken_no_faster_than_they_may_cost() -> None:
+    with serving(per_s=10.0) as server:
+        begun = time.monotonic()
+        for _ in range(6):
+            fetch(server.port)
+        assert time.monotonic() - begun > 0.35
+
+
+def test_readers_that_hang_do_not_hold_up_the_end() -> None:
+    with serving(connection_s=3600.0) as server, ExitStack() as held:
+        for text in (b"GET /long HTTP/1.1\r\n", b"GET /long HTTP/1.1\r\n\r\n") * 2:
+            held.enter_context(connect(server.port, text))
+        until(lambda: server.connections >= 2, "they are open")
+        server.close(60.0)
 
 
 def test_costly_answers_take_a_share_of_a_core_and_the_next_waits() -> None:
@@ -170,48 +177,25 @@ def test_costly_answers_take_a_share_of_a_core_and_the_next_waits() -> None:
 
 
 def test_no_room_for_a_connection_is_one_line_and_passes(
-    server: HttpServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(http_server, "_REST_S", 0.05)
-    accept, failures = server._loop.sock_accept, iter([True, True, True])
+    accept, failures = BaseSelectorEventLoop.sock_accept, iter([False, True, True, True])
 
-    async def failing(listener: socket.socket) -> Any:
+    async def failing(loop: BaseSelectorEventLoop, listener: socket.socket) -> Any:
         if next(failures, False):
             raise OSError(24, "Too many open files")
-        return await accept(listener)
+        return await accept(loop, listener)
 
-    monkeypatch.setattr(server._loop, "sock_accept", failing)
-    assert fetch(server.port) == PAGE  # the accept that waited already
-    assert fetch(server.port) == PAGE
+    monkeypatch.setattr(BaseSelectorEventLoop, "sock_accept", failing)
+    with serving(rest_s=0.05) as server:
+        assert [fetch(server.port) for _ in range(2)] == [PAGE, PAGE]
     assert [r.getMessage() for r in caplog.records] == ["http: no connection can be accepted: Too many open files"]
 
 
-def certificates(folder: Path) -> None:
-    """An authority, and what it signs for the server and for a reader."""
-    now = datetime.datetime.now(datetime.UTC)
-    names = {who: x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, who)]) for who in ("ca", "server", "reader")}
-    keys = {who: ec.generate_private_key(ec.SECP256R1()) for who in names}
-    for who, key in keys.items():
-        made = (
-            x509.CertificateBuilder()
-            .subject_name(names[who])
-            .issuer_name(names["ca"])
-            .public_key(key.public_key())
-            .serial_number(x509.random_serial_number())
-            .not_valid_before(now - datetime.timedelta(days=1))
-            .not_valid_after(now + datetime.timedelta(days=1))
-            .add_extension(x509.BasicConstraints(ca=who == "ca", path_length=None), critical=True)
-            .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]), False)
-            .sign(keys["ca"], hashes.SHA256())
-        )
-        (folder / f"{who}.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
-        form = serialization.PrivateFormat.PKCS8
-        text = key.private_bytes(serialization.Encoding.PEM, form, serialization.NoEncryption())
-        (folder / f"{who}.key").write_bytes(text)
-
-
 def test_metrics_over_tls_for_those_who_show_a_certificate(tmp_path: Path) -> None:
-    certificates(tmp_path)
+    authority = certify(tmp_path, "ca", "ca", None)
+    for name in ("server", "reader"):
+        certify(tmp_path, name, name, authority)
     settings = MetricsSettings(
         listen="127.0.0.1:0", certificate=Path("server.pem"), private_key=Path("server.key"), client_ca=Path("ca.pem")
     )

@@ -8,7 +8,7 @@ import logging
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,8 @@ import pytest
 from monitor.core import Alarm, AlarmCondition, Level, Skipped, WindowResult
 from monitor.damage import Assessment, State
 from monitor.service.daemon_health import losses
-from monitor.service.outlets import delivery_workers, notices
+from monitor.service.outlets import notices
+from monitor.service.outlets.delivery_workers import Deliveries, DeliveryProcess
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.service.outlets.outbox import Outbox
@@ -167,94 +168,130 @@ def hook() -> Iterator[Hook]:
     server.server_close()
 
 
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(delivery_workers, "_RESEND_S", (0.05, 0.2))
+@pytest.fixture
+def drip() -> Iterator[Drip]:
+    server = Drip()
+    yield server
+    server.close()
 
 
-def notifier(place: Path, *urls: str, **settings: Any) -> Notifier:
-    place.parent.mkdir(exist_ok=True)
-    return Notifier("lab", NotifySettings(**settings), Addresses(urls), place)
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    return tmp_path / "outbox.jsonl"
 
 
-def test_messages_arrive_once_in_order_after_failures(tmp_path: Path, hook: Hook) -> None:
-    hook.status = 503
-    one = notifier(tmp_path / "outbox.jsonl", hook.url)
-    one.window(window(0, s2=Level.ADVISORY), "")
-    until(lambda: hook.tries >= 3, "tried again")
-    assert one.failed
-    one.window(window(10, s2=Level.WARNING), "")
-    one.window(window(20), "")
-    hook.status = 200
-    wanted = ["[lab] advisory: story 2", "[lab] warning: story 2", "[lab] cleared: story 2"]
-    until(lambda: len(hook.got) >= 3, "all have come")
+QUICK = (0.02, 0.08)
+"""Pauses before a message is tried again, s."""
+
+
+class Clerk:
+    """Delivers in the test's own process: keeps the jobs, and refuses those that it is told to."""
+
+    def __init__(self) -> None:
+        self.refuses: Callable[[dict[str, Any]], bool] = lambda job: False
+        self.done: list[dict[str, Any]] = []
+        self.tries = 0
+
+    def run(self, job: Mapping[str, Any]) -> int:
+        self.tries += 1
+        if self.refuses(dict(job)):
+            return 1
+        self.done.append(dict(job))
+        return 0
+
+    def stop(self) -> None: ...
+
+    @property
+    def titles(self) -> list[str]:
+        return [job["title"].removeprefix("[lab] ") for job in self.done if "title" in job]
+
+    @property
+    def paths(self) -> list[str]:
+        """Of the heartbeats."""
+        return [job["url"].removeprefix(BEAT) for job in self.done if "title" not in job]
+
+    def notifier(self, place: Path, *urls: str, beats: tuple[str | None, ...] = (), **settings: Any) -> Notifier:
+        deliveries = Deliveries(lambda: self, QUICK, set_aside=3)
+        return Notifier("lab", NotifySettings(**settings), Addresses(urls, *beats), place, deliveries=deliveries)
+
+
+BEAT, ONE, OTHER = "http://beat.test/", "json://one.test", "json://other.test"
+
+
+@pytest.fixture
+def clerk() -> Clerk:
+    return Clerk()
+
+
+def notifier(place: Path, to: Addresses, deadline_s: float = 30.0, **settings: Any) -> Notifier:
+    """One whose deliveries are processes, as in service."""
+    deliveries = Deliveries(lambda: DeliveryProcess(deadline_s), QUICK)
+    return Notifier("lab", NotifySettings(**settings), to, place, deliveries=deliveries)
+
+
+def tell(one: Notifier, *levels: Level, t_s: float = 0.0) -> None:
+    for level in levels or (Level.ADVISORY, Level.WARNING, Level.ALARM):
+        one.window(window(t_s, s2=level), "")
+
+
+def test_messages_arrive_once_in_order_after_failures_also_across_restarts(place: Path, clerk: Clerk) -> None:
+    clerk.refuses = lambda job: True
+    one = clerk.notifier(place, ONE)
+    tell(one, Level.ADVISORY)
+    until(lambda: clerk.tries >= 2 and one.failed, "tried again")
     one.close(5.0)
-    assert hook.titles == wanted
-    assert [item["type"] for item in hook.got] == ["warning", "warning", "success"]
-    assert one.failed is None
-
-
-def test_a_message_that_is_always_refused_does_not_hold_up_those_behind_it(
-    tmp_path: Path, hook: Hook, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(delivery_workers, "_SET_ASIDE", 3)
-    hook.refuses = "advisory"
-    one = notifier(tmp_path / "outbox.jsonl", hook.url)
-    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
-        one.window(window(0, s2=level), "")
-    until(lambda: len(hook.got) == 2, "those behind it")
-    assert hook.titles == ["[lab] warning: story 2", "[lab] alarm: story 2"]
-    until(lambda: one.failed, "the refused one is told")
-    hook.refuses = None
-    until(lambda: len(hook.got) == 3, "the refused one, tried without end")
-    one.close(5.0)
-    assert len(Outbox(tmp_path / "outbox.jsonl")) == 0
-
-
-def test_a_restart_neither_loses_nor_doubles(tmp_path: Path, hook: Hook) -> None:
-    place = tmp_path / "outbox.jsonl"
-    hook.status = 503
-    one = notifier(place, hook.url)
-    one.window(window(0, s2=Level.WARNING), "")
-    until(lambda: hook.tries, "tried")
-    one.close(5.0)
-    hook.status = 200
-    again = notifier(place, hook.url)
-    again.window(window(10, s2=Level.WARNING), "")  # stands as before: not told again
-    until(lambda: hook.got, "delivered")
+    clerk.refuses = lambda job: False
+    again = clerk.notifier(place, ONE)
+    tell(again, Level.ADVISORY, Level.WARNING, t_s=10.0)  # the first stands as before: not told again
+    again.window(window(20), "")
+    until(lambda: len(clerk.titles) == 3 and again.failed is None, "all have come")
     again.close(5.0)
-    last = notifier(place, hook.url)
-    last.window(window(20), "")
-    until(lambda: len(hook.got) == 2, "its end")
-    last.close(5.0)
-    assert hook.titles == ["[lab] warning: story 2", "[lab] cleared: story 2"]
+    assert clerk.titles == ["advisory: story 2", "warning: story 2", "cleared: story 2"]
+    assert [job["type"] for job in clerk.done] == ["warning", "warning", "success"]
+    assert len(Outbox(place)) == 0
 
 
-def test_one_that_is_out_holds_up_no_other(tmp_path: Path, hook: Hook) -> None:
-    one = notifier(tmp_path / "outbox.jsonl", "json://127.0.0.1:9/away", hook.url)
-    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
-        one.window(window(0, s2=level), "")
-    until(lambda: len(hook.got) == 3, "the other has all")
-    assert len(Outbox(tmp_path / "outbox.jsonl")) == 3
-    one.change(NotifySettings(), Addresses((hook.url,)))
+def test_a_message_that_is_always_refused_does_not_hold_up_those_behind_it(place: Path, clerk: Clerk) -> None:
+    clerk.refuses = lambda job: "advisory" in job["title"]
+    one = clerk.notifier(place, ONE)
+    tell(one)
+    until(lambda: len(clerk.titles) == 2, "those behind it")
+    assert clerk.titles == ["warning: story 2", "alarm: story 2"]
+    until(lambda: one.failed, "the refused one is told")
+    clerk.refuses = lambda job: False
+    until(lambda: len(clerk.titles) == 3 and one.failed is None, "the refused one, tried without end")
+    one.close(5.0)
+    assert len(Outbox(place)) == 0
+
+
+def test_one_that_takes_nothing_holds_up_no_other_and_is_forgotten_when_removed(place: Path, clerk: Clerk) -> None:
+    clerk.refuses = lambda job: job["url"] == ONE
+    one = clerk.notifier(place, ONE, OTHER)
+    tell(one)
+    until(lambda: len(clerk.titles) == 3 and clerk.tries > 20, "the other has all, this one was tried often")
+    until(lambda: len(Outbox(place)) == 3, "stored")
+    one.change(NotifySettings(), Addresses((OTHER,)))
     until(lambda: one.failed is None, "forgotten")
     one.window(window(10), "")
-    until(lambda: len(hook.got) == 4, "goes on")
+    until(lambda: len(clerk.titles) == 4, "goes on")
     one.close(5.0)
-    assert len(Outbox(tmp_path / "outbox.jsonl")) == 0
+    assert len(Outbox(place)) == 0
 
 
-def test_no_more_than_asked_for_in_an_hour(tmp_path: Path, hook: Hook) -> None:
-    one = notifier(tmp_path / "outbox.jsonl", hook.url, most_per_hour=2)
-    for t in range(5):
-        one.window(window(t, s2=Level.WARNING) if t % 2 == 0 else window(t), "")
-    until(lambda: len(hook.got) == 2, "two came")
+@pytest.mark.parametrize("most", [2, 4])
+def test_no_more_than_asked_for_in_an_hour_and_half_of_them_for_alarms(place: Path, clerk: Clerk, most: int) -> None:
+    one = clerk.notifier(place, ONE, most_per_hour=most)
+    for k in range(6):
+        one.health_line(health(recording=k % 2 == 1))
+    until(lambda: len(clerk.titles) == most // 2, "half")
+    tell(one)
+    until(lambda: len(clerk.titles) == most, "the other half")
     one.close(5.0)
-    assert len(hook.got) == 2
-    assert len(Outbox(tmp_path / "outbox.jsonl")) == 3
+    assert clerk.titles[most // 2 :] == ["advisory: story 2", "warning: story 2"][: most // 2]
+    assert len(Outbox(place)) == 9 - most
 
 
-def test_mail(tmp_path: Path) -> None:
+def test_mail(place: Path) -> None:
     from aiosmtpd.controller import Controller
 
     letters: list[Any] = []
@@ -268,8 +305,8 @@ def test_mail(tmp_path: Path) -> None:
     box = Controller(Box(), hostname="127.0.0.1", port=port)
     box.start()
     try:
-        one = notifier(tmp_path / "outbox.jsonl", f"mailto://127.0.0.1:{port}?from=shm@lab.test&to=ann@lab.test")
-        one.window(window(0, s2=Level.ALARM), "")
+        one = notifier(place, Addresses((f"mailto://127.0.0.1:{port}?from=shm@lab.test&to=ann@lab.test",)))
+        tell(one, Level.ALARM)
         until(lambda: letters, "a letter")
         one.close(5.0)
     finally:
@@ -278,51 +315,52 @@ def test_mail(tmp_path: Path) -> None:
     assert b"alarm: story 2" in letters[0].content
 
 
-def test_a_heartbeat_carries_the_head_of_the_ledger() -> None:
-    assert delivery_workers._with_head("http://a.test/beat", None) == "http://a.test/beat"
-    assert delivery_workers._with_head("http://a.test/beat", "ab12") == "http://a.test/beat?ledger=ab12"
-    assert (
-        delivery_workers._with_head("http://a.test/b?status=up#x", "ab12") == "http://a.test/b?status=up&ledger=ab12#x"
-    )
+@pytest.mark.parametrize(
+    ("url", "told"),
+    [("beat", "beat?ledger=ab12"), ("b?status=up#x", "b?status=up&ledger=ab12#x"), ("beat", "beat")],
+)
+def test_a_heartbeat_carries_the_head_of_the_ledger(place: Path, clerk: Clerk, url: str, told: str) -> None:
+    one = clerk.notifier(place, beats=(BEAT + url,))
+    one.health_line(health() | {"ledger_head": "ab12" if "ledger" in told else None})
+    one.window(window(0), "")
+    until(lambda: clerk.paths == [told], "a beat")
+    one.close(5.0)
 
 
-def test_the_heart_beats_while_windows_come_and_no_longer(tmp_path: Path, hook: Hook) -> None:
-    beat = Addresses((), f"http://127.0.0.1:{hook.server_port}/beat")
-    one = Notifier("lab", NotifySettings(heartbeat_s=0.05), beat, tmp_path / "outbox.jsonl")
+def test_the_heart_beats_while_windows_come_and_no_longer(place: Path, clerk: Clerk) -> None:
+    one = clerk.notifier(place, beats=(f"{BEAT}well",), heartbeat_s=0.01)
     one.health_line(health())
-    time.sleep(0.2)
-    assert hook.beats == 0
+    time.sleep(0.05)
+    assert clerk.paths == []
     for count in range(1, 4):
         one.window(window(10.0 * count), "")
-        until(lambda n=count: hook.beats >= n, "a beat")
-        time.sleep(0.1)
-    beats = hook.beats
+        until(lambda n=count: len(clerk.paths) == n, "a beat")
     for _ in range(5):
         one.health_line(health(data=False))
-        time.sleep(0.05)
+        time.sleep(0.02)
     one.close(5.0)
-    assert hook.beats == beats
+    assert len(clerk.paths) == 3
 
 
-def test_no_address_is_ever_written(
-    tmp_path: Path, hook: Hook, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+def test_a_heartbeat_comes_from_a_process_and_no_address_is_ever_written(
+    tmp_path: Path, place: Path, hook: Hook, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caplog.set_level(logging.DEBUG)
     monkeypatch.setenv("HUSH", "hush-hush")
-    settings = NotifySettings(urls=("json://127.0.0.1:9/${HUSH}",), heartbeat_url="http://127.0.0.1:9/${HUSH}")
+    beat = f"http://127.0.0.1:{hook.server_port}/${{HUSH}}"
+    settings = NotifySettings(urls=("json://127.0.0.1:9/${HUSH}",), heartbeat_url=beat)
     to = addresses(settings, tmp_path)
     assert to.urls == ("json://127.0.0.1:9/hush-hush",)
     hook.status = 500
-    one = Notifier("lab", settings, replace(to, urls=(*to.urls, hook.url)), tmp_path / "outbox.jsonl")
-    one.window(window(0, s2=Level.ALARM), "")
-    until(lambda: hook.tries, "tried")
-    until(lambda: one.failed, "failed")
+    one = notifier(place, replace(to, urls=(*to.urls, hook.url)))
+    tell(one, Level.ALARM)
+    until(lambda: hook.tries and hook.paths, "tried")
+    until(lambda: str(one.failed).count("has taken") == 2 and "not heard" in str(one.failed), "failed")
     one.close(5.0)
     logging.getLogger("urllib3").setLevel(logging.NOTSET)
     written = "".join(r.getMessage() for r in caplog.records if r.name.startswith(("monitor", "apprise")))
-    kept = (tmp_path / "outbox.jsonl").read_text()
-    assert "alarm: story 2" in written and "not heard" in written
-    for text in (written, kept, str(one.failed), repr(to), repr(one)):
+    assert "alarm: story 2" in written and "not heard" in written and hook.paths[0] == "/hush-hush"
+    for text in (written, place.read_text(), str(one.failed), repr(to), repr(one)):
         assert "hush-hush" not in text and "127.0.0.1" not in text
 
 
@@ -354,10 +392,6 @@ def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
     for k in range(25):
         box.add(Told(levels={k: Level.WARNING}), [Notice("alarm", False, f"{k}", "")], ["a", "b"])
     assert len(box) == 10 and box.dropped == 15
-    notifier = Notifier("bench", NotifySettings(), Addresses(), place)
-    assert notifier.dropped == 0
-    notifier._outbox = box
-    assert losses([("Notifier", notifier)]) == {"Notifier": 15}
     assert len([r for r in caplog.records if "given up" in r.getMessage()]) == 15
     box.save()
     again = Outbox(place, most=10)
@@ -386,112 +420,78 @@ def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
 
 
 @pytest.mark.parametrize("wrong", [[1], "text", {"a": {}}, 1 << 80])
-def test_times_that_somebody_wrote_into_the_outbox_end_no_window(tmp_path: Path, wrong: object) -> None:
+def test_times_that_somebody_wrote_into_the_outbox_end_no_window(place: Path, clerk: Clerk, wrong: object) -> None:
     """They are not stored, so that none is read."""
-    place = tmp_path / "outbox.jsonl"
-    one = notifier(place)
-    one.window(window(0, s2=Level.WARNING), "")
+    one = clerk.notifier(place)
+    tell(one, Level.WARNING)
     one.close(5.0)
     head, *rows = place.read_text().splitlines()
     content = json.loads(head)
     content["told"] |= {"judged_ns": wrong, "doubt_ns": wrong}
     place.write_text("\n".join([json.dumps(content), *rows]) + "\n")
-    again = notifier(place)
-    again.window(window(10, s2=Level.WARNING), "")
-    assert again.failed is None and again._begun().told.levels == {2: Level.WARNING}
+    again = clerk.notifier(place)
+    tell(again, Level.WARNING, t_s=10.0)
+    assert again.failed is None
     again.close(5.0)
+    assert Outbox(place).told.levels == {2: Level.WARNING}
 
 
-@pytest.fixture
-def drip() -> Iterator[Drip]:
-    server = Drip()
-    yield server
-    server.close()
-
-
-def test_an_address_that_drips_holds_up_no_other_and_is_told_of(
-    tmp_path: Path, hook: Hook, drip: Drip, monkeypatch: pytest.MonkeyPatch
+def test_an_address_or_a_heartbeat_that_drips_holds_up_no_other_and_is_told_of(
+    place: Path, hook: Hook, drip: Drip
 ) -> None:
-    monkeypatch.setattr(delivery_workers, "_DEADLINE_S", 5.0)  # its process imports a library: a second of a core
-    one = notifier(tmp_path / "outbox.jsonl", f"json://{drip.address}/hush-hush", hook.url)
-    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
-        one.window(window(0, s2=level), "")
+    """A delivery's process imports a library, a second of a core, and is ended at its deadline."""
+    to = Addresses((f"json://{drip.address}/hush-hush", hook.url), f"http://{drip.address}/hush-hush")
+    one = notifier(place, to, deadline_s=3.0, heartbeat_s=0.05)
+    tell(one)
     until(lambda: len(hook.got) == 3, "the other has all")
-    until(lambda: drip.calls >= 2, "the attempt ended, and there is another")
-    assert re.fullmatch(r"delivery to address 1 \(json\) has taken \d+ s", str(one.failed))
+    assert hook.titles[0] == "[lab] advisory: story 2" and hook.got[0]["type"] == "warning"
+    until(lambda: str(one.failed).count(" has taken ") == 1 and "not heard" in str(one.failed), "both are told")
+    told = r"heartbeat not heard for \d+ s; delivery to address 1 \(json\) has taken \d+ s"
+    assert re.fullmatch(told, str(one.failed))
+    until(lambda: drip.calls >= 3, "there is another attempt")
     begun = time.monotonic()
     one.close(1.0)
     assert time.monotonic() - begun < 5.0
     until(lambda: not any(t.name.startswith("notify") for t in threading.enumerate()), "its worker ends")
-    assert len(Outbox(tmp_path / "outbox.jsonl")) == 3 and one.dropped == 0
-
-
-def test_a_heartbeat_that_drips_holds_up_no_message(
-    tmp_path: Path, hook: Hook, drip: Drip, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(delivery_workers, "_DEADLINE_S", 5.0)
-    to = Addresses((hook.url,), f"http://{drip.address}/hush-hush")
-    one = Notifier("lab", NotifySettings(heartbeat_s=0.05), to, tmp_path / "outbox.jsonl")
-    one.window(window(0), "")
-    until(lambda: drip.calls, "a beat")
-    one.window(window(10, s2=Level.ALARM), "")
-    until(lambda: hook.got, "delivered")
-    until(lambda: one.failed, "told")
-    assert re.fullmatch(r"heartbeat not heard for \d+ s", str(one.failed))
-    one.close(1.0)
+    assert len(Outbox(place)) == 3 and one.dropped == 0
 
 
 @pytest.mark.parametrize("says", [True, False])
-def test_the_heartbeat_says_whether_messages_get_out(tmp_path: Path, hook: Hook, says: bool) -> None:
-    beat = f"http://127.0.0.1:{hook.server_port}/"
-    blocked = f"{beat}blocked" if says else None
-    to = Addresses(("json://127.0.0.1:9/away",), f"{beat}well", blocked)
-    one = Notifier("lab", NotifySettings(heartbeat_s=0.05), to, tmp_path / "outbox.jsonl")
+def test_the_heartbeat_says_whether_messages_get_out(place: Path, clerk: Clerk, says: bool) -> None:
+    beats = (f"{BEAT}well", f"{BEAT}blocked" if says else None)
+    clerk.refuses = lambda job: "title" in job
+    one = clerk.notifier(place, ONE, beats=beats, heartbeat_s=0.01)
     one.window(window(0), "")
-    until(lambda: "/well" in hook.paths, "all is well")
-    one.window(window(10, s2=Level.ALARM), "")
+    until(lambda: clerk.paths == ["well"], "all is well")
+    tell(one, Level.ALARM, t_s=10.0)
     until(lambda: one.failed, "not delivered")
-    time.sleep(0.5)  # a beat of before may be on its way
-    hook.paths.clear()
+    time.sleep(0.1)  # a beat of before may be on its way
+    clerk.done.clear()
     for count in range(3):
-        one.window(window(20.0 + count, s2=Level.ALARM), "")
+        tell(one, Level.ALARM, t_s=20.0 + count)
         if says:
-            until(lambda n=count: len(hook.paths) > n, "a beat")
-    time.sleep(0.0 if says else 0.5)
-    assert set(hook.paths) == ({"/blocked"} if says else set())
-    one.change(NotifySettings(heartbeat_s=0.05), Addresses((), f"{beat}well", blocked))
-    hook.paths.clear()
-    one.window(window(30, s2=Level.ALARM), "")
-    until(lambda: "/well" in hook.paths, "well again")
+            until(lambda n=count: len(clerk.paths) > n, "a beat")
+    time.sleep(0.0 if says else 0.1)
+    assert set(clerk.paths) == ({"blocked"} if says else set())
+    one.change(NotifySettings(heartbeat_s=0.01), Addresses((), *beats))
+    clerk.done.clear()
+    tell(one, Level.ALARM, t_s=30.0)
+    until(lambda: "well" in clerk.paths, "well again")
     one.close(5.0)
 
 
-def test_alarms_go_before_housekeeping(tmp_path: Path, hook: Hook) -> None:
-    hook.status = 503
-    one = notifier(tmp_path / "outbox.jsonl", hook.url)
+def test_alarms_go_before_housekeeping(place: Path, clerk: Clerk) -> None:
+    clerk.refuses = lambda job: True
+    one = clerk.notifier(place, ONE)
     one.health_line(health(recording=False))
-    until(lambda: hook.tries, "tried")
+    until(lambda: clerk.tries, "tried")
     one.health_line(health())
-    one.window(window(0, s2=Level.ALARM), "")
+    tell(one, Level.ALARM)
     one.window(window(10), "")
-    hook.status = 200
-    until(lambda: len(hook.got) == 4, "all have come")
+    clerk.refuses = lambda job: False
+    until(lambda: len(clerk.titles) == 4, "all have come")
     one.close(5.0)
-    wanted = ["alarm: story 2", "cleared: story 2", "recorder stopped", "recorder goes on"]
-    assert hook.titles == [f"[lab] {title}" for title in wanted]
-
-
-def test_housekeeping_leaves_half_of_the_hour_s_messages_to_alarms(tmp_path: Path, hook: Hook) -> None:
-    one = notifier(tmp_path / "outbox.jsonl", hook.url, most_per_hour=4)
-    for k in range(6):
-        one.health_line(health(recording=k % 2 == 1))
-    until(lambda: len(hook.got) == 2, "half")
-    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
-        one.window(window(0, s2=level), "")
-    until(lambda: len(hook.got) == 4, "the other half")
-    one.close(5.0)
-    assert hook.titles[2:] == ["[lab] advisory: story 2", "[lab] warning: story 2"]
-    assert len(Outbox(tmp_path / "outbox.jsonl")) == 5
+    assert clerk.titles == ["alarm: story 2", "cleared: story 2", "recorder stopped", "recorder goes on"]
 
 
 def test_a_full_outbox_gives_up_housekeeping_first_and_counts_it(tmp_path: Path) -> None:
@@ -516,45 +516,43 @@ def test_every_kind_of_notice_has_its_place(tmp_path: Path) -> None:
     assert all(Notice(kind, False, "", "").rank < later.rank for kind in made)
 
 
-def test_what_changes_while_an_address_hangs_is_told_or_counted(
-    tmp_path: Path, drip: Drip, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(delivery_workers, "_DEADLINE_S", 60.0)
-    one = notifier(tmp_path / "outbox.jsonl", f"json://{drip.address}/x")
+def test_what_changes_while_an_address_hangs_is_told_or_counted(place: Path, drip: Drip) -> None:
+    one = notifier(place, Addresses((f"json://{drip.address}/x",)))
     for k in range(300):  # more than wait
-        one.window(window(2.0 * k, s2=Level.ALARM), "")
+        tell(one, Level.ALARM, t_s=2.0 * k)
         one.window(window(2.0 * k + 1.0), "")
-    assert one.dropped == 600 - 256
+    assert losses([("Notifier", one)]) == {"Notifier": 600 - 256}
     one.close(0.2)
-    assert len(Outbox(tmp_path / "outbox.jsonl")) == 256
+    assert len(Outbox(place)) == 256
 
 
-def test_a_disk_that_hangs_holds_up_no_message(tmp_path: Path, hook: Hook, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_hangs_holds_up_no_message(place: Path, clerk: Clerk, monkeypatch: pytest.MonkeyPatch) -> None:
     answers = threading.Event()
     monkeypatch.setattr("monitor.service.outlets.outbox.write_atomically", lambda *_: answers.wait(60.0))
-    one = notifier(tmp_path / "outbox.jsonl", hook.url)
-    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
-        one.window(window(0, s2=level), "")
-    until(lambda: len(hook.got) == 3, "delivered")
+    one = clerk.notifier(place, ONE)
+    tell(one)
+    until(lambda: len(clerk.titles) == 3, "delivered")
     answers.set()
     one.close(5.0)
 
 
 def test_an_address_and_a_disk_that_do_not_answer_are_told_within_ten_seconds(
-    tmp_path: Path, drip: Drip, monkeypatch: pytest.MonkeyPatch
+    place: Path, clerk: Clerk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of the clock that the notifier is given; a delivery itself has 30 s."""
-    answers, now = threading.Event(), [100.0]
-    monkeypatch.setattr("monitor.service.outlets.outbox.write_atomically", lambda *_: answers.wait(60.0))
-    to = Addresses((f"json://{drip.address}/x",))
-    one = Notifier("lab", NotifySettings(), to, tmp_path / "outbox.jsonl", lambda: now[0])
-    one.window(window(0, s2=Level.ALARM), "")
-    until(lambda: drip.calls, "a delivery has begun")
+    disk, address, now = threading.Event(), threading.Event(), [100.0]
+    monkeypatch.setattr("monitor.service.outlets.outbox.write_atomically", lambda *_: disk.wait(60.0))
+    clerk.refuses = lambda job: not address.wait(60.0)
+    to, deliveries = Addresses((ONE,)), Deliveries(lambda: clerk)
+    one = Notifier("lab", NotifySettings(), to, place, lambda: now[0], deliveries)
+    tell(one, Level.ALARM)
+    until(lambda: clerk.tries, "a delivery has begun")
     assert one.failed is None
     now[0] += 6.0
     assert one.failed == "does not answer for 6 s; address 1 (json) does not answer for 6 s"
-    answers.set()
+    disk.set()
     until(lambda: one.failed == "address 1 (json) does not answer for 6 s", "the disk answers")
+    address.set()
     one.close(0.2)
 
 

@@ -85,7 +85,7 @@ def running(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     site.write_text(SITE.format(port=port) + frame_text)
     floors = simulate(configuration.load(site).model(), duration_s=60.0, rate_hz=RATE, noise=0.03, seed=6).floors
     np.save(folder / "stream.npy", floors.astype(np.float32))
-    arguments = [site, folder / "stream.npy", folder / "position", "0.025", "0"]
+    arguments = [site, folder / "stream.npy", folder / "position", 0.025, 0, 0.5]
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(
             [sys.executable, "-m", "tests.support.live_site", *map(str, arguments)],
@@ -315,8 +315,7 @@ def test_a_request_that_cannot_be_removed_is_applied_once(
     def refused(path: Path, missing_ok: bool = False) -> None:
         raise PermissionError(13, "Permission denied")
 
-    box = Inbox(tmp_path / "requests")
-    monkeypatch.setattr(inbox, "_EVERY_S", 0.0)
+    box = Inbox(tmp_path / "requests", every_s=0.0)
     monkeypatch.setattr(Path, "unlink", refused)
     inbox.leave_request(tmp_path / "requests", Request(action="reset", story=1, who="ann"))
     assert [len(taken(box)) for _ in range(4)] == [1, 0, 0, 0]
@@ -357,7 +356,6 @@ def test_what_a_stranger_may_not_read_is_told_and_no_wrong_usage(tmp_path: Path,
         ("run", site),
     ]
     for command in commands:  # everything is imported while that is allowed
-        main(*command[:1], "--help")
         main(*command)
     for path in (closed, tmp_path):
         path.chmod(0o700)

@@ -8,6 +8,7 @@ import shutil
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from monitor.service.status import look
 from tests.support.damages import DAMAGES
 from tests.support.requests import Desk, ledger_of
 from tests.support.samples import Cli, Cut
-from tests.support.site import RATE, Scripted
+from tests.support.site import RATE, SITE, Scripted
 
 SHELVE = Request(action="shelve", story=2, who="Ada", note="while the disk is full", seconds=2_592_000.0)
 UNSHELVE = Request(action="unshelve", story=2, who="Ada")
@@ -37,7 +38,7 @@ class Answered(Scripted):
         self._desk = desk
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        done = self.given >= 1 and not self._desk._batches and len(self._desk.answers) == self._desk.asked
+        done = self.given >= 1 and not self._desk.batches and len(self._desk.answers) == self._desk.asked
         return super().read(timeout_s) if not done else self._end()
 
     def _end(self) -> SampleBlock | None:
@@ -45,40 +46,46 @@ class Answered(Scripted):
         return super().read(0.0)
 
 
-def run(path: Path, blocks: Sequence[SampleBlock], *batches: Sequence[Request]) -> tuple[Daemon, Desk]:
+def run(path: Path, blocks: Sequence[SampleBlock], *batches: Sequence[Request], **options: Any) -> tuple[Daemon, Desk]:
     desk = Desk(*batches)
-    daemon = Daemon(path, Answered(blocks, desk), [desk])
+    daemon = Daemon(path, Answered(blocks, desk), [desk], tick_s=0.01, **options)
     daemon.run()
     return daemon, desk
 
 
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory: pytest.TempPathFactory, frame_text: str, record: np.ndarray, cut: Cut) -> Path:
+    """A folder whose ledger has two requests; tests use copies."""
+    folder = tmp_path_factory.mktemp("asked")
+    (folder / "site.toml").write_text(SITE + frame_text)
+    run(folder / "site.toml", cut(record, RATE)[:5], [SHELVE], [UNSHELVE])
+    return folder
+
+
 def test_what_the_ledger_cannot_take_is_refused_and_changes_nothing(site: Path, record: np.ndarray, cut: Cut) -> None:
     (site.parent / "out" / "ledger.jsonl").mkdir(parents=True)
-    daemon, desk = run(site, cut(record, RATE)[:5], [SHELVE])
+    ahead_s = [0.0]
+    daemon, desk = run(site, cut(record, RATE)[:5], [SHELVE], clock=lambda: time.monotonic() + ahead_s[0])
     (answer,) = desk.answers
     assert answer.again and "ledger.jsonl: cannot be written" in str(answer.refusal)
     assert daemon.session.pipeline.state.alarm.stories[1].shelved is None
     health = look(site.parent / "out")["health"]
     assert "ledger.jsonl" in health["failed"]["ledger.jsonl"] and health["ledger_head"] is None
-    handler = daemon._requests
+    handler = dict(daemon.outputs())["ledger.jsonl"]
     assert handler.failed is not None
-    handler._clock = lambda: time.monotonic() + 61.0
+    ahead_s[0] = 61.0
     assert handler.failed is None, "a trouble of long ago is none of the present"
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_whatever_the_ledger_holds_a_request_is_answered(
-    site: Path,
-    record: np.ndarray,
-    cut: Cut,
-    main: Cli,
-    damage: str,
+    tmp_path: Path, asked: Path, record: np.ndarray, cut: Cut, main: Cli, damage: str
 ) -> None:
     """Applied, unless it is no file; what was damaged is found by a check of the chain, or was no line of it yet."""
-    place, blocks = site.parent / "out" / "ledger.jsonl", cut(record, RATE)[:5]
-    run(site, blocks, [SHELVE], [UNSHELVE])
+    shutil.copytree(asked, tmp_path, dirs_exist_ok=True)
+    place = tmp_path / "out" / "ledger.jsonl"
     DAMAGES[damage](place)
-    daemon, desk = run(site, blocks, [SHELVE])
+    daemon, desk = run(tmp_path / "site.toml", cut(record, RATE)[:5], [SHELVE])
     (answer,) = desk.answers
     shelved = daemon.session.pipeline.state.alarm.stories[1].shelved
     if damage in {"a folder", "a dangling link"}:
@@ -164,9 +171,8 @@ def test_a_flood_of_files_waits_and_the_other_asker_does_not(tmp_path: Path) -> 
     assert len(box.take_requests()) == 1
 
 
-def test_status_shows_the_head_and_checks_the_chain(site: Path, record: np.ndarray, cut: Cut, main: Cli) -> None:
-    out = site.parent / "out"
-    run(site, cut(record, RATE)[:5], [SHELVE], [UNSHELVE])
+def test_status_shows_the_head_and_checks_the_chain(tmp_path: Path, asked: Path, main: Cli) -> None:
+    out = shutil.copytree(asked / "out", tmp_path / "out")
     found = json.loads(main("status", out, "--json").stdout)
     assert len(found["ledger_head"]) == 64 and found["health"]["ledger_head"] == found["ledger_head"]
     done = main("status", out, "--verify")

@@ -10,7 +10,6 @@ import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -23,10 +22,10 @@ from monitor.damage import Assessment, State
 from monitor.publish import pack_month
 from monitor.service.outlets import make_outlets
 from monitor.service.outlets.http_server import asgi
-from monitor.service.web import outlet, snapshots
+from monitor.service.web import snapshots
 from monitor.service.web.application import make_application
 from monitor.service.web.outlet import WebPage, read_token
-from monitor.service.web.snapshots import Snapshots, latest_events, latest_windows
+from monitor.service.web.snapshots import Keep, Snapshots, latest_events, latest_windows
 from tests.support.samples import T0_NS, Cli
 from tests.support.site import SITE as BARE_SITE
 from tests.support.site import TOKEN
@@ -48,15 +47,8 @@ HEALTH: dict[str, Any] = {
     "uptime_s": 5.0,
     "disk_free_bytes": 1 << 30,
 }
-FINDING = {
-    "id": "1",
-    "t_ns": T0_NS,
-    "from_ns": T0_NS,
-    "reason": "warning",
-    "verdict": "named",
-    "says": "Softer.",
-    "causes": [],
-}
+FINDING: dict[str, Any] = {"id": "1", "t_ns": T0_NS, "from_ns": T0_NS, "reason": "warning", "verdict": "named"}
+FINDING |= {"says": "Softer.", "causes": []}
 SUMMARY: dict[str, Any] = {
     "windows": 3,
     "skipped": 1,
@@ -66,14 +58,8 @@ SUMMARY: dict[str, Any] = {
     "findings": [FINDING],
     "quality": {"availability": 1.0, "gaps": 0},
 }
-EVENT: dict[str, Any] = {
-    "id": "e1",
-    "revision": 0,
-    "t_begin_ns": T0_NS,
-    "t_end_ns": T0_NS + SECOND,
-    "verdict": None,
-    "spectrum": {},
-}
+EVENT: dict[str, Any] = {"id": "e1", "revision": 0, "t_begin_ns": T0_NS, "t_end_ns": T0_NS + SECOND}
+EVENT |= {"verdict": None, "spectrum": {}}
 
 
 def line(k: int, **changes: Any) -> dict[str, Any]:
@@ -239,13 +225,8 @@ def test_data_need_the_token_in_the_header_and_pages_hold_none() -> None:
     ask = asking(filled(), TOKEN)
     described = content(ask, "/openapi.json", Host="monitor.example")["paths"]
     for path in described:
-        for fields in (
-            {},
-            {"Authorization": "Bearer"},
-            {"Authorization": f"Bearer {TOKEN}x"},
-            {"Authorization": f"Basic {TOKEN}"},
-        ):
-            code, headers, body = ask(path, **fields)
+        for shown in (None, "Bearer", f"Bearer {TOKEN}x", f"Basic {TOKEN}"):
+            code, headers, body = ask(path, **({} if shown is None else {"Authorization": shown}))
             assert (code, headers["www-authenticate"]) == (401, "Bearer")
             assert b"Story" not in body
         assert ask(f"{path}?token={TOKEN}", Cookie=f"token={TOKEN}")[0] == 401, "not in the address, no cookie"
@@ -263,35 +244,28 @@ def test_without_a_token_a_name_from_elsewhere_is_refused() -> None:
         assert ask("/api/v1/status", Host=host)[0] == 403
 
 
-@pytest.mark.parametrize(
-    ("path", "method", "code"),
-    [
-        ("/nothing", "GET", 404),
-        ("/api/v1/", "GET", 404),
-        ("/api/v1/status/", "GET", 404),
-        ("/../pyproject.toml", "GET", 404),
-        ("/%2e%2e/outlet.py", "GET", 404),
-        ("/api/v1/status", "POST", 405),
-        ("/api/v1/status", "DELETE", 405),
-        ("/api/v1/windows?limit=0", "GET", 400),
-        ("/api/v1/windows?limit=2001", "GET", 400),
-        ("/api/v1/windows?limit=x", "GET", 400),
-        ("/api/v1/windows?limit=%C2%B2", "GET", 400),
-        ("/api/v1/windows?since_ns=-1", "GET", 400),
-        ("/api/v1/windows?since_ns=" + "9" * 40, "GET", 400),
-        ("/api/v1/status", "HEAD", 200),
-        ("/", "HEAD", 200),
-    ],
-)
-def test_each_answer_has_its_code_and_the_policy(path: str, method: str, code: int) -> None:
-    got, headers, body = asking(filled())(path, method)
-    assert got == code
-    assert headers["content-security-policy"].startswith("default-src 'self';")
-    assert headers["x-content-type-options"] == "nosniff"
-    assert headers["connection"] == "close"
-    assert (body == b"") == (method == "HEAD")
-    if code >= 400:
-        assert "error" in json.loads(body)
+ANSWERS = {
+    404: ("/nothing", "/api/v1/", "/api/v1/status/", "/../pyproject.toml", "/%2e%2e/outlet.py"),
+    405: ("POST /api/v1/status", "DELETE /api/v1/status"),
+    400: tuple(
+        f"/api/v1/windows?{query}"
+        for query in ("limit=0", "limit=2001", "limit=x", "limit=%C2%B2", "since_ns=-1", "since_ns=" + "9" * 40)
+    ),
+    200: ("HEAD /api/v1/status", "HEAD /"),
+}
+
+
+@pytest.mark.parametrize("code", ANSWERS)
+def test_each_answer_has_its_code_and_the_policy(code: int) -> None:
+    for asked in ANSWERS[code]:
+        method, _, path = asked.rpartition(" ")
+        got, headers, body = asking(filled())(path, method or "GET")
+        assert got == code, asked
+        assert headers["content-security-policy"].startswith("default-src 'self';")
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["connection"] == "close"
+        assert (body == b"") == (method == "HEAD")
+        assert code < 400 or "error" in json.loads(body)
 
 
 def test_the_pages_name_nothing_outside_and_have_no_inline_code() -> None:
@@ -330,9 +304,8 @@ def test_windows_after_a_time_and_evenly_spaced_ones() -> None:
     assert ends("limit=4") == (10, [2, 4, 7, 9])
 
 
-def test_the_number_of_windows_is_bounded_and_the_past_gets_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(snapshots, "MOST_WINDOWS", 100)
-    shown = Snapshots("bench")
+def test_the_number_of_windows_is_bounded_and_the_past_gets_coarser() -> None:
+    shown = Snapshots("bench", keep=Keep(windows=100))
     for k in range(1000):
         shown.window(line(k))
     answer = content(asking(shown), "/api/v1/windows?limit=1000")
@@ -342,9 +315,8 @@ def test_the_number_of_windows_is_bounded_and_the_past_gets_coarser(monkeypatch:
     assert 0 < ends[0] < 900 and ends == sorted(set(ends)), "it reaches farther back than its number"
 
 
-def test_events_are_bounded_and_their_highest_revision_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(snapshots, "_MOST_ITEMS", 3)
-    shown = Snapshots("bench")
+def test_events_are_bounded_and_their_highest_revision_counts() -> None:
+    shown = Snapshots("bench", keep=Keep(items=3))
     for k in range(5):
         for revision in (None, 1, 0):
             shown.event({**EVENT, "id": f"e{k}", "t_begin_ns": T0_NS + k, "revision": revision})
@@ -370,7 +342,7 @@ def json_lines(path: Path, rows: list[Any]) -> None:
     path.write_text("".join(row if isinstance(row, str) else json.dumps(row) + "\n" for row in rows))
 
 
-def test_the_past_is_read_from_the_output_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_past_is_read_from_the_output_folder(tmp_path: Path) -> None:
     assert list(latest_windows(tmp_path)) == [] == list(latest_events(tmp_path))
     json_lines(tmp_path / "results-2025-12.jsonl", [line(0), line(1)])
     json_lines(tmp_path / "results.jsonl", ["{damaged\n", "[]\n", line(2), '{"t_end_ns": 1', ""])
@@ -382,12 +354,10 @@ def test_the_past_is_read_from_the_output_folder(tmp_path: Path, monkeypatch: py
     (tmp_path / "results-2025-12.jsonl.zst").write_bytes(b"no zst")
     assert [row["window"] for row in latest_windows(tmp_path)] == [2]
     json_lines(tmp_path / "results.jsonl", [line(k) for k in range(50)])
-    monkeypatch.setattr(snapshots, "_TAIL_BYTES", 2000)
-    assert 0 < len(rows := [row["window"] for row in latest_windows(tmp_path)]) < 10
+    assert 0 < len(rows := [row["window"] for row in latest_windows(tmp_path, Keep(tail_bytes=2000))]) < 10
     assert rows[-1] == 49, "the end, whole lines of it"
-    monkeypatch.undo()
-    monkeypatch.setattr(snapshots, "_MOST_READ", 20)
-    assert [row["window"] for row in latest_windows(tmp_path)] == [*range(0, 40, 4), *range(40, 50)]
+    found = [row["window"] for row in latest_windows(tmp_path, Keep(read=20))]
+    assert found == [*range(0, 40, 4), *range(40, 50)]
 
 
 @pytest.mark.parametrize("text", ["", "short", "two words that are long enough", "ümlaut-ümlaut-ümlaut", "a\nb" * 10])
@@ -406,10 +376,7 @@ def test_a_token_that_could_be_guessed_or_not_be_sent_is_refused(text: str, tmp_
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        (
-            'web = "0.0.0.0:8080"',
-            r"output.web: all who reach 0.0.0.0:8080 could read without a token; set web_token_file",
-        ),
+        ('web = "0.0.0.0:8080"', r"output.web: all who reach 0.0.0.0:8080 could read without a token; set web_token"),
         ('web = "[::]:8080"', r"output.web: all who reach"),
         ('web = "127.0.0.1:0"\nweb_token_file = "none"', r"output.web_token_file: .*none: No such file"),
         ('web_token_file = "none"', r"without `web` there is no page"),
@@ -490,31 +457,16 @@ def test_the_outlet_shows_the_past_and_what_comes(page: WebPage) -> None:
     assert (page.failed, page.dropped) == (None, 0)
 
 
-def test_a_page_that_hangs_costs_the_main_thread_nothing(page: WebPage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outlet, "_MOST_WAITING", 10)
-    go_on = threading.Event()
-    monkeypatch.setattr(page._snapshots, "window", lambda _: go_on.wait(60.0))
+def test_a_page_that_hangs_costs_the_main_thread_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on, shown = threading.Event(), list[int]()
+    monkeypatch.setattr(Snapshots, "window", lambda _, row: shown.append(row["window"]) if go_on.wait(60.0) else None)
+    page = WebPage("bench", ("127.0.0.1", 0), TOKEN, tmp_path, most_waiting=10)
     for k in range(20):
         page.window(cast(Any, None), json.dumps(line(k)))
     assert page.dropped >= 9
     go_on.set()
-    until(lambda: not page._waiting, "it goes on")
-
-
-def test_readers_that_hang_do_not_hold_up_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outlet, "_BOUNDS", replace(outlet._BOUNDS, connection_s=3600.0))
-    one = WebPage("bench", ("127.0.0.1", 0), None, tmp_path)
-    assert one.url is not None and one._server is not None
-    port = int(one.url.rstrip("/").rpartition(":")[2])
-    held = [socket.create_connection(("127.0.0.1", port), 30.0) for _ in range(4)]
-    for k, connection in enumerate(held):
-        connection.sendall(b"GET /uplot.js HTTP/1.1\r\n" + (b"Host: localhost\r\n\r\n" if k % 2 else b""))
-    server = one._server
-    until(lambda: len(server._serving) >= 2, "the connections are open")
-    one.close(60.0)
-    assert not any(thread.name == "http" for thread in threading.enumerate())
-    for connection in held:
-        connection.close()
+    until(lambda: shown == list(range(20 - page.dropped)), "it goes on")
+    page.close(5.0)
 
 
 def test_a_port_that_is_taken_is_told_and_tried_again(

@@ -15,14 +15,14 @@ class Desk(Outlet):
     """Makes its next request when the one before was answered, and keeps the answers."""
 
     def __init__(self, *batches: Sequence[Request]) -> None:
-        self._batches = list(batches)
+        self.batches = list(batches)
         self.answers: list[Answer] = []
         self.asked = 0
 
     def take_requests(self) -> Sequence[Request]:
-        if len(self.answers) < self.asked or not self._batches:
+        if len(self.answers) < self.asked or not self.batches:
             return ()
-        batch = self._batches.pop(0)
+        batch = self.batches.pop(0)
         self.asked += len(batch)
         return batch
 

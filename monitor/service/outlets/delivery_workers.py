@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from monitor.core import Busy
 from monitor.service.outlets.outbox import Message, Outbox
@@ -29,10 +29,6 @@ _log = logging.getLogger(__name__)
 _PROGRAM = Path(__file__).with_name("delivery.py")
 _DEADLINE_S = 30.0
 """Longest time of one delivery in all. [s; judgement: a slow mail server takes seconds]"""
-_RESEND_S = (1.0, 300.0)
-"""First and longest pause before a message is tried again. [s; judgement]"""
-_SET_ASIDE = 10
-"""Refusals of a message after which those behind it are tried. [count; 13 minutes, the longest pause is reached]"""
 _LOOK_S = 10.0
 """Longest pause of a worker for which something waits. [s; judgement]"""
 _HOUR_S = 3600.0
@@ -41,17 +37,30 @@ _UNHEARD_S = 60.0
 """Longest pause before a heartbeat that was not heard is tried again. [s; judgement]"""
 
 
-class _Process:
-    """Process of a worker's present delivery, at most one at a time."""
+class Delivery(Protocol):
+    """What does a worker's deliveries, one at a time."""
 
-    def __init__(self) -> None:
+    def run(self, job: Mapping[str, Any]) -> int | None:
+        """Do a job; return its exit code: 0 where the address took it, None where it was not begun."""
+
+    def stop(self) -> None:
+        """End the present delivery and allow no other."""
+
+
+class DeliveryProcess:
+    """Process of a worker's present delivery, at most one at a time.
+
+    Parameters
+    ----------
+    deadline_s : float
+        Longest time of one delivery in all, s.
+    """
+
+    def __init__(self, deadline_s: float = _DEADLINE_S) -> None:
+        self._deadline_s = deadline_s
         self._lock = threading.Lock()
         self._running: subprocess.Popen[bytes] | None = None
         self._stopped = False
-
-    def deliver(self, job: Mapping[str, Any]) -> bool:
-        """Do a job; return whether it was done within `_DEADLINE_S`."""
-        return self.run(job) == 0
 
     def run(self, job: Mapping[str, Any]) -> int | None:
         """Do a job; return the exit code of its process, negative where a signal ended it, None where there was no process."""
@@ -70,7 +79,7 @@ class _Process:
         except OSError:  # no room for a process: as an address that does not answer
             return None
         try:
-            process.communicate(json.dumps({**job, "deadline_s": _DEADLINE_S}).encode(), _DEADLINE_S)
+            process.communicate(json.dumps({**job, "deadline_s": self._deadline_s}).encode(), self._deadline_s)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -82,6 +91,18 @@ class _Process:
             self._stopped = True
             if self._running is not None:
                 self._running.kill()
+
+
+@dataclass(frozen=True, slots=True)
+class Deliveries:
+    """How messages are delivered, and when one that was refused is tried again."""
+
+    new: Callable[[], Delivery] = DeliveryProcess
+    """Makes what does the deliveries of one worker."""
+    resend_s: tuple[float, float] = (1.0, 300.0)
+    """First and longest pause before a message is tried again. [s; judgement]"""
+    set_aside: int = 10
+    """Refusals of a message after which those behind it are tried. [count; 13 minutes, the longest pause is reached]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +144,7 @@ def send_test(urls: Sequence[str], beats: Sequence[str], site: str) -> list[Tria
 
     def deliver(job: tuple[str, Mapping[str, Any]]) -> Trial:
         begun_s = time.monotonic()
-        code = _Process().run(job[1])
+        code = DeliveryProcess().run(job[1])
         return Trial(job[0], code, round(time.monotonic() - begun_s, 2))
 
     with ThreadPoolExecutor(len(jobs) or 1) as pool:
@@ -153,11 +174,20 @@ class AddressWorker:
         Largest number of messages in an hour; half of them are kept for urgent ones.
     clock : callable
         Monotonic clock, s.
+    deliveries : Deliveries
     """
 
     def __init__(
-        self, url: str, number: int, outbox: Outbox, site: str, most_per_hour: int, clock: Callable[[], float]
+        self,
+        url: str,
+        number: int,
+        outbox: Outbox,
+        site: str,
+        most_per_hour: int,
+        clock: Callable[[], float],
+        deliveries: Deliveries = Deliveries(),
     ) -> None:
+        self._deliveries = deliveries
         self._url, self._outbox, self._site, self._clock = url, outbox, site, clock
         self.key = hashlib.sha256(url.encode()).hexdigest()[:12]
         self.number, self.most_per_hour = number, most_per_hour
@@ -170,7 +200,7 @@ class AddressWorker:
         self._sent_s: deque[float] = deque()
         self._closing = False
         self._busy = Busy(clock)
-        self._process = _Process()
+        self._process = deliveries.new()
         self._thread = background(self._work, f"notify {number}")
         self._thread.start()
 
@@ -213,7 +243,7 @@ class AddressWorker:
         while (message := self._next()) is not None:
             began_s = self._clock()
             with self._busy:
-                is_delivered = self._process.deliver(self._job(message))
+                is_delivered = self._process.run(self._job(message)) == 0
             if is_delivered:
                 self._sent_s.append(began_s)
                 self._due_s = self._wait_s = 0.0
@@ -266,11 +296,12 @@ class AddressWorker:
         is refused as well the address takes none, and all keep their order.
         """
         first_attempt = message.id != self._tried_id
-        self._wait_s = _RESEND_S[0] if first_attempt else min(max(_RESEND_S[0], 2.0 * self._wait_s), _RESEND_S[1])
+        first_s, longest_s = self._deliveries.resend_s
+        self._wait_s = first_s if first_attempt else min(max(first_s, 2.0 * self._wait_s), longest_s)
         self._tried_id, self._due_s = message.id, self._clock() + self._wait_s
         self._refusals[message.id] = refusals = self._refusals.get(message.id, 0) + 1
-        if message.id in self._aside_until_s or (refusals >= _SET_ASIDE and self._may_set_aside):
-            self._aside_until_s[message.id] = self._clock() + _RESEND_S[1]
+        if message.id in self._aside_until_s or (refusals >= self._deliveries.set_aside and self._may_set_aside):
+            self._aside_until_s[message.id] = self._clock() + longest_s
             self._may_set_aside = False
         if self._failing_since_s is None:
             self._failing_since_s = began_s
@@ -302,9 +333,15 @@ class HeartbeatWorker:
         Returns whether an address takes no messages.
     clock : callable
         Monotonic clock, s.
+    deliveries : Deliveries
     """
 
-    def __init__(self, blocked: Callable[[], bool], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        blocked: Callable[[], bool],
+        clock: Callable[[], float] = time.monotonic,
+        deliveries: Deliveries = Deliveries(),
+    ) -> None:
         self._blocked, self._clock = blocked, clock
         self._url: str | None = None
         self._blocked_url: str | None = None
@@ -315,7 +352,7 @@ class HeartbeatWorker:
         self._failing_since_s: float | None = None
         self._stopped = False
         self._changed = threading.Condition()
-        self._process = _Process()
+        self._process = deliveries.new()
         self._thread: threading.Thread | None = None
 
     @property
@@ -355,7 +392,7 @@ class HeartbeatWorker:
         """Send heartbeats until stopped (the thread's work)."""
         while (url := self._next()) is not None:
             began_s = self._clock()
-            if self._process.deliver({"url": url}):
+            if self._process.run({"url": url}) == 0:
                 self._due_s, self._failing_since_s = began_s + self._every_s, None
                 continue
             if self._failing_since_s is None and not self._stopped:

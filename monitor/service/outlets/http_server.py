@@ -55,6 +55,8 @@ class Bounds:
     """Largest share of a core's time that answers take: after costly ones the next connection waits longer."""
     waiting: int = _MAX_CONNECTIONS
     """Number of connections that the system keeps until they are accepted."""
+    rest_s: float = _REST_S
+    """Pause where the system has no room for a connection, s."""
 
 
 class HttpServer:
@@ -107,6 +109,11 @@ class HttpServer:
         self._thread = threading.Thread(target=self._work, name="http", daemon=True)
         self._thread.start()
 
+    @property
+    def connections(self) -> int:
+        """Number of open connections."""
+        return len(self._serving)
+
     def close(self, timeout_s: float) -> None:
         """Stop listening and close all connections."""
         with contextlib.suppress(RuntimeError):  # the loop has ended before
@@ -141,7 +148,7 @@ class HttpServer:
                 if not refused:
                     _log.error("http: no connection can be accepted: %s", error.strerror or error)
                 refused = True
-                await asyncio.sleep(_REST_S)
+                await asyncio.sleep(self._bounds.rest_s)
                 continue
             refused = False
             if len(self._serving) >= self._bounds.connections:

@@ -20,12 +20,11 @@ from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Reque
 from monitor.service.threads import Chores
 
 _log = logging.getLogger(__name__)
-_EVERY_S = 0.5
 _MOST = 64
 
 
 class Inbox(Outlet):
-    """Read the operators' requests from a folder, at most twice a second.
+    """Read the operators' requests from a folder, by default at most twice a second.
 
     A file is removed only after its request was applied, so that a request interrupted by a power cut is applied again.
     Applying a request twice has the same effect as once, because every request states the wanted result.  A request that
@@ -40,10 +39,18 @@ class Inbox(Outlet):
     worker : Chores, optional
         Worker in whose thread files are read and removed, so that `take_requests` waits for no disk; without one they are at
         once.
+    every_s : float
+        Shortest time from one look at the folder to the next, s.
     """
 
-    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic, worker: Chores | None = None) -> None:
-        self._folder, self._clock, self._worker = folder, clock, worker
+    def __init__(
+        self,
+        folder: Path,
+        clock: Callable[[], float] = time.monotonic,
+        worker: Chores | None = None,
+        every_s: float = 0.5,
+    ) -> None:
+        self._folder, self._clock, self._worker, self._every_s = folder, clock, worker, every_s
         self._polled_s = float("-inf")
         self._limit = RateLimit(clock)
         self._looking = False
@@ -64,7 +71,7 @@ class Inbox(Outlet):
     def take_requests(self) -> Sequence[Request]:
         """Return the requests that were read; the folder is looked at again if none waits."""
         now = self._clock()
-        if not self._found and not self._looking and now - self._polled_s >= _EVERY_S:
+        if not self._found and not self._looking and now - self._polled_s >= self._every_s:
             self._polled_s, self._looking = now, True
             self._run("look", self._look)
         if self._looking:

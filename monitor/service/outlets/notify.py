@@ -24,7 +24,7 @@ from monitor.core import Busy, WindowResult, missing_extra
 from monitor.events import Event
 from monitor.service.outlets import notices
 from monitor.service.outlets.base import Outlet
-from monitor.service.outlets.delivery_workers import AddressWorker, HeartbeatWorker
+from monitor.service.outlets.delivery_workers import AddressWorker, Deliveries, HeartbeatWorker
 from monitor.service.outlets.notices import NoticeSettings
 from monitor.service.outlets.outbox import Outbox
 from monitor.service.threads import background
@@ -39,6 +39,7 @@ _UNKNOWN_URL = (
     "mailtos://USER:PASSWORD@HOST?from=ADDRESS&to=ADDRESS, both addresses in full"
 )
 """What is said of an address that cannot be used; the address itself may hold secrets. [words]"""
+_DELIVERIES = Deliveries()
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 
 
@@ -140,6 +141,7 @@ class Notifier(Outlet):
         File of the outbox.
     clock : callable
         Monotonic clock, s.
+    deliveries : Deliveries
     """
 
     def __init__(
@@ -149,11 +151,12 @@ class Notifier(Outlet):
         to: Addresses,
         place: Path,
         clock: Callable[[], float] = time.monotonic,
+        deliveries: Deliveries = _DELIVERIES,
     ) -> None:
-        self._site, self._place, self._clock = site, place, clock
+        self._site, self._place, self._clock, self._deliveries = site, place, clock, deliveries
         self._settings, self._to = settings, to
         self._workers: dict[str, AddressWorker] = {}
-        self._heartbeat = HeartbeatWorker(lambda: any(w.blocked for w in self._workers.values()), clock)
+        self._heartbeat = HeartbeatWorker(lambda: any(w.blocked for w in self._workers.values()), clock, deliveries)
         self._outbox: Outbox | None = None
         self._saving = Busy(clock)
         self._data_s = clock()
@@ -237,7 +240,9 @@ class Notifier(Outlet):
         before, workers = dict(self._workers), dict[str, AddressWorker]()
         for number, url in enumerate(self._to.urls, start=1):
             most = self._settings.most_per_hour
-            worker = before.pop(url, None) or AddressWorker(url, number, outbox, self._site, most, self._clock)
+            worker = before.pop(url, None) or AddressWorker(
+                url, number, outbox, self._site, most, self._clock, self._deliveries
+            )
             worker.number, worker.most_per_hour = number, most
             workers[url] = worker
         self._workers = workers  # at once: the heartbeat's thread reads it

@@ -24,8 +24,6 @@ LEAST_TOKEN = 16
 """Least number of characters of a token, which then cannot be guessed at the rate of requests. [1; judgement]"""
 _BOUNDS = Bounds(connections=32, per_s=50.0, connection_s=10.0, waiting=128)
 """What readers may cost: a page makes ten requests when it is opened, then one every five seconds. [none; judgement]"""
-_MOST_WAITING = 4096
-"""Number of results that wait for the page's thread. [1; judgement: an hour of windows a second]"""
 _MOST_SUMMARY_BYTES = 16 << 20
 """Largest size of a summary.json that is read. [B; judgement]"""
 
@@ -64,6 +62,8 @@ class WebPage(Outlet):
         What readers must show; None if anyone may read.
     out : Path
         Output folder of the daemon, from which the past is read.
+    most_waiting : int
+        Number of results that wait for the page's thread: an hour of windows a second.
 
     Attributes
     ----------
@@ -71,7 +71,10 @@ class WebPage(Outlet):
         Address of the page; None until it listens.
     """
 
-    def __init__(self, site: str, address: tuple[str, int], token: str | None, out: Path) -> None:
+    def __init__(
+        self, site: str, address: tuple[str, int], token: str | None, out: Path, most_waiting: int = 4096
+    ) -> None:
+        self._most_waiting = most_waiting
         self.url: str | None = None
         self._host, self._port = address
         self._out = out
@@ -131,7 +134,7 @@ class WebPage(Outlet):
 
     def _show(self, job: Callable[[], None]) -> None:
         """Queue what changes the snapshots, for the page's own thread."""
-        if len(self._waiting) >= _MOST_WAITING:
+        if len(self._waiting) >= self._most_waiting:
             self._dropped += 1
             return
         self._waiting.append(job)

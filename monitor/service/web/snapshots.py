@@ -25,20 +25,10 @@ from monitor.damage import Assessment, State, outdated
 from monitor.publish import EVENTS, closed_files, read_line, read_lines
 from monitor.service.status import troubles_of
 
-MOST_WINDOWS = 20_000
-"""Number of windows kept; beyond it every second one of the older half is dropped. [1; cost: about 12 MB]"""
 DEFAULT_LIMIT = 500
 """Number of windows in an answer where the request names none. [1; judgement: about the points that a chart can show]"""
 MOST_IN_ANSWER = 2_000
 """Largest number of windows in an answer. [1; cost: about 1 MB, and 25 ms to compress it]"""
-_MOST_ITEMS = 200
-"""Number of latest events, findings and alarms kept. [1; judgement]"""
-_TAIL_BYTES = 64 << 20
-"""Bytes at the end of a file of results that are read at the start. [B; cost: a second of reading; about 40 000 windows]"""
-_MOST_READ = 8_000
-"""Number of windows that are read at the start, the latest half of them without gaps. [1; cost: about two seconds]"""
-_MOST_PACKED = 40_000
-"""Number of latest windows taken from a packed month. [1; cost: as many as `_TAIL_BYTES` hold]"""
 _DIGITS = 6
 """Significant digits of the numbers of windows. [1; judgement: finer than any interval]"""
 _SILENT_S = 60.0
@@ -76,6 +66,25 @@ _BULKY = ("floors", "ground", "spectrum")
 
 
 @dataclass(frozen=True, slots=True)
+class Keep:
+    """How much of the past is kept, and read at the start."""
+
+    windows: int = 20_000
+    """Number of windows; beyond it every second one of the older half is dropped. [1; cost: about 12 MB]"""
+    items: int = 200
+    """Number of latest events, findings and alarms. [1; judgement]"""
+    tail_bytes: int = 64 << 20
+    """Bytes at the end of a file of results that are read. [B; cost: a second of reading; about 40 000 windows]"""
+    read: int = 8_000
+    """Number of windows that are read, the latest half of them without gaps. [1; cost: about two seconds]"""
+    packed: int = 40_000
+    """Number of latest windows taken from a packed month. [1; cost: as many as `tail_bytes` hold]"""
+
+
+KEEP = Keep()
+
+
+@dataclass(frozen=True, slots=True)
 class Answer:
     """JSON of an endpoint."""
 
@@ -93,10 +102,11 @@ class Snapshots:
         Name of the site.
     clock : callable
         Seconds of a clock that never goes back.
+    keep : Keep
     """
 
-    def __init__(self, site: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self._site, self._clock = site, clock
+    def __init__(self, site: str, clock: Callable[[], float] = time.monotonic, keep: Keep = KEEP) -> None:
+        self._site, self._clock, self._keep = site, clock, keep
         self._lock = threading.Lock()
         self._begun = time.time_ns()  # in every tag, so that none of an earlier run is taken for one of this run
         self._revisions = dict.fromkeys(("status", "windows", "events", "findings", "alarms", "sensors"), 0)
@@ -136,8 +146,8 @@ class Snapshots:
                     self._windows[place - 1] = row
                 else:
                     insort(self._windows, row, key=itemgetter(0))
-                if len(self._windows) > MOST_WINDOWS:
-                    del self._windows[: MOST_WINDOWS // 2 : 2]
+                if len(self._windows) > self._keep.windows:
+                    del self._windows[: self._keep.windows // 2 : 2]
                 self._touch("windows")
 
     def event(self, line: Mapping[str, Any]) -> None:
@@ -146,7 +156,7 @@ class Snapshots:
         with self._lock:
             known = self._events.get(line["id"])
             if known is None or _revision(line) >= _revision(known):
-                self._events = _latest({**self._events, line["id"]: brief}, "t_begin_ns")
+                self._events = _latest({**self._events, line["id"]: brief}, "t_begin_ns", self._keep.items)
                 self._touch("events")
 
     def finding(self, finding: Mapping[str, Any]) -> None:
@@ -154,7 +164,7 @@ class Snapshots:
         place, brief = (finding.get("t_ns"), finding.get("from_ns")), {key: finding.get(key) for key in FINDING_KEYS}
         with self._lock:
             if self._findings.get(place) != brief:
-                self._findings = _latest({**self._findings, place: brief}, "t_ns")
+                self._findings = _latest({**self._findings, place: brief}, "t_ns", self._keep.items)
                 self._touch("findings")
 
     def health(self, line: Mapping[str, Any]) -> None:
@@ -229,7 +239,7 @@ class Snapshots:
         """Write the latest alarm episodes, the newest first."""
         with self._lock:
             return self._answer(
-                "alarms", {"alarms": list(islice(reversed(self._summary.get("alarms") or ()), _MOST_ITEMS))}
+                "alarms", {"alarms": list(islice(reversed(self._summary.get("alarms") or ()), self._keep.items))}
             )
 
     def sensors_answer(self) -> Answer:
@@ -258,32 +268,37 @@ class Snapshots:
         return Answer(text.encode(), self._etag(name, more))
 
 
-def latest_windows(out: Path) -> Iterator[dict[str, Any]]:
+def latest_windows(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
     """Read the latest windows that an output folder holds, oldest first; what is damaged is left out.
 
-    Read are the end of results.jsonl and, where it holds less than `_MOST_READ` windows, of the last closed month.  Of more
+    Read are the end of results.jsonl and, where it holds less than `Keep.read` windows, of the last closed month.  Of more
     than so many the latest half is given, and of the older ones every k-th.
     """
-    rows = _tail(out / "results.jsonl")
+    rows = _tail(out / "results.jsonl", keep.tail_bytes)
     closed = closed_files(out)[-1:]
-    if len(rows) < _MOST_READ and closed:
+    if len(rows) < keep.read and closed:
         before: Iterable[bytes] = ()
         try:
-            before = deque(read_lines(closed[0]), _MOST_PACKED) if closed[0].suffix == ".zst" else _tail(closed[0])
+            before = (
+                deque(read_lines(closed[0]), keep.packed)
+                if closed[0].suffix == ".zst"
+                else _tail(closed[0], keep.tail_bytes)
+            )
         except (OSError, BadInputError):
             before = ()
         rows = [*before, *rows]
-    newest, older = rows[-(_MOST_READ // 2) :], rows[: -(_MOST_READ // 2)]
-    for row in (*older[:: math.ceil(len(older) / (_MOST_READ // 2)) or 1], *newest):
+    half = keep.read // 2
+    newest, older = rows[-half:], rows[:-half]
+    for row in (*older[:: math.ceil(len(older) / half) or 1], *newest):
         try:
             yield read_line(row)
         except ValueError:
             continue
 
 
-def latest_events(out: Path) -> Iterator[dict[str, Any]]:
+def latest_events(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
     """Read the lines of events.jsonl in an output folder; what is damaged is left out."""
-    for row in _tail(out / EVENTS):
+    for row in _tail(out / EVENTS, keep.tail_bytes):
         try:
             line = parse_json(row)
         except ValueError:
@@ -292,16 +307,16 @@ def latest_events(out: Path) -> Iterator[dict[str, Any]]:
             yield line
 
 
-def _tail(path: Path) -> list[bytes]:
-    """Read the whole lines at the end of a file; none if it cannot be read."""
+def _tail(path: Path, most_bytes: int) -> list[bytes]:
+    """Read the whole lines in the last `most_bytes` of a file; none if it cannot be read."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - _TAIL_BYTES))
-            rows = file.read(_TAIL_BYTES).split(b"\n")[:-1]
+            file.seek(max(0, size - most_bytes))
+            rows = file.read(most_bytes).split(b"\n")[:-1]
     except OSError:
         return []
-    return rows[1:] if size > _TAIL_BYTES else rows
+    return rows[1:] if size > most_bytes else rows
 
 
 def _window(line: Mapping[str, Any]) -> dict[str, Any]:
@@ -331,7 +346,7 @@ def _revision(line: Mapping[str, Any]) -> int:
     return revision if isinstance(revision, int) else -1
 
 
-def _latest(items: dict[Any, dict[str, Any]], time_key: str) -> dict[Any, dict[str, Any]]:
-    """Keep the latest items, the newest first."""
+def _latest(items: dict[Any, dict[str, Any]], time_key: str, most: int) -> dict[Any, dict[str, Any]]:
+    """Keep the latest items, at most so many, the newest first."""
     newest = sorted(items.items(), key=lambda item: item[1].get(time_key) or 0, reverse=True)
-    return dict(newest[:_MOST_ITEMS])
+    return dict(newest[:most])
