@@ -85,7 +85,7 @@ def test_an_accepted_sensor_fault_no_longer_moves_the_index(fault: str, tmp_path
     common |= {"t0_ns": T0_NS, "temperature": None}
     write_simulated_recording(healthy, config, duration_s=600.0, effects=[], seed=1, **common)
     write_simulated_recording(faulty, config, duration_s=250.0, effects=[fault], seed=2, **common)
-    save_baseline(calibrate([healthy], config)[0], tmp_path / "b.json")
+    save_baseline(calibrate.calibrate([healthy], config)[0], tmp_path / "b.json")
 
     def index(path: Path) -> list[WindowResult]:
         settings = load_config(path)

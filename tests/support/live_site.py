@@ -61,13 +61,13 @@ class Live:
     def close(self) -> None: ...
 
 
-def daemon(site: Path, stream: Path, position: Path, pace_s: float, missed: int) -> None:
-    """Monitor the stream until the process is told to end."""
+def daemon(site: Path, stream: Path, position: Path, pace_s: float, missed: int, quiet_s: float | None = None) -> None:
+    """Monitor the stream until the process is told to end; without data, health is told every `quiet_s`."""
     settings = configuration.load(site)
     logs.begin(settings.log, settings.site_name)
     source = Live(np.load(stream), position, pace_s, missed)
     with threadpool_limits(limits=1):
-        Daemon(site, source).run()
+        Daemon(site, source, **({} if quiet_s is None else {"quiet_s": quiet_s})).run()
 
 
 class LiveDaemon(Forked):
@@ -104,8 +104,8 @@ def save_stream(folder: Path, floors: np.ndarray) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    site, stream, position, pace_s, missed = arguments
-    daemon(Path(site), Path(stream), Path(position), float(pace_s), int(missed))
+    site, stream, position, pace_s, missed, *quiet_s = arguments
+    daemon(Path(site), Path(stream), Path(position), float(pace_s), int(missed), *map(float, quiet_s))
 
 
 if __name__ == "__main__":
