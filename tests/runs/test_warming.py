@@ -9,13 +9,16 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, configuration
-from monitor.runs.warming import warm_up
+from monitor.model import simulate
+from monitor.runs import warm_up
 from monitor.service import Daemon
 from monitor.service import daemon as daemon_module
-from tests.support.samples import Cli
+from tests.support.samples import Cli, Cut
 from tests.support.site import SITE, Scripted, health
 
 ROOT = Path(__file__).parents[2]
@@ -41,24 +44,34 @@ warm = compiled()
 session = Session(settings, known, (), None, Path(folder))
 for block in read_recordings([Path(recording)]):
     session.push(block)
-print(json.dumps([warm, compiled(), session.windows]))
+print(json.dumps([warm, compiled(), session.windows, session.present.state]))
 """
 
 
 @pytest.mark.parametrize("with_baseline", [False, True])
-def test_no_window_compiles_anything(main: Cli, tmp_path: Path, with_baseline: bool) -> None:
-    """In a process of its own: here other tests have compiled everything already."""
-    structure, baseline = RECORDINGS / "frame.toml", ""
+def test_no_window_compiles_anything(
+    main: Cli, tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut, with_baseline: bool
+) -> None:
+    """Up to an alarm; in a process of its own: here other tests have compiled everything already."""
+    structure, recording, baseline = tmp_path / "frame.toml", tmp_path / "r.mcap", ""
+    structure.write_text(frame_text + "[alarm]\nconfirm_s = 5.0\n")
+    healthy = configuration.load(structure).model()
+    damaged = healthy.with_stiffness(healthy.structure.stiffness_n_per_m * [1.0, 0.7, 1.0])
+    lost = simulate(damaged, duration_s=60.0, rate_hz=128.0, noise=0.03, seed=7).floors
+    for place, values in ((tmp_path / "healthy.mcap", record), (recording, np.concatenate([record, lost]))):
+        with McapWriter(place) as writer:
+            for block in cut(values, 128.0):
+                writer.write(block)
     if with_baseline:
         baseline = str(tmp_path / "baseline.json")
-        done = main("calibrate", RECORDINGS / "frame-healthy.mcap", "--structure", structure, "--out", baseline)
+        done = main("calibrate", tmp_path / "healthy.mcap", "--structure", structure, "--out", baseline)
         assert done.returncode == 0, done.stderr
-    arguments = [str(structure), str(RECORDINGS / "frame-after.mcap"), baseline, str(tmp_path)]
+    arguments = [str(structure), str(recording), baseline, str(tmp_path)]
     done = subprocess.run(
         [sys.executable, "-c", COUNT, *arguments], capture_output=True, text=True, cwd=ROOT, check=True
     )
-    warm, after, windows = json.loads(done.stdout)
-    assert windows > 0 and len(warm) > 10
+    warm, after, windows, state = json.loads(done.stdout)
+    assert windows > 10 and len(warm) > 10 and (state == "alarm") is with_baseline
     assert after == warm
     assert not with_baseline or "monitor.damage.kernels.beside_each_other" in warm
 
@@ -66,7 +79,7 @@ def test_no_window_compiles_anything(main: Cli, tmp_path: Path, with_baseline: b
 def test_a_window_of_each_kind_is_judged() -> None:
     """With and without refinement; without a site file those of a small frame."""
     assert warm_up() == 6
-    assert warm_up(configuration.load(RECORDINGS / "frame.toml")) >= 2
+    assert warm_up(configuration.load(RECORDINGS / "mini-shake-table-flexible.toml")) >= 2
 
 
 def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_starts(
