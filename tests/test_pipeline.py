@@ -22,8 +22,7 @@ from monitor.identification import SelectionSettings
 from monitor.model import MatrixStructure, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Summary, to_json, window_line
-from monitor.runs import cut_into_blocks
-from monitor.runs.calibrate import with_common_modes
+from monitor.runs import calibrate, cut_into_blocks
 from tests.support.learned import configured, learned, results_of
 from tests.support.samples import T0_NS, Cut
 from tests.support.two_directions import HEALTHY, two_directions
@@ -505,9 +504,9 @@ def test_a_baseline_keeps_what_half_of_its_windows_show_of_the_lowest_modes_and_
         return WindowResult(0, 0, 60.0, modes, None, None, Alarm(Level.NORMAL, (), ""), None)
 
     healthy = [window(0, 1, 3), window(0, 1, 3), window(0, 3), window(0, 1, 2)]
-    kept = with_common_modes(healthy, required=2)
+    kept = calibrate.with_common_modes(healthy, required=2)
     assert [w.modes.model_mode.tolist() for w in kept if w.modes is not None] == [[0, 1]] * 3
-    seldom = with_common_modes([window(0, 1), window(0), window(0)], required=2)
+    seldom = calibrate.with_common_modes([window(0, 1), window(0), window(0)], required=2)
     assert [w.modes.model_mode.tolist() for w in seldom if w.modes is not None] == [[0]] * 3
 
 

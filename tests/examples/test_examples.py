@@ -11,7 +11,6 @@ import pytest
 from drivers import registry
 from drivers.base import SourceContext
 from monitor.config import Configuration, configuration
-from monitor.config.configuration import make_source
 from monitor.core import Alarm, Level, Skipped, WindowResult
 from monitor.diagnosis import in_words
 from monitor.diagnosis.wording import separating_measurement
@@ -37,7 +36,7 @@ def test_the_driver_feeds_the_daemon(tmp_path: Path, frame_text: str) -> None:
     (tmp_path / "site.toml").write_text(site + frame_text)
     Daemon(tmp_path / "site.toml").run()
     assert len((tmp_path / "out/results.jsonl").read_text().splitlines()) == 5
-    source = make_source({"kind": "sine", "frequency_hz": 5.0}, SourceContext(("a1",)))
+    source = configuration.make_source({"kind": "sine", "frequency_hz": 5.0}, SourceContext(("a1",)))
     assert isinstance(source, SineSource)
     block = source.read(1.0)
     assert block is not None

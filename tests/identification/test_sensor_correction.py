@@ -5,16 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor.config.configuration import load as load_config
+from drivers.mcap_file import read_recordings
+from monitor.config import configuration
 from monitor.core import ModalEstimate, WindowResult
 from monitor.damage import load_baseline, save_baseline
 from monitor.identification import SubArray
 from monitor.identification.sensor_correction import correct_modes, seen_by_sensors
 from monitor.model import Context, ShearFrame, parse_effect
 from monitor.pipeline import Pipeline
-from monitor.runs import calibrate
-from monitor.runs.recordings import read_blocks
-from monitor.runs.synthetic_recording import write_simulated_recording
+from monitor.runs import calibrate, synthetic_recording
 from tests.support.samples import T0_NS
 
 CONTEXT = Context(ShearFrame(np.ones(3), 1000.0 * np.ones(3), 0.01), ("a1", "a2", "a3"), np.eye(3), 100.0)
@@ -79,18 +78,18 @@ def test_an_accepted_sensor_fault_no_longer_moves_the_index(fault: str, tmp_path
     extended.write_text(
         f'{text}[[effects]]\neffect = "{effect.name}"\nlocation = "{effect.location}"\n[effects.parameters]\n{rows}'
     )
-    config = load_config(plain)
+    config = configuration.load(plain)
     healthy, faulty = tmp_path / "healthy.mcap", tmp_path / "faulty.mcap"
     common = {"excitation": "ambient", "noise": 0.05, "damage": [], "rate_hz": 200.0, "level_spread": 0.0}
     common |= {"t0_ns": T0_NS, "temperature": None}
-    write_simulated_recording(healthy, config, duration_s=600.0, effects=[], seed=1, **common)
-    write_simulated_recording(faulty, config, duration_s=250.0, effects=[fault], seed=2, **common)
-    save_baseline(calibrate([healthy], config)[0], tmp_path / "b.json")
+    synthetic_recording.write_simulated_recording(healthy, config, duration_s=600.0, effects=[], seed=1, **common)
+    synthetic_recording.write_simulated_recording(faulty, config, duration_s=250.0, effects=[fault], seed=2, **common)
+    save_baseline(calibrate.calibrate([healthy], config)[0], tmp_path / "b.json")
 
     def index(path: Path) -> list[WindowResult]:
-        settings = load_config(path)
+        settings = configuration.load(path)
         pipeline = Pipeline(settings, load_baseline(tmp_path / "b.json", settings.instrumented(), settings.updating))
-        found = (r for block in read_blocks([faulty], settings, print) for r in pipeline.push(block))
+        found = (r for block in read_recordings([faulty]) for r in pipeline.push(block))
         return [r for r in found if isinstance(r, WindowResult)]
 
     for result in index(extended):

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -34,7 +34,6 @@ from monitor.damage import Assessment, LearnedRange, State
 from monitor.model import Model, ShearFrame, simulate
 from monitor.publish.viewer import layout, picture
 from monitor.publish.viewer import scene as rerun_scene
-from monitor.publish.viewer.layout import _healthy, _trust
 from monitor.publish.viewer.mode_shapes import expand_shape
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.publisher import RerunPublisher
@@ -42,12 +41,12 @@ from monitor.publish.viewer.scene import Scene, loss_colour, make_scene
 from monitor.publish.viewer.spectra import predict_power
 from monitor.publish.viewer.state import StateDrawing, state_markdown
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
-from monitor.signals import Health
-from monitor.signals.sensor_health import ChannelHealth
+from monitor.signals import Health, sensor_health
 from tests.examples.beam import bridge
 from tests.support.event_pages import told as shaken_event
 from tests.support.strangers import listening
 from tests.support.viewer_results import SCENE, T0, window
+from tests.support.waiting import until
 
 
 def second(k: int, n: int = 100) -> Samples:
@@ -273,8 +272,7 @@ def test_a_hung_viewer_costs_drops_not_time(tmp_path: Path, stuck: threading.Eve
     assert time.monotonic() - began < 1.0
     assert view.failed == "not finished within 0.3 s"
     stuck.set()
-    view._worker._thread.join(10.0)
-    assert list(tmp_path.iterdir()) == [], "neither the name nor the partial file"
+    until(lambda: list(tmp_path.iterdir()) == [], "neither the name nor the partial file")
 
 
 def test_lossless_waits_for_a_slow_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,12 +349,15 @@ def test_serves_over_ipv6_too() -> None:
         pytest.skip("no IPv6 here")
     view = RerunPublisher(SCENE, file=None, serve=parse_address(f"[::1]:{port}"), lossless=False)
     view.window(window(0), "")
-    until, reached = time.monotonic() + 20, False
-    while not reached and time.monotonic() < until:
+
+    def reached() -> bool:
         with contextlib.suppress(OSError), socket.create_connection(("::1", port), timeout=1.0):
-            reached = True
+            return True
+        return False
+
+    until(reached, "a connection", 20.0)
     view.close()
-    assert reached and not view.failed
+    assert not view.failed
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux's /proc/net/tcp")
@@ -365,9 +366,7 @@ def test_serves_only_where_told_and_stops() -> None:
         port = probe.getsockname()[1]
     view = RerunPublisher(SCENE, file=None, serve=("127.0.0.1", port), lossless=False)
     view.window(window(0), "")
-    until = time.monotonic() + 20
-    while not listening(port) and time.monotonic() < until:
-        time.sleep(0.05)
+    until(lambda: listening(port), "a server", 20.0)
     assert listening(port) == {"0100007F"}
     view.close(20.0)
     assert view.failed is None
@@ -399,7 +398,9 @@ FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.45, 
 def test_sensors_clocks_and_verdicts_are_shown(tmp_path: Path) -> None:
     file = tmp_path / "live.rrd"
     view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
-    channels = tuple(ChannelHealth(c, 0.0, 1.0 + i, 3.0, 0, 0.0, 0.25, 1e-4) for i, c in enumerate(SCENE.channels))
+    channels = tuple(
+        sensor_health.ChannelHealth(c, 0.0, 1.0 + i, 3.0, 0, 0.0, 0.25, 1e-4) for i, c in enumerate(SCENE.channels)
+    )
     view.health(Health(T0, T0 + 10**10, 100.0, 990, 0.99, 1, 0.1, 0, channels))
     view.clocks(T0 + 10**10, [ClockHealth("node 7", 0.002, 12.0, 1.0, 0)])
     view.finding({"t_ns": T0 + 10**10, "verdict": "ambiguous", "says": "story 1 or 2", "reason": "warning",
@@ -442,7 +443,7 @@ def test_a_covariate_is_shown_beside_the_range_that_was_learned(tmp_path: Path) 
     assert {path.rsplit("/", 1)[1]: value for path, value in found.items()} == {
         "value": [pytest.approx(1e-5)], "low": [1e-6], "high": [3e-6],
     }  # fmt: skip
-    assert "/trust/covariate/level" in _origins(_trust(scene))
+    assert "/trust/covariate/level" in _origins(_tabs(scene)[1])
 
 
 def test_the_models_spectrum_lies_on_a_simulated_one(tmp_path: Path) -> None:
@@ -609,10 +610,14 @@ def test_without_nodes_matrices_are_a_list_of_their_stiffnesses(tmp_path: Path) 
 
 @pytest.mark.parametrize("n", [1, 3, 8])
 def test_every_mode_has_an_axis_of_its_own(n: int) -> None:
-    origins = _origins(_healthy(replace(SCENE, n_modes=n)))
+    origins = _origins(_tabs(replace(SCENE, n_modes=n))[0])
     assert [o for o in origins if o.startswith("/modes/frequency")] == [
         f"/modes/frequency/{i}" for i in range(1, n + 1)
     ]
+
+
+def _tabs(scene: Scene) -> list[Any]:
+    return list(layout.blueprint(scene, page=1).root_container.contents)
 
 
 def _origins(view: object) -> list[str]:
@@ -626,7 +631,7 @@ def test_colours_do_not_repeat_within_a_dozen() -> None:
 
 
 def test_the_page_of_trust_says_the_state_and_whether_something_makes_it_doubtful() -> None:
-    trust = layout.blueprint(SCENE, page=1).root_container.contents[1]
+    trust = _tabs(SCENE)[1]
     shown = trust.contents[0].contents[0].contents
     assert [view.origin for view in shown] == ["/state", "/verdict"]
     sure, doubtful = (Assessment(State.ALARM, "Story 2 lost 11 %.", doubts) for doubts in ((), ("A gap.",)))

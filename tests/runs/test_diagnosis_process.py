@@ -12,7 +12,6 @@ import pytest
 from drivers.base import SampleBlock
 from monitor.core import Alarm, Level, Skipped, StiffnessEstimate, WindowResult
 from monitor.diagnosis import Request, WatchSettings, trigger
-from monitor.diagnosis.trigger import WatchState
 from monitor.runs.diagnosis_process import DiagnosisQueue
 from monitor.runs.online_diagnosis import RecentBlocks
 from tests.support.samples import T0_NS, Cut
@@ -30,7 +29,7 @@ def window(t_s: float, level: Level = Level.NORMAL, misfit: float = 1.0) -> Wind
 def requests(results: list[WindowResult], settings: WatchSettings | None = None) -> list[Request]:
     """What a run of windows asks for, its end included."""
     settings = settings or WatchSettings()
-    state, out, t_ns = WatchState(), [], 0
+    state, out, t_ns = trigger.WatchState(), [], 0
     for result in results:
         state, request = trigger.step(state, result, settings, WINDOW_S)
         out.append(request)

@@ -61,7 +61,7 @@ def joined(blocks: list[SampleBlock]) -> np.ndarray:
 
 def can_sink(server: SocketcandServer) -> emulate.CanSink:
     layouts = frames.load(DEPLOY / "frame.dbc", CHANNELS)
-    return emulate.CanSink(layouts, emulate._transmit_over_tcp(server), server.close)
+    return emulate.CanSink(layouts, emulate.transmit_over_tcp(server), server.close)
 
 
 def test_samples_times_and_numbers_arrive_as_they_were(server: SocketcandServer, cut: Cut) -> None:
@@ -70,9 +70,7 @@ def test_samples_times_and_numbers_arrive_as_they_were(server: SocketcandServer,
     readers = [source(server.port) for _ in range(2)]  # two clients of one server
     for reader in readers:
         reader.open()
-    deadline = time.monotonic() + 10
-    while len([s for s in server._raw.values() if s <= time.monotonic()]) < 2 and time.monotonic() < deadline:
-        time.sleep(0.01)
+    assert server.wait_for_client(10.0, clients=2)
     got: list[list[SampleBlock]] = [[], []]
     threads = [threading.Thread(target=lambda at=at: got[at].extend(receive(readers[at]))) for at in range(2)]
     for thread in threads:

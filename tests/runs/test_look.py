@@ -19,7 +19,7 @@ from monitor.model import Model, ShearFrame, simulate
 from monitor.publish import LookedRecording
 from monitor.publish.reports import look_page
 from monitor.runs import compare, look
-from monitor.runs.look import _identify_band
+from monitor.runs.look import identify_band
 
 RATE_HZ, SECONDS = 50.0, 400.0
 FRAME = ShearFrame(np.array([1.0, 1.1, 0.9]), np.array([900.0, 1000.0, 1100.0]), damping_ratio=0.01)
@@ -229,7 +229,7 @@ def test_a_mode_below_the_band_does_not_move_the_lowest_one_in_it() -> None:
     z = []
     for seed in range(6):
         motion = simulate(Model(frame), duration_s=400.0, rate_hz=128.0, noise=0.01, seed=seed)
-        band = _identify_band(motion.floors[:, [0, 1, 3]], 128.0, 128.0, 2.56)
+        band = identify_band(motion.floors[:, [0, 1, 3]], 128.0, 128.0, 2.56)
         assert band is not None and isinstance(band.modes, ModalEstimate)
         modes = band.modes
         k = int(np.abs(modes.frequencies_hz - true_hz).argmin())

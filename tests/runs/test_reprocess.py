@@ -21,7 +21,9 @@ import pyarrow.parquet as pq
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model import simulate
+from monitor.runs.archive import jobs
 from monitor.runs.archive.inventory import Survey, expand_patterns, group_into_runs
+from monitor.runs.archive.jobs import WindowsFile
 from monitor.runs.archive.reprocess import reprocess
 from tests.events.shaken import blocks
 from tests.support.quake import shaken
@@ -201,8 +203,6 @@ def test_what_is_done_is_not_done_again_and_what_changed_is(archive: Path, done:
 def test_an_interrupted_run_leaves_nothing_in_the_dataset(
     archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from monitor.runs.archive import jobs
-
     def fails(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device", "results")
 
@@ -272,14 +272,11 @@ def test_a_cluster_gives_the_same(archive: Path, done: Path, scheduler: str, tmp
 
 def test_memory_holds_a_few_windows_only(archive: Path, done: Path, tmp_path: Path) -> None:
     """Long runs are written in row groups."""
-    from monitor.runs.archive import jobs
-    from monitor.runs.archive.jobs import WindowsFile
-
-    rows = WindowsFile(tmp_path / "x.part", tmp_path / "x.parquet", "s", {})
+    rows = WindowsFile(tmp_path / "x.part", tmp_path / "x.parquet", "s", {}, row_group=4)
     row = lines(ds.dataset(done / "windows").head(1).to_pylist())[0]
-    for _ in range(jobs._ROW_GROUP + 1):
+    for _ in range(9):
         rows.window(None, json.dumps(row))  # type: ignore[arg-type]
-    assert len(rows._lines) == 1
     rows.close()
-    assert pq.ParquetFile(tmp_path / "x.parquet").metadata.num_row_groups == 2
-    assert np.array_equal(pq.read_table(tmp_path / "x.parquet")["window"], [row["window"]] * (jobs._ROW_GROUP + 1))
+    metadata = pq.ParquetFile(tmp_path / "x.parquet").metadata
+    assert [metadata.row_group(k).num_rows for k in range(metadata.num_row_groups)] == [4, 4, 1]
+    assert np.array_equal(pq.read_table(tmp_path / "x.parquet")["window"], [row["window"]] * 9)

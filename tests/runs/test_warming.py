@@ -17,9 +17,9 @@ from monitor.config import Configuration, configuration
 from monitor.model import simulate
 from monitor.runs import warm_up
 from monitor.service import Daemon
-from monitor.service import daemon as daemon_module
 from tests.support.samples import Cli, Cut
 from tests.support.site import SITE, Scripted, health
+from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = ROOT / "recordings"
@@ -91,18 +91,13 @@ def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_start
     said: list[str] = []
 
     def slow(*_: Any) -> int:
-        told.wait(60.0)
+        until(lambda: len(health(tmp_path / "out")) >= 3, "the daemon says that it starts")
+        told.set()
         said.append(capsys.readouterr().err)
         return 0
 
-    class Lines(Daemon):
-        def _tell_start(self) -> None:
-            super()._tell_start()
-            if len(health(tmp_path / "out")) >= 3:
-                told.set()
-
-    monkeypatch.setattr(daemon_module, "warm_up", slow)
-    Lines(site, Scripted([None] * 50), quiet_s=0.05).run()
+    monkeypatch.setattr("monitor.service.daemon.warm_up", slow)
+    Daemon(site, Scripted([None] * 50), quiet_s=0.05).run()
     assert told.is_set() and said == [""] and capsys.readouterr().err == "READY\n"
     first = health(tmp_path / "out")[0]
     assert first["source"]["error"] == "the monitor is starting" and not first["source"]["connected"]
@@ -113,7 +108,7 @@ def test_a_start_goes_on_where_something_cannot_be_compiled(
 ) -> None:
     site = tmp_path / "site.toml"
     site.write_text(SITE + frame_text)
-    monkeypatch.setattr(daemon_module, "warm_up", lambda *_: 1 / 0)
+    monkeypatch.setattr("monitor.service.daemon.warm_up", lambda *_: 1 / 0)
     Daemon(site, Scripted([])).run()
     assert "not all is compiled" in caplog.text
 

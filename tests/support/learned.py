@@ -10,8 +10,7 @@ from monitor.damage import Baseline, learn_baseline
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
-from monitor.runs.calibrate import with_common_modes
+from monitor.runs import calibrate, cut_into_blocks
 
 
 def configured(structure: dict, floors: tuple[int, ...], **tables: object) -> Configuration:
@@ -29,7 +28,7 @@ def results_of(model: Model, settings: Configuration, healthy: Baseline | None, 
 
 def learned(settings: Configuration, truth: Model, seed: int, duration_s: float) -> Baseline:
     judged = [r for r in results_of(truth, settings, None, seed, duration_s) if r.skipped is None]
-    windows = with_common_modes(judged, settings.selection.required_modes)
+    windows = calibrate.with_common_modes(judged, settings.selection.required_modes)
     return learn_baseline(
         settings.instrumented(),
         [r.modes for r in windows],

@@ -21,8 +21,7 @@ from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
 from monitor.model import simulate
-from monitor.runs import cut_into_blocks
-from monitor.runs.synthetic_recording import parse_damage
+from monitor.runs import cut_into_blocks, synthetic_recording
 from tests.support.mosquitto import Broker
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
@@ -188,7 +187,7 @@ def blocks(seconds: float, seed: int, *damage: str) -> list[SampleBlock]:
     """A simulated stream of the shipped site file's frame whose amplitudes the DBC can carry."""
     settings = configuration.load(DEPLOY / "can.toml")
     model = settings.model()
-    model = replace(model, effects=(*model.effects, *map(parse_damage, damage)))
+    model = replace(model, effects=(*model.effects, *map(synthetic_recording.parse_damage, damage)))
     floors = simulate(model, duration_s=seconds, rate_hz=RATE_HZ, noise=0.03, seed=seed).floors
     floors *= _RMS / np.sqrt(np.mean(floors**2))
     return list(cut_into_blocks(ACCELERATION, floors, settings.channels, RATE_HZ, T0_NS, 1024))

@@ -118,12 +118,13 @@ class Endless(Scripted):
 
     def __init__(self, blocks: list[SampleBlock], windows: int) -> None:
         super().__init__(blocks, hold=threading.Event())
-        self._windows = windows
+        self._windows, self._asked = windows, False
         self.daemon: Daemon
 
     def read(self, timeout_s: float) -> SampleBlock | None:
         block = super().read(timeout_s)
-        if block is None and self.daemon.session.windows >= self._windows and not self.daemon._stopping:
+        if block is None and self.daemon.session.windows >= self._windows and not self._asked:
+            self._asked = True
             os.kill(os.getpid(), signal.SIGTERM)
         return block
 
