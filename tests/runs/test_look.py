@@ -17,7 +17,6 @@ from monitor.config import configuration
 from monitor.core import BadInputError, MissingInputError, ModalEstimate, Skipped
 from monitor.model import Model, ShearFrame, simulate
 from monitor.publish import LookedRecording
-from monitor.publish.reports import look_page
 from monitor.runs import compare, look
 from monitor.runs.look import identify_band
 
@@ -126,28 +125,6 @@ def test_the_files_hold_what_was_found(found: LookedRecording, tmp_path: Path) -
     assert any("singular values" in title for title in titles)
     assert len(page.getElementsByTagName("image")) == 3  # spectrograms
     assert "http" not in (tmp_path / "look.html").read_text().replace("http-equiv", "")
-
-
-@pytest.mark.parametrize("n_bins", [150, 268, 401])
-def test_the_rows_of_a_spectrogram_lie_at_their_frequencies(
-    found: LookedRecording, monkeypatch: pytest.MonkeyPatch, n_bins: int
-) -> None:
-    hz, tone = np.arange(n_bins) * 0.125, n_bins // 3
-    power = np.full((4, n_bins, 1), 1e-6)
-    power[:, tone] = 1.0
-    drawn: list[np.ndarray] = []
-    monkeypatch.setattr(look_page, "png", lambda level: drawn.append(level) or b"")
-    shown = replace(found, hz=hz, spectrogram=power, channels=("a1",))
-    chart = minidom.parseString(f"<p>{look_page._spectrograms(shown, float(hz[-1]))}</p>")
-    labels = [
-        (float(text.firstChild.data), float(text.getAttribute("y")) - 4.0)
-        for text in chart.getElementsByTagName("text")
-        if text.getAttribute("text-anchor") == "end" and text.firstChild.data != "time, s"
-    ]
-    slope, at_0 = np.polyfit(*zip(*labels, strict=True), 1)
-    row = int(drawn[0][:, 0].argmax()) + 0.5
-    height = float(chart.getElementsByTagName("image")[0].getAttribute("height")) / len(drawn[0])
-    assert row * height == pytest.approx(slope * hz[tone] + at_0, abs=0.5 * height + 0.1)
 
 
 def test_the_proposed_frame_has_the_true_stiffness_and_is_a_structure_file(
