@@ -403,12 +403,7 @@ def test_modes_that_the_model_cannot_show_give_no_baseline() -> None:
     config = configured(table, (1, 2))
     with pytest.raises(BadInputError, match="cannot be updated"):
         learn_baseline(
-            config.instrumented(),
-            [modes],
-            np.ones(1),
-            (),
-            updating=config.updating,
-            compensation=config.compensation,
+            config.instrumented(), [modes], np.ones(1), (), updating=config.updating, compensation=config.compensation
         )
 
 

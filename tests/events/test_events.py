@@ -19,17 +19,7 @@ from monitor.events.motion import instrumental_intensity, integrated, response_s
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import event_line, event_text, to_json
 from monitor.service.serialization import build, plain
-from tests.events.shaken import (
-    HEIGHTS,
-    RATE,
-    STIFFNESS,
-    T0_NS,
-    Array,
-    Shaken,
-    blocks,
-    configuration,
-    shake,
-)
+from tests.events.shaken import HEIGHTS, RATE, STIFFNESS, T0_NS, Array, Shaken, blocks, configuration, shake
 from tests.support.quake import ground, shaken, true_drifts
 
 WINDOWS = {"processing": {"window_s": 100.0, "hop_s": 50.0}}

@@ -7,9 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from monitor.core import ModalEstimate, Skipped
-from monitor.identification import (
-    fit_single_modes,
-)
+from monitor.identification import fit_single_modes
 from tests.support.shear_response import identified, response, shear_frame
 
 

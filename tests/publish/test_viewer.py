@@ -21,15 +21,7 @@ from scipy.signal import welch
 
 from drivers.base import ClockHealth
 from monitor.config import Configuration, configuration
-from monitor.core import (
-    DamageReading,
-    Gap,
-    Level,
-    ModalEstimate,
-    Samples,
-    WindowResult,
-    parse_address,
-)
+from monitor.core import DamageReading, Gap, Level, ModalEstimate, Samples, WindowResult, parse_address
 from monitor.damage import Assessment, LearnedRange, State
 from monitor.model import Model, ShearFrame, simulate
 from monitor.publish.viewer import layout, picture
