@@ -16,14 +16,16 @@ from hypothesis import strategies as st
 from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import Configuration, configuration
-from monitor.core import Alarm, BadInputError, Gap, Level, ModalEstimate, Samples, UserError, WindowResult
+from monitor.core import BadInputError, Gap, Samples, UserError, WindowResult
 from monitor.damage import alarm, learn_baseline
 from monitor.identification import SelectionSettings
 from monitor.model import MatrixStructure, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Summary, to_json, window_line
 from monitor.runs import calibrate, cut_into_blocks
+from tests.support import results
 from tests.support.learned import configured, learned, results_of
+from tests.support.results import modal_estimate, window_result
 from tests.support.samples import T0_NS, Cut
 from tests.support.two_directions import HEALTHY, two_directions
 
@@ -332,11 +334,11 @@ def test_the_reason_of_an_alarm_names_its_story(
     site: Configuration, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     named = site.structure.model_copy(update={"story_names": ("roof", "middle", "foot")})
-    shelved = Alarm(Level.NORMAL, (), "story 2 shelved: painters")
+    shelved = results.alarm(reason="story 2 shelved: painters")
     monkeypatch.setattr(alarm, "hold", lambda state, t_ns: (state, shelved))
-    results = windows(push(Pipeline(site.model_copy(update={"structure": named})), cut(np.zeros_like(record), RATE)))
-    assert results
-    assert {r.alarm.reason for r in results} == {"story 2 (middle) shelved: painters"}
+    found = windows(push(Pipeline(site.model_copy(update={"structure": named})), cut(np.zeros_like(record), RATE)))
+    assert found
+    assert {r.alarm.reason for r in found} == {"story 2 (middle) shelved: painters"}
 
 
 def directions(stiffness: np.ndarray) -> Configuration:
@@ -390,16 +392,8 @@ def test_modes_that_the_model_cannot_show_give_no_baseline() -> None:
         "stiffness_derivatives": [np.diag([1.0, 0.0]).tolist(), np.diag([0.0, 1.0]).tolist()],
         "stiffness_n_per_m": [1000.0, 1000.0],
     }
-    modes = ModalEstimate(
-        frequencies_hz=np.array([5.0]),
-        damping_ratio=np.array([0.01]),
-        shapes=np.array([[0.9, 1.0]], dtype=complex),
-        model_mode=np.array([0]),
-        deviations=1e-3 * np.ones((4, 1, 6)) * np.array([1.0, -1.0, 1.0, -1.0])[:, None, None],
-        first=0,
-        order=4,
-        poles=np.zeros((0, 4)),
-    )
+    deviations = 1e-3 * np.ones((4, 1, 6)) * np.array([1.0, -1.0, 1.0, -1.0])[:, None, None]
+    modes = modal_estimate([5.0], [[0.9, 1.0]], deviations=deviations)
     config = configured(table, (1, 2))
     with pytest.raises(BadInputError, match="cannot be updated"):
         learn_baseline(
@@ -492,11 +486,9 @@ def test_a_mode_of_another_shape_is_not_taken_for_the_nearest_of_the_model() -> 
 
 def test_a_baseline_keeps_what_half_of_its_windows_show_of_the_lowest_modes_and_nine_in_ten_of_the_others() -> None:
     def window(*model_modes: int) -> WindowResult:
-        shapes = np.ones((len(model_modes), 1), dtype=complex)
-        blocks = np.ones((2, len(model_modes), 4))
-        f, numbers = 1.0 + np.array(model_modes), np.array(model_modes)
-        modes = ModalEstimate(f, 0.01 * f, shapes, numbers, blocks, 0, 4, np.zeros((0, 4)))
-        return WindowResult(0, 0, 60.0, modes, None, None, Alarm(Level.NORMAL, (), ""), None)
+        n, numbers = len(model_modes), np.array(model_modes)
+        modes = modal_estimate(1.0 + numbers, np.ones((n, 1)), model_mode=numbers, deviations=np.ones((2, n, 4)))
+        return window_result(modes=modes)
 
     healthy = [window(0, 1, 3), window(0, 1, 3), window(0, 3), window(0, 1, 2)]
     kept = calibrate.with_common_modes(healthy, required=2)

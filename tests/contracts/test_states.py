@@ -14,7 +14,7 @@ import pytest
 from prometheus_client.core import Metric
 
 from monitor.config import configuration
-from monitor.core import Alarm, AlarmCondition, DamageReading, Level, ModalEstimate, StiffnessEstimate, WindowResult
+from monitor.core import AlarmCondition, Level, WindowResult
 from monitor.damage import Known, State
 from monitor.publish import read_period, replay_text, to_json, write_period
 from monitor.runs import Session
@@ -24,6 +24,7 @@ from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_win
 from monitor.service.outlets.zenoh import ZenohOut
 from monitor.service.restart import lock
 from monitor.signals import Health, sensor_health
+from tests.support.results import alarm, damage_reading, modal_estimate, stiffness_estimate, window_result
 from tests.support.samples import CHANNELS, T0_NS, Cut
 
 WINDOW_S, HOP_S, COUNT = 20.0, 5.0, 6
@@ -36,16 +37,21 @@ def window(index: int, state: State) -> WindowResult:
     """A window of three stories in that state: a loss of the middle story, a poor fit, or a story that is not seen."""
     lost = {State.ADVISORY: 0.05, State.WARNING: 0.06, State.ALARM: 0.123}.get(state, 0.0)
     active = {2: Level(state.value)} if lost else {}
-    alarm = Alarm(active.get(2, Level.NORMAL), tuple(active), "", active, dict.fromkeys(active, AlarmCondition.NORMAL))
-    hz, stiffness = np.array([4.6, 13.1, 17.9]), np.array([2900.0, 1500.0, 1900.0])
-    modes = ModalEstimate(
-        hz, 0.01 * np.ones(3), np.eye(3, dtype=complex), np.arange(3), np.zeros((0, 3, 8)), 0, 20, np.zeros((0, 4))
+    stiffness = np.array([2900.0, 1500.0, 1900.0])
+    return window_result(
+        index,
+        t_end_ns=T0_NS + round((WINDOW_S + index * HOP_S) * 1e9),
+        window_s=WINDOW_S,
+        modes=modal_estimate([4.6, 13.1, 17.9], np.eye(3)),
+        stiffness=stiffness_estimate(stiffness, misfit=31.0 if state is State.DOUBTFUL else 1.1),
+        damage=damage_reading(np.array([0.0, lost, 0.0]), 1e-4 * np.eye(3), 1500.0),
+        alarm=alarm(
+            active.get(2, Level.NORMAL), active=active, conditions=dict.fromkeys(active, AlarmCondition.NORMAL)
+        ),
+        rms_m_s2=0.01,
+        mode_tracks=(0, 1, 2),
+        detectable_loss=np.array([0.021, 0.034, np.inf if state is State.NOT_JUDGED else 0.017]),
     )
-    damage = DamageReading(np.array([0.0, lost, 0.0]), 1e-4 * np.eye(3), np.zeros(3), np.array([0.0, lost, 0.0]) * 1500)
-    fit = StiffnessEstimate(stiffness, np.eye(3), True, 5, 31.0 if state is State.DOUBTFUL else 1.1)
-    seen = np.array([0.021, 0.034, np.inf if state is State.NOT_JUDGED else 0.017])
-    t_ns = T0_NS + round((WINDOW_S + index * HOP_S) * 1e9)
-    return WindowResult(index, t_ns, WINDOW_S, modes, fit, damage, alarm, None, 0.01, None, (0, 1, 2), seen)
 
 
 class Lines(outlets.Outlet):

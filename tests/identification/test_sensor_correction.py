@@ -6,13 +6,14 @@ import numpy as np
 
 from drivers.mcap_file import read_recordings
 from monitor.config import configuration
-from monitor.core import ModalEstimate, WindowResult
+from monitor.core import WindowResult
 from monitor.damage import load_baseline, save_baseline
 from monitor.identification import SubArray
 from monitor.identification.sensor_correction import correct_modes, seen_by_sensors
 from monitor.model import Context, ShearFrame, parse_effect
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, synthetic_recording
+from tests.support.results import modal_estimate
 from tests.support.samples import T0_NS
 
 CONTEXT = Context(ShearFrame(np.ones(3), 1000.0 * np.ones(3), 0.01), ("a1", "a2", "a3"), np.eye(3), 100.0)
@@ -26,10 +27,6 @@ FAULTS = tuple(
         "clock_rate:frame:relative=0.01",
     )
 )
-
-
-def _estimate(shapes: np.ndarray, hz: np.ndarray, deviations: np.ndarray) -> ModalEstimate:
-    return ModalEstimate(hz, np.full(2, 0.01), shapes, np.arange(2), deviations, 0, 6, np.zeros((0, 4)))
 
 
 def _seen(shapes: np.ndarray, hz: np.ndarray) -> np.ndarray:
@@ -49,7 +46,7 @@ def test_true_modes_come_back_with_their_deviations() -> None:
     moved = [(_seen(true + d, hz) / _seen(true + d, hz)[[0, 1], np.abs(seen).argmax(axis=1)][:, None]) for d in small]
     change = np.array(moved) - seen / scale
     deviations = np.concatenate([np.zeros((4, 2, 2)), change.real, change.imag], axis=2)
-    back = correct_modes(_estimate(seen / scale, hz / 1.01, deviations), FAULTS, CONTEXT)
+    back = correct_modes(modal_estimate(hz / 1.01, seen / scale, deviations=deviations), FAULTS, CONTEXT)
     np.testing.assert_allclose(back.frequencies_hz, hz)
     np.testing.assert_allclose(back.shapes, true, atol=1e-12)
     expected = small - true * small[:, [0, 1], [0, 2]][:, :, None]  # the largest component stays 1
@@ -106,7 +103,7 @@ def test_the_modes_of_fewer_channels_are_corrected_like_those_of_all() -> None:
     array = SubArray.of((0, 1), (0, 1, 2), np.eye(3), FAULTS, CONTEXT)
     assert array.places == (2, 1) and array.past == (0, 1)
     np.testing.assert_array_equal(array.sensors, np.eye(3)[[2, 1]])
-    back = array.correct(_estimate(seen / scale, hz / 1.01, deviations))
+    back = array.correct(modal_estimate(hz / 1.01, seen / scale, deviations=deviations))
     expected = true[:, [2, 1]] / true[[0, 1], [1, 2]][:, None]
     np.testing.assert_allclose(back.shapes, expected, atol=1e-12)
     spread = array.spread(back)

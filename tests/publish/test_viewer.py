@@ -21,7 +21,7 @@ from scipy.signal import welch
 
 from drivers.base import ClockHealth
 from monitor.config import Configuration, configuration
-from monitor.core import DamageReading, Gap, Level, ModalEstimate, Samples, WindowResult, parse_address
+from monitor.core import Gap, Level, Samples, WindowResult, parse_address
 from monitor.damage import Assessment, LearnedRange, State
 from monitor.model import Model, ShearFrame, simulate
 from monitor.publish.viewer import layout, picture
@@ -36,6 +36,7 @@ from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thi
 from monitor.signals import Health, sensor_health
 from tests.examples.beam import bridge
 from tests.support.event_pages import told as shaken_event
+from tests.support.results import damage_reading, modal_estimate
 from tests.support.strangers import listening
 from tests.support.viewer_results import SCENE, T0, window
 from tests.support.waiting import until
@@ -545,18 +546,8 @@ def bridge_scene() -> tuple[Scene, Configuration]:
 def bridge_window(config: Configuration) -> WindowResult:
     """The first three modes as the five sensors show them, and no damage."""
     modes = config.model().modes()
-    found = ModalEstimate(
-        frequencies_hz=modes.frequencies_hz[:3],
-        damping_ratio=np.full(3, 0.01),
-        shapes=modes.shapes[:5, :3].T.astype(complex),
-        model_mode=np.arange(3),
-        deviations=np.full((4, 3, 12), 0.001),
-        first=0,
-        order=20,
-        poles=np.zeros((0, 4)),
-    )
-    damage = DamageReading(np.zeros(6), np.eye(6) * 1e-4, np.zeros(6), np.zeros(6))
-    return replace(window(0), modes=found, stiffness=None, damage=damage)
+    found = modal_estimate(modes.frequencies_hz[:3], modes.shapes[:5, :3].T, deviations=np.full((4, 3, 12), 0.001))
+    return replace(window(0), modes=found, stiffness=None, damage=damage_reading(np.zeros(6), 1e-4 * np.eye(6)))
 
 
 def test_a_bridge_is_drawn_as_a_bridge_and_its_rotations_are_no_sway(tmp_path: Path) -> None:
