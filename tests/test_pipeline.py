@@ -17,14 +17,14 @@ from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import Configuration, configuration
 from monitor.core import BadInputError, Gap, Samples, UserError, WindowResult
-from monitor.damage import alarm, learn_baseline
+from monitor.damage import alarm
 from monitor.identification import SelectionSettings
 from monitor.model import MatrixStructure, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Summary, to_json, window_line
 from monitor.runs import calibrate, cut_into_blocks
 from tests.support import results
-from tests.support.learned import configured, learned, results_of
+from tests.support.learned import baseline_of, configured, learned, results_of
 from tests.support.results import modal_estimate, window_result
 from tests.support.samples import T0_NS, Cut
 from tests.support.two_directions import HEALTHY, two_directions
@@ -396,9 +396,7 @@ def test_modes_that_the_model_cannot_show_give_no_baseline() -> None:
     modes = modal_estimate([5.0], [[0.9, 1.0]], deviations=deviations)
     config = configured(table, (1, 2))
     with pytest.raises(BadInputError, match="cannot be updated"):
-        learn_baseline(
-            config.instrumented(), [modes], np.ones(1), (), updating=config.updating, compensation=config.compensation
-        )
+        baseline_of(config, [modes])
 
 
 STEEL = ShearFrame(np.full(5, 1000.0), np.full(5, 7.4e5), 0.005)
@@ -473,14 +471,7 @@ def test_a_mode_of_another_shape_is_not_taken_for_the_nearest_of_the_model() -> 
         np.testing.assert_allclose(window.stiffness.stiffness_n_per_m, STEEL.stiffness_n_per_m, rtol=0.03)
         ((mode, why),) = window.modes.missing
         assert mode == 2 and "mode 3 (5.67 Hz by the model)" in why and "5.3" in why and "torsion?" in why
-    healthy = learn_baseline(
-        site.instrumented(),
-        [w.modes for w in found if w.modes is not None],
-        np.ones(4),
-        (),
-        updating=site.updating,
-        compensation=site.compensation,
-    )[0]
+    healthy = baseline_of(site, found)
     assert healthy.model_mode == (0, 1, 3, 4)
 
 
@@ -543,14 +534,7 @@ def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_it
     drawn = site.model().modes()
     shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
     judged = by_modes(drawn.frequencies_hz.tolist(), shapes, site, 2)
-    healthy = learn_baseline(
-        site.instrumented(),
-        [w.modes for w in judged if w.modes is not None],
-        np.ones(len(judged)),
-        (),
-        updating=site.updating,
-        compensation=site.compensation,
-    )[0]
+    healthy = baseline_of(site, judged)
     without = shapes.copy()
     without[:, 2] = TWIST
     motion = [*drawn.frequencies_hz[:2], 5.3, *drawn.frequencies_hz[3:]]
