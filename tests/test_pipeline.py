@@ -26,7 +26,7 @@ from monitor.runs import calibrate, cut_into_blocks
 from tests.support import results
 from tests.support.learned import baseline_of, configured, learned, results_of
 from tests.support.results import modal_estimate, window_result
-from tests.support.samples import T0_NS, Cut
+from tests.support.samples import T0_NS, Cut, write_blocks
 from tests.support.two_directions import HEALTHY, two_directions
 
 RATE = 128.0
@@ -183,9 +183,7 @@ def test_files_may_overlap_and_repeat(
 ) -> None:
     blocks = cut(record, RATE, [77])
     for name, part in (("a", blocks[:40]), ("b", blocks[25:60]), ("c", blocks[55:])):
-        with McapWriter(tmp_path / f"{name}.mcap") as writer:
-            for block in part:
-                writer.write(block)
+        write_blocks(tmp_path / f"{name}.mcap", part)
     paths = [tmp_path / f"{name}.mcap" for name in "cabb"]
     pipeline = Pipeline(site)
     assert told(push(pipeline, list(read_recordings(paths)))) == whole

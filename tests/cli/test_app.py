@@ -28,7 +28,7 @@ from monitor.config import configuration
 from monitor.damage import Baseline, Update, learn_baseline
 from monitor.model import Model, simulate
 from tests.support.commands import Done, assert_ok, assert_refused, strict
-from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.samples import T0_NS, Cli, Cut, write_blocks
 
 ROS2 = Path(__file__).parents[1] / "data" / "mcap-ros2"
 RATE = 200.0
@@ -88,9 +88,7 @@ class Site:
 
     def write(self, name: str, values: np.ndarray, **changes: object) -> Path:
         path = self.folder / name
-        with McapWriter(path) as writer:
-            for block in self.cut(values, RATE, [200], **changes):
-                writer.write(block)
+        write_blocks(path, self.cut(values, RATE, [200], **changes))
         return path
 
 

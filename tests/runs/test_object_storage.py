@@ -9,11 +9,10 @@ from pathlib import Path
 import pyarrow.dataset as ds
 import pytest
 
-from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model import simulate
 from tests.support.object_storage import object_storage
-from tests.support.samples import Cli, Cut
+from tests.support.samples import Cli, Cut, write_blocks
 from tests.support.zenoh_router import free_port
 
 s3fs = pytest.importorskip("s3fs")
@@ -37,9 +36,7 @@ def archive(tmp_path: Path, frame_text: str, cut: Cut, storage: s3fs.S3FileSyste
     (tmp_path / "a").mkdir()
     for name, (begin, end) in {"1": (0, 5000), "2": (5000, len(floors))}.items():
         path = tmp_path / "a" / f"{name}.mcap"
-        with McapWriter(path) as writer:
-            for block in cut(floors[begin:end], RATE, [128], first=begin):
-                writer.write(block)
+        write_blocks(path, cut(floors[begin:end], RATE, [128], first=begin))
         storage.put_file(str(path), f"archive/a/{name}.mcap")
     return tmp_path
 

@@ -18,7 +18,6 @@ pytest.importorskip("dask")  # until it stands in the lock
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
-from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model import simulate
 from monitor.runs.archive import jobs
@@ -27,7 +26,7 @@ from monitor.runs.archive.jobs import WindowsFile
 from monitor.runs.archive.reprocess import reprocess
 from tests.events.shaken import blocks
 from tests.support.quake import shaken
-from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.samples import T0_NS, Cli, Cut, write_blocks
 from tests.support.short_quake import STRUCTURE
 
 pytestmark = pytest.mark.system
@@ -75,13 +74,9 @@ def archive(tmp_path_factory: pytest.TempPathFactory, frame_text: str, cut: Cut)
     x = simulate(model, duration_s=120.0, rate_hz=RATE, noise=0.03, seed=1).floors
     edges = {"a/1": (0, 5000), "a/2": (5000, 9000), "a/3": (10000, len(x)), "b/short": (0, 500)}
     for name, (begin, end) in edges.items():
-        with McapWriter(folder / f"{name}.mcap") as writer:
-            for block in cut(x[begin:end], RATE, [128], first=begin):
-                writer.write(block)
+        write_blocks(folder / f"{name}.mcap", cut(x[begin:end], RATE, [128], first=begin))
     y = simulate(model, duration_s=80.0, rate_hz=RATE, noise=0.03, seed=2).floors
-    with McapWriter(folder / "b/whole.mcap") as writer:
-        for block in cut(y, RATE, [77], t0_ns=T0_NS + 500 * S):
-            writer.write(block)
+    write_blocks(folder / "b/whole.mcap", cut(y, RATE, [77], t0_ns=T0_NS + 500 * S))
     return folder
 
 
@@ -158,9 +153,7 @@ def test_a_run_is_reported_as_a_replay_is(archive: Path, done: Path, main: Cli, 
 def test_events_of_an_archive_are_told(archive: Path, tmp_path: Path, main: Cli) -> None:
     """A recording of an earthquake, shorter than a window, is a run with an event and without windows."""
     (tmp_path / "site.toml").write_text(STRUCTURE)
-    with McapWriter(tmp_path / "quake.mcap") as writer:
-        for block in blocks(shaken(), n=200):
-            writer.write(block)
+    write_blocks(tmp_path / "quake.mcap", blocks(shaken(), n=200))
     done = main(
         "reprocess",
         tmp_path / "quake.mcap",

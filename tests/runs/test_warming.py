@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, configuration
 from monitor.model import simulate
 from monitor.runs import warm_up
 from monitor.service import Daemon
-from tests.support.samples import Cli, Cut
+from tests.support.samples import Cli, Cut, write_blocks
 from tests.support.site import SITE, Scripted, health
 from tests.support.waiting import until
 
@@ -59,9 +58,7 @@ def test_no_window_compiles_anything(
     damaged = healthy.with_stiffness(healthy.structure.stiffness_n_per_m * [1.0, 0.7, 1.0])
     lost = simulate(damaged, duration_s=60.0, rate_hz=128.0, noise=0.03, seed=7).floors
     for place, values in ((tmp_path / "healthy.mcap", record), (recording, np.concatenate([record, lost]))):
-        with McapWriter(place) as writer:
-            for block in cut(values, 128.0):
-                writer.write(block)
+        write_blocks(place, cut(values, 128.0))
     if with_baseline:
         baseline = str(tmp_path / "baseline.json")
         done = main("calibrate", tmp_path / "healthy.mcap", "--structure", structure, "--out", baseline)

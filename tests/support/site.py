@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
-from drivers.mcap_file import McapWriter
 from monitor.service import Daemon
-from tests.support.samples import Cli
+from tests.support.samples import Cli, write_blocks
 
 RATE = 128.0
+write = write_blocks
 
 
 SITE = """
@@ -101,13 +101,6 @@ def replayed(main: Cli, site: Path, recordings: Sequence[Path], out: Path) -> by
 
 def own(out: Path) -> list[Path]:
     return sorted((out / "recordings").glob("*.mcap"))
-
-
-def write(path: Path, blocks: Sequence[SampleBlock]) -> Path:
-    with McapWriter(path) as writer:
-        for block in blocks:
-            writer.write(block)
-    return path
 
 
 TOKEN = "a-token-of-letters-0123456789"
