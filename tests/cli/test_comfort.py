@@ -100,7 +100,7 @@ def on_a_terminal(arguments: list[str], folder: Path) -> bytes:
 
 
 def test_progress_is_for_terminals_only(site: Path, main: Cli) -> None:
-    long = ("simulate", "--structure", "s.toml", "--out", "long.mcap", "--duration", 130, "--rate", 200)
+    long = ("simulate", "--structure", "s.toml", "--out", "long.mcap", "--duration", 70, "--rate", 200)
     assert main(*long, cwd=site).returncode == 0
     arguments = ["replay", "long.mcap", "--structure", "s.toml", "--out", "long"]
     assert b"min of data" in on_a_terminal([*MODULE, *arguments], site)
