@@ -40,12 +40,12 @@ class SocketcandServer:
         """Port at which the server listens, also if port 0 was requested."""
         threading.Thread(target=self._accept, name="socketcand", daemon=True).start()
 
-    def wait_for_client(self, timeout_s: float) -> bool:
-        """Wait until a client receives frames; False if none does within `timeout_s`."""
+    def wait_for_client(self, timeout_s: float, *, clients: int = 1) -> bool:
+        """Wait until so many clients receive frames; False if fewer do within `timeout_s`."""
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             with self._lock:
-                if any(since <= time.monotonic() for since in self._raw.values()):
+                if sum(since <= time.monotonic() for since in self._raw.values()) >= clients:
                     return True
             time.sleep(0.01)
         return False

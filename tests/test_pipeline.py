@@ -16,16 +16,17 @@ from hypothesis import strategies as st
 from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import Configuration, configuration
-from monitor.core import Alarm, BadInputError, Gap, Level, ModalEstimate, Samples, UserError, WindowResult
-from monitor.damage import alarm, learn_baseline
+from monitor.core import BadInputError, Gap, Samples, UserError, WindowResult
+from monitor.damage import alarm
 from monitor.identification import SelectionSettings
 from monitor.model import MatrixStructure, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Summary, to_json, window_line
-from monitor.runs import cut_into_blocks
-from monitor.runs.calibrate import with_common_modes
-from tests.support.learned import configured, learned, results_of
-from tests.support.samples import T0_NS, Cut
+from monitor.runs import calibrate, cut_into_blocks
+from tests.support import results
+from tests.support.learned import baseline_of, configured, learned, results_of
+from tests.support.results import modal_estimate, window_result
+from tests.support.samples import T0_NS, Cut, write_blocks
 from tests.support.two_directions import HEALTHY, two_directions
 
 RATE = 128.0
@@ -182,9 +183,7 @@ def test_files_may_overlap_and_repeat(
 ) -> None:
     blocks = cut(record, RATE, [77])
     for name, part in (("a", blocks[:40]), ("b", blocks[25:60]), ("c", blocks[55:])):
-        with McapWriter(tmp_path / f"{name}.mcap") as writer:
-            for block in part:
-                writer.write(block)
+        write_blocks(tmp_path / f"{name}.mcap", part)
     paths = [tmp_path / f"{name}.mcap" for name in "cabb"]
     pipeline = Pipeline(site)
     assert told(push(pipeline, list(read_recordings(paths)))) == whole
@@ -333,11 +332,11 @@ def test_the_reason_of_an_alarm_names_its_story(
     site: Configuration, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     named = site.structure.model_copy(update={"story_names": ("roof", "middle", "foot")})
-    shelved = Alarm(Level.NORMAL, (), "story 2 shelved: painters")
+    shelved = results.alarm(reason="story 2 shelved: painters")
     monkeypatch.setattr(alarm, "hold", lambda state, t_ns: (state, shelved))
-    results = windows(push(Pipeline(site.model_copy(update={"structure": named})), cut(np.zeros_like(record), RATE)))
-    assert results
-    assert {r.alarm.reason for r in results} == {"story 2 (middle) shelved: painters"}
+    found = windows(push(Pipeline(site.model_copy(update={"structure": named})), cut(np.zeros_like(record), RATE)))
+    assert found
+    assert {r.alarm.reason for r in found} == {"story 2 (middle) shelved: painters"}
 
 
 def directions(stiffness: np.ndarray) -> Configuration:
@@ -391,26 +390,11 @@ def test_modes_that_the_model_cannot_show_give_no_baseline() -> None:
         "stiffness_derivatives": [np.diag([1.0, 0.0]).tolist(), np.diag([0.0, 1.0]).tolist()],
         "stiffness_n_per_m": [1000.0, 1000.0],
     }
-    modes = ModalEstimate(
-        frequencies_hz=np.array([5.0]),
-        damping_ratio=np.array([0.01]),
-        shapes=np.array([[0.9, 1.0]], dtype=complex),
-        model_mode=np.array([0]),
-        deviations=1e-3 * np.ones((4, 1, 6)) * np.array([1.0, -1.0, 1.0, -1.0])[:, None, None],
-        first=0,
-        order=4,
-        poles=np.zeros((0, 4)),
-    )
+    deviations = 1e-3 * np.ones((4, 1, 6)) * np.array([1.0, -1.0, 1.0, -1.0])[:, None, None]
+    modes = modal_estimate([5.0], [[0.9, 1.0]], deviations=deviations)
     config = configured(table, (1, 2))
     with pytest.raises(BadInputError, match="cannot be updated"):
-        learn_baseline(
-            config.instrumented(),
-            [modes],
-            np.ones(1),
-            (),
-            updating=config.updating,
-            compensation=config.compensation,
-        )
+        baseline_of(config, [modes])
 
 
 STEEL = ShearFrame(np.full(5, 1000.0), np.full(5, 7.4e5), 0.005)
@@ -485,29 +469,20 @@ def test_a_mode_of_another_shape_is_not_taken_for_the_nearest_of_the_model() -> 
         np.testing.assert_allclose(window.stiffness.stiffness_n_per_m, STEEL.stiffness_n_per_m, rtol=0.03)
         ((mode, why),) = window.modes.missing
         assert mode == 2 and "mode 3 (5.67 Hz by the model)" in why and "5.3" in why and "torsion?" in why
-    healthy = learn_baseline(
-        site.instrumented(),
-        [w.modes for w in found if w.modes is not None],
-        np.ones(4),
-        (),
-        updating=site.updating,
-        compensation=site.compensation,
-    )[0]
+    healthy = baseline_of(site, found)
     assert healthy.model_mode == (0, 1, 3, 4)
 
 
 def test_a_baseline_keeps_what_half_of_its_windows_show_of_the_lowest_modes_and_nine_in_ten_of_the_others() -> None:
     def window(*model_modes: int) -> WindowResult:
-        shapes = np.ones((len(model_modes), 1), dtype=complex)
-        blocks = np.ones((2, len(model_modes), 4))
-        f, numbers = 1.0 + np.array(model_modes), np.array(model_modes)
-        modes = ModalEstimate(f, 0.01 * f, shapes, numbers, blocks, 0, 4, np.zeros((0, 4)))
-        return WindowResult(0, 0, 60.0, modes, None, None, Alarm(Level.NORMAL, (), ""), None)
+        n, numbers = len(model_modes), np.array(model_modes)
+        modes = modal_estimate(1.0 + numbers, np.ones((n, 1)), model_mode=numbers, deviations=np.ones((2, n, 4)))
+        return window_result(modes=modes)
 
     healthy = [window(0, 1, 3), window(0, 1, 3), window(0, 3), window(0, 1, 2)]
-    kept = with_common_modes(healthy, required=2)
+    kept = calibrate.with_common_modes(healthy, required=2)
     assert [w.modes.model_mode.tolist() for w in kept if w.modes is not None] == [[0, 1]] * 3
-    seldom = with_common_modes([window(0, 1), window(0), window(0)], required=2)
+    seldom = calibrate.with_common_modes([window(0, 1), window(0), window(0)], required=2)
     assert [w.modes.model_mode.tolist() for w in seldom if w.modes is not None] == [[0]] * 3
 
 
@@ -557,14 +532,7 @@ def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_it
     drawn = site.model().modes()
     shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
     judged = by_modes(drawn.frequencies_hz.tolist(), shapes, site, 2)
-    healthy = learn_baseline(
-        site.instrumented(),
-        [w.modes for w in judged if w.modes is not None],
-        np.ones(len(judged)),
-        (),
-        updating=site.updating,
-        compensation=site.compensation,
-    )[0]
+    healthy = baseline_of(site, judged)
     without = shapes.copy()
     without[:, 2] = TWIST
     motion = [*drawn.frequencies_hz[:2], 5.3, *drawn.frequencies_hz[3:]]

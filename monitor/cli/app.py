@@ -6,13 +6,16 @@ one command, load nothing that the others need.
 
 from __future__ import annotations
 
+import functools
 import logging
 import os
 import sys
 import threading
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
+from typer.main import get_command
 
 from monitor import __version__
 from monitor.cli import (
@@ -102,14 +105,20 @@ def main() -> None:
         raise
 
 
+@functools.cache
+def command_line() -> Callable[[], object]:
+    """Build the commands from their functions, which takes longer than most of them need to answer."""
+    leave_unread(app)
+    return get_command(app)
+
+
 def call() -> None:
     """Call the command that the arguments name; always raises SystemExit, except after an unexpected error."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     keep_freed()
-    leave_unread(app)
     try:
         with single_blas_thread():
-            app()
+            command_line()()
     except UserError as error:
         kind = "bad configuration\n" if isinstance(error, BadConfigurationError) else ""
         print(f"error: {kind}{error}", file=sys.stderr)

@@ -42,7 +42,9 @@ class EventAlarm:
         return f"event {self.id} exceeded a limit of the site: {self.exceeded[0]}{more}; nobody has acknowledged it"
 
 
-def follow(alarms: tuple[EventAlarm, ...], event: Event, exceeded: Sequence[tuple[int, int]]) -> tuple[EventAlarm, ...]:
+def follow(
+    alarms: tuple[EventAlarm, ...], event: Event, exceeded: Sequence[tuple[int, int]], *, most: int = _MOST
+) -> tuple[EventAlarm, ...]:
     """Raise the alarm of an event that exceeds a limit, or raise it again where more is exceeded than before.
 
     Parameters
@@ -53,6 +55,8 @@ def follow(alarms: tuple[EventAlarm, ...], event: Event, exceeded: Sequence[tupl
         The event, as told now.
     exceeded : sequence of (int, int)
         Limits exceeded and the stories, from 0.
+    most : int
+        Most alarms that are kept.
 
     Examples
     --------
@@ -67,7 +71,7 @@ def follow(alarms: tuple[EventAlarm, ...], event: Event, exceeded: Sequence[tupl
     known = next((a for a in alarms if a.id == event.id), None)
     if known is None:
         new = (*alarms, EventAlarm(event.id, event.exceeded, tuple(exceeded)))
-        if len(new) > _MOST:
+        if len(new) > most:
             oldest = next((a for a in new if not a.unacknowledged), new[0])
             new = tuple(a for a in new if a is not oldest)
         return new

@@ -40,7 +40,9 @@ _MIN_GROWTH = 1e10
 rounding]"""
 
 
-def upper_poles(a: Array, c: Array, orders: Sequence[int], region: Region = EVERYWHERE) -> Poles:
+def upper_poles(
+    a: Array, c: Array, orders: Sequence[int], region: Region = EVERYWHERE, *, sweeps: int = _MAX_SWEEPS
+) -> Poles:
     """Compute the eigenvalues above the real axis and within a region, of the leading part of `a` for every order.
 
     Parameters
@@ -51,6 +53,8 @@ def upper_poles(a: Array, c: Array, orders: Sequence[int], region: Region = EVER
         Increasing, none above n.
     region : tuple of float
         See `Region`.
+    sweeps : int
+        Most iterations for one eigenvalue; LAPACK computes all poles where they do not suffice.
 
     Returns
     -------
@@ -65,12 +69,12 @@ def upper_poles(a: Array, c: Array, orders: Sequence[int], region: Region = EVER
     """
     sizes = np.asarray(orders, dtype=np.intp)
     space, value, logarithm, shape, sound = _upper_poles(
-        np.ascontiguousarray(a), np.ascontiguousarray(c), sizes, region
+        np.ascontiguousarray(a), np.ascontiguousarray(c), sizes, region, sweeps
     )
-    return (space, value, logarithm, shape) if sound else _by_lapack(a, c, orders, region)
+    return (space, value, logarithm, shape) if sound else by_lapack(a, c, orders, region)
 
 
-def _by_lapack(a: Array, c: Array, orders: Sequence[int], region: Region) -> Poles:
+def by_lapack(a: Array, c: Array, orders: Sequence[int], region: Region) -> Poles:
     """Compute the result of `upper_poles` by LAPACK, for use where the iteration or an eigenvector does not converge."""
     value, shape = [np.zeros(0, complex)], [np.zeros((0, len(c)), complex)]
     for n in orders:
@@ -93,7 +97,7 @@ def _within(logarithm: complex, region: Region) -> bool:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _upper_poles(
-    a: Array, c: Array, orders: Indices, region: Region
+    a: Array, c: Array, orders: Indices, region: Region, most_sweeps: int
 ) -> tuple[Indices, ComplexArray, ComplexArray, ComplexArray, bool]:
     """Compute the result of `upper_poles`, and a flag that all iterations converged."""
     most, l, largest = orders.sum() // 2, c.shape[0], orders.max() if orders.size else 0  # noqa: E741 - the paper's letters
@@ -105,7 +109,7 @@ def _upper_poles(
         n = orders[s]
         h, transformed = a[:n, :n].copy(), c[:, :n].copy()
         _reduce(h, transformed)
-        values = _eigenvalues(h)
+        values = _eigenvalues(h, most_sweeps)
         sound = sound and not np.isnan(values[0])
         for k in range(n):
             if not values[k].imag > 0.0:
@@ -176,7 +180,7 @@ def _reflect(row: Array, v: Array, twice: float) -> None:
 
 
 @compiled(part=True, error_model="numpy", fastmath={"contract"})
-def _eigenvalues(hessenberg: Array) -> ComplexArray:
+def _eigenvalues(hessenberg: Array, most_sweeps: int) -> ComplexArray:
     """Compute all eigenvalues of a Hessenberg matrix, shape (n,); NaN if the iteration does not converge."""
     n = hessenberg.shape[0]
     h, values = np.zeros((n + 1, n + 1)), np.empty(n, dtype=np.complex128)  # room for a reflection of three at the end
@@ -194,7 +198,7 @@ def _eigenvalues(hessenberg: Array) -> ComplexArray:
             root = np.sqrt(complex(half * half + product))
             values[begin], values[end] = h[end, end] + half + root, h[end, end] + half - root
             end, sweeps = end - 2, 0
-        elif sweeps == _MAX_SWEEPS:
+        elif sweeps == most_sweeps:
             values[:] = np.nan
             return values
         else:

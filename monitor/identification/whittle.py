@@ -88,7 +88,7 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
     data = cross_spectra(layout, window.segments)
     n_segments, n_modal = len(data), layout.n_modal
     try:
-        point = _start(layout, modes, data.mean(axis=0))
+        point = starting_point(layout, modes, data.mean(axis=0))
         for iteration in range(settings.max_iterations):
             model = predict(layout, point)
             inverse = inverses(model.value)
@@ -110,11 +110,11 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
                 return modes
             step = covariance @ score
             step_stds = np.abs(step) / np.sqrt(np.diag(covariance) / n_segments)
-            point = _take_step(layout, point, step)
+            point = take_step(layout, point, step)
             if iteration and step_stds[:n_modal].max() < settings.tolerance:
                 scores = product(data, score_weights) / level[:, None]
                 influence = (scores - scores.mean(axis=0)) @ covariance[:, :n_modal] / n_segments
-                rows, factor = _uncertainty(influence, covariance[:n_modal, :n_modal] / n_segments)
+                rows, factor = shrunk_uncertainty(influence, covariance[:n_modal, :n_modal] / n_segments)
                 damping = slice(point.ln_f.size, 2 * point.ln_f.size)
                 rows[:, damping] *= _leverage(rows[:, damping], len(information) / point.ln_f.size)
                 return _estimate(layout, point, modes, rows, factor, window.first_segment)
@@ -132,7 +132,7 @@ def _score_weights(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tu
     return weights, product(weights, packed(layout, model.u[None], model.v))
 
 
-def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
+def starting_point(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
     """Compute the starting point: modes from the subspace estimate, forces and noise by weighted least squares.
 
     The spectrum is linear in forces and noise.  `mean` is the mean packed cross-spectrum, shape (pairs, pools).
@@ -176,7 +176,7 @@ def _levels(layout: Layout, inverse: ComplexArray, data: ComplexArray) -> Array:
     return np.asarray(product(data, weight[None])[:, 0] / (inverse.shape[-1] * layout.sizes.sum()))
 
 
-def _take_step(layout: Layout, p: Point, step: Array) -> Point:
+def take_step(layout: Layout, p: Point, step: Array) -> Point:
     """Add a scoring step, shape (parameters,), to a point, with bounds so that the scoring cannot diverge from a bad start."""
     m, n_free = len(layout.gauges), len(layout.free)
     shapes, forces = p.shapes.copy(), p.forces.copy()
@@ -197,7 +197,7 @@ def _take_step(layout: Layout, p: Point, step: Array) -> Point:
     )
 
 
-def _uncertainty(influence: Array, covariance: Array) -> tuple[Array, Array]:
+def shrunk_uncertainty(influence: Array, covariance: Array) -> tuple[Array, Array]:
     """Compute rows of influence whose squares sum to the shrunk covariance, and a factor of the model's covariance.
 
     In coordinates where the model's covariance is the identity, the covariance of the segments' scatter is shrunk towards a

@@ -86,7 +86,9 @@ class Spectrum:
     """Shape (pools, c, columns)."""
 
 
-def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float) -> Layout:
+def layout_of(
+    modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float, pool_width: float = _POOL_WIDTH
+) -> Layout:
     """Select the bins within `half_band` half-power bandwidths of the modes, and divide them into pools.
 
     Parameters
@@ -95,13 +97,15 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
         Number of bins of the data, from 0 Hz up.
     bin_hz : float
         Spacing of the bins, Hz.
+    pool_width : float
+        Widest pool over its distance from the nearest mode; 0 leaves each bin alone.
     """
     number = np.arange(n_bins)
     centre = np.round(modes.frequencies_hz / bin_hz)
     half = np.maximum(_MIN_HALF_BINS, np.round(half_band * 2.0 * modes.damping_ratio * centre))
     distance = np.abs(number[:, None] - centre)
     bins = np.flatnonzero((distance <= half).any(axis=1) & (number >= _FIRST_BIN))
-    widest = np.maximum(1, (_POOL_WIDTH * distance.min(axis=1)[bins]).astype(int))
+    widest = np.maximum(1, (pool_width * distance.min(axis=1)[bins]).astype(int))
     first: list[int] = []
     for band in np.split(np.arange(bins.size), np.flatnonzero(np.diff(bins) > 1) + 1):
         begin, end = int(band[0]), int(band[-1]) + 1

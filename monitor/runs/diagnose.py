@@ -146,7 +146,7 @@ def diagnose_gathered(
     laws = story_laws(confirmed)
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima, laws)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
-    plain |= {"doubts": [] if baseline is None else [*baseline.doubts, *_level_doubts(segments, baseline, confirmed)]}
+    plain |= {"doubts": [] if baseline is None else [*baseline.doubts, *level_doubts(segments, baseline, confirmed)]}
     compared = []
     if record is not None:
         posterior = confirmed.posterior
@@ -295,7 +295,7 @@ def evaluate(
     return score(segments, config.model(), _context(segments, config), degc)
 
 
-def _level_doubts(segments: Segments, baseline: Baseline, found: Diagnosis) -> list[str]:
+def level_doubts(segments: Segments, baseline: Baseline, found: Diagnosis) -> list[str]:
     """Ask whether the unit is right where the motion is far from that at calibration; else doubt a change seen at another level.
 
     The baseline's windows hold more than the band and less than the source's samples, so that neither is found by the band alone.

@@ -146,7 +146,7 @@ class CanSink:
         self._transmit(layout, times, data)
 
 
-def _transmit_over_tcp(server: SocketcandServer) -> Transmit:
+def transmit_over_tcp(server: SocketcandServer) -> Transmit:
     """Return the function that sends frames to the clients of a socketcand server."""
 
     def transmit(layout: Layout, times: list[float], data: NDArray[np.uint8]) -> None:
@@ -249,7 +249,7 @@ def open_sink(
     if not server.wait_for_client(wait_s):
         server.close()
         raise MissingInputError(f"--to {to!r}: no client came within {wait_s:g} s")
-    return CanSink(layouts, _transmit_over_tcp(server), server.close), CAN_BURST_S
+    return CanSink(layouts, transmit_over_tcp(server), server.close), CAN_BURST_S
 
 
 def _open_mqtt(to: str, rest: str) -> Sink:

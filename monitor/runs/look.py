@@ -328,7 +328,7 @@ def _identify_bands(values: Array, rate_hz: float) -> list[LookedBand]:
     out, rate, top = [], rate_hz, True
     while True:
         lowest = rate / (2 * SsiSettings().block_rows)
-        band = _identify_band(values, rate_hz, rate, max(lowest, least_hz))
+        band = identify_band(values, rate_hz, rate, max(lowest, least_hz))
         if band is not None:
             out.append(band)
         if lowest <= least_hz or (band is None and not top):
@@ -336,7 +336,7 @@ def _identify_bands(values: Array, rate_hz: float) -> list[LookedBand]:
         rate, top = rate / _BAND_RATIO, False
 
 
-def _identify_band(values: Array, source_hz: float, rate_hz: float, lowest_hz: float) -> LookedBand | None:
+def identify_band(values: Array, source_hz: float, rate_hz: float, lowest_hz: float) -> LookedBand | None:
     """Identify the modes from `lowest_hz` up at a lower rate; None where the run is too short for it."""
     conditioner = Conditioner.design(source_hz, rate_hz, 0.4 * rate_hz)
     _, x = conditioner.step_block(conditioner.start(values.shape[1]), values - values.mean(axis=0))

@@ -14,11 +14,10 @@ import pytest
 import shm_monitor as shm
 
 import monitor.api
-from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.core import WindowResult
 from monitor.pipeline import Pipeline
-from tests.support.samples import FRAME, Cut
+from tests.support.samples import FRAME, Cut, write_blocks
 
 NAMES = {
     "Cause", "Condition", "Context", "Diagnosis", "Effect", "FittedSizes", "Modes", "Parameter", "Recording", "Structure",
@@ -122,9 +121,7 @@ def test_a_structure_comes_from_a_file_a_mapping_or_numbers(tmp_path: Path) -> N
 
 def test_a_recording_is_laid_out_with_its_gaps(tmp_path: Path, cut: Cut) -> None:
     values = np.arange(600.0).reshape(200, 3)
-    with McapWriter(tmp_path / "r.mcap") as writer:
-        for block in cut(values[:100], 100.0, (50,)) + cut(values[150:], 100.0, (50,), first=150):
-            writer.write(block)
+    write_blocks(tmp_path / "r.mcap", cut(values[:100], 100.0, (50,)) + cut(values[150:], 100.0, (50,), first=150))
     found = shm.read(tmp_path / "r.mcap")
     assert (found.rate_hz, found.duration_s, found.channels) == (100.0, 2.0, ("a1", "a2", "a3"))
     assert np.isnan(found.samples[100:150]).all()

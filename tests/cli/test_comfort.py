@@ -9,8 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -22,6 +20,7 @@ from monitor.cli.app import app
 from monitor.core import GAP, Skipped, WrongUsageError
 from tests.support.samples import Cli
 from tests.support.strangers import listening as addresses
+from tests.support.waiting import until
 
 MODULE = [sys.executable, "-m", "monitor"]
 
@@ -63,19 +62,21 @@ def test_every_command_that_answers_knows_json(main: Cli) -> None:
         assert "--json" in main(command, "--help").stdout, command
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_shell_completes_commands_and_options(shell: str) -> None:
+def test_the_shell_completes_commands_and_options(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     variable = "_SHM_MONITOR_COMPLETE"
-    script = Path(sys.executable).with_name("shm-monitor")
-    source = subprocess.run(
-        [script], env={**os.environ, variable: f"source_{shell}"}, capture_output=True, text=True, check=False
-    )
-    assert variable in source.stdout
-    if shell == "bash":
-        for words, at, completed in (("repl", "1", "replay"), ("replay --str", "2", "--structure")):
-            typed = {"COMP_WORDS": f"shm-monitor {words}", "COMP_CWORD": at, variable: "complete_bash"}
-            done = subprocess.run([script], env={**os.environ, **typed}, capture_output=True, text=True, check=False)
-            assert done.stdout.split() == [completed]
+
+    def told(instruction: str, words: str = "", at: int = 0) -> str:
+        for name, value in ((variable, instruction), ("COMP_WORDS", f"shm-monitor {words}"), ("COMP_CWORD", str(at))):
+            monkeypatch.setenv(name, value)
+        with pytest.raises(SystemExit):
+            app([], prog_name="shm-monitor")
+        return capsys.readouterr().out
+
+    assert all(variable in told(f"source_{shell}") for shell in ("bash", "zsh", "fish"))
+    assert told("complete_bash", "repl", 1).split() == ["replay"]
+    assert told("complete_bash", "replay --str", 2).split() == ["--structure"]
 
 
 def on_a_terminal(arguments: list[str], folder: Path) -> bytes:
@@ -99,7 +100,7 @@ def on_a_terminal(arguments: list[str], folder: Path) -> bytes:
 
 
 def test_progress_is_for_terminals_only(site: Path, main: Cli) -> None:
-    long = ("simulate", "--structure", "s.toml", "--out", "long.mcap", "--duration", 130, "--rate", 200)
+    long = ("simulate", "--structure", "s.toml", "--out", "long.mcap", "--duration", 70, "--rate", 200)
     assert main(*long, cwd=site).returncode == 0
     arguments = ["replay", "long.mcap", "--structure", "s.toml", "--out", "long"]
     assert b"min of data" in on_a_terminal([*MODULE, *arguments], site)
@@ -173,17 +174,10 @@ def test_the_viewers_server_ends_with_the_command_and_listens_on_loopback_only(t
         )
         assert found is not None
         ports = [int(found[1]), int(found[2])]
-        wait_for(lambda: all(addresses(port) == {"0100007F"} for port in ports))
+        until(lambda: all(addresses(port) == {"0100007F"} for port in ports), "both servers, on loopback only")
         process.send_signal(ending)
         try:
             assert process.wait(20) == 0
         finally:
             process.kill()
-    wait_for(lambda: not any(addresses(port) for port in ports))
-
-
-def wait_for(what: Callable[[], bool]) -> None:
-    until = time.monotonic() + 60
-    while not what():
-        assert time.monotonic() < until
-        time.sleep(0.1)
+    until(lambda: not any(addresses(port) for port in ports), "no server")

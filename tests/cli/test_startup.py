@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 _ASK = """
 import sys
 sys.argv[0] = "shm-monitor"
@@ -36,9 +34,9 @@ def loaded(do: str, names: tuple[str, ...], *arguments: str) -> list[str]:
     return run.stdout.splitlines()[-1].split()[1:]
 
 
-@pytest.mark.parametrize("argument", ["--version", "--help"])
-def test_what_needs_no_computation_loads_no_library_for_it(argument: str) -> None:
-    assert loaded(_RUN, ("numpy", "scipy", "pydantic", *_SLOW), argument) == []
+def test_what_needs_no_computation_loads_no_library_for_it() -> None:
+    for argument in ("--version", "--help"):
+        assert loaded(_RUN, ("numpy", "scipy", "pydantic", *_SLOW), argument) == [], argument
 
 
 def test_check_loads_only_what_reads_a_file_and_computes_modes() -> None:

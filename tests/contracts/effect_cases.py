@@ -77,7 +77,7 @@ def measured(
 def predicted(effects: tuple[Effect, ...], rms: Array, excess_degc: float = 0.0) -> ComplexArray:
     """What the spectral faces say of `measured`, at the channels' RMS and the motion that they bring about themselves."""
     model = Model(STRUCTURE, effects)
-    system = base = System(*_matrices(model))
+    system = base = system_of(model)
     for _ in range(8):
         condition = replace(condition_of(system, excess_degc), channel_m_s2=rms)
         system = base
@@ -87,9 +87,9 @@ def predicted(effects: tuple[Effect, ...], rms: Array, excess_degc: float = 0.0)
     return cross_spectra(system, effects, Excitation(force, np.zeros(3)), BAND, CONTEXT, condition)
 
 
-def _matrices(model: Model) -> tuple[Array, Array, Array]:
+def system_of(model: Model) -> System:
     mass, stiffness = model.structural_matrices()
-    return mass, model.damping_matrix(), stiffness
+    return System(mass, model.damping_matrix(), stiffness)
 
 
 def condition_of(system: System, excess_degc: float = 0.0) -> Condition:

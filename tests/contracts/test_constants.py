@@ -6,17 +6,16 @@ import runpy
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT: dict[str, Any] = runpy.run_path(str(ROOT / "docs/constants.py"))
 ALL = [constant for room in SCRIPT["ROOMS"] for constant in SCRIPT["constants"](room)]
 
 
-@pytest.mark.parametrize("constant", ALL, ids=lambda c: f"{c.module}:{c.name}")
-def test_a_constant_says_meaning_unit_and_origin(constant: Any) -> None:
-    assert all(constant.parts())
-    assert ", " not in constant.name, "one constant a statement, so that each has a docstring of its own"
+def test_a_constant_says_meaning_unit_and_origin() -> None:
+    assert len(ALL) > 100
+    assert [f"{c.module}:{c.name}" for c in ALL if not all(c.parts())] == []
+    several = [f"{c.module}:{c.name}" for c in ALL if ", " in c.name]
+    assert several == [], "one constant a statement, so that each has a docstring of its own"
 
 
 def test_no_name_has_two_values() -> None:

@@ -16,7 +16,14 @@ def _modules_with_examples() -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("module", _modules_with_examples())
+DIAGNOSES = {"monitor.api.causes"}
+"""Modules whose examples take seconds."""
+
+
+@pytest.mark.parametrize(
+    "module",
+    [pytest.param(m, marks=[pytest.mark.engine] if m in DIAGNOSES else []) for m in _modules_with_examples()],
+)
 def test_the_examples_of_a_module_run(module: str) -> None:
     result = doctest.testmod(importlib.import_module(module), optionflags=doctest.NORMALIZE_WHITESPACE)
     assert result.attempted

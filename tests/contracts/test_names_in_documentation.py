@@ -10,10 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
-    [
-        *(ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")),
-        *(ROOT / "docs").rglob("*.md"),
-    ]
+    [*(ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")), *(ROOT / "docs").rglob("*.md")]
 )
 MAP = ROOT / "ARCHITECTURE.md"
 ROOMS = sorted(p.parent.name for p in (ROOT / "monitor").glob("*/__init__.py"))

@@ -14,22 +14,18 @@ import pytest
 from prometheus_client.core import Metric
 
 from monitor.config import configuration
-from monitor.core import Alarm, AlarmCondition, DamageReading, Level, ModalEstimate, StiffnessEstimate, WindowResult
+from monitor.core import AlarmCondition, Level, WindowResult
 from monitor.damage import Known, State
-from monitor.publish import read_period, replay_text, to_json
-from monitor.publish.reports.period_report import page
+from monitor.publish import read_period, replay_text, to_json, write_period
 from monitor.runs import Session
-from monitor.service import ZenohOutSettings, fleet, text
-from monitor.service.daemon_health import plain
-from monitor.service.outlets.base import Outlet
+from monitor.service import ZenohOutSettings, fleet, outlets, status, text
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_window
 from monitor.service.outlets.zenoh import ZenohOut
 from monitor.service.restart import lock
-from monitor.service.status import look, tell
-from monitor.signals import Health
-from monitor.signals.sensor_health import ChannelHealth
-from tests.support.samples import CHANNELS, T0_NS
+from monitor.signals import Health, sensor_health
+from tests.support.results import alarm, damage_reading, modal_estimate, stiffness_estimate, window_result
+from tests.support.samples import CHANNELS, T0_NS, Cut
 
 WINDOW_S, HOP_S, COUNT = 20.0, 5.0, 6
 KNOWN = Known(("storey above", "middle storey", "storey below"), has_baseline=True, alarm_loss=0.1, misfit=5.0)
@@ -41,19 +37,24 @@ def window(index: int, state: State) -> WindowResult:
     """A window of three stories in that state: a loss of the middle story, a poor fit, or a story that is not seen."""
     lost = {State.ADVISORY: 0.05, State.WARNING: 0.06, State.ALARM: 0.123}.get(state, 0.0)
     active = {2: Level(state.value)} if lost else {}
-    alarm = Alarm(active.get(2, Level.NORMAL), tuple(active), "", active, dict.fromkeys(active, AlarmCondition.NORMAL))
-    hz, stiffness = np.array([4.6, 13.1, 17.9]), np.array([2900.0, 1500.0, 1900.0])
-    modes = ModalEstimate(
-        hz, 0.01 * np.ones(3), np.eye(3, dtype=complex), np.arange(3), np.zeros((0, 3, 8)), 0, 20, np.zeros((0, 4))
+    stiffness = np.array([2900.0, 1500.0, 1900.0])
+    return window_result(
+        index,
+        t_end_ns=T0_NS + round((WINDOW_S + index * HOP_S) * 1e9),
+        window_s=WINDOW_S,
+        modes=modal_estimate([4.6, 13.1, 17.9], np.eye(3)),
+        stiffness=stiffness_estimate(stiffness, misfit=31.0 if state is State.DOUBTFUL else 1.1),
+        damage=damage_reading(np.array([0.0, lost, 0.0]), 1e-4 * np.eye(3), 1500.0),
+        alarm=alarm(
+            active.get(2, Level.NORMAL), active=active, conditions=dict.fromkeys(active, AlarmCondition.NORMAL)
+        ),
+        rms_m_s2=0.01,
+        mode_tracks=(0, 1, 2),
+        detectable_loss=np.array([0.021, 0.034, np.inf if state is State.NOT_JUDGED else 0.017]),
     )
-    damage = DamageReading(np.array([0.0, lost, 0.0]), 1e-4 * np.eye(3), np.zeros(3), np.array([0.0, lost, 0.0]) * 1500)
-    fit = StiffnessEstimate(stiffness, np.eye(3), True, 5, 31.0 if state is State.DOUBTFUL else 1.1)
-    seen = np.array([0.021, 0.034, np.inf if state is State.NOT_JUDGED else 0.017])
-    t_ns = T0_NS + round((WINDOW_S + index * HOP_S) * 1e9)
-    return WindowResult(index, t_ns, WINDOW_S, modes, fit, damage, alarm, None, 0.01, None, (0, 1, 2), seen)
 
 
-class Lines(Outlet):
+class Lines(outlets.Outlet):
     """Keeps the lines of results.jsonl, and the notices that people would get."""
 
     def __init__(self) -> None:
@@ -73,17 +74,20 @@ class Site(Session):
 
 
 @pytest.mark.parametrize("state", list(State))
-def test_a_state_reads_the_same_at_every_outlet(state: State, tmp_path: Path, frame_text: str) -> None:
+def test_a_state_reads_the_same_at_every_outlet(
+    state: State, tmp_path: Path, frame_text: str, cut: Cut, monkeypatch: pytest.MonkeyPatch
+) -> None:
     structure = tmp_path / "frame.toml"
     structure.write_text(frame_text)
     lines, metrics = Lines(), Metrics("bench", MetricsSettings())
     out = ZenohOut("bench", ZenohOutSettings(connect=("tcp/127.0.0.1:9",), connect_timeout_s=0.1))
     site = Site(configuration.load(structure), None, (lines, metrics, out), None, tmp_path / "findings")
     try:
-        for index in range(COUNT):
-            site._publish(window(index, state))
-        channels = tuple(ChannelHealth(name, 0.0, 0.01, 0.05, 0, 0.0, 0.0, 1e-6) for name in CHANNELS)
-        site._publish(Health(T0_NS, T0_NS + 10**10, 100.0, 1000, 1.0, 0, 0.0, 0, channels))
+        channels = tuple(sensor_health.ChannelHealth(name, 0.0, 0.01, 0.05, 0, 0.0, 0.0, 1e-6) for name in CHANNELS)
+        results: list[WindowResult | Health] = [window(index, state) for index in range(COUNT)]
+        results.append(Health(T0_NS, T0_NS + 10**10, 100.0, 1000, 1.0, 0, 0.0, 0, channels))
+        monkeypatch.setattr(site.pipeline, "push", lambda block: results)
+        site.push(cut(np.zeros((1, 3)), 100.0)[0])
         answer = out.answer()
     finally:
         out.close(0.0)
@@ -93,23 +97,24 @@ def test_a_state_reads_the_same_at_every_outlet(state: State, tmp_path: Path, fr
         assert said.headline == "No loss above 3.4 % in any story."
 
     (tmp_path / "results.jsonl").write_text("\n".join(lines.lines) + "\n")
-    summary = plain(site.content(1.0))
+    summary = json.loads(to_json(site.content(1.0)))
     (tmp_path / "summary.json").write_text(to_json(summary))
     assert {key: summary[key] for key in ("state", "headline", "doubts")} == said.content
     assert f"{state.words}: {said.headline}" in replay_text(summary).splitlines()
 
-    report = html.unescape(page(read_period(tmp_path, None, None)))
+    write_period(tmp_path / "report.html", read_period(tmp_path, None, None))
+    report = html.unescape((tmp_path / "report.html").read_text())
     assert f">{state.words}</span><h1>{said.headline}</h1>" in report
 
     (tmp_path / "state").mkdir()
     health = {"wall_ns": time.time_ns(), "source": {"connected": True}, "recorder": None, "failed": {}}
     (tmp_path / "health.jsonl").write_text(json.dumps(health) + "\n")
     held = lock(tmp_path / "state" / "lock", tmp_path)
-    running = look(tmp_path)
+    running = status.look(tmp_path)
     os.close(held)
     assert {key: running[key] for key in said.content} == said.content
     assert (running["monitor"], running["exit_code"]) == ("running", EXIT.get(state, 11))
-    assert tell(running).splitlines()[0] == f"state     {state.words.upper()}: {said.headline}"
+    assert status.tell(running).splitlines()[0] == f"state     {state.words.upper()}: {said.headline}"
 
     gauges: list[Metric] = [family for family in metrics.collect() if family.name == "shm_state"]
     assert [s.labels for s in gauges[0].samples if s.value] == [{"state": state.value}]
@@ -135,9 +140,9 @@ def test_a_monitor_that_does_not_run_says_no_normal(tmp_path: Path) -> None:
         content = {"state": state.value, "headline": "The latest headline.", "doubts": []}
         (tmp_path / "summary.json").write_text(json.dumps(content))
         (tmp_path / "results.jsonl").write_text(json.dumps({"t_end_ns": T0_NS, "skipped": None}) + "\n")
-        ended = look(tmp_path)
+        ended = status.look(tmp_path)
         assert (ended["state"], ended["monitor"], ended["exit_code"]) == (wanted.value, "not running", 12)
-        rows = tell(ended)
+        rows = status.tell(ended)
         assert "The monitor does not run." in rows and "he latest headline, as of 2026-01-01 00:00 UTC." in rows
 
 

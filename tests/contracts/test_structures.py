@@ -7,7 +7,6 @@ import pytest
 from scipy.linalg import eigh
 
 from monitor.model import EFFECTS, Condition, Context, EffectError, MatrixStructure, ShearFrame
-from monitor.model.structures import Structure
 
 
 def cantilever(elements: int = 4) -> MatrixStructure:
@@ -36,6 +35,8 @@ def grounded() -> MatrixStructure:
     stiffness = 700.0 * slope[0] + np.diag([0.0, 900.0])
     return MatrixStructure.create(np.diag([1.0, 2.0]), stiffness, slope, np.array([700.0]), 0.02)
 
+
+Structure = ShearFrame | MatrixStructure
 
 CASES: dict[str, Structure] = {
     "one story": ShearFrame(np.array([2.0]), np.array([800.0]), 0.01),

@@ -14,6 +14,7 @@ from monitor.core import WHOLE, Alarm, AlarmCondition, DamageReading, Level
 from monitor.damage import alarm
 from monitor.damage.alarm import AlarmSettings, AlarmState, StoryState
 from monitor.damage.sequential_test import shared_change
+from tests.support.results import damage_reading
 
 HOP_NS = 10_000_000_000
 SETTINGS = AlarmSettings(significance=4.0, min_loss=0.005, alarm_loss=0.10, confirm_s=100, clear_s=50, deadband=1.0)
@@ -22,7 +23,7 @@ STD = 0.01
 
 def reading(*ddi: float, std: float = STD, common: float = 0.0) -> DamageReading:
     d, one = np.array(ddi), np.eye(len(ddi))
-    return DamageReading(d, (std**2 + common**2) * one, d, 1000.0 * d, common_covariance=common**2 * one)
+    return damage_reading(d, (std**2 + common**2) * one, 1000.0, common_covariance=common**2 * one)
 
 
 class Site:

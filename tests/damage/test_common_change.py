@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from monitor.core import WHOLE, DamageReading
+from monitor.core import WHOLE
 from monitor.damage import AlarmSettings, alarm, slow_learning
 from monitor.damage.common_change import EVERY_NS, UNMEASURED, Expected, learn_common, nothing_learned
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.covariates import Change, CovariateSettings, common_words, from_plain, learn_law, to_plain
 from monitor.damage.sequential_test import begin
+from tests.support.results import damage_reading
 
 HOUR_NS = 3_600_000_000_000
 STD = np.array([1.0e-3, 1.7e-3, 1.8e-3])
@@ -142,7 +143,7 @@ def test_the_index_and_its_deviation_are_of_what_is_left(expected: Expected) -> 
     for degc in rng.normal(0.0, 4.0, 300):
         ddi = degc * FOLLOWS + STD * rng.standard_normal(3)
         reading, _ = expected.take_out(
-            DamageReading(ddi, NOISE + common, ddi, 1e6 * ddi, common_covariance=common),
+            damage_reading(ddi, NOISE + common, 1e6, common_covariance=common),
             replace(begin(3, 400.0), ln_variance=np.log(STD**2), common=common[None]),
             expected.beside_others(ddi, NOISE + common),
         )
@@ -193,7 +194,7 @@ def test_the_alarm_is_silent_in_uneven_weather_and_finds_a_loss(expected: Expect
         hours = np.arange(1900.0, 2200.0)
         for t, row in zip(hours, changes_of(hours, 4) + np.log1p(-lost) * np.array([0.0, 1.0, 0.0]), strict=True):
             ddi = -np.expm1(row)
-            reading = DamageReading(ddi, 1.01 * NOISE, ddi, ddi, common_covariance=0.01 * NOISE)
+            reading = damage_reading(ddi, 1.01 * NOISE, common_covariance=0.01 * NOISE)
             state, verdict = alarm.step(state, reading, int(t) * HOUR_NS, settings, learned)
             told |= {story for story in verdict.active if story != WHOLE}
         return told

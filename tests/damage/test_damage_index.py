@@ -10,12 +10,13 @@ import pytest
 
 from monitor.config import Configuration
 from monitor.core import BadInputError, WindowResult
-from monitor.damage import Baseline, damage_index, learn_baseline, load_baseline, save_baseline
+from monitor.damage import Baseline, damage_index, load_baseline, save_baseline
 from monitor.damage.damage_index import sequential_reading
 from monitor.model import Model, parse_effect, simulate
 from monitor.pipeline import Pipeline
 from monitor.runs import cut_into_blocks
 from tests.support.exact_modes import JOINTS, drawing, exact_modes, truth
+from tests.support.learned import baseline_of
 
 
 @pytest.mark.parametrize("signs", [(1, 1, 1), (1, -1, 1), (-1, 1, -1), (-1, -1, 1)])
@@ -24,14 +25,7 @@ def test_wrong_masses_and_flexible_joints_bias_a_5_percent_loss_by_less_than_hal
     signs: tuple[int, int, int], story: int
 ) -> None:
     config = drawing(signs)
-    healthy, _ = learn_baseline(
-        config.instrumented(),
-        [exact_modes(truth((0, 0, 0)))],
-        np.ones(1),
-        (),
-        updating=config.updating,
-        compensation=config.compensation,
-    )
+    healthy = baseline_of(config, [exact_modes(truth((0, 0, 0)))])
     loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
     _, reading = damage_index.step(exact_modes(truth(loss)), healthy.model, healthy, np.eye(3), config.updating)
     assert np.abs(reading.ddi - loss).max() < 0.005
@@ -43,14 +37,7 @@ def test_beside_joints_that_the_model_knows_a_loss_is_that_of_the_columns(story:
     plain = drawing((0, 0, 0)).model_dump(mode="json", exclude_unset=True)
     joints = {"effect": JOINTS[0].name, "location": JOINTS[0].location, "parameters": JOINTS[0].values()}
     config = Configuration.model_validate({**plain, "effects": [joints]})
-    healthy, _ = learn_baseline(
-        config.instrumented(),
-        [exact_modes(truth((0, 0, 0)))],
-        np.ones(1),
-        (),
-        updating=config.updating,
-        compensation=config.compensation,
-    )
+    healthy = baseline_of(config, [exact_modes(truth((0, 0, 0)))])
     lost = parse_effect(f"stiffness_change:story {story}:relative=-0.15")
     now = exact_modes(Model(truth((0, 0, 0)).structure, (*JOINTS, lost)))
     _, reading = damage_index.step(now, healthy.model, healthy, np.eye(3), config.updating)
@@ -59,14 +46,7 @@ def test_beside_joints_that_the_model_knows_a_loss_is_that_of_the_columns(story:
 
 def test_an_unchanged_structure_reads_zero_however_wrong_the_drawing() -> None:
     config = drawing((1, -1, 1))
-    healthy, _ = learn_baseline(
-        config.instrumented(),
-        [exact_modes(truth((0, 0, 0)))],
-        np.ones(1),
-        (),
-        updating=config.updating,
-        compensation=config.compensation,
-    )
+    healthy = baseline_of(config, [exact_modes(truth((0, 0, 0)))])
     assert np.abs(healthy.misfit).max() > 0.005  # the drawing is wrong indeed, and stays so
     _, reading = damage_index.step(exact_modes(truth((0, 0, 0))), healthy.model, healthy, np.eye(3), config.updating)
     assert np.abs(reading.ddi).max() < 1e-6
@@ -91,14 +71,7 @@ def test_from_samples_a_5_percent_loss_is_found_at_the_right_story() -> None:
     """Wrong masses, flexible joints, 10 % noise: the mean over windows lies within half a point, in one story."""
     config = drawing((1, -1, 1), window_s=200.0, hop_s=50.0)
     calm = windows_of(truth((0, 0, 0)), config, None, seed=1)
-    healthy, _ = learn_baseline(
-        config.instrumented(),
-        [r.modes for r in calm if r.modes is not None],
-        np.array([r.rms_m_s2 for r in calm]),
-        (),
-        updating=config.updating,
-        compensation=config.compensation,
-    )
+    healthy = baseline_of(config, calm)
     for story in (1, 2, 3):
         loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
         readings = [r.damage for r in windows_of(truth(loss), config, healthy, seed=1 + story) if r.damage is not None]
@@ -146,14 +119,7 @@ def test_from_samples_a_5_percent_loss_is_found_at_the_right_story() -> None:
 )
 def test_a_baseline_with_one_wrong_key_is_refused_by_name(tmp_path, key: str, value: object) -> None:
     config, place = drawing((1, 1, -1)), tmp_path / "b.json"
-    healthy, _ = learn_baseline(
-        config.instrumented(),
-        [exact_modes(truth((0, 0, 0)))],
-        np.ones(1),
-        ({"file": "x"},),
-        updating=config.updating,
-        compensation=config.compensation,
-    )
+    healthy = baseline_of(config, [exact_modes(truth((0, 0, 0)))], [{"file": "x"}])
     save_baseline(healthy, place)
     content = json.loads(place.read_text())
     place.write_text(json.dumps(content | {key: value}))
@@ -163,14 +129,7 @@ def test_a_baseline_with_one_wrong_key_is_refused_by_name(tmp_path, key: str, va
 
 def test_a_baseline_without_one_of_its_keys_is_refused_by_name(tmp_path) -> None:
     config, place = drawing((1, 1, -1)), tmp_path / "b.json"
-    healthy, _ = learn_baseline(
-        config.instrumented(),
-        [exact_modes(truth((0, 0, 0)))],
-        np.ones(1),
-        (),
-        updating=config.updating,
-        compensation=config.compensation,
-    )
+    healthy = baseline_of(config, [exact_modes(truth((0, 0, 0)))])
     save_baseline(healthy, place)
     content = json.loads(place.read_text())
     for key in content:
@@ -181,14 +140,7 @@ def test_a_baseline_without_one_of_its_keys_is_refused_by_name(tmp_path) -> None
 
 def test_a_baseline_survives_its_file(tmp_path) -> None:
     config = drawing((1, 1, -1))
-    healthy, _ = learn_baseline(
-        config.instrumented(),
-        [exact_modes(truth((0, 0, 0)))],
-        np.ones(1),
-        ({"file": "x"},),
-        updating=config.updating,
-        compensation=config.compensation,
-    )
+    healthy = baseline_of(config, [exact_modes(truth((0, 0, 0)))], [{"file": "x"}])
     save_baseline(healthy, tmp_path / "b.json")
     again = load_baseline(tmp_path / "b.json", config.instrumented(), config.updating)
     modes = exact_modes(truth((0.0, 0.05, 0.0)))

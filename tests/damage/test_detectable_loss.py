@@ -10,6 +10,7 @@ from monitor.damage import alarm
 from monitor.damage.alarm import AlarmSettings, AlarmState
 from monitor.damage.detectable_loss import PROBABILITY, WITHIN_S, smallest_detectable_loss
 from monitor.damage.kernels import seen_by_most
+from tests.support.results import damage_reading
 
 HOP_S, WINDOW_S, N = 10.0, 400.0, 40
 SETTINGS = AlarmSettings()
@@ -20,7 +21,7 @@ def reading(
     ddi: Array, std: Array = STD, common: Array = 0.3 * STD, unidentified: tuple[int, ...] = ()
 ) -> DamageReading:
     own, shared = np.diag(std**2), np.diag(common**2)
-    return DamageReading(ddi, own + shared, ddi, ddi, shared, unidentified=unidentified)
+    return damage_reading(ddi, own + shared, common_covariance=shared, unidentified=unidentified)
 
 
 def after(hours: float, std: Array = STD) -> AlarmState:

@@ -12,19 +12,12 @@ import pytest
 from monitor.config import Configuration
 from monitor.core import BadConfigurationError
 from monitor.damage import Baseline, load_baseline, rebase_baseline, save_baseline
-from monitor.damage.baseline import learn_baseline
 from tests.support.exact_modes import drawing, exact_modes, truth
+from tests.support.learned import baseline_of
 
 
 def learned(config: Configuration) -> Baseline:
-    return learn_baseline(
-        config.instrumented(),
-        [exact_modes(truth((0, 0, 0)))],
-        np.ones(1),
-        (),
-        updating=config.updating,
-        compensation=config.compensation,
-    )[0]
+    return baseline_of(config, [exact_modes(truth((0, 0, 0)))])
 
 
 def matrices(coupling: float) -> Configuration:

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from monitor.core import ModalEstimate
 from monitor.damage import Baseline, damage_index
 from monitor.damage.origin import Origin
 from monitor.damage.updating import Observation, UpdatingSettings, predict
 from monitor.model import Model, ShearFrame
+from tests.support.results import modal_estimate
 
 MASSES, STIFFNESS = np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986])
 SENSORS = np.eye(3)
@@ -98,7 +98,7 @@ def test_the_index_is_that_of_the_change_whatever_array_sees_it(
     shapes[np.arange(len(channels)) != np.array(reduced.gauges)[:, None]] = z[3:]
     deviations = 1e-4 * np.random.default_rng(6).normal(size=(40, 3, 2 + 2 * len(channels)))
     hz = np.exp(0.5 * z[:3]) / (2.0 * np.pi)
-    modes = ModalEstimate(hz, np.full(3, 0.01), shapes, np.arange(3), deviations, 0, 6, np.zeros((0, 4)))
+    modes = modal_estimate(hz, shapes, deviations=deviations)
     sensors = SENSORS[list(channels)]
     _, reading = damage_index.step(modes, FRAME, reduced, sensors, UpdatingSettings(), prior_std=np.full(3, 0.2))
     np.testing.assert_allclose(reading.ddi, lost, atol=4e-3)

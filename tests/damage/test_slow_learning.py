@@ -65,7 +65,7 @@ def served(law: CovariateLaw, seed: int, days: int, loss_a_month: float, normal_
     return state, np.array(read)
 
 
-@pytest.mark.parametrize("seed", [31, 32])
+@pytest.mark.parametrize("seed", [31, pytest.param(32, marks=pytest.mark.slow)])
 def test_a_slow_loss_of_one_percent_a_month_is_not_learned(seed: int) -> None:
     """Six months in which summer comes and goes; nothing is announced, so that the worst is assumed."""
     _, read = served(calibrated(seed), seed + 100, 180, 0.01)
@@ -74,7 +74,7 @@ def test_a_slow_loss_of_one_percent_a_month_is_not_learned(seed: int) -> None:
     assert np.abs(read[20:, 1] - at[20:]).max() < 0.015
 
 
-@pytest.mark.parametrize("seed", [41, 42])
+@pytest.mark.parametrize("seed", [41, pytest.param(42, marks=pytest.mark.slow)])
 def test_a_year_with_frost_is_learned(seed: int) -> None:
     law = calibrated(seed)
     state, read = served(law, seed + 100, 345, 0.0)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from monitor.damage.alternative_solutions import second_solutions
 from monitor.damage.updating import Observation, UpdatingSettings, counterparts, predict, update
 from monitor.model import MatrixStructure, Model, ShearFrame, parse_effect
-from monitor.runs.paper_tables import updating_history
+from monitor.runs import paper_tables
 from tests.support.two_directions import HEALTHY, two_directions
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
@@ -193,15 +193,15 @@ def test_few_sensors_on_a_tall_frame_leave_an_honest_uncertainty() -> None:
 
 
 def test_the_second_exact_solution_is_found_from_the_first_and_back() -> None:
-    first, target = frame(updating_history()[-1]), frequencies([5.2, 16.3, 23.0])
+    first, target = frame(paper_tables.updating_history()[-1]), frequencies([5.2, 16.3, 23.0])
     (other,) = second_solutions(first, np.eye(3), target, PAPER)
     np.testing.assert_allclose(other, [1603.03, 978.68, 5331.21], atol=0.01)
     (back,) = second_solutions(frame(other), np.eye(3), target, PAPER)
-    np.testing.assert_allclose(back, updating_history()[-1], rtol=1e-6)
+    np.testing.assert_allclose(back, paper_tables.updating_history()[-1], rtol=1e-6)
 
 
 def test_shapes_leave_no_second_solution() -> None:
-    first = frame(updating_history()[-1])
+    first = frame(paper_tables.updating_history()[-1])
     target = measured(first, np.eye(3), (0, 1, 2), 1e-3)
     assert second_solutions(first, np.eye(3), target, UpdatingSettings()).shape == (0, 3)
 

@@ -9,7 +9,7 @@ import pytest
 
 from monitor.core import AlarmCondition
 from monitor.events import Event
-from monitor.events.alarm import _MOST, EventAlarm, acknowledge, follow
+from monitor.events.alarm import EventAlarm, acknowledge, follow
 from monitor.events.limits import exceedances
 from monitor.pipeline import Pipeline
 from tests.events.shaken import blocks, configuration
@@ -63,13 +63,14 @@ def test_no_other_event_is_acknowledged() -> None:
 
 
 def test_of_too_many_the_acknowledged_go_first() -> None:
-    alarms = tuple(EventAlarm(str(i), ("x",), ((0, 0),)) for i in range(_MOST))
+    alarms = tuple(EventAlarm(str(i), ("x",), ((0, 0),)) for i in range(64))
     event = replace(_any_event(), id="new", exceeded=("y",))
     assert [a.id for a in follow(acknowledge(alarms, "7", "Ada"), event, [(0, 0)])] == [
-        *(str(i) for i in range(_MOST) if i != 7),
+        *(str(i) for i in range(64) if i != 7),
         "new",
     ]
     assert follow(alarms, event, [(0, 0)])[0].id == "1"
+    assert len(follow(alarms[:8], event, [(0, 0)])) == 9 > len(follow(alarms[:8], event, [(0, 0)], most=8)) == 8
 
 
 def _any_event() -> Event:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
+from drivers.mcap_file import read_recordings
 from monitor.config import configuration
 from monitor.core import Skipped
 from monitor.events import Event, Review, Site, review_event
 from monitor.pipeline import Pipeline
-from monitor.runs.recordings import read_blocks
 from tests.events.shaken import MASSES, RATE, STIFFNESS, T0_NS, Array, Shaken, blocks, kanai_tajimi, shake
 from tests.events.shaken import configuration as frame
 from tests.support.short_quake import BEGIN_S, END_S, shaken
@@ -128,7 +128,7 @@ def test_what_the_first_mode_of_the_shake_table_frame_did() -> None:
     """It falls from 3.79 to 3.67 Hz while its damping rises, and comes back: joints that give with the level."""
     place = RECORDINGS / "mini-shake-table-flexible"
     config = configuration.load(place.with_suffix(".toml"))
-    data = list(read_blocks([place.with_suffix(".mcap")], config, pytest.fail))
+    data = list(read_recordings([place.with_suffix(".mcap")]))
     pipeline = Pipeline(config)
     results = [r for block in data for r in pipeline.push(block)]
     (event,) = [r for r in [*results, *pipeline.finish()] if isinstance(r, Event)]

@@ -7,19 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.mcap_file import McapWriter
 from tests.events.shaken import blocks, shake
 from tests.support.quake import ground, shaken
-from tests.support.samples import Cli
+from tests.support.samples import Cli, write_blocks
 from tests.support.short_quake import STRUCTURE
 
 
 def test_its_event_is_told_without_a_window(tmp_path: Path, main: Cli) -> None:
     recording, site, out = tmp_path / "quake.mcap", tmp_path / "frame.toml", tmp_path / "out"
     site.write_text(STRUCTURE)
-    with McapWriter(recording) as writer:
-        for block in blocks(shaken(), n=200):
-            writer.write(block)
+    write_blocks(recording, blocks(shaken(), n=200))
     done = main("replay", recording, "--structure", site, "--out", out)
     assert done.returncode == 0 and "0 windows" in done.stdout and "Go and look; largest acceleration" in done.stdout
     (line,) = (json.loads(row) for row in (out / "events.jsonl").read_text().splitlines())
@@ -32,9 +29,7 @@ def test_its_event_is_told_without_a_window(tmp_path: Path, main: Cli) -> None:
 def test_without_an_event_it_is_refused_as_too_short(tmp_path: Path, main: Cli) -> None:
     recording, site = tmp_path / "quiet.mcap", tmp_path / "frame.toml"
     site.write_text(STRUCTURE)
-    with McapWriter(recording) as writer:
-        for block in blocks(shake(ground(100.0), np.random.default_rng(1))[0], n=200):
-            writer.write(block)
+    write_blocks(recording, blocks(shake(ground(100.0), np.random.default_rng(1))[0], n=200))
     done = main("replay", recording, "--structure", site, "--out", tmp_path / "out")
     assert done.returncode == 65 and "one window takes 400 s" in done.stderr
     assert not (tmp_path / "out" / "events.jsonl").exists()

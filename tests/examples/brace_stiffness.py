@@ -7,8 +7,7 @@ from math import inf
 from typing import ClassVar, Literal, Self
 
 from monitor.core import Array
-from monitor.model import Condition, Context, Effect, FittedSizes, Parameter
-from monitor.model.structures import Structure
+from monitor.model import Condition, Context, Effect, FittedSizes, MatrixStructure, Parameter, ShearFrame
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class BraceStiffness(Effect):
 
     stiffness_n_per_m: float
 
-    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+    def structural(self, mass: Array, stiffness: Array, structure: ShearFrame | MatrixStructure) -> tuple[Array, Array]:
         """See `Effect.structural`: linear and the same at every level, so this is its face in time as well."""
         return mass, stiffness + self.stiffness_n_per_m * self.pattern(structure)
 

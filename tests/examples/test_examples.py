@@ -11,8 +11,7 @@ import pytest
 from drivers import registry
 from drivers.base import SourceContext
 from monitor.config import Configuration, configuration
-from monitor.config.configuration import make_source
-from monitor.core import Alarm, Level, Skipped, WindowResult
+from monitor.core import Level, Skipped
 from monitor.diagnosis import in_words
 from monitor.diagnosis.wording import separating_measurement
 from monitor.model import EFFECTS, Condition, Context, FittedSizes, parse_effect, prior_from_drawing
@@ -22,6 +21,7 @@ from tests.examples.alarm_log import AlarmLog
 from tests.examples.brace_stiffness import BraceStiffness
 from tests.examples.cantilever import write_cantilever
 from tests.examples.sine_source import SineSource
+from tests.support.results import alarm, window_result
 from tests.support.samples import Cli
 
 
@@ -37,7 +37,7 @@ def test_the_driver_feeds_the_daemon(tmp_path: Path, frame_text: str) -> None:
     (tmp_path / "site.toml").write_text(site + frame_text)
     Daemon(tmp_path / "site.toml").run()
     assert len((tmp_path / "out/results.jsonl").read_text().splitlines()) == 5
-    source = make_source({"kind": "sine", "frequency_hz": 5.0}, SourceContext(("a1",)))
+    source = configuration.make_source({"kind": "sine", "frequency_hz": 5.0}, SourceContext(("a1",)))
     assert isinstance(source, SineSource)
     block = source.read(1.0)
     assert block is not None
@@ -107,8 +107,8 @@ def test_the_publisher_notes_changes_only(tmp_path: Path, frame_text: str) -> No
     session = Session(configuration.load(tmp_path / "s.toml"), None, (log,), None, tmp_path)
     assert session.windows == 0
     for k, level in enumerate([Level.NORMAL, Level.ADVISORY, Level.ADVISORY, Level.ALARM, Level.NORMAL]):
-        log.window(WindowResult(k, k, 20.0, None, None, None, Alarm(level, (2,), f"is {level.value}"), None), "")
-    log.window(WindowResult(9, 9, 20.0, None, None, None, Alarm(Level.ALARM, (2,), ""), Skipped("x")), "")
+        log.window(window_result(k, alarm=alarm(level, f"is {level.value}", stories=(2,))), "")
+    log.window(window_result(9, alarm=alarm(Level.ALARM), skipped=Skipped("x")), "")
     assert [s.split()[1] for s in (tmp_path / "alarms.log").read_text().splitlines()] == [
         "advisory:",
         "alarm:",

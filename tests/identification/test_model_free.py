@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from monitor.core import ModalEstimate, Skipped
-from monitor.identification import (
-    fit_single_modes,
-)
+from monitor.identification import fit_single_modes
 from tests.support.shear_response import identified, response, shear_frame
 
 
@@ -43,16 +43,7 @@ def test_the_second_opinion_does_not_rest_on_the_first() -> None:
     hz, shapes = shear_frame(3, rng)
     window, modes = identified(response(hz, shapes, 0.01, 600.0, rng))
     assert isinstance(modes, ModalEstimate)
-    shifted = ModalEstimate(
-        modes.frequencies_hz * 1.005,
-        modes.damping_ratio * 2.0,
-        modes.shapes,
-        modes.model_mode,
-        modes.deviations,
-        modes.first,
-        modes.order,
-        modes.poles,
-    )
+    shifted = replace(modes, frequencies_hz=modes.frequencies_hz * 1.005, damping_ratio=modes.damping_ratio * 2.0)
     right = fit_single_modes(window.segments, window.segment_bin_hz, modes)
     wrong = fit_single_modes(window.segments, window.segment_bin_hz, shifted)
     for a, b in zip(right, wrong, strict=True):

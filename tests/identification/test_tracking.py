@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from monitor.core import ModalEstimate
 from monitor.identification.tracking import Observed, Status, TrackedModes, TrackSettings, TrackState, observed, step
+from tests.support.results import modal_estimate
 from tests.support.tower import DAY_NS, HOUR_NS, SETTINGS, Tower
 
 WINDOW_S = 400.0
@@ -301,16 +301,7 @@ def test_a_saved_state_goes_on_as_if_nothing_had_happened() -> None:
 def test_a_modal_estimate_is_observed_as_it_is() -> None:
     deviations = np.zeros((2, 3, 8))
     deviations[:, :, 0] = STD / np.sqrt(2.0)
-    estimate = ModalEstimate(
-        frequencies_hz=np.array([5.2, 16.3, 23.0]),
-        damping_ratio=np.full(3, 0.01),
-        shapes=SHAPES.astype(complex),
-        model_mode=np.arange(3),
-        deviations=deviations,
-        first=0,
-        order=6,
-        poles=np.zeros((0, 4)),
-    )
+    estimate = modal_estimate([5.2, 16.3, 23.0], SHAPES, deviations=deviations)
     assert settled().see(observed(estimate, WINDOW_S)).observed.tolist() == [0, 1, 2]
     assert observed(estimate, WINDOW_S).frequencies_std_hz == pytest.approx(estimate.frequencies_hz * STD)
 

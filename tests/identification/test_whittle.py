@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from monitor.core import ModalEstimate, Window
-from monitor.identification import whittle, whittle_model
+from monitor.identification import whittle
 from monitor.identification.ssi import SsiSettings
 from monitor.identification.stabilization import SelectionSettings, identify
 from monitor.identification.whittle import RefinementSettings, refine
@@ -64,7 +64,7 @@ def test_the_transform_has_the_density_of_white_noise() -> None:
 def test_slopes_are_the_derivatives_of_the_model(one: tuple[Window, ModalEstimate]) -> None:
     item, modes = one
     layout = layout_of(modes, 12.0, len(item.segments[0]), item.segment_bin_hz)
-    point = whittle._start(layout, modes, cross_spectra(layout, item.segments).mean(axis=0))
+    point = whittle.starting_point(layout, modes, cross_spectra(layout, item.segments).mean(axis=0))
     spectrum = predict(layout, point)
     half = np.einsum("ap,kbp->pkab", spectrum.u, spectrum.v.conj())
     slopes = np.add.reduceat(half + half.conj().swapaxes(-1, -2), layout.columns)
@@ -72,19 +72,16 @@ def test_slopes_are_the_derivatives_of_the_model(one: tuple[Window, ModalEstimat
         step = np.zeros(len(slopes))
         size = min(1e-4, 1e-6 * np.abs(spectrum.value).max() / np.abs(slopes[i]).max())
         step[i] = size
-        up = predict(layout, whittle._take_step(layout, point, step)).value
-        down = predict(layout, whittle._take_step(layout, point, -step)).value
+        up = predict(layout, whittle.take_step(layout, point, step)).value
+        down = predict(layout, whittle.take_step(layout, point, -step)).value
         np.testing.assert_allclose((up - down) / (2 * size), slopes[i], atol=2e-4 * np.abs(slopes[i]).max())
 
 
-def test_a_pool_of_the_model_is_the_mean_of_its_bins(
-    one: tuple[Window, ModalEstimate], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pool_of_the_model_is_the_mean_of_its_bins(one: tuple[Window, ModalEstimate]) -> None:
     item, modes = one
     pooled = layout_of(modes, 12.0, len(item.segments[0]), item.segment_bin_hz)
-    point = whittle._start(pooled, modes, cross_spectra(pooled, item.segments).mean(axis=0))
-    monkeypatch.setattr(whittle_model, "_POOL_WIDTH", 0.0)
-    single = layout_of(modes, 12.0, len(item.segments[0]), item.segment_bin_hz)
+    point = whittle.starting_point(pooled, modes, cross_spectra(pooled, item.segments).mean(axis=0))
+    single = layout_of(modes, 12.0, len(item.segments[0]), item.segment_bin_hz, pool_width=0.0)
     assert (single.sizes == 1).all()
     assert single.sizes.sum() == pooled.sizes.sum() > 3 * pooled.sizes.size
     begins = np.searchsorted(single.first, pooled.first)
@@ -120,7 +117,7 @@ def test_the_covariance_is_the_models_where_the_scatter_agrees_with_it() -> None
     for _ in range(200):
         influence = rng.standard_normal((39, 12)) @ mix.T / np.sqrt(39.0)
         influence -= influence.mean(axis=0)
-        rows, factor = whittle._uncertainty(influence, model)
+        rows, factor = whittle.shrunk_uncertainty(influence, model)
         np.testing.assert_allclose(factor.T @ factor, model)
         scattered.append(np.sqrt(np.diag(influence.T @ influence)))
         shrunk.append(np.sqrt(np.diag(rows.T @ rows)))
@@ -133,7 +130,7 @@ def test_the_covariance_is_the_models_where_the_scatter_agrees_with_it() -> None
 def test_the_covariance_is_the_scatters_where_the_model_is_wrong() -> None:
     rng = np.random.default_rng(6)
     wide = np.array([4.0] + [1.0] * 11)  # one direction scatters four times as much as the model says
-    rows, _ = whittle._uncertainty(rng.standard_normal((400, 12)) * wide / 20.0, np.eye(12))
+    rows, _ = whittle.shrunk_uncertainty(rng.standard_normal((400, 12)) * wide / 20.0, np.eye(12))
     std = np.sqrt((rows**2).sum(axis=0)) / np.sqrt(1.0 + 2.0 * overlap_correlation())
     assert std[0] == pytest.approx(4.0, rel=0.15)
     np.testing.assert_allclose(std[1:], 1.0, atol=0.2)
@@ -144,7 +141,7 @@ def test_the_covariance_stands_where_segments_are_few() -> None:
     variance = []
     for _ in range(100):
         influence = rng.standard_normal((8, 12)) / np.sqrt(8.0)
-        rows, _ = whittle._uncertainty(influence - influence.mean(axis=0), np.eye(12))
+        rows, _ = whittle.shrunk_uncertainty(influence - influence.mean(axis=0), np.eye(12))
         assert rows.shape == (8, 12)
         variance.append((rows**2).sum(axis=0))
     np.testing.assert_allclose(np.mean(variance, axis=0), 1.0 + 2.0 * overlap_correlation(), rtol=0.15)

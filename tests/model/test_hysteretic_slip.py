@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from monitor.core import Array
 from monitor.model.effects import parse_effect
-from monitor.model.effects.hysteretic_slip import _steady_cycle, linearized_element
+from monitor.model.effects.hysteretic_slip import linearized_element, steady_cycle
 from monitor.model.integration import slipped
 from monitor.model.model import Model
 from monitor.model.simulation import respond
@@ -37,11 +37,11 @@ def test_the_element_is_that_of_bouc_and_wen_with_a_sharpness_of_two() -> None:
 
 
 @pytest.mark.parametrize("amplitude", [0.3, 1.0, 4.0])
-def test_stiffness_and_loss_are_those_of_a_steady_cycle(amplitude: float) -> None:
+def test_stiffness_and_loss_are_those_of_asteady_cycle(amplitude: float) -> None:
     t = np.linspace(0.0, 12.0 * np.pi, 60001)
     drift, last = amplitude * np.sin(t), t > 10.0 * np.pi
     z = driven(drift)
-    secant, loss = (float(x) for x in _steady_cycle(np.array(amplitude)))
+    secant, loss = (float(x) for x in steady_cycle(np.array(amplitude)))
     step = t[1] - t[0]
     assert secant == pytest.approx((z * np.sin(t))[last].sum() * step / np.pi / amplitude, rel=2e-3)
     dissipated = float((z * np.gradient(drift))[last].sum())

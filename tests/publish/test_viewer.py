@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,20 +21,11 @@ from scipy.signal import welch
 
 from drivers.base import ClockHealth
 from monitor.config import Configuration, configuration
-from monitor.core import (
-    DamageReading,
-    Gap,
-    Level,
-    ModalEstimate,
-    Samples,
-    WindowResult,
-    parse_address,
-)
+from monitor.core import Gap, Level, Samples, WindowResult, parse_address
 from monitor.damage import Assessment, LearnedRange, State
 from monitor.model import Model, ShearFrame, simulate
 from monitor.publish.viewer import layout, picture
 from monitor.publish.viewer import scene as rerun_scene
-from monitor.publish.viewer.layout import _healthy, _trust
 from monitor.publish.viewer.mode_shapes import expand_shape
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.publisher import RerunPublisher
@@ -42,12 +33,13 @@ from monitor.publish.viewer.scene import Scene, loss_colour, make_scene
 from monitor.publish.viewer.spectra import predict_power
 from monitor.publish.viewer.state import StateDrawing, state_markdown
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
-from monitor.signals import Health
-from monitor.signals.sensor_health import ChannelHealth
+from monitor.signals import Health, sensor_health
 from tests.examples.beam import bridge
+from tests.publish.viewer_results import SCENE, T0, window
 from tests.support.event_pages import told as shaken_event
+from tests.support.results import damage_reading, modal_estimate
 from tests.support.strangers import listening
-from tests.support.viewer_results import SCENE, T0, window
+from tests.support.waiting import until
 
 
 def second(k: int, n: int = 100) -> Samples:
@@ -70,6 +62,15 @@ def read(file: Path) -> dict[str, dict[int, object]]:
         rows = found.setdefault(chunk.entity_path, {})
         rows.update(zip(times, batch[wanted[0]].to_pylist(), strict=True))
     return found
+
+
+@contextlib.contextmanager
+def viewed(file: Path, scene: Scene = SCENE) -> Iterator[RerunPublisher]:
+    """A view to a file, all of which is drawn."""
+    view = RerunPublisher(scene, file=file, serve=None, lossless=True)
+    yield view
+    view.close(60.0)
+    assert view.failed is None
 
 
 @pytest.fixture
@@ -149,12 +150,10 @@ def rgba(colour: tuple[int, int, int]) -> int:
 @pytest.mark.parametrize("state", State)
 def test_each_state_is_shown_in_capitals_in_its_colour_with_headline_and_doubts(state: State, tmp_path: Path) -> None:
     file = tmp_path / "live.rrd"
-    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
-    view.samples(second(0))
-    view.state(Assessment(state, "The headline.", ("One doubt.", "Another.")))
-    view.window(window(0), "")
-    view.close(60.0)
-    assert view.failed is None
+    with viewed(file) as view:
+        view.samples(second(0))
+        view.state(Assessment(state, "The headline.", ("One doubt.", "Another.")))
+        view.window(window(0), "")
     (begun, nothing, grey), (ended, text, colour) = told(file)
     assert (begun, grey) == (T0, [rgba(rerun_scene.GREY)])
     assert nothing.startswith("# NOT JUDGED\n") and "loading" in nothing
@@ -169,12 +168,11 @@ def test_each_state_is_shown_in_capitals_in_its_colour_with_headline_and_doubts(
 def test_a_file_that_is_still_loading_shows_no_state_of_its_beginning(tmp_path: Path) -> None:
     """All that a reader meets before the last results says "not judged"."""
     file = tmp_path / "live.rrd"
-    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
-    view.samples(second(0))
-    for k in range(150):
-        view.state(Assessment(State.NORMAL if k < 140 else State.ALARM, f"No loss above {1 + k} %."))
-        view.window(window(k), "")
-    view.close(60.0)
+    with viewed(file) as view:
+        view.samples(second(0))
+        for k in range(150):
+            view.state(Assessment(State.NORMAL if k < 140 else State.ALARM, f"No loss above {1 + k} %."))
+            view.window(window(k), "")
     order = [
         (chunk.entity_path, int(t))
         for chunk in RrdReader(file).stream()
@@ -187,13 +185,11 @@ def test_a_file_that_is_still_loading_shows_no_state_of_its_beginning(tmp_path: 
 
 def test_a_diagnosis_after_the_last_window_changes_the_state_that_is_shown(tmp_path: Path) -> None:
     file = tmp_path / "live.rrd"
-    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
-    view.state(Assessment(State.ADVISORY, "Story 2 lost 3 %."))
-    view.window(window(0), "")
-    view.finding({"t_ns": T0, "verdict": "named", "says": "Channels a1 and a3 are swapped.", "reason": "misfit"})
-    view.state(Assessment(State.DOUBTFUL, "Diagnosis 001: Channels a1 and a3 are swapped."))
-    view.close(60.0)
-    assert view.failed is None
+    with viewed(file) as view:
+        view.state(Assessment(State.ADVISORY, "Story 2 lost 3 %."))
+        view.window(window(0), "")
+        view.finding({"t_ns": T0, "verdict": "named", "says": "Channels a1 and a3 are swapped.", "reason": "misfit"})
+        view.state(Assessment(State.DOUBTFUL, "Diagnosis 001: Channels a1 and a3 are swapped."))
     t_ns, text, _ = told(file)[-1]
     assert t_ns == window(0).t_end_ns and "# DOUBTFUL" in text and "swapped" in text
     assert "Cause named" in read(file)["/verdict"][T0][0]
@@ -212,15 +208,13 @@ def test_a_story_is_green_only_where_a_loss_would_have_been_seen(
     has_baseline: bool, detectable: tuple[float, ...] | None, colours: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "live.rrd"
-    view = RerunPublisher(replace(SCENE, has_baseline=has_baseline), file=file, serve=None, lossless=True)
-    result = window(0)
-    assert result.damage is not None
-    damage = replace(result.damage, ddi=np.array([0.0, 0.05, 0.0 if detectable == (0.02, 0.02, 0.02) else 0.4]))
-    view.window(
-        replace(result, damage=damage, detectable_loss=None if detectable is None else np.array(detectable)), ""
-    )
-    view.close(60.0)
-    assert view.failed is None
+    with viewed(file, replace(SCENE, has_baseline=has_baseline)) as view:
+        result = window(0)
+        assert result.damage is not None
+        damage = replace(result.damage, ddi=np.array([0.0, 0.05, 0.0 if detectable == (0.02, 0.02, 0.02) else 0.4]))
+        view.window(
+            replace(result, damage=damage, detectable_loss=None if detectable is None else np.array(detectable)), ""
+        )
     (chunk,) = [c for c in RrdReader(file).stream() if c.entity_path == "/frame/stories/labels"]
     batch = chunk.to_record_batch()
     ((*drawn,),) = batch[next(n for n in batch.schema.names if n.endswith(":colors"))].to_pylist()
@@ -273,8 +267,7 @@ def test_a_hung_viewer_costs_drops_not_time(tmp_path: Path, stuck: threading.Eve
     assert time.monotonic() - began < 1.0
     assert view.failed == "not finished within 0.3 s"
     stuck.set()
-    view._worker._thread.join(10.0)
-    assert list(tmp_path.iterdir()) == [], "neither the name nor the partial file"
+    until(lambda: list(tmp_path.iterdir()) == [], "neither the name nor the partial file")
 
 
 def test_lossless_waits_for_a_slow_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,12 +344,15 @@ def test_serves_over_ipv6_too() -> None:
         pytest.skip("no IPv6 here")
     view = RerunPublisher(SCENE, file=None, serve=parse_address(f"[::1]:{port}"), lossless=False)
     view.window(window(0), "")
-    until, reached = time.monotonic() + 20, False
-    while not reached and time.monotonic() < until:
+
+    def reached() -> bool:
         with contextlib.suppress(OSError), socket.create_connection(("::1", port), timeout=1.0):
-            reached = True
+            return True
+        return False
+
+    until(reached, "a connection", 20.0)
     view.close()
-    assert reached and not view.failed
+    assert not view.failed
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux's /proc/net/tcp")
@@ -365,9 +361,7 @@ def test_serves_only_where_told_and_stops() -> None:
         port = probe.getsockname()[1]
     view = RerunPublisher(SCENE, file=None, serve=("127.0.0.1", port), lossless=False)
     view.window(window(0), "")
-    until = time.monotonic() + 20
-    while not listening(port) and time.monotonic() < until:
-        time.sleep(0.05)
+    until(lambda: listening(port), "a server", 20.0)
     assert listening(port) == {"0100007F"}
     view.close(20.0)
     assert view.failed is None
@@ -398,15 +392,15 @@ FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.45, 
 
 def test_sensors_clocks_and_verdicts_are_shown(tmp_path: Path) -> None:
     file = tmp_path / "live.rrd"
-    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
-    channels = tuple(ChannelHealth(c, 0.0, 1.0 + i, 3.0, 0, 0.0, 0.25, 1e-4) for i, c in enumerate(SCENE.channels))
-    view.health(Health(T0, T0 + 10**10, 100.0, 990, 0.99, 1, 0.1, 0, channels))
-    view.clocks(T0 + 10**10, [ClockHealth("node 7", 0.002, 12.0, 1.0, 0)])
-    view.finding({"t_ns": T0 + 10**10, "verdict": "ambiguous", "says": "story 1 or 2", "reason": "warning",
-                  "separating_measurement": "push each"})  # fmt: skip
-    view.window(window(0), "")
-    view.close(60.0)
-    assert view.failed is None
+    with viewed(file) as view:
+        channels = tuple(
+            sensor_health.ChannelHealth(c, 0.0, 1.0 + i, 3.0, 0, 0.0, 0.25, 1e-4) for i, c in enumerate(SCENE.channels)
+        )
+        view.health(Health(T0, T0 + 10**10, 100.0, 990, 0.99, 1, 0.1, 0, channels))
+        view.clocks(T0 + 10**10, [ClockHealth("node 7", 0.002, 12.0, 1.0, 0)])
+        view.finding({"t_ns": T0 + 10**10, "verdict": "ambiguous", "says": "story 1 or 2", "reason": "warning",
+                      "separating_measurement": "push each"})  # fmt: skip
+        view.window(window(0), "")
     found = read(file)
     at = T0 + 10**10
     assert found["/quality/availability"][at] == [99.0]
@@ -420,10 +414,8 @@ def test_sensors_clocks_and_verdicts_are_shown(tmp_path: Path) -> None:
 
 def test_an_event_stands_in_the_log_and_its_drifts_on_the_timeline(tmp_path: Path) -> None:
     event, _, _ = shaken_event()
-    publisher = RerunPublisher(SCENE, file=tmp_path / "r.rrd", serve=None, lossless=True)
-    publisher.event(event, "")
-    publisher.close()
-    assert publisher.failed is None
+    with viewed(tmp_path / "r.rrd") as view:
+        view.event(event, "")
     content = read(tmp_path / "r.rrd")
     for j in range(3):
         assert content[f"/drift/story_{j + 1}"] == {event.end_ns: [pytest.approx(1e3 * event.drift_m[j])]}
@@ -433,16 +425,14 @@ def test_an_event_stands_in_the_log_and_its_drifts_on_the_timeline(tmp_path: Pat
 
 def test_a_covariate_is_shown_beside_the_range_that_was_learned(tmp_path: Path) -> None:
     scene = replace(SCENE, learned={"level": LearnedRange("m", 1e-6, 3e-6)})
-    view = RerunPublisher(scene, file=tmp_path / "live.rrd", serve=None, lossless=True)
-    storm = replace(window(0), covariates={"level": np.array([-100.0]), "wind": np.array([20.0])})
-    view.window(storm, "")
-    view.close(60.0)
-    assert view.failed is None
+    with viewed(tmp_path / "live.rrd", scene) as view:
+        storm = replace(window(0), covariates={"level": np.array([-100.0]), "wind": np.array([20.0])})
+        view.window(storm, "")
     found = {path: at[storm.t_end_ns] for path, at in read(tmp_path / "live.rrd").items() if "covariate" in path}
     assert {path.rsplit("/", 1)[1]: value for path, value in found.items()} == {
         "value": [pytest.approx(1e-5)], "low": [1e-6], "high": [3e-6],
     }  # fmt: skip
-    assert "/trust/covariate/level" in _origins(_trust(scene))
+    assert "/trust/covariate/level" in _origins(_tabs(scene)[1])
 
 
 def test_the_models_spectrum_lies_on_a_simulated_one(tmp_path: Path) -> None:
@@ -469,23 +459,20 @@ def test_the_models_spectrum_lies_on_a_simulated_one(tmp_path: Path) -> None:
 
 def test_spectra_are_drawn_with_the_models(tmp_path: Path) -> None:
     file = tmp_path / "live.rrd"
-    view = RerunPublisher(replace(SCENE, model=FRAME), file=file, serve=None, lossless=True)
-    rng = np.random.default_rng(0)
-    for k in range(60):
-        view.samples(Samples(T0 + k * 10**9, 100.0, rng.normal(size=(100, 3))))
-    for k in range(8):
-        view.window(replace(window(k), t_end_ns=T0 + (60 + 30 * k) * 10**9), "")
-    view.close(60.0)
-    assert view.failed is None
+    with viewed(file, replace(SCENE, model=FRAME)) as view:
+        rng = np.random.default_rng(0)
+        for k in range(60):
+            view.samples(Samples(T0 + k * 10**9, 100.0, rng.normal(size=(100, 3))))
+        for k in range(8):
+            view.window(replace(window(k), t_end_ns=T0 + (60 + 30 * k) * 10**9), "")
     chunks = [c for c in RrdReader(file).stream() if c.entity_path in ("/spectra/measured", "/spectra/model")]
     assert sum(c.num_rows for c in chunks) == 4, "both, twice in 210 s"
 
 
 def test_before_a_diagnosis_the_view_says_that_there_was_none(tmp_path: Path) -> None:
-    view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True)
-    view.window(window(0), "")
-    view.window(window(1), "")
-    view.close(60.0)
+    with viewed(tmp_path / "live.rrd") as view:
+        view.window(window(0), "")
+        view.window(window(1), "")
     verdicts = read(tmp_path / "live.rrd")["/verdict"]
     assert list(verdicts) == [window(0).t_end_ns], "nothing before the data begin"
     assert "No diagnosis" in verdicts[window(0).t_end_ns][0]
@@ -493,9 +480,8 @@ def test_before_a_diagnosis_the_view_says_that_there_was_none(tmp_path: Path) ->
 
 def test_mode_shapes_move_on_a_timeline_of_their_own(tmp_path: Path) -> None:
     file = tmp_path / "live.rrd"
-    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
-    view.window(window(0), "")
-    view.close(60.0)
+    with viewed(file) as view:
+        view.window(window(0), "")
     moving = [
         c for c in RrdReader(file).stream() if c.timeline_names == ["phase"] and c.entity_path == "/frame/modes/nodes"
     ]
@@ -509,7 +495,11 @@ def test_mode_shapes_move_on_a_timeline_of_their_own(tmp_path: Path) -> None:
 
 def test_a_long_history_grows_slowly_and_keeps_what_matters() -> None:
     thin = Thinning()
-    kept = [k for k in range(100_000) if thin.window(window(k, Level.ALARM if k == 77_777 else Level.NORMAL))]
+    quiet, loud = window(0), window(0, Level.ALARM)
+    results = (
+        replace(loud if k == 77_777 else quiet, index=k, t_end_ns=quiet.t_end_ns + k * 10**10) for k in range(100_000)
+    )
+    kept = [result.index for result in results if thin.window(result)]
     assert kept[:FULL_RATE_WINDOWS] == list(range(FULL_RATE_WINDOWS))
     assert {77_777, 77_778} <= set(kept)
     assert len(kept) < 8 * FULL_RATE_WINDOWS
@@ -552,28 +542,16 @@ def bridge_scene() -> tuple[Scene, Configuration]:
 def bridge_window(config: Configuration) -> WindowResult:
     """The first three modes as the five sensors show them, and no damage."""
     modes = config.model().modes()
-    found = ModalEstimate(
-        frequencies_hz=modes.frequencies_hz[:3],
-        damping_ratio=np.full(3, 0.01),
-        shapes=modes.shapes[:5, :3].T.astype(complex),
-        model_mode=np.arange(3),
-        deviations=np.full((4, 3, 12), 0.001),
-        first=0,
-        order=20,
-        poles=np.zeros((0, 4)),
-    )
-    damage = DamageReading(np.zeros(6), np.eye(6) * 1e-4, np.zeros(6), np.zeros(6))
-    return replace(window(0), modes=found, stiffness=None, damage=damage)
+    found = modal_estimate(modes.frequencies_hz[:3], modes.shapes[:5, :3].T, deviations=np.full((4, 3, 12), 0.001))
+    return replace(window(0), modes=found, stiffness=None, damage=damage_reading(np.zeros(6), 1e-4 * np.eye(6)))
 
 
 def test_a_bridge_is_drawn_as_a_bridge_and_its_rotations_are_no_sway(tmp_path: Path) -> None:
     scene, config = bridge_scene()
     assert scene.n_modes == 3, "those below the highest frequency, not as many as stiffnesses"
     file = tmp_path / "live.rrd"
-    view = RerunPublisher(scene, file=file, serve=None, lossless=True)
-    view.window(bridge_window(config), "")
-    view.close(60.0)
-    assert view.failed is None
+    with viewed(file, scene) as view:
+        view.window(bridge_window(config), "")
     (members,) = chunk_rows(file, "/frame/stories", ":strips")
     np.testing.assert_allclose(members[:, :, 0], [[i / 6, (i + 1) / 6] for i in range(6)], atol=1e-6)
     assert not members[:, :, 1:].any(), "flat, from bearing to bearing"
@@ -598,10 +576,8 @@ def test_without_nodes_matrices_are_a_list_of_their_stiffnesses(tmp_path: Path) 
     scene, config = bridge_scene()
     listed = replace(scene, drawing=config.structure.drawing())
     file = tmp_path / "live.rrd"
-    view = RerunPublisher(listed, file=file, serve=None, lossless=True)
-    view.window(bridge_window(config), "")
-    view.close(60.0)
-    assert view.failed is None
+    with viewed(file, listed) as view:
+        view.window(bridge_window(config), "")
     (bars,) = chunk_rows(file, "/frame/stories", ":strips")
     assert np.all(np.diff(bars[:, 0, 2]) < 0) and np.ptp(bars[:, 0, 0]) == 0, "one below the other"
     assert not chunk_rows(file, "/frame/modes/nodes", ":positions"), "no motion of a form that nobody knows"
@@ -609,10 +585,14 @@ def test_without_nodes_matrices_are_a_list_of_their_stiffnesses(tmp_path: Path) 
 
 @pytest.mark.parametrize("n", [1, 3, 8])
 def test_every_mode_has_an_axis_of_its_own(n: int) -> None:
-    origins = _origins(_healthy(replace(SCENE, n_modes=n)))
+    origins = _origins(_tabs(replace(SCENE, n_modes=n))[0])
     assert [o for o in origins if o.startswith("/modes/frequency")] == [
         f"/modes/frequency/{i}" for i in range(1, n + 1)
     ]
+
+
+def _tabs(scene: Scene) -> list[Any]:
+    return list(layout.blueprint(scene, page=1).root_container.contents)
 
 
 def _origins(view: object) -> list[str]:
@@ -626,7 +606,7 @@ def test_colours_do_not_repeat_within_a_dozen() -> None:
 
 
 def test_the_page_of_trust_says_the_state_and_whether_something_makes_it_doubtful() -> None:
-    trust = layout.blueprint(SCENE, page=1).root_container.contents[1]
+    trust = _tabs(SCENE)[1]
     shown = trust.contents[0].contents[0].contents
     assert [view.origin for view in shown] == ["/state", "/verdict"]
     sure, doubtful = (Assessment(State.ALARM, "Story 2 lost 11 %.", doubts) for doubts in ((), ("A gap.",)))

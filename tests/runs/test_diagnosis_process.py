@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
-from monitor.core import Alarm, Level, Skipped, StiffnessEstimate, WindowResult
+from monitor.core import Level, Skipped, WindowResult
 from monitor.diagnosis import Request, WatchSettings, trigger
-from monitor.diagnosis.trigger import WatchState
 from monitor.runs.diagnosis_process import DiagnosisQueue
 from monitor.runs.online_diagnosis import RecentBlocks
+from tests.support.results import alarm, stiffness_estimate, window_result
 from tests.support.samples import T0_NS, Cut
 
 WINDOW_S = 100.0
@@ -22,15 +22,15 @@ S = 1_000_000_000
 
 
 def window(t_s: float, level: Level = Level.NORMAL, misfit: float = 1.0) -> WindowResult:
-    estimate = StiffnessEstimate(np.ones(3), np.eye(3), True, 3, misfit)
-    alarm = Alarm(level, (2,) if level.rank else (), "story 2 lost 6 %" if level.rank else "")
-    return WindowResult(round(t_s), round(t_s * S), WINDOW_S, None, estimate, None, alarm, None)
+    said = alarm(level, "story 2 lost 6 %" if level.rank else "")
+    fit = stiffness_estimate(np.ones(3), misfit)
+    return window_result(round(t_s), t_end_ns=round(t_s * S), window_s=WINDOW_S, stiffness=fit, alarm=said)
 
 
 def requests(results: list[WindowResult], settings: WatchSettings | None = None) -> list[Request]:
     """What a run of windows asks for, its end included."""
     settings = settings or WatchSettings()
-    state, out, t_ns = WatchState(), [], 0
+    state, out, t_ns = trigger.WatchState(), [], 0
     for result in results:
         state, request = trigger.step(state, result, settings, WINDOW_S)
         out.append(request)

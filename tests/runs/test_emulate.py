@@ -15,10 +15,10 @@ import pytest
 from drivers import frames
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock, SourceContext, SourceError
 from drivers.can_bus import CanSource
-from drivers.mcap_file import McapWriter
 from drivers.socketcand_server import SocketcandServer, frame_text
 from monitor.core import BadConfigurationError, MissingInputError
 from monitor.runs import emulate
+from tests.support.samples import write_blocks
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 CHANNELS = ("a1", "a2", "a3")
@@ -61,7 +61,7 @@ def joined(blocks: list[SampleBlock]) -> np.ndarray:
 
 def can_sink(server: SocketcandServer) -> emulate.CanSink:
     layouts = frames.load(DEPLOY / "frame.dbc", CHANNELS)
-    return emulate.CanSink(layouts, emulate._transmit_over_tcp(server), server.close)
+    return emulate.CanSink(layouts, emulate.transmit_over_tcp(server), server.close)
 
 
 def test_samples_times_and_numbers_arrive_as_they_were(server: SocketcandServer, cut: Cut) -> None:
@@ -70,9 +70,7 @@ def test_samples_times_and_numbers_arrive_as_they_were(server: SocketcandServer,
     readers = [source(server.port) for _ in range(2)]  # two clients of one server
     for reader in readers:
         reader.open()
-    deadline = time.monotonic() + 10
-    while len([s for s in server._raw.values() if s <= time.monotonic()]) < 2 and time.monotonic() < deadline:
-        time.sleep(0.01)
+    assert server.wait_for_client(10.0, clients=2)
     got: list[list[SampleBlock]] = [[], []]
     threads = [threading.Thread(target=lambda at=at: got[at].extend(receive(readers[at]))) for at in range(2)]
     for thread in threads:
@@ -236,9 +234,7 @@ def free_port() -> int:
 
 def test_two_processes(tmp_path: Path, cut: Cut) -> None:
     raw = np.random.default_rng(2).integers(-9000, 9000, (5000, 3))
-    with McapWriter(tmp_path / "r.mcap") as writer:
-        for block in cut((raw * 0.001).astype(np.float32), 1024.0, (1000,)):
-            writer.write(block)
+    write_blocks(tmp_path / "r.mcap", cut((raw * 0.001).astype(np.float32), 1024.0, (1000,)))
     port = free_port()
     to, dbc = f"can:socketcand-server:127.0.0.1:{port}", str(DEPLOY / "frame.dbc")
     script = str(Path(sys.executable).with_name("shm-monitor"))

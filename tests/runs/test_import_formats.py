@@ -19,9 +19,7 @@ import scipy.io
 
 from drivers.base import ACCELERATION, FORCE
 from drivers.mcap_file import RecordingInfo, read_recordings
-from monitor.core import BadInputError
-from monitor.core.extras import EXTRAS, MissingExtraError
-from monitor.runs import importers
+from monitor.core import BadInputError, UserError
 from monitor.runs.importers import ImportedChannel, import_files
 from monitor.runs.importers.clocks import best_shift
 from tests.support.samples import Cli
@@ -209,10 +207,7 @@ def test_hdf5_reads_nothing_outside_its_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.system
-def test_files_that_would_fill_the_memory_are_refused_before_they_are_unpacked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(importers, "_UNPACKED_BYTES", 1 << 20)  # less, so that the test is short
+def test_files_that_would_fill_the_memory_are_refused_before_they_are_unpacked(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "claim.h5", "w") as file:
         file.create_dataset("a", (1 << 18,), "f4", chunks=(1 << 10,), compression="gzip")
     with h5py.File(tmp_path / "chunk.h5", "w") as file:
@@ -227,7 +222,7 @@ def test_files_that_would_fill_the_memory_are_refused_before_they_are_unpacked(
         ("packed.mat", "at most 1 MiB"),
     ):
         with pytest.raises(BadInputError, match=reason):
-            load(tmp_path / name, rate_hz=1.0)
+            load(tmp_path / name, rate_hz=1.0, unpacked_bytes=1 << 20)
 
 
 @pytest.mark.parametrize("kind", ["mat", pytest.param("h5", marks=pytest.mark.system), "uff"])
@@ -268,10 +263,9 @@ def test_a_file_at_which_the_library_hangs_or_crashes_is_refused(
     stand_in.write_text(f"#!{sys.executable}\n{program}\n")
     stand_in.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(stand_in))
-    if "sleep" in program:
-        monkeypatch.setattr(importers.hdf5, "_LEAST_S", 1.0)
+    limit = {"hdf5_s": 1.0} if "sleep" in program else {}
     with pytest.raises(BadInputError, match=says):
-        load(path)
+        load(path, **limit)
 
 
 @pytest.mark.parametrize(("kind", "module"), [("h5", "h5py"), ("uff", "pyuff")])
@@ -279,9 +273,10 @@ def test_without_a_library_one_line_names_the_extra(
     tmp_path: Path, kind: str, module: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = hdf5(tmp_path / "a.h5", a=X) if kind == "h5" else uff(tmp_path / "a.uff", BOTH)
-    monkeypatch.setitem(EXTRAS, "formats", (module, "no_such_module"))
-    with pytest.raises(MissingExtraError, match=r"needs the extra formats: pip install 'shm-monitor\[formats\]'"):
+    monkeypatch.setitem(sys.modules, module, None)  # as if it were not installed
+    with pytest.raises(UserError, match=r"needs the extra formats: pip install 'shm-monitor\[formats\]'") as told:
         load(path)
+    assert told.value.exit_code == 78
 
 
 # --- units, start, level -----------------------------------------------------------------------------------------------

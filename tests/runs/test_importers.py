@@ -1,10 +1,12 @@
 """Foreign data become recordings only when nothing about them has to be guessed."""
 
+import csv
 import io
 import random
 import tracemalloc
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,12 +95,7 @@ def test_lost_samples_are_a_jump_of_the_sequence_at_the_right_time(tmp_path: Pat
     info, _, warnings = convert(tmp_path / "a.csv", "t,a1\n" + "".join(lines[:120] + lines[127:]))
     assert warnings == ["1 gap between samples: 0.07 s are missing"]
     blocks = list(read_recordings([tmp_path / "a.mcap"]))
-    assert [(block.sequence, block.n_samples) for block in blocks] == [
-        (0, 100),
-        (100, 20),
-        (127, 100),
-        (227, 23),
-    ]
+    assert [(block.sequence, block.n_samples) for block in blocks] == [(0, 100), (100, 20), (127, 100), (227, 23)]
     assert blocks[2].t_ns == WHEN_NS + 1_270_000_000
     assert (info.sample_rate_hz, info.duration_s) == (100.0, 2.5)
 
@@ -123,10 +120,7 @@ def test_an_irregular_clock_is_refused_unless_the_rate_is_given(tmp_path: Path) 
         ("t,a1 [kN]\n0.00,1\n0.01,2\n0.02,3\n", r"column 'a1' has unit 'kN'; known.*m/s\^2"),
         ("t [weeks],a1\n0.00,1\n0.01,2\n0.02,3\n", r"unknown unit 'weeks'"),
         ("t,a1,a1\n0.00,1,1\n0.01,2,1\n0.02,3,1\n", "same name"),
-        (
-            "2024-01-01 00:00:00,1\n2024-13-01 00:00:01,2\n2024-01-01 00:00:02,1\n",
-            r"line 2: '2024-13-01 .* is no date",
-        ),
+        ("2024-01-01 00:00:00,1\n2024-13-01 00:00:01,2\n2024-01-01 00:00:02,1\n", r"line 2: '2024-13-01 .* is no date"),
         ("t,a1\n0.00,1\n0.02,2\n0.01,3\n0.03,4\n", "does not rise"),
         ("t,a1\n0,1\n", "too few"),
         ("hello\nworld\n", "no rows of numbers"),
@@ -238,12 +232,7 @@ def test_xsens_counts_packets_and_begins_at_its_local_start_time(tmp_path: Path)
     )
     assert info.t_start_ns == 1_741_292_767 * 10**9 + 8_333_000  # 20:26:07 UTC, one packet later
     blocks = list(read_recordings([tmp_path / "top.mcap"]))
-    assert [(block.sequence, block.n_samples) for block in blocks] == [
-        (0, 120),
-        (120, 29),
-        (151, 120),
-        (271, 28),
-    ]
+    assert [(block.sequence, block.n_samples) for block in blocks] == [(0, 120), (120, 29), (151, 120), (271, 28)]
     assert values[0, 0] == pytest.approx(0.01) and values[-1, 0] == pytest.approx(2.99)
 
 
@@ -305,11 +294,7 @@ def test_a_plain_csv_named_zip_with_swapped_date_and_strains(tmp_path: Path) -> 
                 archive.writestr("folder/" + path.name, path.read_bytes())
         warnings: list[str] = []
         info = import_files([source], tmp_path / "o.mcap", on_warning=warnings.append)
-        assert (info.channels[ACCELERATION], info.sample_rate_hz, info.n_samples) == (
-            ("ACC01_z",),
-            100.0,
-            2000,
-        )
+        assert (info.channels[ACCELERATION], info.sample_rate_hz, info.n_samples) == (("ACC01_z",), 100.0, 2000)
         assert len(warnings) == 3 and "seem swapped" in warnings[0] and "DMS_AS, FRC-01, INC01" in warnings[1]
         assert "its time 2022-11-04 08:36:24.897 has no zone" in warnings[2]
     assert samples(tmp_path / "o.mcap")[0, 0] == pytest.approx(4.93101433676202e-05 * 9.80665)
@@ -452,16 +437,15 @@ def test_an_archive_of_small_numbers_is_refused_by_what_its_readings_take(tmp_pa
 
 
 def test_a_table_of_many_columns_is_cut_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cuts = 0
-    split = csv_table._split
+    cuts, reader = 0, csv.reader  # which cuts lines with quotes
 
-    def counted(line: str, delimiter: str | None) -> list[str]:
+    def counted(*arguments: Any, **named: Any) -> Any:
         nonlocal cuts
         cuts += 1
-        return split(line, delimiter)
+        return reader(*arguments, **named)
 
-    monkeypatch.setattr(csv_table, "_split", counted)
-    content = ",".join(f"a{k}" for k in range(300)) + "\n" + ("0.5," * 299 + "1\n") * 200
+    monkeypatch.setattr("csv.reader", counted)
+    content = ",".join(f"a{k}" for k in range(300)) + "\n" + ("0.5," * 299 + '"1"\n') * 200
     info, _, _ = convert(tmp_path / "wide.csv", content, rate_hz=100.0)
     assert len(info.channels[ACCELERATION]) == 300
-    assert cuts < 5 * 200
+    assert 200 <= cuts < 5 * 200

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from monitor.model import parse_effect
-from monitor.runs.diagnose import _level_doubts
+from monitor.runs.diagnose import level_doubts
 
 LOSS, GAIN = "stiffness_change:story 2:relative=-0.05", "sensor_gain:channel a1:gain=1.1"
 
@@ -24,7 +24,7 @@ def doubts(level_m_s2: float, *said: str, tied: bool = False) -> list[str]:
     found: Any = SimpleNamespace(
         causes=[] if tied else effects, alternatives=[(effect, 0.5) for effect in effects] if tied else []
     )
-    return _level_doubts(segments, baseline, found)
+    return level_doubts(segments, baseline, found)
 
 
 @pytest.mark.parametrize("tied", [False, True])

@@ -17,9 +17,8 @@ from monitor.config import configuration
 from monitor.core import BadInputError, MissingInputError, ModalEstimate, Skipped
 from monitor.model import Model, ShearFrame, simulate
 from monitor.publish import LookedRecording
-from monitor.publish.reports import look_page
 from monitor.runs import compare, look
-from monitor.runs.look import _identify_band
+from monitor.runs.look import identify_band
 
 RATE_HZ, SECONDS = 50.0, 400.0
 FRAME = ShearFrame(np.array([1.0, 1.1, 0.9]), np.array([900.0, 1000.0, 1100.0]), damping_ratio=0.01)
@@ -128,28 +127,6 @@ def test_the_files_hold_what_was_found(found: LookedRecording, tmp_path: Path) -
     assert "http" not in (tmp_path / "look.html").read_text().replace("http-equiv", "")
 
 
-@pytest.mark.parametrize("n_bins", [150, 268, 401])
-def test_the_rows_of_a_spectrogram_lie_at_their_frequencies(
-    found: LookedRecording, monkeypatch: pytest.MonkeyPatch, n_bins: int
-) -> None:
-    hz, tone = np.arange(n_bins) * 0.125, n_bins // 3
-    power = np.full((4, n_bins, 1), 1e-6)
-    power[:, tone] = 1.0
-    drawn: list[np.ndarray] = []
-    monkeypatch.setattr(look_page, "png", lambda level: drawn.append(level) or b"")
-    shown = replace(found, hz=hz, spectrogram=power, channels=("a1",))
-    chart = minidom.parseString(f"<p>{look_page._spectrograms(shown, float(hz[-1]))}</p>")
-    labels = [
-        (float(text.firstChild.data), float(text.getAttribute("y")) - 4.0)
-        for text in chart.getElementsByTagName("text")
-        if text.getAttribute("text-anchor") == "end" and text.firstChild.data != "time, s"
-    ]
-    slope, at_0 = np.polyfit(*zip(*labels, strict=True), 1)
-    row = int(drawn[0][:, 0].argmax()) + 0.5
-    height = float(chart.getElementsByTagName("image")[0].getAttribute("height")) / len(drawn[0])
-    assert row * height == pytest.approx(slope * hz[tone] + at_0, abs=0.5 * height + 0.1)
-
-
 def test_the_proposed_frame_has_the_true_stiffness_and_is_a_structure_file(
     found: LookedRecording, tmp_path: Path
 ) -> None:
@@ -229,7 +206,7 @@ def test_a_mode_below_the_band_does_not_move_the_lowest_one_in_it() -> None:
     z = []
     for seed in range(6):
         motion = simulate(Model(frame), duration_s=400.0, rate_hz=128.0, noise=0.01, seed=seed)
-        band = _identify_band(motion.floors[:, [0, 1, 3]], 128.0, 128.0, 2.56)
+        band = identify_band(motion.floors[:, [0, 1, 3]], 128.0, 128.0, 2.56)
         assert band is not None and isinstance(band.modes, ModalEstimate)
         modes = band.modes
         k = int(np.abs(modes.frequencies_hz - true_hz).argmin())

@@ -18,14 +18,15 @@ pytest.importorskip("dask")  # until it stands in the lock
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
-from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model import simulate
+from monitor.runs.archive import jobs
 from monitor.runs.archive.inventory import Survey, expand_patterns, group_into_runs
+from monitor.runs.archive.jobs import WindowsFile
 from monitor.runs.archive.reprocess import reprocess
 from tests.events.shaken import blocks
 from tests.support.quake import shaken
-from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.samples import T0_NS, Cli, Cut, write_blocks
 from tests.support.short_quake import STRUCTURE
 
 pytestmark = pytest.mark.system
@@ -73,13 +74,9 @@ def archive(tmp_path_factory: pytest.TempPathFactory, frame_text: str, cut: Cut)
     x = simulate(model, duration_s=120.0, rate_hz=RATE, noise=0.03, seed=1).floors
     edges = {"a/1": (0, 5000), "a/2": (5000, 9000), "a/3": (10000, len(x)), "b/short": (0, 500)}
     for name, (begin, end) in edges.items():
-        with McapWriter(folder / f"{name}.mcap") as writer:
-            for block in cut(x[begin:end], RATE, [128], first=begin):
-                writer.write(block)
+        write_blocks(folder / f"{name}.mcap", cut(x[begin:end], RATE, [128], first=begin))
     y = simulate(model, duration_s=80.0, rate_hz=RATE, noise=0.03, seed=2).floors
-    with McapWriter(folder / "b/whole.mcap") as writer:
-        for block in cut(y, RATE, [77], t0_ns=T0_NS + 500 * S):
-            writer.write(block)
+    write_blocks(folder / "b/whole.mcap", cut(y, RATE, [77], t0_ns=T0_NS + 500 * S))
     return folder
 
 
@@ -156,9 +153,7 @@ def test_a_run_is_reported_as_a_replay_is(archive: Path, done: Path, main: Cli, 
 def test_events_of_an_archive_are_told(archive: Path, tmp_path: Path, main: Cli) -> None:
     """A recording of an earthquake, shorter than a window, is a run with an event and without windows."""
     (tmp_path / "site.toml").write_text(STRUCTURE)
-    with McapWriter(tmp_path / "quake.mcap") as writer:
-        for block in blocks(shaken(), n=200):
-            writer.write(block)
+    write_blocks(tmp_path / "quake.mcap", blocks(shaken(), n=200))
     done = main(
         "reprocess",
         tmp_path / "quake.mcap",
@@ -201,8 +196,6 @@ def test_what_is_done_is_not_done_again_and_what_changed_is(archive: Path, done:
 def test_an_interrupted_run_leaves_nothing_in_the_dataset(
     archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from monitor.runs.archive import jobs
-
     def fails(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device", "results")
 
@@ -272,14 +265,11 @@ def test_a_cluster_gives_the_same(archive: Path, done: Path, scheduler: str, tmp
 
 def test_memory_holds_a_few_windows_only(archive: Path, done: Path, tmp_path: Path) -> None:
     """Long runs are written in row groups."""
-    from monitor.runs.archive import jobs
-    from monitor.runs.archive.jobs import WindowsFile
-
-    rows = WindowsFile(tmp_path / "x.part", tmp_path / "x.parquet", "s", {})
+    rows = WindowsFile(tmp_path / "x.part", tmp_path / "x.parquet", "s", {}, row_group=4)
     row = lines(ds.dataset(done / "windows").head(1).to_pylist())[0]
-    for _ in range(jobs._ROW_GROUP + 1):
+    for _ in range(9):
         rows.window(None, json.dumps(row))  # type: ignore[arg-type]
-    assert len(rows._lines) == 1
     rows.close()
-    assert pq.ParquetFile(tmp_path / "x.parquet").metadata.num_row_groups == 2
-    assert np.array_equal(pq.read_table(tmp_path / "x.parquet")["window"], [row["window"]] * (jobs._ROW_GROUP + 1))
+    metadata = pq.ParquetFile(tmp_path / "x.parquet").metadata
+    assert [metadata.row_group(k).num_rows for k in range(metadata.num_row_groups)] == [4, 4, 1]
+    assert np.array_equal(pq.read_table(tmp_path / "x.parquet")["window"], [row["window"]] * 9)

@@ -9,14 +9,16 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from monitor.config import Configuration, configuration
-from monitor.runs.warming import warm_up
+from monitor.model import simulate
+from monitor.runs import warm_up
 from monitor.service import Daemon
-from monitor.service import daemon as daemon_module
-from tests.support.samples import Cli
+from tests.support.samples import Cli, Cut, write_blocks
 from tests.support.site import SITE, Scripted, health
+from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = ROOT / "recordings"
@@ -41,24 +43,32 @@ warm = compiled()
 session = Session(settings, known, (), None, Path(folder))
 for block in read_recordings([Path(recording)]):
     session.push(block)
-print(json.dumps([warm, compiled(), session.windows]))
+print(json.dumps([warm, compiled(), session.windows, session.present.state]))
 """
 
 
 @pytest.mark.parametrize("with_baseline", [False, True])
-def test_no_window_compiles_anything(main: Cli, tmp_path: Path, with_baseline: bool) -> None:
-    """In a process of its own: here other tests have compiled everything already."""
-    structure, baseline = RECORDINGS / "frame.toml", ""
+def test_no_window_compiles_anything(
+    main: Cli, tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut, with_baseline: bool
+) -> None:
+    """Up to an alarm; in a process of its own: here other tests have compiled everything already."""
+    structure, recording, baseline = tmp_path / "frame.toml", tmp_path / "r.mcap", ""
+    structure.write_text(frame_text + "[alarm]\nconfirm_s = 5.0\n")
+    healthy = configuration.load(structure).model()
+    damaged = healthy.with_stiffness(healthy.structure.stiffness_n_per_m * [1.0, 0.7, 1.0])
+    lost = simulate(damaged, duration_s=60.0, rate_hz=128.0, noise=0.03, seed=7).floors
+    for place, values in ((tmp_path / "healthy.mcap", record), (recording, np.concatenate([record, lost]))):
+        write_blocks(place, cut(values, 128.0))
     if with_baseline:
         baseline = str(tmp_path / "baseline.json")
-        done = main("calibrate", RECORDINGS / "frame-healthy.mcap", "--structure", structure, "--out", baseline)
+        done = main("calibrate", tmp_path / "healthy.mcap", "--structure", structure, "--out", baseline)
         assert done.returncode == 0, done.stderr
-    arguments = [str(structure), str(RECORDINGS / "frame-after.mcap"), baseline, str(tmp_path)]
+    arguments = [str(structure), str(recording), baseline, str(tmp_path)]
     done = subprocess.run(
         [sys.executable, "-c", COUNT, *arguments], capture_output=True, text=True, cwd=ROOT, check=True
     )
-    warm, after, windows = json.loads(done.stdout)
-    assert windows > 0 and len(warm) > 10
+    warm, after, windows, state = json.loads(done.stdout)
+    assert windows > 10 and len(warm) > 10 and (state == "alarm") is with_baseline
     assert after == warm
     assert not with_baseline or "monitor.damage.kernels.beside_each_other" in warm
 
@@ -66,7 +76,7 @@ def test_no_window_compiles_anything(main: Cli, tmp_path: Path, with_baseline: b
 def test_a_window_of_each_kind_is_judged() -> None:
     """With and without refinement; without a site file those of a small frame."""
     assert warm_up() == 6
-    assert warm_up(configuration.load(RECORDINGS / "frame.toml")) >= 2
+    assert warm_up(configuration.load(RECORDINGS / "mini-shake-table-flexible.toml")) >= 2
 
 
 def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_starts(
@@ -78,18 +88,13 @@ def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_start
     said: list[str] = []
 
     def slow(*_: Any) -> int:
-        told.wait(60.0)
+        until(lambda: len(health(tmp_path / "out")) >= 3, "the daemon says that it starts")
+        told.set()
         said.append(capsys.readouterr().err)
         return 0
 
-    class Lines(Daemon):
-        def _tell_start(self) -> None:
-            super()._tell_start()
-            if len(health(tmp_path / "out")) >= 3:
-                told.set()
-
-    monkeypatch.setattr(daemon_module, "warm_up", slow)
-    Lines(site, Scripted([None] * 50), quiet_s=0.05).run()
+    monkeypatch.setattr("monitor.service.daemon.warm_up", slow)
+    Daemon(site, Scripted([None] * 50), quiet_s=0.05).run()
     assert told.is_set() and said == [""] and capsys.readouterr().err == "READY\n"
     first = health(tmp_path / "out")[0]
     assert first["source"]["error"] == "the monitor is starting" and not first["source"]["connected"]
@@ -100,7 +105,7 @@ def test_a_start_goes_on_where_something_cannot_be_compiled(
 ) -> None:
     site = tmp_path / "site.toml"
     site.write_text(SITE + frame_text)
-    monkeypatch.setattr(daemon_module, "warm_up", lambda *_: 1 / 0)
+    monkeypatch.setattr("monitor.service.daemon.warm_up", lambda *_: 1 / 0)
     Daemon(site, Scripted([])).run()
     assert "not all is compiled" in caplog.text
 

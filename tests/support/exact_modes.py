@@ -7,6 +7,7 @@ import numpy as np
 from monitor.config import Configuration
 from monitor.core import ModalEstimate
 from monitor.model import Model, ShearFrame, parse_effect
+from tests.support.results import modal_estimate
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 
@@ -46,13 +47,4 @@ def exact_modes(model: Model) -> ModalEstimate:
     deviations = np.zeros((3 * 8, 3, 8))
     for row, (mode, column) in enumerate(np.ndindex(3, 8)):
         deviations[row, mode, column] = (9e-4, 5e-4, 5e-4)[mode] if column == 0 else 3e-3
-    return ModalEstimate(
-        modes.frequencies_hz,
-        np.full(3, 0.01),
-        shapes.astype(complex),
-        np.arange(3),
-        deviations,
-        0,
-        10,
-        np.zeros((0, 4)),
-    )
+    return modal_estimate(modes.frequencies_hz, shapes, deviations=deviations, order=10)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from monitor.config import Configuration
-from monitor.core import WindowResult
+from monitor.core import ModalEstimate, WindowResult
 from monitor.damage import Baseline, learn_baseline
-from monitor.model.model import Model
-from monitor.model.simulation import simulate
+from monitor.model import Model, simulate
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
-from monitor.runs.calibrate import with_common_modes
+from monitor.runs import calibrate, cut_into_blocks
 
 
 def configured(structure: dict, floors: tuple[int, ...], **tables: object) -> Configuration:
@@ -29,12 +29,20 @@ def results_of(model: Model, settings: Configuration, healthy: Baseline | None, 
 
 def learned(settings: Configuration, truth: Model, seed: int, duration_s: float) -> Baseline:
     judged = [r for r in results_of(truth, settings, None, seed, duration_s) if r.skipped is None]
-    windows = with_common_modes(judged, settings.selection.required_modes)
+    windows = calibrate.with_common_modes(judged, settings.selection.required_modes)
+    return baseline_of(settings, windows)
+
+
+def baseline_of(
+    settings: Configuration, windows: Sequence[WindowResult | ModalEstimate], recordings: Sequence[dict] = ()
+) -> Baseline:
+    """Of the modes of windows, or of modes alone; windows without modes are left out."""
+    found = [w for w in windows if isinstance(w, ModalEstimate) or w.modes is not None]
     return learn_baseline(
         settings.instrumented(),
-        [r.modes for r in windows],
-        np.array([r.rms_m_s2 for r in windows]),
-        (),
+        [w if isinstance(w, ModalEstimate) else w.modes for w in found],
+        np.array([1.0 if isinstance(w, ModalEstimate) else w.rms_m_s2 for w in found]),
+        tuple(recordings),
         updating=settings.updating,
         compensation=settings.compensation,
     )[0]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from drivers.base import ACCELERATION, SampleBlock
+from drivers.mcap_file import McapWriter
 from tests.support.frame_text import THREE_STORIES
 
 FRAME = (
@@ -52,3 +54,11 @@ def _cut(
         blocks.append(SampleBlock(ACCELERATION, t_ns, first + start, rate_hz, channels, "m/s^2", part))
         start, count = start + len(part), count + 1
     return blocks
+
+
+def write_blocks(path: Path, blocks: Iterable[SampleBlock]) -> Path:
+    """Write a recording of these blocks."""
+    with McapWriter(path) as writer:
+        for block in blocks:
+            writer.write(block)
+    return path

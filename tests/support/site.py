@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
-from drivers.mcap_file import McapWriter
 from monitor.core import WindowResult
 from monitor.service import Daemon, outlets
-from tests.support.samples import Cli
+from tests.support.samples import Cli, write_blocks
 
 RATE = 128.0
+write = write_blocks
 
 
 SITE = """
@@ -102,13 +102,6 @@ def replayed(main: Cli, site: Path, recordings: Sequence[Path], out: Path, *opti
 
 def own(out: Path) -> list[Path]:
     return sorted((out / "recordings").glob("*.mcap"))
-
-
-def write(path: Path, blocks: Sequence[SampleBlock]) -> Path:
-    with McapWriter(path) as writer:
-        for block in blocks:
-            writer.write(block)
-    return path
 
 
 class Told(outlets.Outlet):

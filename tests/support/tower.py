@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from monitor.identification.tracking import Observed, TrackSettings, TrackState, step
+from monitor.identification import TrackSettings, tracking
 
 TOWER = Path(__file__).parents[1] / "data" / "tower-modal" / "tower.npz"
 
@@ -31,11 +31,11 @@ class Tower:
         self.track = np.full(self.look.size, -1)
         self.births: list[int] = []
         self.deaths: list[int] = []
-        state = TrackState()
+        state = tracking.TrackState()
         for k in np.unique(self.look):
             q = self.look == k
-            seen = Observed(self.f[q], std[q], self.shape[q], 3600.0)
-            state, tracked = step(state, seen, int(self.t_ns[k]), SETTINGS)
+            seen = tracking.Observed(self.f[q], std[q], self.shape[q], 3600.0)
+            state, tracked = tracking.step(state, seen, int(self.t_ns[k]), SETTINGS)
             self.track[q] = tracked.observed
             self.births += tracked.births
             self.deaths += tracked.deaths

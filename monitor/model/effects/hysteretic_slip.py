@@ -159,11 +159,11 @@ def _table() -> tuple[Array, Array]:
     # The nodes are the squared amplitudes over twice the variance; every amplitude counts by its square.
     weights = weights * nodes
     amplitudes = np.sqrt(2.0 * nodes) * 10.0 ** _LOG10_DRIFTS[:, None]
-    secant, loss = _steady_cycle(amplitudes)
+    secant, loss = steady_cycle(amplitudes)
     return secant @ weights / weights.sum(), loss @ weights / weights.sum()
 
 
-def _steady_cycle(amplitude: Array) -> tuple[Array, Array]:
+def steady_cycle(amplitude: Array) -> tuple[Array, Array]:
     """Compute secant stiffness and loss of steady cycles, of the shape of the amplitudes over the drift at slip."""
     low, high = np.zeros(amplitude.shape), np.ones(amplitude.shape)
     for _ in range(60):  # bisection of the force at the turning points

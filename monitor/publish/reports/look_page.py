@@ -63,7 +63,7 @@ def look_page(found: LookedRecording) -> str:
         _shapes(found),
         _stabilisations(found),
         _spectra(found, top_hz),
-        _spectrograms(found, top_hz),
+        spectrograms(found, top_hz),
         _data(found),
     ]
     return document(f"Look: {', '.join(Path(name).name for name in found.files)}", parts)
@@ -274,7 +274,7 @@ def _pooled(x: Array, y: Array) -> tuple[Array, Array]:
     return x[at], y[at]
 
 
-def _spectrograms(found: LookedRecording, top_hz: float) -> str:
+def spectrograms(found: LookedRecording, top_hz: float) -> str:
     """Draw the spectrogram of every channel."""
     inside = np.flatnonzero((found.hz > 0.0) & (found.hz <= top_hz))
     if len(found.spectrogram) < 2 or not inside.size:

@@ -61,8 +61,10 @@ class Outcome:
 class WindowsFile(Publisher):
     """Publisher of the windows of a run to one file of the dataset, row group by row group."""
 
-    def __init__(self, scratch: Path, final: Path, stream: str, kept: dict[str, Any]) -> None:
-        self._scratch, self._final, self._stream = scratch, final, stream
+    def __init__(
+        self, scratch: Path, final: Path, stream: str, kept: dict[str, Any], *, row_group: int = _ROW_GROUP
+    ) -> None:
+        self._scratch, self._final, self._stream, self._row_group = scratch, final, stream, row_group
         schema = WINDOWS_SCHEMA.with_metadata({METADATA_KEY: json.dumps(kept).encode()})
         self._file = pq.ParquetWriter(scratch, schema, compression="zstd")
         self._lines: list[dict[str, Any]] = []
@@ -70,7 +72,7 @@ class WindowsFile(Publisher):
     def window(self, result: WindowResult, line: str) -> None:
         """Add the line of a window; write a row group when it is full."""
         self._lines.append(json.loads(line))
-        if len(self._lines) >= _ROW_GROUP:
+        if len(self._lines) >= self._row_group:
             self._flush()
 
     def close(self) -> None:

@@ -82,6 +82,8 @@ def import_files(
     ask_unit: Callable[[Sequence[str]], str] | None = None,
     on_warning: OnWarning = lambda _: None,
     on_channel: Callable[[ImportedChannel], None] = lambda _: None,
+    unpacked_bytes: int = _UNPACKED_BYTES,
+    hdf5_s: float = hdf5.LEAST_S,
 ) -> RecordingInfo:
     """Write the readings of `files` as one recording, and return the content of the recording.
 
@@ -122,6 +124,10 @@ def import_files(
         Shows a warning to the user.
     on_channel
         Told of each channel that was written; not of those of a CAN log.
+    unpacked_bytes
+        Most that any archive may unpack to, however small it is.
+    hdf5_s
+        Longest time in which a small HDF5 file is read, s.
 
     Raises
     ------
@@ -163,7 +169,8 @@ def import_files(
         for path in files:
             raw = _read(path)
             counts = counts or seismic.holds_counts(raw)
-            tables.append(_to_table(path, raw, on_warning, scale, inventory))
+            most = _most_unpacked(raw, unpacked_bytes)
+            tables.append(_to_table(path, raw, most, on_warning, scale, inventory, hdf5_s))
         if (scale is not None or inventory is not None) and not counts:
             raise BadInputError(
                 f"{', '.join(map(str, files))}: --scale and --inventory are for MiniSEED, and none is here; "
@@ -268,28 +275,35 @@ def _read(path: Path) -> bytes:
         raise MissingInputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
 
 
-def _to_table(path: Path, raw: bytes, on_warning: OnWarning, scale: float | None, inventory: Path | None) -> Table:
+def _to_table(
+    path: Path,
+    raw: bytes,
+    most: int,
+    on_warning: OnWarning,
+    scale: float | None,
+    inventory: Path | None,
+    hdf5_s: float,
+) -> Table:
     """Detect the format of a file by its content, and convert it to a table."""
     if raw.startswith(b"LOGG"):
         raise BadInputError(f"{path}: is a CAN log; name it with the suffix .blf")
     if raw.startswith(MAGIC):
         raise BadInputError(f"{path}: is an MCAP recording already; use it as it is")
-    most = _most_unpacked(raw)
     if seismic.is_seismic(raw):
         return _require_samples(seismic.to_table(path, raw, most, scale, inventory))
     demand_room = partial(_demand_room, path, most=most)
     if hdf5.is_hdf5(raw):
-        return _require_samples(hdf5.to_table(path, raw, most, on_warning))
+        return _require_samples(hdf5.to_table(path, raw, most, on_warning, least_s=hdf5_s))
     if raw.startswith(mat.MAGIC) or path.suffix.casefold() == ".mat":
         return _require_samples(mat.to_table(path, raw, most, demand_room, on_warning))
     if uff.is_uff(raw):
         demand_room(len(raw) + _LINE_BYTES * raw.count(b"\n"))
         return _require_samples(uff.to_table(path, raw, on_warning))
     if raw.startswith(b"PK\x03\x04"):
-        members = _zip_members(path, raw)
+        members = _zip_members(path, raw, most)
         if all(name.endswith(".npy") for name in members):
             return _require_samples(npz.to_table(path, raw, most, on_warning))
-        raw = _unzip(path, raw, members)
+        raw = _unzip(path, raw, members, most)
     cells = csv_table.cut_into_cells(path, csv_table.decode_text(path, raw), on_warning)
     dialect = xsens_dot if xsens_dot.is_xsens(cells) else csv_table
     return _require_samples(dialect.to_table(cells, on_warning))
@@ -302,7 +316,7 @@ def _require_samples(table: Table) -> Table:
     return table
 
 
-def _zip_members(path: Path, raw: bytes) -> list[str]:
+def _zip_members(path: Path, raw: bytes, most: int) -> list[str]:
     """List the names of the files in a zip archive; raise BadInputError if it is damaged or states too much to unpack."""
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
@@ -310,11 +324,11 @@ def _zip_members(path: Path, raw: bytes) -> list[str]:
     except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
         raise BadInputError(f"{path}: damaged zip archive: {error}") from error
     # zipfile unpacks no more of a member than the archive states, whatever is packed.
-    _demand_room(path, sum(member.file_size for member in members), _most_unpacked(raw))
+    _demand_room(path, sum(member.file_size for member in members), most)
     return [member.filename for member in members if not member.filename.endswith("/")]
 
 
-def _unzip(path: Path, raw: bytes, members: list[str]) -> bytes:
+def _unzip(path: Path, raw: bytes, members: list[str], most: int) -> bytes:
     """Unpack the only table of a zip archive."""
     tables = [name for name in members if ".csv" in name.lower()] or members
     if len(tables) != 1:
@@ -325,15 +339,15 @@ def _unzip(path: Path, raw: bytes, members: list[str]) -> bytes:
             while piece := member.read(_PIECE_BYTES):
                 data += piece
                 counted += len(piece) + _LINE_BYTES * piece.count(b"\n")
-                _demand_room(path, counted, _most_unpacked(raw))
+                _demand_room(path, counted, most)
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
         raise BadInputError(f"{path}: damaged or encrypted zip archive: {error}") from error
     return bytes(data)
 
 
-def _most_unpacked(raw: bytes) -> int:
+def _most_unpacked(raw: bytes, least: int) -> int:
     """Return what an archive may unpack to, bytes."""
-    return min(_MOST_UNPACKED_BYTES, max(_UNPACKED_BYTES, _UNPACKED_RATIO * len(raw)))
+    return min(_MOST_UNPACKED_BYTES, max(least, _UNPACKED_RATIO * len(raw)))
 
 
 def _demand_room(path: Path, size: int, most: int) -> None:

@@ -32,7 +32,7 @@ _LZF_RATIO = 132
 _WORDS = ("unit", "units", "channels")
 _UNITS = "/units of the arrays"
 """Name of what the process tells besides the arrays; no dataset's name begins with a slash."""
-_LEAST_S, _BYTES_PER_S = 120.0, 1e6
+LEAST_S, _BYTES_PER_S = 120.0, 1e6
 """Longest time of reading, and bytes of the file for each second more. [s, bytes; judgement]"""
 _PROGRAM_BYTES = 4 << 30
 """Addresses of the process besides the arrays. [bytes; measured: libraries take some 2 GB]"""
@@ -43,7 +43,7 @@ def is_hdf5(raw: bytes) -> bool:
     return any(raw.startswith(MAGIC, at) for at in _USER_BLOCKS)
 
 
-def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> Table:
+def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning, *, least_s: float = LEAST_S) -> Table:
     """Convert the datasets of a file to a table of at most `most_bytes`.
 
     A dataset's attribute `unit` or `units` is its unit; attributes `rate_hz`, `fs` or `dt` of the file are read too.  What lies
@@ -54,6 +54,8 @@ def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> 
     ----------
     path, raw, most_bytes, on_warning
         As of `mat.to_table`.
+    least_s : float
+        Longest time of reading a small file, s.
 
     Raises
     ------
@@ -67,7 +69,7 @@ def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> 
         out = Path(folder, "arrays.npz")
         command = [sys.executable, "-m", __name__, str(path), str(out), str(most_bytes)]
         paths = os.pathsep.join(sys.path)
-        limit_s = _LEAST_S + len(raw) / _BYTES_PER_S
+        limit_s = least_s + len(raw) / _BYTES_PER_S
         try:
             done = subprocess.run(
                 command,
