@@ -107,7 +107,7 @@ def test_a_virtual_bus_gives_blocks_and_is_closed_twice() -> None:
 @given(seed=st.integers(0, 10**6), block=st.integers(1, 300))
 def test_one_frame_in_a_hundred_lost_repeated_or_swapped(seed: int, block: int) -> None:
     rng = np.random.default_rng(seed)
-    sent = np.arange(65000, 70000)  # the counter wraps
+    sent = np.arange(65000, 67000)  # the counter wraps
     messages = accel(sent)
     stream, kept = [], set()
     for k, message in zip(sent.tolist(), messages, strict=True):

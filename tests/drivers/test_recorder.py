@@ -15,6 +15,7 @@ from drivers.base import TEMPERATURE, SampleBlock
 from drivers.mcap_file import read_recordings, scan_messages
 from drivers.mcap_writer import McapWriter
 from drivers.recorder import Recorder, RecorderSettings, unfit
+from tests.support.any_block import same
 from tests.support.samples import T0_NS, Cut
 
 RATE = 100.0
@@ -36,17 +37,19 @@ def make(folder: Path, clock: Clock, **settings: object) -> Recorder:
     return Recorder(folder, RecorderSettings(**{"min_free_gb": 0.0, **settings}), clock)  # type: ignore[arg-type]
 
 
+def record(recorder: Recorder, clock: Clock, arrived: list[SampleBlock]) -> list[int]:
+    """Write a block each second and end; returns the recorder's place after each."""
+    places = [recorder.stamp_ns]
+    for block in arrived:
+        clock.now += 1.0
+        recorder.write(block)
+        places.append(recorder.stamp_ns)
+    recorder.close()
+    return places
+
+
 def blocks(cut: Cut, seconds: float = 60.0, seed: int = 0) -> list[SampleBlock]:
     return cut(np.random.default_rng(seed).normal(size=(int(seconds * RATE), 3)), RATE)
-
-
-def same(a: SampleBlock, b: SampleBlock) -> bool:
-    return (a.topic, a.t_ns, a.sequence, a.channels) == (
-        b.topic,
-        b.t_ns,
-        b.sequence,
-        b.channels,
-    ) and a.samples.tobytes() == b.samples.tobytes()
 
 
 def recorded(folder: Path) -> list[SampleBlock]:
@@ -67,11 +70,7 @@ def test_blocks_come_back_as_they_came_late_repeated_and_stepping_clocks_too(
     warm = replace(parts[3], topic=TEMPERATURE, unit="degC", t_ns=T0_NS)
     back = [replace(b, t_ns=b.t_ns - 40 * 10**9) for b in parts[45:]]  # the clock was set back
     arrived = [*parts[:10], parts[12], parts[11], parts[11], warm, *parts[13:45], *back, parts[5]]
-    recorder = make(tmp_path, clock, flush_s=2.0, file_s=7.0)
-    for block in arrived:
-        clock.now += 1.0
-        recorder.write(block)
-    recorder.close()
+    record(make(tmp_path, clock, flush_s=2.0, file_s=7.0), clock, arrived)
     assert len(list(tmp_path.glob("*.mcap"))) > 3
     assert_recorded(tmp_path, arrived)
     got = list(read_recordings(sorted(tmp_path.glob("*.mcap"), reverse=True)))
@@ -80,11 +79,7 @@ def test_blocks_come_back_as_they_came_late_repeated_and_stepping_clocks_too(
 
 def test_names_sort_by_time_and_files_roll_by_length_and_by_size(tmp_path: Path, cut: Cut, clock: Clock) -> None:
     for name, limits in (("s", {"file_s": 10.0}), ("mb", {"file_mb": 0.02})):
-        recorder = make(tmp_path / name, clock, flush_s=1.0, **limits)
-        for block in blocks(cut):
-            clock.now += 1.0
-            recorder.write(block)
-        recorder.close()
+        record(make(tmp_path / name, clock, flush_s=1.0, **limits), clock, blocks(cut))
         files = sorted((tmp_path / name).glob("*.mcap"))
         firsts = [next(scan_messages(path))[1] for path in files]
         assert firsts == sorted(firsts)
@@ -95,11 +90,8 @@ def test_names_sort_by_time_and_files_roll_by_length_and_by_size(tmp_path: Path,
 def test_the_oldest_files_go_and_others_stay(tmp_path: Path, cut: Cut, clock: Clock) -> None:
     (tmp_path / "notes.mcap").write_bytes(b"mine")
     recorder = make(tmp_path, clock, flush_s=1.0, file_s=5.0, keep_gb=50e3 / 2**30)
-    arrived = blocks(cut, 300.0)
-    for block in arrived:
-        clock.now += 1.0
-        recorder.write(block)
-    recorder.close()
+    arrived = blocks(cut, 150.0)
+    record(recorder, clock, arrived)
     assert recorder.health().removed_files > 5
     assert (tmp_path / "notes.mcap").read_bytes() == b"mine"
     (tmp_path / "notes.mcap").unlink()
@@ -233,19 +225,9 @@ def test_blocks_of_another_century_misname_no_later_recording_over_a_restart(
     parts = blocks(cut, 400.0)
     forged = [replace(b, t_ns=far + k * 10**9, sequence=k) for k, b in enumerate(parts[:5])]
     arrived = [*parts[:20], *forged, *parts[20:50]]
-    recorder = make(tmp_path, clock, flush_s=2.0, file_s=30.0)
-    for block in arrived:
-        clock.now += 1.0
-        recorder.write(block)
-    recorder.close()
+    record(make(tmp_path, clock, flush_s=2.0, file_s=30.0), clock, arrived)
     later = parts[50:]
-    recorder = make(tmp_path, clock, flush_s=2.0, file_s=30.0)
-    places = [recorder.stamp_ns]
-    for block in later:
-        clock.now += 1.0
-        recorder.write(block)
-        places.append(recorder.stamp_ns)
-    recorder.close()
+    places = record(make(tmp_path, clock, flush_s=2.0, file_s=30.0), clock, later)
     assert places == sorted(set(places))
     assert_recorded(tmp_path, [*arrived, *later])
     again = list(module.recorded(tmp_path, places[0]))
@@ -260,22 +242,16 @@ def test_blocks_of_another_century_misname_no_later_recording_over_a_restart(
 
 
 def test_late_blocks_now_and_then_begin_no_file(tmp_path: Path, cut: Cut, clock: Clock) -> None:
-    far, parts = 4_102_444_800 * 10**9, blocks(cut, 300.0)
-    recorder = make(tmp_path, clock, flush_s=2.0)
-    for k, block in enumerate(parts):
-        clock.now += 1.0
-        recorder.write(replace(block, t_ns=far + k * 10**9) if k % 5 == 0 else block)
-    recorder.close()
+    far, recorder = 4_102_444_800 * 10**9, make(tmp_path, clock, flush_s=2.0)
+    parts = [replace(b, t_ns=far + k * 10**9) if k % 5 == 0 else b for k, b in enumerate(blocks(cut, 200.0))]
+    record(recorder, clock, parts)
     assert recorder.health().files == 1
 
 
 def test_the_oldest_to_arrive_goes_first_whatever_its_name(tmp_path: Path, cut: Cut, clock: Clock) -> None:
-    far, parts = 4_102_444_800 * 10**9, blocks(cut, 300.0)
+    far, parts = 4_102_444_800 * 10**9, blocks(cut, 150.0)
     recorder = make(tmp_path, clock, flush_s=1.0, file_s=20.0, keep_gb=50e3 / 2**30)
-    for block in [replace(parts[0], t_ns=far), *parts]:
-        clock.now += 1.0
-        recorder.write(block)
-    recorder.close()
+    record(recorder, clock, [replace(parts[0], t_ns=far), *parts])
     assert not [path for path in tmp_path.iterdir() if path.name.startswith("2100")]
 
 
