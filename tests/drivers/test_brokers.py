@@ -27,24 +27,22 @@ from tests.support.numbered import CHANNELS, T0_NS, N, block, take
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
-MQTT = pytest.param("mqtt", marks=pytest.mark.system)
+MQTT, JSON = (pytest.param(form, marks=pytest.mark.system) for form in ("protobuf", "json"))
 
 
 @pytest.fixture
-def bus(request: pytest.FixtureRequest) -> OverZenoh | OverMqtt:
-    made: OverZenoh | OverMqtt = request.getfixturevalue(f"over_{request.param}")
-    return made
+def bus(request: pytest.FixtureRequest, endpoint: str, tmp_path: Path) -> Iterator[OverZenoh | OverMqtt]:
+    is_zenoh = request.param == "zenoh"
+    made = OverZenoh(endpoint) if is_zenoh else OverMqtt(Broker(tmp_path / "broker"), request.param)
+    yield made
+    made.close()
 
 
 @pytest.fixture
 def bus_alone(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[OverZenoh | OverMqtt]:
     """With a router or broker that no other test uses, stopped."""
-    made: OverZenoh | OverMqtt
-    if request.param == "zenoh":
-        place = f"tcp/127.0.0.1:{free_port()}"
-        made = OverZenoh(place, Router(place))
-    else:
-        made = OverMqtt(Broker(tmp_path / "broker"))
+    place, is_zenoh = f"tcp/127.0.0.1:{free_port()}", request.param == "zenoh"
+    made = OverZenoh(place, Router(place)) if is_zenoh else OverMqtt(Broker(tmp_path / "broker"))
     made.stop()
     yield made
     made.close()
@@ -55,19 +53,8 @@ def assert_same(got: SampleBlock | None, sent: SampleBlock) -> None:
     assert got is not None and same(got, sent) and got.samples.tobytes() == sent.samples.tobytes()
 
 
-@pytest.mark.parametrize("bus", ["zenoh", MQTT], indirect=True)
+@pytest.mark.parametrize("bus", ["zenoh", MQTT, JSON], indirect=True)
 def test_blocks_of_our_publishers_and_of_others_are_heard_bit_for_bit(bus: OverZenoh | OverMqtt) -> None:
-    check_blocks(bus)
-
-
-@pytest.mark.system
-def test_and_as_json(tmp_path: Path) -> None:
-    bus = OverMqtt(Broker(tmp_path / "broker"), "json")
-    check_blocks(bus)
-    bus.close()
-
-
-def check_blocks(bus: OverZenoh | OverMqtt) -> None:
     """Accelerations of a stranger, then ours, then other quantities by their own keys."""
     values = np.random.default_rng(1).normal(size=(N, 3)).astype(np.float32)
     values[3, 1] = np.nan

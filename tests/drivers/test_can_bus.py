@@ -28,11 +28,6 @@ from tests.support.can_group import CHANNELS, DEPLOY, RATE, T0, SilentBus, accel
 from tests.support.waiting import until
 
 
-def drain(reader: CanSource, timeout_s: float = 0.3) -> list[SampleBlock]:
-    """All blocks until the bus is silent."""
-    return list(iter(lambda: reader.read(timeout_s), None))
-
-
 def heard(bus: SilentBus, reader: CanSource) -> list[SampleBlock]:
     """All blocks of a bus, however long its frames give none."""
     blocks = []
@@ -41,12 +36,12 @@ def heard(bus: SilentBus, reader: CanSource) -> list[SampleBlock]:
     return blocks
 
 
-def until_failure(reader: CanSource, reason: str, read: Callable[[], SampleBlock | None]) -> list[SampleBlock]:
+def until_failure(reader: CanSource, reason: str, timeout_s: float = 0.2) -> list[SampleBlock]:
     """Blocks before the source fails."""
     blocks = []
     with pytest.raises(SourceError, match=reason):
         while True:
-            blocks.append(read())
+            blocks.append(reader.read(timeout_s))
     return [block for block in blocks if block is not None]
 
 
@@ -157,7 +152,7 @@ def test_everything_else_is_counted() -> None:
 def test_a_lost_bus_is_reopened_and_leaves_a_gap_of_its_length(trouble: can.Message | Exception, reason: str) -> None:
     bus = SilentBus([*accel(np.arange(8000)), trouble])  # and then silence
     reader = opened(bus)
-    assert indices(until_failure(reader, reason, lambda: reader.read(0.2))) == list(range(8000))
+    assert indices(until_failure(reader, reason)) == list(range(8000))
     assert not reader.health().connected and reason in reader.health().detail
     away = 2 * 65536 + 500  # the counter wraps twice meanwhile
     bus.items.extend(accel(np.arange(8000 + away, 10000 + away)))
@@ -181,7 +176,7 @@ def test_bus_off_is_believed_at_once_if_the_controller_says_so() -> None:
     bus = SilentBus([*accel(np.arange(50)), error_frame(2), *accel(np.arange(50, 60))])
     bus.state = can.BusState.ERROR
     reader = opened(bus)
-    assert indices(until_failure(reader, "bus off", lambda: reader.read(0.2))) == list(range(50))
+    assert indices(until_failure(reader, "bus off")) == list(range(50))
     assert counted(reader, "bus_off") == [1]
 
 
@@ -259,8 +254,7 @@ def test_malformed_messages_of_a_socketcand_server_are_counted_and_close_nothing
                 peer.sendall(frame_text(256, False, message.timestamp, message.data))
             found += take(reader, 128)
             assert reader.health().connected
-        with pytest.raises(SourceError, match="closed the connection"):
-            drain(reader)
+        until_failure(reader, "closed the connection")
     reader.close()
     assert indices(found) == list(range(512))
     assert counted(reader, "undecodable", "bus_off", "error_frames") == [384, 0, 1]
@@ -284,7 +278,7 @@ def test_an_adapter_s_broken_line_is_no_broken_adapter(interface: str, error: Ex
     if told:
         assert indices(heard(bus, reader)) == list(range(256)) and counted(reader, "undecodable") == [1]
     else:
-        until_failure(reader, str(error)[:10], lambda: reader.read(0.3))
+        until_failure(reader, str(error)[:10])
 
 
 @pytest.mark.parametrize("bad", [float("nan"), -1.0, 1e300, float("inf")])
@@ -470,7 +464,7 @@ def test_the_socketcan_path_with_error_frames_and_bus_off(wire: socket.socket) -
     blocks = take(reader, 96)
     assert indices(blocks) == list(range(96)) and abs(blocks[0].t_ns * 1e-9 - now) < 5.0
     wire.send(raw(0x20000040, bytes(8)))
-    until_failure(reader, "bus off", lambda: reader.read(0.05))
+    until_failure(reader, "bus off")
     assert counted(reader, "error_frames", "overruns", "bus_off", "foreign") == [2, 1, 1, 1]
     reader.close()
 

@@ -104,7 +104,7 @@ def number(
     return sequencer, out
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=50)
 @given(
     seed=st.integers(0, 10**6),
     sizes=st.lists(st.integers(1, 200), min_size=1, max_size=4),

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from mcap.reader import make_reader
+from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 
 from drivers import codec
@@ -60,6 +61,13 @@ every_layout = pytest.mark.parametrize(
         *itertools.product([CompressionType.NONE], [False], [True, False]),
     ],
 )
+
+
+def chunks(path: Path) -> list[ChunkIndex]:
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return summary.chunk_indexes
 
 
 def seconds(read: list[SampleBlock]) -> list[int]:
@@ -137,10 +145,7 @@ def test_every_layout_is_read(tmp_path: Path, compression: CompressionType, chun
 @pytest.mark.parametrize("tail", [b"", bytes(5000)], ids=["cut", "zeros"])
 def test_a_truncated_file_gives_its_whole_chunks_and_one_warning(tmp_path: Path, tail: bytes) -> None:
     whole = write(tmp_path / "a.mcap", *map(block, range(12))).read_bytes()
-    with (tmp_path / "a.mcap").open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    ends = [index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes]
+    ends = [index.chunk_start_offset + index.chunk_length for index in chunks(tmp_path / "a.mcap")]
     assert len(ends) == 4
     cut = tmp_path / "cut.mcap"
     for number, end in enumerate(ends, start=1):
@@ -174,10 +179,7 @@ def test_every_flipped_bit_of_our_files_is_noticed(tmp_path: Path) -> None:
 
 def test_damage_is_told_before_the_first_block_with_its_place(tmp_path: Path) -> None:
     path = foreign(tmp_path / "a.mcap", CompressionType.ZSTD, True, crcs=True)
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    last = summary.chunk_indexes[-1]
+    last = chunks(path)[-1]
     damaged = bytearray(path.read_bytes())
     damaged[last.chunk_start_offset + last.chunk_length - 30] ^= 1
     path.write_bytes(damaged)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import sys
 import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -71,33 +74,36 @@ def test_a_retained_message_of_the_past_is_not_taken_for_data(over_mqtt: OverMqt
     assert over_mqtt.source().read(0.5) is None
 
 
+@contextlib.contextmanager
+def secured(folder: Path, **how: Any) -> Iterator[Callable[..., MqttSource]]:
+    """A broker that lets not everybody in, and what makes a source of it."""
+    broker = Broker(folder / "broker", **how)
+    at = {"host": "127.0.0.1", "port": broker.port, "topic": TOPIC, "connect_timeout_s": 1.0}
+    try:
+        yield lambda **table: MqttSource(MqttSettings.model_validate(at | table), SourceContext(CHANNELS, folder))
+    finally:
+        broker.kill()
+
+
 @broker_test
 def test_user_and_password(tmp_path: Path) -> None:
-    broker = Broker(tmp_path / "broker", users={"monitor": "secret 1"})
-    try:
-        (tmp_path / "right").write_text("secret 1\n")
-        (tmp_path / "wrong").write_text("guess\n")
-        table = {"host": "127.0.0.1", "port": broker.port, "topic": TOPIC, "user": "monitor"}
-
-        def source(**more: object) -> MqttSource:
-            return MqttSource(MqttSettings.model_validate(table | more), SourceContext(CHANNELS, tmp_path))
-
-        good = source(password_file="right")
+    (tmp_path / "right").write_text("secret 1\n")
+    (tmp_path / "wrong").write_text("guess\n")
+    with secured(tmp_path, users={"monitor": "secret 1"}) as source:
+        good = source(user="monitor", password_file="right")
         good.open()
         assert good.health().connected
         good.close()
-        refused = source(password_file="wrong")
-        with pytest.raises(SourceError, match=rf"127\.0\.0\.1:{broker.port} refuses user 'monitor': Not authorized"):
+        refused = source(user="monitor", password_file="wrong")
+        with pytest.raises(SourceError, match=r"127\.0\.0\.1:\d+ refuses user 'monitor': Not authorized"):
             refused.open()
         assert not refused.health().connected
+        assert "guess" not in repr(vars(refused)) + refused.health().detail
         with pytest.raises(ValueError, match="password_file: absent: no such file"):
-            source(password_file="absent")
+            source(user="monitor", password_file="absent")
         (tmp_path / "right").write_bytes(b"\xff")
         with pytest.raises(SourceError, match=r"right: the password cannot be read: it is no text"):
             good.open()
-        assert "guess" not in repr(vars(refused)) + refused.health().detail
-    finally:
-        broker.kill()
 
 
 @broker_test
@@ -109,27 +115,19 @@ def test_only_a_broker_of_the_right_authority_is_trusted(tmp_path: Path) -> None
     for name in ("broker", "monitor"):
         certify(tmp_path, name, name, ours)
     files = [f"cafile {tmp_path}/ca.pem", f"certfile {tmp_path}/broker.pem", f"keyfile {tmp_path}/broker.key"]
-    broker = Broker(tmp_path / "broker", lines=[*files, "require_certificate true"])
-    try:
-
-        def source(**tls: str) -> MqttSource:
-            table = {"host": "127.0.0.1", "port": broker.port, "topic": TOPIC, "tls": tls}
-            return MqttSource(MqttSettings.model_validate(table), SourceContext(CHANNELS, tmp_path))
-
-        mine = {"certificate": "monitor.pem", "private_key": "monitor.key"}
-        good = source(root_ca="ca.pem", **mine)
+    mine = {"certificate": "monitor.pem", "private_key": "monitor.key"}
+    with secured(tmp_path, lines=[*files, "require_certificate true"]) as source:
+        good = source(tls={"root_ca": "ca.pem", **mine})
         good.open()
         assert good.health().connected
         good.close()
         for wrong, says in (
             ({"root_ca": "other.pem", **mine}, "CERTIFICATE_VERIFY_FAILED"),
-            ({"root_ca": "ca.pem"}, rf"127\.0\.0\.1:{broker.port}"),
+            ({"root_ca": "ca.pem"}, r"127\.0\.0\.1:\d+"),
             ({"root_ca": "absent.pem"}, r"absent\.pem: cannot be used for TLS"),
         ):
             with pytest.raises(SourceError, match=says):
-                source(**wrong).open()
-    finally:
-        broker.kill()
+                source(tls=wrong).open()
 
 
 @pytest.mark.parametrize(

@@ -134,61 +134,50 @@ def test_quiet_sources_are_flushed_by_the_clock(tmp_path: Path, cut: Cut, clock:
     recorder.close()
 
 
-def test_a_full_disk_pauses_recording_and_what_was_written_stays(
-    tmp_path: Path, cut: Cut, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    full, told = [False], set()
-    flush = McapWriter.flush
+class Disk:
+    """What the disk says of itself; full ones take no more."""
 
-    def failing(writer: McapWriter) -> None:
-        if full[0]:
+    full = False
+    free = 2 << 30
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    made, flush = Disk(), McapWriter.flush
+
+    def flush_or_fail(writer: McapWriter) -> None:
+        if made.full:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         flush(writer)
 
-    monkeypatch.setattr(McapWriter, "flush", failing)
-    arrived = blocks(cut)
-    recorder = make(tmp_path, clock, flush_s=2.0)
+    monkeypatch.setattr(McapWriter, "flush", flush_or_fail)
+    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: made)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("cause", "words", "lost"), [("full disk", "space", range(15, 30)), ("little space", "free", range(25))]
+)
+def test_a_disk_that_is_full_pauses_recording_and_what_was_written_stays(
+    tmp_path: Path, cut: Cut, clock: Clock, disk: Disk, cause: str, words: str, lost: range
+) -> None:
+    arrived, told = blocks(cut), []
+    recorder = make(tmp_path, clock, flush_s=2.0 if cause == "full disk" else 1.0, min_free_gb=1.0)
     for k, block in enumerate(arrived):
-        full[0] = 20 <= k < 40
+        if cause == "full disk":
+            disk.full = 20 <= k < 40
+        else:
+            disk.free = (1 << 29) if 20 <= k < 40 else (2 << 30)
         clock.now += 1.0
         recorder.write(block)
-        told.add(recorder.health().detail)
-    assert any("space" in detail for detail in told)
-    assert recorder.health().recording
+        told.append(recorder.health().detail)
+    assert words in told[30] and recorder.health().recording
     recorder.close()
-    health = recorder.health()
-    got = recorded(tmp_path)
-    assert health.lost_blocks == len(arrived) - len(got)
-    assert 15 <= health.lost_blocks < 30
+    health, got = recorder.health(), recorded(tmp_path)
+    assert health.lost_blocks == len(arrived) - len(got) and health.lost_blocks in lost
     assert health.blocks == len(got)
     assert [b.sequence for b in got] == sorted(b.sequence for b in got)
     assert same(got[-1], arrived[-1]) and same(got[0], arrived[0])
-
-
-def test_too_little_free_space_pauses_and_removes_nothing(
-    tmp_path: Path, cut: Cut, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    free = [2 << 30]
-
-    class Usage:
-        @property
-        def free(self) -> int:
-            return free[0]
-
-    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: Usage())
-    recorder = make(tmp_path, clock, flush_s=1.0, min_free_gb=1.0)
-    arrived = blocks(cut)
-    for k, block in enumerate(arrived):
-        free[0] = (1 << 29) if 20 <= k < 40 else (2 << 30)
-        clock.now += 1.0
-        recorder.write(block)
-        if k == 30:
-            assert "free" in recorder.health().detail
-    recorder.close()
-    got = recorded(tmp_path)
-    assert recorder.health().lost_blocks == len(arrived) - len(got)
-    assert same(got[0], arrived[0]) and same(got[-1], arrived[-1])
-    assert len(got) > 35
 
 
 @pytest.mark.parametrize(
@@ -257,26 +246,14 @@ def test_the_oldest_to_arrive_goes_first_whatever_its_name(tmp_path: Path, cut: 
 
 @pytest.mark.parametrize("cause", ["free space", "full disk"])
 def test_a_disk_at_its_limit_is_one_stop_and_one_return(
-    tmp_path: Path, cut: Cut, clock: Clock, monkeypatch: pytest.MonkeyPatch, cause: str
+    tmp_path: Path, cut: Cut, clock: Clock, disk: Disk, cause: str
 ) -> None:
     """Who is told of each change must not be told for ever."""
-    k, flush = 0, McapWriter.flush
-
-    class Usage:
-        @property
-        def free(self) -> int:
-            at_limit = (1 << 30) + (-1 if k % 5 else 1) * (1 << 20)  # other programs write and delete
-            return at_limit if cause == "free space" and 20 <= k < 60 else 2 << 30
-
-    def failing(writer: McapWriter) -> None:
-        if cause == "full disk" and 20 <= k < 60:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        flush(writer)
-
-    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: Usage())
-    monkeypatch.setattr(McapWriter, "flush", failing)
     recorder, told = make(tmp_path, clock, flush_s=2.0, min_free_gb=1.0), [True]
-    for k, block in enumerate(blocks(cut, 90.0)):  # noqa: B007 - read above
+    for k, block in enumerate(blocks(cut, 90.0)):
+        at_limit = (1 << 30) + (-1 if k % 5 else 1) * (1 << 20)  # other programs write and delete
+        disk.free = at_limit if cause == "free space" and 20 <= k < 60 else 2 << 30
+        disk.full = cause == "full disk" and 20 <= k < 60
         clock.now += 1.0
         recorder.write(block)
         if recorder.health().recording != told[-1]:
