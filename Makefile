@@ -26,8 +26,9 @@ test-heavy: $(WARM) test
 	$(BIN)/python -m pytest -n auto --dist loadscope -m "not slow and engine and not representative"
 	$(BIN)/python -m pytest -m "not slow and not engine and $(HEAVY)"
 
+# Goes on after an interruption: what passed, and each kept trial, is not run again while the code is the same (out/references).
 test-slow: $(DEV)
-	$(BIN)/python -m pytest -m slow --timeout 7200 -s
+	$(BIN)/python -m pytest -p tests.support.resumed -m slow --timeout 7200 -s
 
 lint: $(DEV)
 	$(BIN)/ruff check .

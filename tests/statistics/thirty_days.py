@@ -10,23 +10,22 @@ explains and what calibration got wrong are the raw run's own.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw
 from threadpoolctl import threadpool_limits
 
-from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
+from drivers.base import TEMPERATURE, SampleBlock
 from monitor.core import WHOLE, DamageReading, WindowResult
 from monitor.damage import Baseline, CovariateLaw, alarm, damage_index, law_lines, learn_baseline
-from monitor.damage.covariate_law import Effect
-from monitor.model import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
-from monitor.signals import temperature
-from tests.statistics.estimates import STIFFNESS, configuration
+from monitor.signals import LAGS_S
+from tests.statistics import figures
+from tests.statistics.estimates import configuration
+from tests.support.campaign import words
+from tests.support.simulated import ambient, seeded, windows_of
 
 HOUR_S, DAY_S, WINDOW_S, HOP_S = 3600, 86_400, 400, 10
 RATE_HZ, BURN_IN_S = 200.0, 5.0
@@ -64,18 +63,10 @@ def raw(hours: range, seed: int, loss: np.ndarray = NO_LOSS) -> list[WindowResul
             SampleBlock(TEMPERATURE, hour * HOUR_S * 10**9, int(minutes[0]) // 60, 1 / 60, ("air",), "degC", degc)
         )
         end_s = hour * HOUR_S + WINDOW_S
-        motion = simulate(
-            CONFIG.model().with_stiffness(STIFFNESS * healthy_ratio(np.array(end_s)) * (1.0 - loss)),
-            duration_s=WINDOW_S + BURN_IN_S,
-            rate_hz=RATE_HZ,
-            noise=0.1,
-            seed=int(np.random.SeedSequence([seed, hour]).generate_state(1)[0]),
-        )
-        floors = motion.floors[round(BURN_IN_S * RATE_HZ) :]
-        first = round(hour * HOUR_S * RATE_HZ)
-        for block in cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 0, 10_000, first=first):
-            results += [r for r in pipeline.push(block) if isinstance(r, WindowResult) and r.modes is not None]
-    return results
+        left = healthy_ratio(np.array(end_s)) * (1.0 - loss)
+        floors = ambient(CONFIG.model(), WINDOW_S, RATE_HZ, seeded(seed, hour), loss=1.0 - left, lead_s=BURN_IN_S)
+        results += windows_of(pipeline, floors, RATE_HZ, first=round(hour * HOUR_S * RATE_HZ))
+    return [r for r in results if r.modes is not None]
 
 
 def calibrated(windows: list[WindowResult], channel: bool) -> Baseline:
@@ -144,10 +135,10 @@ def readings(windows: list[WindowResult], baseline: Baseline) -> list[tuple[int,
     ]
 
 
-def effects(t_s: np.ndarray, law: CovariateLaw) -> list[Effect]:
+def effects(t_s: np.ndarray, law: CovariateLaw) -> list[Any]:
     """What the law predicts at the end of windows."""
     felt = weather(t_s - 0.5 * WINDOW_S - CONFIG.temperature.patience_s, law.axes[0].lag_s)
-    return [law.expected({"temperature": np.full(len(temperature.LAGS_S), degc)}) for degc in felt]
+    return [law.expected({"temperature": np.full(len(LAGS_S), degc)}) for degc in felt]
 
 
 def explained(t_s: np.ndarray, baseline: Baseline, onset_s: float, loss: np.ndarray) -> np.ndarray:
@@ -263,41 +254,28 @@ def month(days: int, seed: int, calibration_days: int = 2, loss_hours: int = 24,
     return out
 
 
-_INK = {"air": "#999999", "with the channel": "#1f77b4", "without it": "#d62728"}
-
-
-def draw(result: Month, path: str) -> None:
+def draw(result: Month, path: Path) -> None:
     """The index of each story over the days, with and without the channel, under the temperature."""
-    width, height, left = 1200, 190, 90
-    picture = Image.new("RGB", (width, 4 * height + 30), "white")
-    pen = ImageDraw.Draw(picture)
-    t = next(iter(result.raw.values())).t_s
-    panels = [("air, degC", {"air": weather(t)})] + [
-        (f"DDI story {j + 1}, %", {name: 100.0 * w.ddi[:, j] for name, w in result.raw.items()}) for j in range(3)
-    ]
-    for row, (title, lines) in enumerate(panels):
-        top, values = row * height + 25, np.concatenate(list(lines.values()))
-        low, high = np.floor(values.min()), np.ceil(values.max())
-        for mark in np.linspace(low, high, 5):
-            y = top + (high - mark) / (high - low) * (height - 40)
-            pen.line([(left, y), (width - 10, y)], fill="#e0e0e0")
-            pen.text((10, y - 6), f"{mark:.1f}", fill="black")
-        pen.text((left, top - 18), title, fill="black")
-        for name in sorted(lines, reverse=True):
-            x = left + (t - t[0]) / (t[-1] - t[0]) * (width - 10 - left)
-            y = top + (high - lines[name]) / (high - low) * (height - 40)
-            for a, b in pairwise(zip(x, y, strict=True)):
-                pen.line([a, b], fill=_INK[name], width=2)
-    for k, name in enumerate(result.raw):
-        pen.text((left + 300 + 160 * k, 7 + height), name, fill=_INK[name])
-    pen.text((left, 4 * height + 8), f"day {t[0] / DAY_S:.0f} to day {t[-1] / DAY_S:.0f}", fill="black")
-    picture.save(path)
+    with figures.figure(path, 4, (12.0, 8.0)) as panels:
+        for row, axes in enumerate(panels):
+            for (name, w), colour in zip(result.raw.items(), (figures.BLUE, figures.RED), strict=True):
+                if row:
+                    axes.plot(w.t_s / DAY_S, 100.0 * w.ddi[:, row - 1], color=colour, label=name)
+                elif colour == figures.BLUE:
+                    axes.plot(w.t_s / DAY_S, weather(w.t_s), color=figures.GREY, label="air")
+            axes.set_ylabel(f"DDI story {row}, %" if row else "degC")
+        panels[-1].set_xlabel("day")
+
+
+def main() -> None:
+    """Print the figures and draw them where a file is named."""
+    days, seed, plot = words(30, 20261201, "")
+    with threadpool_limits(limits=1):
+        outcome = month(days, seed)
+    print(outcome.report())
+    if plot:
+        draw(outcome, Path(plot))
 
 
 if __name__ == "__main__":
-    arguments = [*sys.argv[1:], *["30", "20261201"][len(sys.argv) - 1 :]]
-    with threadpool_limits(limits=1):
-        outcome = month(int(arguments[0]), int(arguments[1]))
-    print(outcome.report())
-    if len(arguments) > 2:
-        draw(outcome, arguments[2])
+    main()
