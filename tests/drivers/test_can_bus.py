@@ -180,9 +180,7 @@ def test_bus_off_is_believed_at_once_if_the_controller_says_so() -> None:
     assert counted(reader, "bus_off") == [1]
 
 
-def test_malformed_datagrams_are_counted_and_close_nothing(
-    group: tuple[CanSource, Callable[[bytes], object]],
-) -> None:
+def test_malformed_datagrams_are_counted_and_close_nothing(group: tuple[CanSource, Callable[[bytes], object]]) -> None:
     reader, send = group
     good = accel(np.arange(640))
     forged: list[dict[str, object]] = [

@@ -19,13 +19,13 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import TEMPERATURE, SampleBlock
 from monitor.core import WHOLE, DamageReading, WindowResult
-from monitor.damage import Baseline, CovariateLaw, alarm, damage_index, law_lines, learn_baseline
+from monitor.damage import Baseline, CovariateLaw, alarm, damage_index, law_lines
 from monitor.pipeline import Pipeline
 from monitor.signals import LAGS_S
 from tests.statistics import figures
 from tests.statistics.estimates import configuration
 from tests.support.campaign import words
-from tests.support.simulated import ambient, seeded, windows_of
+from tests.support.simulated import ambient, learned, seeded, windows_of
 
 HOUR_S, DAY_S, WINDOW_S, HOP_S = 3600, 86_400, 400, 10
 RATE_HZ, BURN_IN_S = 200.0, 5.0
@@ -71,18 +71,7 @@ def raw(hours: range, seed: int, loss: np.ndarray = NO_LOSS) -> list[WindowResul
 
 def calibrated(windows: list[WindowResult], channel: bool) -> Baseline:
     span_ns = (windows[0].t_end_ns - WINDOW_S * 10**9, windows[-1].t_end_ns)
-    felt = [{"temperature": r.covariates["temperature"]} for r in windows] if channel else []
-    return learn_baseline(
-        CONFIG.instrumented(),
-        [r.modes for r in windows if r.modes],
-        np.ones(1),
-        (),
-        span_ns,
-        felt,
-        {"temperature": "degC"},
-        updating=CONFIG.updating,
-        compensation=CONFIG.compensation,
-    )[0]
+    return learned(CONFIG, windows, units={"temperature": "degC"} if channel else None, span_ns=span_ns)
 
 
 @dataclass(frozen=True)
@@ -117,20 +106,11 @@ def watch(readings: list[tuple[int, DamageReading]]) -> Watch:
 
 
 def readings(windows: list[WindowResult], baseline: Baseline) -> list[tuple[int, DamageReading]]:
-    sensors, law = CONFIG.instrumented().sensor_matrix, baseline.law
+    known = baseline.model, baseline, CONFIG.instrumented().sensor_matrix, CONFIG.updating
+    felt = [None if baseline.law is None else baseline.law.expected(r.covariates) for r in windows]
     return [
-        (
-            r.t_end_ns,
-            damage_index.step(
-                r.modes,
-                baseline.model,
-                baseline,
-                sensors,
-                CONFIG.updating,
-                None if law is None else law.expected(r.covariates),
-            )[1],
-        )
-        for r in windows
+        (r.t_end_ns, damage_index.step(r.modes, *known, effect)[1])
+        for r, effect in zip(windows, felt, strict=True)
         if r.modes is not None
     ]
 
@@ -157,7 +137,7 @@ def twin(
 ) -> Watch:
     """Readings every 10 s from one day to another; a loss begins half way."""
     t_s = np.arange(days[0] * DAY_S + WINDOW_S, days[1] * DAY_S, HOP_S)
-    mean = explained(t_s, baseline, 0.5 * DAY_S * (days[0] + days[1]), loss)
+    mean = explained(t_s, baseline, 0.5 * DAY_S * sum(days), loss)
     own = like.ddi_covariance - like.common_covariance
     per_window = WINDOW_S // HOP_S
     rng = np.random.default_rng(seed)
@@ -172,93 +152,86 @@ def twin(
     return watch(made)
 
 
-@dataclass(frozen=True)
-class Month:
-    """What thirty days said; `raw` hourly, `twin` every 10 s; keys are with and without the channel."""
+LOSS = np.array([0.0, 0.05, 0.0])
 
-    baselines: dict[str, Baseline]
-    raw: dict[str, Watch]
-    twin: dict[str, Watch]
-    unexplained: dict[str, np.ndarray]
+
+@dataclass(frozen=True)
+class Case:
+    """What thirty days said with or without the channel; `raw` hourly, `twin` every 10 s."""
+
+    baseline: Baseline
+    raw: Watch
+    twin: Watch
+    unexplained: np.ndarray
     """Of the raw windows: (reading - twin's mean) / stated standard deviation, shape (n, 3)."""
-    raw_loss: dict[str, Watch]
-    twin_loss: dict[str, Watch]
+    raw_loss: Watch
+    twin_loss: Watch
     onset_s: float
-    """Of the losses, of `LOSS` in story 2."""
+    """Of the losses, of `LOSS`."""
 
     def report(self) -> str:
-        """Figures, one case after the other."""
-        return "\n".join(self._case(name) for name in self.raw)
-
-    def _case(self, name: str) -> str:
-        b, r, t, z = self.baselines[name], self.raw[name], self.twin[name], self.unexplained[name]
-        law = law_lines(b.law)[0]
-        return "\n".join(
-            [
-                f"{name}: {law}",
-                f"  raw windows {len(r.t_s)}: DDI {_spread(r.ddi)} %, |z| > 5 in {_beyond(r)}; "
-                f"windows with a story alarm {len(r.story_alarms)}, of the whole structure {r.whole_alarms}",
-                f"  raw less twin's mean, over stated deviation: RMS {np.round(np.sqrt((z**2).mean(axis=0)), 2)}, "
-                f"mean {np.round(z.mean(axis=0), 2)}",
-                f"  twin windows {len(t.t_s)}: DDI {_spread(t.ddi)} %; with a story alarm {len(t.story_alarms)}, "
-                f"of the whole structure {t.whole_alarms}",
-                f"  loss of {100 * LOSS.max():.0f} % in story 2: raw {_found(self.raw_loss[name], self.onset_s)}, "
-                f"twin {_found(self.twin_loss[name], self.onset_s)}",
-            ]
+        """Figures, a line each."""
+        r, t, z, loss_percent = self.raw, self.twin, self.unexplained, 100 * LOSS.max()
+        beyond = int((np.abs(r.ddi / r.std) > 5.0).any(axis=1).sum())
+        return (
+            f"{law_lines(self.baseline.law)[0]}\n"
+            f"  raw windows {len(r.t_s)}: DDI {_spread(r.ddi)} %, |z| > 5 in {beyond}; "
+            f"windows with a story alarm {len(r.story_alarms)}, of the whole structure {r.whole_alarms}\n"
+            f"  raw less twin's mean, over stated deviation: RMS {np.round(np.sqrt((z**2).mean(axis=0)), 2)}, "
+            f"mean {np.round(z.mean(axis=0), 2)}\n"
+            f"  twin windows {len(t.t_s)}: DDI {_spread(t.ddi)} %; with a story alarm {len(t.story_alarms)}, "
+            f"of the whole structure {t.whole_alarms}\n"
+            f"  loss of {loss_percent:.0f} % in story 2: raw {self._found(self.raw_loss)}, twin {self._found(self.twin_loss)}"
         )
 
-
-LOSS = np.array([0.0, 0.05, 0.0])
+    def _found(self, w: Watch) -> str:
+        """When story 2 was announced after the onset, and what else was."""
+        after = [t - self.onset_s for t, story in w.story_alarms if story == 2 and t > self.onset_s]
+        wrong, first = len(w.story_alarms) - len(after), min(after, default=np.nan)
+        return f"announced {first:.0f} s after the onset, {wrong} wrong windows"
 
 
 def _spread(ddi: np.ndarray) -> str:
     return f"{100 * ddi.min():+.2f} to {100 * ddi.max():+.2f}, deviation {np.round(100 * ddi.std(axis=0), 3)}"
 
 
-def _beyond(w: Watch) -> int:
-    return int((np.abs(w.ddi / w.std) > 5.0).any(axis=1).sum())
-
-
-def _found(w: Watch, onset_s: float) -> str:
-    """When story 2 was announced after the onset, and what else was."""
-    first = min((t - onset_s for t, story in w.story_alarms if story == 2 and t > onset_s), default=np.nan)
-    wrong = sum(story != 2 or t <= onset_s for t, story in w.story_alarms)
-    return f"announced {first:.0f} s after the onset, {wrong} wrong windows"
-
-
-def month(days: int, seed: int, calibration_days: int = 2, loss_hours: int = 24, twin_days: float = np.inf) -> Month:
+def month(
+    days: int, seed: int, calibration_days: int = 2, loss_hours: int = 24, twin_days: float = np.inf
+) -> dict[str, Case]:
     """Calibrate on the first days, then watch the rest; a second run loses stiffness in its last third."""
     n_calm = 24 * calibration_days
     onset_hour = n_calm + (24 * days - n_calm) * 2 // 3
     onset_s = float(onset_hour * HOUR_S)
     windows = raw(range(24 * days), seed)
     hurt = windows[n_calm:onset_hour] + raw(range(onset_hour, min(onset_hour + loss_hours, 24 * days)), seed + 1, LOSS)
-    out = Month({}, {}, {}, {}, {}, {}, onset_s)
+    out = {}
     for name in ("with the channel", "without it"):
         b = calibrated(windows[:n_calm], name == "with the channel")
-        calm = readings(windows[n_calm:], b)
         plain = [r for _, r in readings(windows[n_calm : n_calm + 48], replace(b, law=None))]
-        like = replace(
-            plain[0],
-            ddi_covariance=np.mean([r.ddi_covariance for r in plain], axis=0),
-            common_covariance=np.mean([r.common_covariance for r in plain], axis=0),
+        ddi, common = (
+            np.mean([getattr(r, of) for r in plain], axis=0) for of in ("ddi_covariance", "common_covariance")
         )
-        seen = watch(calm)
-        out.baselines[name], out.raw[name] = b, seen
-        out.unexplained[name] = (seen.ddi - explained(seen.t_s, b, np.inf, NO_LOSS)) / np.sqrt(
-            np.diag(like.ddi_covariance)
+        like = replace(plain[0], ddi_covariance=ddi, common_covariance=common)
+        seen = watch(readings(windows[n_calm:], b))
+        around = onset_s / DAY_S - 0.1, onset_s / DAY_S + 0.1
+        out[name] = Case(
+            baseline=b,
+            raw=seen,
+            twin=twin((calibration_days, min(days, calibration_days + twin_days)), like, b, seed + 2),
+            unexplained=(seen.ddi - explained(seen.t_s, b, np.inf, NO_LOSS)) / np.sqrt(np.diag(ddi)),
+            raw_loss=watch(readings(hurt, b)),
+            twin_loss=twin(around, like, b, seed + 3, LOSS),
+            onset_s=onset_s,
         )
-        out.twin[name] = twin((calibration_days, min(days, calibration_days + twin_days)), like, b, seed + 2)
-        out.raw_loss[name] = watch(readings(hurt, b))
-        out.twin_loss[name] = twin((onset_s / DAY_S - 0.1, onset_s / DAY_S + 0.1), like, b, seed + 3, LOSS)
     return out
 
 
-def draw(result: Month, path: Path) -> None:
+def draw(result: dict[str, Case], path: Path) -> None:
     """The index of each story over the days, with and without the channel, under the temperature."""
     with figures.figure(path, 4, (12.0, 8.0)) as panels:
         for row, axes in enumerate(panels):
-            for (name, w), colour in zip(result.raw.items(), (figures.BLUE, figures.RED), strict=True):
+            for (name, case), colour in zip(result.items(), (figures.BLUE, figures.RED), strict=True):
+                w = case.raw
                 if row:
                     axes.plot(w.t_s / DAY_S, 100.0 * w.ddi[:, row - 1], color=colour, label=name)
                 elif colour == figures.BLUE:
@@ -272,7 +245,7 @@ def main() -> None:
     days, seed, plot = words(30, 20261201, "")
     with threadpool_limits(limits=1):
         outcome = month(days, seed)
-    print(outcome.report())
+    print("\n".join(f"{name}: {case.report()}" for name, case in outcome.items()))
     if plot:
         draw(outcome, Path(plot))
 

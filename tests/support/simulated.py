@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,18 +48,20 @@ def windows_of(
 
 def learned(
     config: Configuration, windows: Sequence[WindowResult], *, level_of: Pipeline | None = None,
-    span_ns: tuple[int, int] = (0, 0), motion: bool = False,
+    units: Mapping[str, str] | None = None, span_ns: tuple[int, int] = (0, 0), motion: bool = False,
 ) -> Baseline:  # fmt: skip
-    """Learn the baseline of windows, with a law of the level if the pipeline that saw them is given."""
+    """Learn the baseline of windows, with a law of the covariates in `units`, or of the level that a pipeline saw."""
     good = [r for r in windows if r.modes is not None]
-    known = config.instrumented(), [r.modes for r in good if r.modes is not None]
     how: dict[str, Any] = {"updating": config.updating, "compensation": config.compensation}
-    if level_of is None:
-        return learn_baseline(*known, np.ones(1), (), **how)[0]
+    rms, weights, units = np.ones(1), None, units or {}
+    if level_of is not None:
+        rms, weights = np.array([r.rms_m_s2 for r in good], dtype=float), level_of.level_weights
+        units = {"level": "dB"}
     if motion:
         how["motion"] = [r.motion for r in good if r.motion is not None]
-    rms, felt = np.array([r.rms_m_s2 for r in good], dtype=float), [r.covariates for r in good]
-    return learn_baseline(*known, rms, (), span_ns, felt, {"level": "dB"}, level_of.level_weights, **how)[0]
+    felt = [{name: r.covariates[name] for name in units} for r in good] if units else []
+    modes = [r.modes for r in good if r.modes is not None]
+    return learn_baseline(config.instrumented(), modes, rms, (), span_ns, felt, units, weights, **how)[0]
 
 
 def segments_of(samples: Array, rate_hz: float, n: int, n_bins: int) -> tuple[Array, float]:
