@@ -112,22 +112,15 @@ def row(name: str, seconds: np.ndarray, base: np.ndarray) -> str:
 
 def main() -> None:
     """Print what a hop costs of each kind, in the first hour and after."""
-    from monitor.model import simulate
     from tests.statistics.estimates import configuration
+    from tests.support.simulated import ambient
 
     other, hours = Path(sys.argv[1]).resolve(), float(sys.argv[2]) if len(sys.argv) > 2 else 2.0
     seconds = HOUR_S + round(HOUR_S * hours)
-    motion = simulate(
-        configuration(float(HOP_S)).model(),
-        duration_s=float(seconds),
-        rate_hz=RATE_HZ,
-        noise=0.1,
-        level_spread=0.2,
-        seed=2,
-    )
+    floors = ambient(configuration(float(HOP_S)).model(), float(seconds), RATE_HZ, 2, level_spread=0.2)
     with tempfile.TemporaryDirectory() as folder:
         samples = Path(folder) / "floors.npy"
-        np.save(samples, motion.floors)
+        np.save(samples, floors)
         kinds = {"the other checkout": begin(other, "none", samples)}
         kinds |= {word: begin(HERE, kind, samples) for kind, word in KINDS.items()}
         spent: dict[str, list[float]] = {name: [] for name in kinds}
