@@ -35,8 +35,9 @@ test-heavy: $(WARM) test
 	$(TIER) engine $(PYTEST) -n auto --dist loadscope -m "not slow and engine and not representative"
 	$(TIER) system $(PYTEST) -n 3 --dist loadscope -m "not slow and not engine and $(HEAVY)"
 
+# Goes on after an interruption: what passed, and each kept trial, is not run again while the code is the same (out/references).
 test-slow: $(DEV)
-	$(BIN)/python -m pytest -m slow --timeout 7200 -s
+	$(BIN)/python -m pytest -p tests.support.resumed -m slow --timeout 7200 -s
 
 lint: $(DEV)
 	$(BIN)/ruff check .

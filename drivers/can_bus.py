@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from time import monotonic
 from typing import IO, Any
 
@@ -25,6 +25,17 @@ _WAIT_S = 0.2
 class CanSource:
     """Source of blocks from the frames of a DBC's messages (`drivers.base.Source`).
 
+    Parameters
+    ----------
+    settings : CanSettings
+        Table ``[source]``.
+    context : SourceContext
+        Channels and the folder of the site file.
+    clock : callable
+        Time from any beginning, s; silence and waits are measured by it.
+    connect : callable
+        Opens the bus of the settings for the identifiers to receive; see `drivers.can_open.open_bus`.
+
     Raises
     ------
     FrameError
@@ -33,8 +44,15 @@ class CanSource:
 
     Settings = CanSettings
 
-    def __init__(self, settings: CanSettings, context: SourceContext) -> None:
-        self._settings, self._folder = settings, context.folder
+    def __init__(
+        self,
+        settings: CanSettings,
+        context: SourceContext,
+        *,
+        clock: Callable[[], float] = monotonic,
+        connect: Callable[[CanSettings, tuple[tuple[int, bool], ...]], can.BusABC] = open_bus,
+    ) -> None:
+        self._settings, self._folder, self._clock, self._connect = settings, context.folder, clock, connect
         self.layouts = frames.load(context.folder / settings.dbc, context.channels)
         self.channels = context.channels or tuple(name for layout in self.layouts for name in layout.channels)
         rate, by_frame = settings.sample_rate_hz, settings.counter_counts == "frames"
@@ -62,7 +80,7 @@ class CanSource:
                 return
             self._file, self._log = open_log(self._folder / str(self._settings.channel))
             return
-        self._bus = open_bus(self._settings, tuple(self._by_id))
+        self._bus = self._connect(self._settings, tuple(self._by_id))
         self._joiner.reset()
 
     def read(self, timeout_s: float) -> SampleBlock | None:
@@ -70,7 +88,7 @@ class CanSource:
 
         Returns None if no block is complete within `timeout_s`.
         """
-        deadline = monotonic() + timeout_s
+        deadline = self._clock() + timeout_s
         while not self._ready:
             if self._failed:
                 raise SourceError(self._failed)
@@ -129,15 +147,15 @@ class CanSource:
         """Receive frames until they fill a block; False if the deadline passes first."""
         n_received = 0
         while self._pending < self._batch and not self._failed:
-            is_silent = not self._receive_frame(bus, max(0.0, min(_WAIT_S, deadline - monotonic())))
+            is_silent = not self._receive_frame(bus, max(0.0, min(_WAIT_S, deadline - self._clock())))
             n_received += 1
-            if (is_silent or n_received % 64 == 0) and monotonic() >= deadline:
+            if (is_silent or n_received % 64 == 0) and self._clock() >= deadline:
                 # A short timeout of the caller must not give small blocks: frames stay pending up to `_patience_s`.
-                if not (self._failed or (self._pending and monotonic() - self._since >= self._patience_s())):
+                if not (self._failed or (self._pending and self._clock() - self._since >= self._patience_s())):
                     return False
                 break
         self._process_frames()
-        return bool(self._ready or self._failed) or monotonic() < deadline
+        return bool(self._ready or self._failed) or self._clock() < deadline
 
     def _receive_frame(self, bus: can.BusABC, timeout_s: float) -> bool:
         """Receive one frame or malformed message; False if there is none, or the bus failed."""
@@ -164,7 +182,7 @@ class CanSource:
         """
         if message is not None:
             return message.is_error_frame and bus.state is can.BusState.ERROR
-        return self._off_since is not None and monotonic() - self._off_since >= self._two_blocks_s()
+        return self._off_since is not None and self._clock() - self._off_since >= self._two_blocks_s()
 
     def _two_blocks_s(self) -> float:
         """Return the length of two blocks, s."""
@@ -211,7 +229,7 @@ class CanSource:
             self._counts["undecodable"] += 1
             return
         if not self._pending:
-            self._since = monotonic()
+            self._since = self._clock()
         self._pending += 1
         self._counts["frames"] += 1
         node.frames.append(bytes(data[:n]))
@@ -225,7 +243,7 @@ class CanSource:
         if kind & _BUS_OFF and self._log is not None:
             self._counts["bus_off"] += 1
         elif kind & _BUS_OFF and self._off_since is None:
-            self._off_since = monotonic()
+            self._off_since = self._clock()
 
     def _process_frames(self, *, everything: bool = False) -> None:
         """Decode the pending frames to blocks."""

@@ -77,12 +77,15 @@ class McapFile:
         Channels and schemas by id, complete after `segments`.
     cut
         Reason why `segments` ended early (crash, full disk), or None; all data before that place are whole.
+    most_messages
+        Largest number of messages in a chunk; a chunk with more is damage.
     """
 
     path: Path
     channels: dict[int, Channel] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)
     cut: str | None = None
+    most_messages: int = _MOST_MESSAGES
     _crc: int = 0
     _size: int = 0
 
@@ -262,8 +265,8 @@ class McapFile:
                 channel_id, _, log_time, _ = fields(content, start)
                 if channel_id not in channels:
                     raise ValueError(f"a message of channel {channel_id}, which the file does not define")
-                if len(messages) == _MOST_MESSAGES:
-                    raise ValueError(f"more than {_MOST_MESSAGES} messages in a chunk")
+                if len(messages) == self.most_messages:
+                    raise ValueError(f"more than {self.most_messages} messages in a chunk")
                 messages.append(Message(channel_id, log_time, content[start + fields_size : position]))
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(stream(content[start:position]))

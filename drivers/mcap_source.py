@@ -37,9 +37,13 @@ class McapSource:
     Settings = McapSettings
 
     def __init__(
-        self, settings: McapSettings, context: SourceContext, clock: Callable[[], float] = time.monotonic
+        self,
+        settings: McapSettings,
+        context: SourceContext,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._settings, self._context, self._clock = settings, context, clock
+        self._settings, self._context, self._clock, self._sleep = settings, context, clock, sleep
         self._blocks: Iterator[SampleBlock] | None = None
         self._next: SampleBlock | None = None
         self._begun_s = 0.0
@@ -75,7 +79,7 @@ class McapSource:
         end_s = self._played_s + (block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0)
         if self._settings.speed is not None:
             wait_s = self._begun_s + end_s / self._settings.speed - self._clock()
-            time.sleep(max(0.0, min(wait_s, timeout_s)))
+            self._sleep(max(0.0, min(wait_s, timeout_s)))
             if wait_s > timeout_s:
                 return None
         self._next, self._played_s = None, end_s

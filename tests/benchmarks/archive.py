@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from google.protobuf import descriptor_pool, message_factory
 from mcap.reader import make_reader
 
 from drivers import codec
@@ -34,11 +35,12 @@ BARE_LIBRARY = "mcap library, nothing done"
 
 def library(path: Path, decoded: bool) -> int:
     """Read with the library of the format's makers; the samples as arrays if wanted."""
-    total = 0
+    total, pool = 0, descriptor_pool.Default()
+    block = message_factory.GetMessageClass(pool.FindMessageTypeByName(codec.SCHEMA_NAME))
     with path.open("rb") as file:
         for _, _, message in make_reader(file).iter_messages():
             if decoded:
-                total += len(np.frombuffer(codec._Message.FromString(message.data).samples, "<f4").reshape(-1, 3))
+                total += len(np.frombuffer(block.FromString(message.data).samples, "<f4").reshape(-1, 3))
     return total
 
 

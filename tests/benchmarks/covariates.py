@@ -7,7 +7,6 @@ so that the law's uncertainty changes as it does outdoors.
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 
@@ -16,12 +15,13 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION
 from monitor.core import WindowResult
-from monitor.damage.common_change import nothing_learned
-from monitor.model import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs import cut_into_blocks
+from tests.benchmarks.hops import with_common_changes
 from tests.statistics import storm
 from tests.statistics.estimates import configuration
+from tests.support.campaign import words
+from tests.support.simulated import ambient
 
 RATE_HZ = 100.0
 HOUR_HOPS = 360
@@ -30,20 +30,15 @@ HOUR_HOPS = 360
 
 def main() -> None:
     """Print the CPU time of a hop of each kind, and what is added to the same hop without a law, in the first hour and after."""
-    hours = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0
+    (hours,) = words(1.0)
     config = configuration(10.0)
     baseline = storm.calibrated([1.0] * 9, storm.SHAPES["issue"], 1)
     seconds = round(3600 * hours)
-    floors = simulate(
-        config.model(), duration_s=float(seconds), rate_hz=RATE_HZ, noise=0.1, level_spread=0.2, seed=2
-    ).floors
+    floors = ambient(config.model(), float(seconds), RATE_HZ, 2, level_spread=0.2)
     blocks = list(cut_into_blocks(ACCELERATION, floors, config.channels, RATE_HZ, 0, round(10 * RATE_HZ)))
     law = baseline.law
     assert law is not None
-    white = np.linalg.solve(law.mixing, [0.01, 0.015, 0.008])
-    square = 1440.0 * (np.eye(3) + np.outer(white, white))
-    common = replace(nothing_learned(3), square=square, windows=1440)
-    kinds = {"with the law": law, "with common changes": replace(law, common=common), "without": None}
+    kinds = {"with the law": law, "with common changes": with_common_changes(law), "without": None}
     pipelines = {name: Pipeline(config, replace(baseline, law=kind)) for name, kind in kinds.items()}
     spent: dict[str, list[float]] = {name: [] for name in pipelines}
     order = list(pipelines)
@@ -62,11 +57,11 @@ def main() -> None:
             continue
         none = ms["without"][hops]
         for name, times in ms.items():
-            added, more = times[hops] - none, words(times[hops], none)
-            print(f"{stretch}, {name}: {more}; added: {words(added, none)}")
+            added, more = times[hops] - none, in_words(times[hops], none)
+            print(f"{stretch}, {name}: {more}; added: {in_words(added, none)}")
 
 
-def words(times: np.ndarray, base: np.ndarray) -> str:
+def in_words(times: np.ndarray, base: np.ndarray) -> str:
     """Median, mean and 95th percentile, each with its share of the hops without a law."""
     figures = {"median": np.median, "mean": np.mean, "95 %": lambda x: np.quantile(x, 0.95)}
     said = (f"{k} {f(times):.2f} ms ({100 * f(times) / f(base):.0f} %)" for k, f in figures.items())

@@ -12,13 +12,14 @@ from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
 from monitor.core import Array, WindowResult
-from monitor.damage import Baseline, learn_baseline
-from monitor.model import simulate
+from monitor.damage import Baseline
 from monitor.pipeline import Pipeline
 from monitor.runs import cut_into_blocks
+from tests.statistics.estimates import MASSES, STIFFNESS
+from tests.support.simulated import ambient, learned, windows_of
 
 T0_NS = 1_767_225_600_000_000_000
-PAPER = ([0.3253, 0.3514, 0.3129], [2909.4511, 1514.8507, 1897.6986])
+PAPER = (MASSES.tolist(), STIFFNESS.tolist())
 
 
 def configuration(n: int = 3, *, refined: bool = True, uncertainty: bool = True, **processing: float) -> Configuration:
@@ -36,7 +37,7 @@ def configuration(n: int = 3, *, refined: bool = True, uncertainty: bool = True,
 
 def floors(config: Configuration, duration_s: float, rate_hz: float, seed: int) -> Array:
     """Simulated accelerations, shape (n_samples, n)."""
-    return simulate(config.model(), duration_s=duration_s, rate_hz=rate_hz, noise=0.05, seed=seed).floors
+    return ambient(config.model(), duration_s, rate_hz, seed, noise=0.05)
 
 
 def write(path: Path, config: Configuration, hours: float, rate_hz: float = 1024.0, block_n: int = 128) -> Path:
@@ -53,15 +54,8 @@ def write(path: Path, config: Configuration, hours: float, rate_hz: float = 1024
 
 def baseline(config: Configuration) -> Baseline:
     """Learned from 20 minutes."""
-    learner = Pipeline(config)
     motion = floors(config, config.processing.window_s + 800.0, 100.0, 1)
-    results = [
-        r for b in cut_into_blocks(ACCELERATION, motion, config.channels, 100.0, T0_NS, 1000) for r in learner.push(b)
-    ]
-    modes = [r.modes for r in results if isinstance(r, WindowResult) and r.modes]
-    return learn_baseline(
-        config.instrumented(), modes, np.ones(1), (), updating=config.updating, compensation=config.compensation
-    )[0]
+    return learned(config, windows_of(Pipeline(config), motion, 100.0, t0_ns=T0_NS, size=1000))
 
 
 class Hops:

@@ -18,6 +18,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -60,12 +61,7 @@ def worker(kind: str, samples: Path) -> None:
     if kind == "no_events":
         config = config.model_copy(update={"events": config.events.model_copy(update={"enabled": False})})
     if kind in ("together", "no_events"):
-        from monitor.damage.common_change import nothing_learned
-
-        white = np.linalg.solve(baseline.law.mixing, [0.01, 0.015, 0.008])
-        square = 1440.0 * (np.eye(3) + np.outer(white, white))
-        common = replace(nothing_learned(3), square=square, windows=1440)
-        baseline = replace(baseline, law=replace(baseline.law, common=common))
+        baseline = replace(baseline, law=with_common_changes(baseline.law))
     pipeline = Pipeline(config, baseline)
     print("ready", flush=True)
     for line in sys.stdin:
@@ -73,6 +69,15 @@ def worker(kind: str, samples: Path) -> None:
         judged = [r for r in pipeline.push(blocks[n_healthy + int(line)]) if isinstance(r, WindowResult)]
         spent = time.process_time() - begun
         print(spent if any(r.damage is not None for r in judged) else 0.0, flush=True)
+
+
+def with_common_changes(law: Any) -> Any:
+    """A law that knows besides what the stories do together."""
+    from monitor.damage.common_change import nothing_learned
+
+    white = np.linalg.solve(law.mixing, [0.01, 0.015, 0.008])
+    square = 1440.0 * (np.eye(3) + np.outer(white, white))
+    return replace(law, common=replace(nothing_learned(3), square=square, windows=1440))
 
 
 def begin(checkout: Path, kind: str, samples: Path) -> subprocess.Popen[str]:
@@ -107,22 +112,15 @@ def row(name: str, seconds: np.ndarray, base: np.ndarray) -> str:
 
 def main() -> None:
     """Print what a hop costs of each kind, in the first hour and after."""
-    from monitor.model import simulate
     from tests.statistics.estimates import configuration
+    from tests.support.simulated import ambient
 
     other, hours = Path(sys.argv[1]).resolve(), float(sys.argv[2]) if len(sys.argv) > 2 else 2.0
     seconds = HOUR_S + round(HOUR_S * hours)
-    motion = simulate(
-        configuration(float(HOP_S)).model(),
-        duration_s=float(seconds),
-        rate_hz=RATE_HZ,
-        noise=0.1,
-        level_spread=0.2,
-        seed=2,
-    )
+    floors = ambient(configuration(float(HOP_S)).model(), float(seconds), RATE_HZ, 2, level_spread=0.2)
     with tempfile.TemporaryDirectory() as folder:
         samples = Path(folder) / "floors.npy"
-        np.save(samples, motion.floors)
+        np.save(samples, floors)
         kinds = {"the other checkout": begin(other, "none", samples)}
         kinds |= {word: begin(HERE, kind, samples) for kind, word in KINDS.items()}
         spent: dict[str, list[float]] = {name: [] for name in kinds}

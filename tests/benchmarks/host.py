@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -25,12 +26,12 @@ import numpy as np
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration, configuration
-from monitor.model import simulate
 from monitor.runs import Session
 from monitor.service.host import Line, Place
 from monitor.service.threads import BlockQueue
 from tests.support.frame_text import THREE_STORIES
 from tests.support.live_rig import ROOT, Command
+from tests.support.simulated import ambient
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
@@ -86,23 +87,15 @@ def main() -> None:
         print(json.dumps(_live(given, sites), indent=1))
 
 
-def _frame(window_s: float = 40.0) -> Configuration:
-    return Configuration.model_validate({**_tables(), "processing": {"window_s": window_s, "hop_s": 10.0}})
-
-
-def _tables() -> dict[str, Any]:
-    import tomllib
-
-    return tomllib.loads(THREE_STORIES)
+def _frame() -> Configuration:
+    tables = {**tomllib.loads(THREE_STORIES), "processing": {"window_s": 40.0, "hop_s": 10.0}}
+    return Configuration.model_validate(tables)
 
 
 def _session(router: str) -> Any:
-    import zenoh
+    from drivers.zenoh_session import SessionSettings, open_session
 
-    config = zenoh.Config()
-    for key, value in {"mode": "client", "connect/endpoints": [router], "scouting/multicast/enabled": False}.items():
-        config.insert_json5(key, json.dumps(value))
-    return zenoh.open(config)
+    return open_session(SessionSettings(connect=(router,)), Path())
 
 
 def _publisher(session: Any, name: str) -> Any:
@@ -112,8 +105,7 @@ def _publisher(session: Any, name: str) -> Any:
 
 
 def _record(rate_hz: float) -> np.ndarray:
-    model = _frame().model()
-    return simulate(model, duration_s=_RECORD_S, rate_hz=rate_hz, noise=0.03, seed=1).floors.astype(np.float32)
+    return ambient(_frame().model(), _RECORD_S, rate_hz, 1, noise=0.03).astype(np.float32)
 
 
 def _block(record: np.ndarray, rate_hz: float, begin_s: float, k: int, first: int = 0) -> SampleBlock:
@@ -312,17 +304,12 @@ def _is_replay(out: Path, name: str, window_s: float) -> bool:
 
 def _costs(rate_hz: float, sessions: int = 5) -> tuple[float, float]:
     """Processor time of a block without and with a window, s, in memory that other sites used meanwhile."""
-    config = _frame()
-    record = simulate(config.model(), duration_s=_RECORD_S, rate_hz=rate_hz, noise=0.03, seed=1).floors.astype(
-        np.float32
-    )
-    many = [Session(config, None, (), None, Path()) for _ in range(sessions)]
-    n, plain, window = round(rate_hz * _BLOCK_S), [], []
+    record, many = _record(rate_hz), [Session(_frame(), None, (), None, Path()) for _ in range(sessions)]
+    plain: list[float] = []
+    window: list[float] = []
     for k in range(round(_RECORD_S / _BLOCK_S)):
         for session in many:
-            block = SampleBlock(
-                ACCELERATION, k * 10**9, k * n, rate_hz, config.channels, "m/s^2", record[k * n : (k + 1) * n]
-            )
+            block = _block(record, rate_hz, 0.0, k)
             windows, begun_s = session.windows, time.thread_time()
             session.push(block)
             (window if session.windows > windows else plain).append(time.thread_time() - begun_s)
@@ -350,20 +337,19 @@ def _waits(sites: int, plain_s: float, window_s: float, hops: int = 6) -> dict[s
         for place in places:
             assert place.queue is not None
             block = SampleBlock(ACCELERATION, second, 0, 1.0, ("a",), "m/s^2", empty)
-            with place.queue._changed:  # as `put` does, at the time of the simulation
-                place.queue._append(block, float(second))
+            place.queue.put(block)
             line.join(place)
         now_s = max(now_s, float(second))
         while (now_s < second + 1 or second == 10 * hops - 1) and (place := line.next()) is not None:
             assert place.queue is not None
             item = place.queue.take(0.0)
             assert item is not None
-            is_window = item[0].t_ns % 10 == 9
+            arrived_s, is_window = float(item[0].t_ns), item[0].t_ns % 10 == 9  # by the clock of the simulation
             cost_s = window_s if is_window else plain_s
             now_s += cost_s
             if is_window:
-                waits.append(now_s - item[1])
-            line.spend(place, item[1], 1.0, cost_s)
+                waits.append(now_s - arrived_s)
+            line.spend(place, arrived_s, 1.0, cost_s)
             line.join(place)
     load = (9 * plain_s + window_s) / 10 * sites
     return {

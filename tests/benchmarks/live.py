@@ -127,15 +127,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print a line for each kind."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kind", nargs="?", choices=("can", "zenoh", "mqtt"), help="the first two without")
-    parser.add_argument("--seconds", type=float, default=600.0, help="of data")
-    parser.add_argument("--speed", type=float, default=1.0, help="times real time")
-    parser.add_argument("--window", type=float, default=200.0, help="s")
-    parser.add_argument("--calibration", type=float, default=CALIBRATION_S, help="s of healthy data")
-    given = parser.parse_args(arguments)
-    kinds = ("can", "zenoh") if given.kind is None else (given.kind,)
-    options = {
-        "seconds": given.seconds, "speed": given.speed, "window_s": given.window, "calibration_s": given.calibration,
-    }  # fmt: skip
+    for name, default, of in (
+        ("seconds", 600.0, "of data"),
+        ("speed", 1.0, "times real time"),
+        ("window_s", 200.0, "of a window"),
+        ("calibration_s", CALIBRATION_S, "of healthy data"),
+    ):
+        parser.add_argument(f"--{name.removesuffix('_s')}", dest=name, type=float, default=default, help=of)
+    options = vars(parser.parse_args(arguments))
+    chosen = options.pop("kind")
+    kinds = ("can", "zenoh") if chosen is None else (chosen,)
     with tempfile.TemporaryDirectory(prefix="shm-live-") as folder, ThreadPoolExecutor() as pool:
         for kind in kinds:
             (Path(folder) / kind).mkdir()

@@ -26,15 +26,16 @@ from tests.benchmarks import archive, windows  # noqa: E402
 from tests.benchmarks.rounds import Cost  # noqa: E402
 
 
+def show(head: str, costs: dict[str, Cost], base: Cost, unit: float = 1e3) -> None:
+    """Print a table of costs, each over the base."""
+    print(f"\n| {head} |\n|---|---|---|---|", *(cost.row(base, unit) for cost in costs.values()), sep="\n")
+
+
 def compare_windows(rounds: int, told: dict[str, Any]) -> None:
     """A hop beside its floor and its peers."""
     costs = windows.compare(rounds)
     floor = costs[windows.FLOOR]
-    print(
-        "\n| one 10 s hop of a 400 s window, 15 orders | CPU ms (quartiles) | fastest | over the floor |\n|---|---|---|---|"
-    )
-    for cost in costs.values():
-        print(cost.row(floor))
+    show("one 10 s hop of a 400 s window, 15 orders | CPU ms (quartiles) | fastest | over the floor", costs, floor)
     plain, uncertain = (windows.PYOMA, windows.PYOMA_1), (windows.PYOMA_UNC, windows.PYOMA_UNC_1)
     ways = {
         windows.FOUND: plain,
@@ -71,20 +72,35 @@ def show_reading(path: Path, rounds: int, hours: float, told: dict[str, Any]) ->
     """The stages before identification beside reading alone."""
     costs = archive.reading(path, rounds)
     base: Cost = costs[archive.LIBRARY]
-    print(
-        f"\n| {hours:g} h of 3 channels at 1024 Hz | CPU s (quartiles) | fastest | over the library |\n|---|---|---|---|"
-    )
-    for cost in costs.values():
-        print(cost.row(base, unit=1.0))
+    show(f"{hours:g} h of 3 channels at 1024 Hz | CPU s (quartiles) | fastest | over the library", costs, base, 1.0)
     told["reading_s"] = {name: cost.median for name, cost in costs.items()}
+
+
+def draw(told: dict[str, Any], out: Path) -> None:
+    """Draw the costs of a hop beside its peers, and how it grows, as one SVG."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    growth: dict[str, list[list[float]]] = told["growth_ms"]
+    matplotlib.rcParams.update({"svg.hashsalt": "shm", "font.size": 9})
+    figure, axes = pyplot.subplots(1, 1 + len(growth), figsize=(15, 3.6), width_ratios=[2.4, *[1] * len(growth)])
+    names, values = list(told["windows_ms"]), list(told["windows_ms"].values())
+    colours = ["#1f6fb4" if name.startswith(("hop", "its")) else "#999999" for name in names]
+    axes[0].barh(names[::-1], values[::-1], color=colours[::-1])
+    axes[0].set(xscale="log", xlabel="CPU ms", title="one hop of a 400 s window")
+    for axis, (what, points) in zip(axes[1:], growth.items(), strict=True):
+        axis.loglog(*zip(*points, strict=True), "o-", color="#1f6fb4")
+        axis.set(xlabel=what, ylim=(1, 2e4), title="CPU ms of one hop")
+    figure.tight_layout()
+    figure.savefig(out, metadata={"Date": None})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--quick", action="store_true", help="seconds: to see that everything runs; its figures say nothing"
-    )
+    parser.add_argument("--quick", action="store_true", help="to see in seconds that it runs; its figures say nothing")
     parser.add_argument("--hours", type=float, default=24.0, help="of the replay")
     parser.add_argument("--rounds", type=int, default=25)
     parser.add_argument("--json", type=Path)
@@ -109,8 +125,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.json is not None:
         given.json.write_text(json.dumps(told, indent=1) + "\n")
     if given.plot is not None:
-        from tests.benchmarks.plot import draw
-
         draw(told, given.plot)
     return 0
 

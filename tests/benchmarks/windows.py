@@ -13,18 +13,16 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
-from drivers.base import ACCELERATION
 from monitor.config import Configuration
-from monitor.core import Array, ModalEstimate, Window, WindowResult
-from monitor.damage import StiffnessJudge
+from monitor.core import Array, ModalEstimate, Window
 from monitor.identification import identify
 from monitor.identification.eigen import upper_poles
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
 from monitor.signals import windows
 from monitor.signals.kernels import lag_products
 from tests.benchmarks.frames import T0_NS, Hops, baseline, configuration, floors
 from tests.benchmarks.rounds import Cost, interleaved
+from tests.support.simulated import windows_of
 
 FLOOR, PLAIN, FULL = "floor of a hop", "hop without uncertainty", "hop with uncertainty, refinement, updating, alarm"
 LEAST = "matrix work of a hop without uncertainty"
@@ -67,7 +65,7 @@ class Identification:
 
     def __init__(self, uncertainty: bool) -> None:
         self.config = configuration(refined=False, uncertainty=uncertainty)
-        self.pipeline = Pipeline(self.config)
+        self.modes = self.config.model().modes()
         p, rows = self.config.processing, self.config.identification.block_rows
         self.grid = windows.WindowGrid.design(100.0, p.window_s, p.hop_s, 2 * rows, 0.0)
         self.state = windows.start(self.grid, 3, index=0)
@@ -79,20 +77,12 @@ class Identification:
 
     def __call__(self) -> None:
         """Take in the next hop."""
-        judge, c = self.pipeline.judge, self.config
-        assert isinstance(judge, StiffnessJudge)
+        c = self.config
         self.state, found = windows.step(self.grid, self.state, next(self._pieces), 0)
         for item in found:
             assert isinstance(item, Window)
-            modes = identify(
-                item,
-                judge._past,
-                judge._reference_modes,
-                judge._sensors,
-                c.identification,
-                c.selection,
-                cutoff_hz=c.processing.cutoff_hz,
-            )
+            known = tuple(range(3)), self.modes, c.instrumented().sensor_matrix
+            modes = identify(item, *known, c.identification, c.selection, cutoff_hz=c.processing.cutoff_hz)
             assert isinstance(modes, ModalEstimate)
             self.found = modes
 
@@ -161,9 +151,7 @@ def accuracy(count: int) -> dict[str, Array]:
 
 def _identified(config: Configuration, x: Array) -> Array:
     """Frequencies of the one window of `x`, as the pipeline finds them."""
-    line = Pipeline(config)
-    results = [r for b in cut_into_blocks(ACCELERATION, x, config.channels, 100.0, T0_NS, 1000) for r in line.push(b)]
-    (modes,) = [r.modes for r in results if isinstance(r, WindowResult)]
+    (modes,) = [r.modes for r in windows_of(Pipeline(config), x, 100.0, t0_ns=T0_NS, size=1000)]
     assert modes is not None
     return modes.frequencies_hz
 
@@ -183,15 +171,13 @@ def cold(rounds: int) -> dict[str, Cost]:
 
 def growth(rounds: int, channels: tuple[int, ...]) -> dict[str, list[tuple[float, Cost]]]:
     """Cost of one hop by channels (and stories), window length, and rate of the source."""
-    found: dict[str, list[tuple[float, Cost]]] = {"channels = stories": [], "window, s": [], "source rate, Hz": []}
 
     def cost(hops: Hops, most: int = rounds) -> Cost:
         return interleaved({"hop": hops}, min(rounds, most))["hop"]
 
-    for n in channels:
-        found["channels = stories"].append((n, cost(Hops(configuration(n)), rounds if n < 30 else 3)))
-    for window_s in (100.0, 400.0, 1600.0):
-        found["window, s"].append((window_s, cost(Hops(configuration(window_s=window_s)))))
-    for rate_hz in (100.0, 1024.0, 4096.0):
-        found["source rate, Hz"].append((rate_hz, cost(Hops(configuration(), rate_hz=rate_hz))))
-    return found
+    by_rate = {hz: Hops(configuration(), rate_hz=hz) for hz in (100.0, 1024.0, 4096.0)}
+    return {
+        "channels = stories": [(n, cost(Hops(configuration(n)), rounds if n < 30 else 3)) for n in channels],
+        "window, s": [(s, cost(Hops(configuration(window_s=s)))) for s in (100.0, 400.0, 1600.0)],
+        "source rate, Hz": [(hz, cost(hops)) for hz, hops in by_rate.items()],
+    }

@@ -104,7 +104,7 @@ def number(
     return sequencer, out
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=50)
 @given(
     seed=st.integers(0, 10**6),
     sizes=st.lists(st.integers(1, 200), min_size=1, max_size=4),
@@ -112,9 +112,9 @@ def number(
 )
 def test_lost_repeated_and_swapped_frames_are_numbered_right(seed: int, sizes: list[int], bits: int) -> None:
     rng = np.random.default_rng(seed)
-    truth = np.arange(3000) + 65000
-    order = truth[rng.random(3000) > 0.01]
-    order = np.insert(order, at := rng.integers(1, len(order), 30), order[at - 1])  # repeated
+    truth = np.arange(700) + 65000
+    order = truth[rng.random(700) > 0.01]
+    order = np.insert(order, at := rng.integers(1, len(order), 7), order[at - 1])  # repeated
     place = np.arange(len(order)) + np.where(
         rng.random(len(order)) < 0.01, rng.integers(1, REORDER // 2, len(order)), 0
     )

@@ -38,14 +38,7 @@ def test_schema_describes_itself_with_its_dependency() -> None:
     files = descriptor_pb2.FileDescriptorSet.FromString(codec.SCHEMA_BYTES)
     assert [file.package for file in files.file] == ["google.protobuf", "shm"]
     fields = {field.name: field.number for field in files.file[1].message_type[0].field}
-    assert fields == {
-        "timestamp": 1,
-        "sequence": 2,
-        "sample_rate_hz": 3,
-        "channels": 4,
-        "unit": 5,
-        "samples": 6,
-    }
+    assert fields == {"timestamp": 1, "sequence": 2, "sample_rate_hz": 3, "channels": 4, "unit": 5, "samples": 6}
 
 
 @given(st.binary(max_size=200))

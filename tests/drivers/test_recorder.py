@@ -15,6 +15,7 @@ from drivers.base import TEMPERATURE, SampleBlock
 from drivers.mcap_file import read_recordings, scan_messages
 from drivers.mcap_writer import McapWriter
 from drivers.recorder import Recorder, RecorderSettings, unfit
+from tests.support.any_block import same
 from tests.support.samples import T0_NS, Cut
 
 RATE = 100.0
@@ -36,17 +37,19 @@ def make(folder: Path, clock: Clock, **settings: object) -> Recorder:
     return Recorder(folder, RecorderSettings(**{"min_free_gb": 0.0, **settings}), clock)  # type: ignore[arg-type]
 
 
+def record(recorder: Recorder, clock: Clock, arrived: list[SampleBlock]) -> list[int]:
+    """Write a block each second and end; returns the recorder's place after each."""
+    places = [recorder.stamp_ns]
+    for block in arrived:
+        clock.now += 1.0
+        recorder.write(block)
+        places.append(recorder.stamp_ns)
+    recorder.close()
+    return places
+
+
 def blocks(cut: Cut, seconds: float = 60.0, seed: int = 0) -> list[SampleBlock]:
     return cut(np.random.default_rng(seed).normal(size=(int(seconds * RATE), 3)), RATE)
-
-
-def same(a: SampleBlock, b: SampleBlock) -> bool:
-    return (a.topic, a.t_ns, a.sequence, a.channels) == (
-        b.topic,
-        b.t_ns,
-        b.sequence,
-        b.channels,
-    ) and a.samples.tobytes() == b.samples.tobytes()
 
 
 def recorded(folder: Path) -> list[SampleBlock]:
@@ -67,11 +70,7 @@ def test_blocks_come_back_as_they_came_late_repeated_and_stepping_clocks_too(
     warm = replace(parts[3], topic=TEMPERATURE, unit="degC", t_ns=T0_NS)
     back = [replace(b, t_ns=b.t_ns - 40 * 10**9) for b in parts[45:]]  # the clock was set back
     arrived = [*parts[:10], parts[12], parts[11], parts[11], warm, *parts[13:45], *back, parts[5]]
-    recorder = make(tmp_path, clock, flush_s=2.0, file_s=7.0)
-    for block in arrived:
-        clock.now += 1.0
-        recorder.write(block)
-    recorder.close()
+    record(make(tmp_path, clock, flush_s=2.0, file_s=7.0), clock, arrived)
     assert len(list(tmp_path.glob("*.mcap"))) > 3
     assert_recorded(tmp_path, arrived)
     got = list(read_recordings(sorted(tmp_path.glob("*.mcap"), reverse=True)))
@@ -80,11 +79,7 @@ def test_blocks_come_back_as_they_came_late_repeated_and_stepping_clocks_too(
 
 def test_names_sort_by_time_and_files_roll_by_length_and_by_size(tmp_path: Path, cut: Cut, clock: Clock) -> None:
     for name, limits in (("s", {"file_s": 10.0}), ("mb", {"file_mb": 0.02})):
-        recorder = make(tmp_path / name, clock, flush_s=1.0, **limits)
-        for block in blocks(cut):
-            clock.now += 1.0
-            recorder.write(block)
-        recorder.close()
+        record(make(tmp_path / name, clock, flush_s=1.0, **limits), clock, blocks(cut))
         files = sorted((tmp_path / name).glob("*.mcap"))
         firsts = [next(scan_messages(path))[1] for path in files]
         assert firsts == sorted(firsts)
@@ -95,11 +90,8 @@ def test_names_sort_by_time_and_files_roll_by_length_and_by_size(tmp_path: Path,
 def test_the_oldest_files_go_and_others_stay(tmp_path: Path, cut: Cut, clock: Clock) -> None:
     (tmp_path / "notes.mcap").write_bytes(b"mine")
     recorder = make(tmp_path, clock, flush_s=1.0, file_s=5.0, keep_gb=50e3 / 2**30)
-    arrived = blocks(cut, 300.0)
-    for block in arrived:
-        clock.now += 1.0
-        recorder.write(block)
-    recorder.close()
+    arrived = blocks(cut, 150.0)
+    record(recorder, clock, arrived)
     assert recorder.health().removed_files > 5
     assert (tmp_path / "notes.mcap").read_bytes() == b"mine"
     (tmp_path / "notes.mcap").unlink()
@@ -142,61 +134,50 @@ def test_quiet_sources_are_flushed_by_the_clock(tmp_path: Path, cut: Cut, clock:
     recorder.close()
 
 
-def test_a_full_disk_pauses_recording_and_what_was_written_stays(
-    tmp_path: Path, cut: Cut, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    full, told = [False], set()
-    flush = McapWriter.flush
+class Disk:
+    """What the disk says of itself; full ones take no more."""
 
-    def failing(writer: McapWriter) -> None:
-        if full[0]:
+    full = False
+    free = 2 << 30
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    made, flush = Disk(), McapWriter.flush
+
+    def flush_or_fail(writer: McapWriter) -> None:
+        if made.full:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         flush(writer)
 
-    monkeypatch.setattr(McapWriter, "flush", failing)
-    arrived = blocks(cut)
-    recorder = make(tmp_path, clock, flush_s=2.0)
+    monkeypatch.setattr(McapWriter, "flush", flush_or_fail)
+    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: made)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("cause", "words", "lost"), [("full disk", "space", range(15, 30)), ("little space", "free", range(25))]
+)
+def test_a_disk_that_is_full_pauses_recording_and_what_was_written_stays(
+    tmp_path: Path, cut: Cut, clock: Clock, disk: Disk, cause: str, words: str, lost: range
+) -> None:
+    arrived, told = blocks(cut), []
+    recorder = make(tmp_path, clock, flush_s=2.0 if cause == "full disk" else 1.0, min_free_gb=1.0)
     for k, block in enumerate(arrived):
-        full[0] = 20 <= k < 40
+        if cause == "full disk":
+            disk.full = 20 <= k < 40
+        else:
+            disk.free = (1 << 29) if 20 <= k < 40 else (2 << 30)
         clock.now += 1.0
         recorder.write(block)
-        told.add(recorder.health().detail)
-    assert any("space" in detail for detail in told)
-    assert recorder.health().recording
+        told.append(recorder.health().detail)
+    assert words in told[30] and recorder.health().recording
     recorder.close()
-    health = recorder.health()
-    got = recorded(tmp_path)
-    assert health.lost_blocks == len(arrived) - len(got)
-    assert 15 <= health.lost_blocks < 30
+    health, got = recorder.health(), recorded(tmp_path)
+    assert health.lost_blocks == len(arrived) - len(got) and health.lost_blocks in lost
     assert health.blocks == len(got)
     assert [b.sequence for b in got] == sorted(b.sequence for b in got)
     assert same(got[-1], arrived[-1]) and same(got[0], arrived[0])
-
-
-def test_too_little_free_space_pauses_and_removes_nothing(
-    tmp_path: Path, cut: Cut, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    free = [2 << 30]
-
-    class Usage:
-        @property
-        def free(self) -> int:
-            return free[0]
-
-    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: Usage())
-    recorder = make(tmp_path, clock, flush_s=1.0, min_free_gb=1.0)
-    arrived = blocks(cut)
-    for k, block in enumerate(arrived):
-        free[0] = (1 << 29) if 20 <= k < 40 else (2 << 30)
-        clock.now += 1.0
-        recorder.write(block)
-        if k == 30:
-            assert "free" in recorder.health().detail
-    recorder.close()
-    got = recorded(tmp_path)
-    assert recorder.health().lost_blocks == len(arrived) - len(got)
-    assert same(got[0], arrived[0]) and same(got[-1], arrived[-1])
-    assert len(got) > 35
 
 
 @pytest.mark.parametrize(
@@ -233,19 +214,9 @@ def test_blocks_of_another_century_misname_no_later_recording_over_a_restart(
     parts = blocks(cut, 400.0)
     forged = [replace(b, t_ns=far + k * 10**9, sequence=k) for k, b in enumerate(parts[:5])]
     arrived = [*parts[:20], *forged, *parts[20:50]]
-    recorder = make(tmp_path, clock, flush_s=2.0, file_s=30.0)
-    for block in arrived:
-        clock.now += 1.0
-        recorder.write(block)
-    recorder.close()
+    record(make(tmp_path, clock, flush_s=2.0, file_s=30.0), clock, arrived)
     later = parts[50:]
-    recorder = make(tmp_path, clock, flush_s=2.0, file_s=30.0)
-    places = [recorder.stamp_ns]
-    for block in later:
-        clock.now += 1.0
-        recorder.write(block)
-        places.append(recorder.stamp_ns)
-    recorder.close()
+    places = record(make(tmp_path, clock, flush_s=2.0, file_s=30.0), clock, later)
     assert places == sorted(set(places))
     assert_recorded(tmp_path, [*arrived, *later])
     again = list(module.recorded(tmp_path, places[0]))
@@ -260,47 +231,29 @@ def test_blocks_of_another_century_misname_no_later_recording_over_a_restart(
 
 
 def test_late_blocks_now_and_then_begin_no_file(tmp_path: Path, cut: Cut, clock: Clock) -> None:
-    far, parts = 4_102_444_800 * 10**9, blocks(cut, 300.0)
-    recorder = make(tmp_path, clock, flush_s=2.0)
-    for k, block in enumerate(parts):
-        clock.now += 1.0
-        recorder.write(replace(block, t_ns=far + k * 10**9) if k % 5 == 0 else block)
-    recorder.close()
+    far, recorder = 4_102_444_800 * 10**9, make(tmp_path, clock, flush_s=2.0)
+    parts = [replace(b, t_ns=far + k * 10**9) if k % 5 == 0 else b for k, b in enumerate(blocks(cut, 200.0))]
+    record(recorder, clock, parts)
     assert recorder.health().files == 1
 
 
 def test_the_oldest_to_arrive_goes_first_whatever_its_name(tmp_path: Path, cut: Cut, clock: Clock) -> None:
-    far, parts = 4_102_444_800 * 10**9, blocks(cut, 300.0)
+    far, parts = 4_102_444_800 * 10**9, blocks(cut, 150.0)
     recorder = make(tmp_path, clock, flush_s=1.0, file_s=20.0, keep_gb=50e3 / 2**30)
-    for block in [replace(parts[0], t_ns=far), *parts]:
-        clock.now += 1.0
-        recorder.write(block)
-    recorder.close()
+    record(recorder, clock, [replace(parts[0], t_ns=far), *parts])
     assert not [path for path in tmp_path.iterdir() if path.name.startswith("2100")]
 
 
 @pytest.mark.parametrize("cause", ["free space", "full disk"])
 def test_a_disk_at_its_limit_is_one_stop_and_one_return(
-    tmp_path: Path, cut: Cut, clock: Clock, monkeypatch: pytest.MonkeyPatch, cause: str
+    tmp_path: Path, cut: Cut, clock: Clock, disk: Disk, cause: str
 ) -> None:
     """Who is told of each change must not be told for ever."""
-    k, flush = 0, McapWriter.flush
-
-    class Usage:
-        @property
-        def free(self) -> int:
-            at_limit = (1 << 30) + (-1 if k % 5 else 1) * (1 << 20)  # other programs write and delete
-            return at_limit if cause == "free space" and 20 <= k < 60 else 2 << 30
-
-    def failing(writer: McapWriter) -> None:
-        if cause == "full disk" and 20 <= k < 60:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        flush(writer)
-
-    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: Usage())
-    monkeypatch.setattr(McapWriter, "flush", failing)
     recorder, told = make(tmp_path, clock, flush_s=2.0, min_free_gb=1.0), [True]
-    for k, block in enumerate(blocks(cut, 90.0)):  # noqa: B007 - read above
+    for k, block in enumerate(blocks(cut, 90.0)):
+        at_limit = (1 << 30) + (-1 if k % 5 else 1) * (1 << 20)  # other programs write and delete
+        disk.free = at_limit if cause == "free space" and 20 <= k < 60 else 2 << 30
+        disk.full = cause == "full disk" and 20 <= k < 60
         clock.now += 1.0
         recorder.write(block)
         if recorder.health().recording != told[-1]:

@@ -7,22 +7,19 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from monitor.model import EFFECTS, ExcitationKind, Model, ShearFrame, simulate
+from monitor.model import EFFECTS, ExcitationKind, Model, ShearFrame
 from monitor.signals import Conditioner
 from monitor.signals.channel_faults import CELL, Fault, RawFacts, find_faults
+from tests.support.simulated import PAPER_FRAME, ambient
 
 RATE = 200.0
-FRAME = ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01)
 Spoil = Callable[[np.ndarray, float, np.random.Generator], None]
 
 
 def motion(*effects: object, excitation: ExcitationKind = "ambient", seed: int = 1) -> np.ndarray:
     """120 s with 5 % noise."""
-    model = Model(FRAME, effects)  # type: ignore[arg-type]
-    moved = simulate(
-        model, duration_s=120.0, rate_hz=RATE, excitation=excitation, noise=0.05, level_spread=0.35, seed=seed
-    )
-    return np.asarray(moved.floors)
+    how = {"noise": 0.05, "level_spread": 0.35, "excitation": excitation}
+    return ambient(Model(PAPER_FRAME, effects), 120.0, RATE, seed, **how)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +123,7 @@ def test_a_dead_channel_or_a_short_record_is_no_error(floors: np.ndarray) -> Non
 
 def test_many_channels_are_judged_by_a_few_neighbours() -> None:
     tower = Model(ShearFrame(np.full(8, 0.3), np.full(8, 4000.0), 0.01))
-    many = np.asarray(simulate(tower, duration_s=120.0, rate_hz=RATE, noise=0.05, seed=1).floors)
+    many = ambient(tower, 120.0, RATE, 1, noise=0.05)
     assert found(many) == ()
     spike(many[:, 5], float(many[:, 5].std()), np.random.default_rng(0))
     assert {(f.kind, f.channel) for f in found(many)} == {("spike", 5)}

@@ -6,29 +6,22 @@ import numpy as np
 import pytest
 from scipy.signal import cheby1, lfilter, sosfilt
 
-from monitor.signals import SegmentDesign, channel_relations, transform
+from monitor.signals import channel_relations
+from tests.support.simulated import segments_of
 
 RATE_HZ, SECONDS, N = 100.0, 1200.0, 2000
 
 
 def motion(rng: np.random.Generator) -> np.ndarray:
     """Three channels of two modes, the second of opposite sign at the last channel, and noise."""
-    modes = [
-        lfilter(
-            [1.0],
-            [1.0, -2.0 * r * np.cos(2.0 * np.pi * hz / RATE_HZ), r * r],
-            rng.standard_normal(int(SECONDS * RATE_HZ)),
-        )
-        for hz, r in ((4.0, 0.98), (11.0, 0.97))
-    ]
+    poles = [(r * r, 2.0 * r * np.cos(2.0 * np.pi * hz / RATE_HZ)) for hz, r in ((4.0, 0.98), (11.0, 0.97))]
+    modes = [lfilter([1.0], [1.0, -b, c], rng.standard_normal(int(SECONDS * RATE_HZ))) for c, b in poles]
     clean = np.transpose(modes) @ np.array([[1.0, 0.8, 0.5], [0.7, -0.4, -1.0]])
     return np.asarray(clean + 0.05 * rng.standard_normal(clean.shape))
 
 
 def transforms(samples: np.ndarray) -> tuple[np.ndarray, float]:
-    design = SegmentDesign(RATE_HZ, N, N // 2 + 1)
-    parts = [transform(design, samples[k : k + N]) for k in range(0, len(samples) - N + 1, N // 2)]
-    return np.array(parts), design.step_hz
+    return segments_of(samples, RATE_HZ, N, N // 2 + 1)
 
 
 def delays(samples: np.ndarray) -> tuple[channel_relations.Delay, ...]:

@@ -6,28 +6,23 @@ import numpy as np
 import pytest
 from scipy.signal import cheby1, sosfilt
 
-from monitor.core import Window
-from monitor.model import Model, ShearFrame, simulate
-from monitor.signals import channel_watch, windows
+from monitor.model import Model, ShearFrame
+from monitor.signals import channel_watch
 from monitor.signals.channel_watch import WatchState
 from monitor.signals.sensor_health import HealthSettings
-from monitor.signals.windows import WindowGrid
+from tests.support.simulated import PAPER_FRAME, ambient, whole_window
 
 RATE, WINDOW_S, HOP_S = 100.0, 100.0, 10
 NAMES = ("a1", "a2", "a3")
-MASSES, STIFFNESS = np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986])
 
 
 def motion(seed: int, loss: float = 0.0, noise: float = 0.1) -> np.ndarray:
-    frame = Model(ShearFrame(MASSES, STIFFNESS * [1.0, 1.0 - loss, 1.0], 0.01))
-    return simulate(frame, duration_s=WINDOW_S, rate_hz=RATE, noise=noise, seed=seed).floors
+    return ambient(Model(PAPER_FRAME), WINDOW_S, RATE, seed, loss=(0.0, loss, 0.0), noise=noise)
 
 
 def faults(samples: np.ndarray, block_s: float = HOP_S) -> dict[int, str]:
     names = tuple(f"a{k + 1}" for k in range(samples.shape[1]))
-    grid = WindowGrid(RATE, len(samples), round(block_s * RATE), 50)
-    _, (item,) = windows.step(grid, windows.start(grid, samples.shape[1], index=0), samples, 0)
-    assert isinstance(item, Window)
+    item = whole_window(samples, RATE, round(block_s * RATE), 50)
     return channel_watch.find_faults(item, {}, names, HealthSettings())
 
 
@@ -71,7 +66,7 @@ def test_well_channels_of_a_slow_frame_stay_in_use_in_short_blocks() -> None:
     frame = Model(ShearFrame(masses, stiffness, 0.012))
     lowpass = cheby1(8, 0.05, 40.0, fs=RATE, output="sos")
     for seed in range(3):
-        x = simulate(frame, duration_s=800.0, rate_hz=RATE, noise=4e-3, seed=seed).floors[:, [0, 1, 3]]
+        x = ambient(frame, 800.0, RATE, seed, noise=4e-3)[:, [0, 1, 3]]
         x = sosfilt(lowpass, x, axis=0)
         assert [faults(x[i : i + 20000], block_s=5.0) for i in range(0, 60000, 4000)] == [{}] * 15
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.model import EFFECTS, Model, ShearFrame, simulate
+from monitor.model import EFFECTS, Model, ShearFrame
 from monitor.signals.mains_hum import Hum, find_hum
-from monitor.signals.welch import SegmentDesign, transform
+from tests.support.simulated import PAPER_FRAME, ambient, segments_of
 
 RATE, N = 200.0, 4000
-FRAME = ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01)
 
 
 def motion(*effects: object, seed: int = 1) -> np.ndarray:
-    model = Model(FRAME, effects)  # type: ignore[arg-type]
-    return np.asarray(simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed).floors)
+    model = Model(PAPER_FRAME, effects)  # type: ignore[arg-type]
+    return ambient(model, 400.0, RATE, seed, noise=0.05, level_spread=0.35)
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +23,7 @@ def floors() -> np.ndarray:
 
 
 def found(x: np.ndarray) -> tuple[Hum, ...]:
-    design = SegmentDesign(RATE, N, 721)
-    segments = np.stack([transform(design, x[a : a + N]) for a in range(0, len(x) - N + 1, N // 2)])
-    return find_hum(segments, design.step_hz, RATE)
+    return find_hum(*segments_of(x, RATE, N, 721), RATE)
 
 
 def tone(x: np.ndarray, hz: float, share: float) -> np.ndarray:
@@ -69,10 +66,10 @@ def test_nothing_is_found_in_sound_records(seed: int) -> None:
 
 def test_a_mode_at_the_mains_alias_is_no_hum() -> None:
     """A lightly damped mode at 20 Hz: narrow, but its power is exponentially distributed."""
-    light = ShearFrame(FRAME.masses_kg, FRAME.stiffness_n_per_m, 0.001)
+    light = ShearFrame(PAPER_FRAME.masses_kg, PAPER_FRAME.stiffness_n_per_m, 0.001)
     third = Model(light).modes().frequencies_hz[2]
-    tuned = ShearFrame(FRAME.masses_kg, FRAME.stiffness_n_per_m * (20.0 / third) ** 2, 0.001)
-    assert found(np.asarray(simulate(Model(tuned), duration_s=400.0, rate_hz=RATE, noise=0.05, seed=2).floors)) == ()
+    tuned = ShearFrame(PAPER_FRAME.masses_kg, PAPER_FRAME.stiffness_n_per_m * (20.0 / third) ** 2, 0.001)
+    assert found(ambient(Model(tuned), 400.0, RATE, 2, noise=0.05)) == ()
 
 
 def test_a_single_channel_shows_no_proportions(floors: np.ndarray) -> None:

@@ -5,22 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.model import Model, ShearFrame, simulate
+from monitor.model import Model
 from monitor.signals.sensor_drift import Drift, find_drift
-from monitor.signals.welch import SegmentDesign, transform
+from tests.support.simulated import PAPER_FRAME, ambient, segments_of
 
 RATE, N, FIRST = 100.0, 2000, 40
-FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
 
 
 def motion(seed: int) -> np.ndarray:
-    return np.asarray(simulate(FRAME, duration_s=400.0, rate_hz=RATE, noise=0.05, seed=seed).floors)
+    return ambient(Model(PAPER_FRAME), 400.0, RATE, seed, noise=0.05)
 
 
 def found(x: np.ndarray) -> tuple[Drift, ...]:
-    design = SegmentDesign(RATE, N, 721)
-    segments = np.stack([transform(design, x[a : a + N]) for a in range(0, len(x) - N + 1, N // 2)])
-    return find_drift(segments, FIRST)
+    return find_drift(segments_of(x, RATE, N, 721)[0], FIRST)
 
 
 def walk(x: np.ndarray, size: float) -> np.ndarray:

@@ -11,15 +11,16 @@ from hypothesis import strategies as st
 
 from monitor.config import configuration
 from monitor.core import Gap, WindowResult
-from monitor.model import EFFECTS, Model, ShearFrame, simulate
+from monitor.model import EFFECTS, Model
 from monitor.pipeline import Pipeline
 from monitor.signals import sensor_health
 from monitor.signals.sensor_health import ChannelHealth, Health, HealthSettings, HealthState
 from tests.support.samples import CHANNELS, Cut
+from tests.support.simulated import PAPER_FRAME, ambient
 
 RATE = 200.0
 SETTINGS = HealthSettings()
-FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
+FRAME = Model(PAPER_FRAME)
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,7 @@ class Piece:
 @pytest.fixture(scope="module")
 def motion() -> np.ndarray:
     """60 s; the sensors resolve 1 mm/s^2."""
-    floors = simulate(FRAME, duration_s=60.0, rate_hz=RATE, noise=0.05, seed=1).floors
-    return np.asarray(np.round(floors, 3))
+    return np.asarray(np.round(ambient(FRAME, 60.0, RATE, 1, noise=0.05), 3))
 
 
 def run(*pieces: Piece, dropped: int = 0, keep_s: float = 1e3) -> tuple[HealthState, list[Health]]:
@@ -133,7 +133,7 @@ def test_steps_of_a_coarse_sensor_between_rests_are_no_spikes() -> None:
 
 @pytest.mark.parametrize("level", [0.002, 0.02, 1.0])
 def test_coarse_resolution_is_no_clipping(level: float) -> None:
-    floors = simulate(FRAME, duration_s=20.0, rate_hz=RATE, noise=0.05, seed=3).floors
+    floors = ambient(FRAME, 20.0, RATE, 3, noise=0.05)
     coarse = np.round(floors * level / floors.std(), 3)
     told = run(Piece(0, coarse))[1]
     assert all(c.clipped == 0.0 for h in told for c in h.channels)
@@ -187,9 +187,7 @@ def test_a_structure_at_rest_is_not_stuck(motion: np.ndarray) -> None:
 )
 def test_sensor_faults_that_a_diagnosis_explains_keep_their_windows(name: str, parameters: dict[str, float]) -> None:
     effect = EFFECTS[name].create("channel a2", parameters)
-    faulty = Model(FRAME.structure, (effect,))
-    floors = simulate(faulty, duration_s=60.0, rate_hz=RATE, noise=0.03, seed=4).floors
-    assert verdict(floors) == {}
+    assert verdict(ambient(Model(PAPER_FRAME, (effect,)), 60.0, RATE, 4, noise=0.03)) == {}
 
 
 def test_the_pipeline_judges_without_a_stuck_channel_and_takes_it_back(
@@ -198,7 +196,7 @@ def test_the_pipeline_judges_without_a_stuck_channel_and_takes_it_back(
     path = tmp_path / "s.toml"  # type: ignore[operator]
     path.write_text(frame_text)
     site = configuration.load(path)
-    spoilt = simulate(site.model(), duration_s=80.0, rate_hz=RATE, noise=0.03, seed=5).floors
+    spoilt = ambient(site.model(), 80.0, RATE, 5, noise=0.03)
     spoilt[4000:8000, 0] = 1.0
     pipeline = Pipeline(site)
     found = {5 * r.index: r for b in cut(spoilt, RATE) for r in pipeline.push(b) if isinstance(r, WindowResult)}

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.model import Model, ShearFrame, simulate
+from monitor.model import Model
 from monitor.signals.span_faults import SpanFaults, find_span_faults
+from tests.support.simulated import PAPER_FRAME, ambient
 
 RATE, SPAN = 200.0, 2000
-FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
 
 
 @pytest.fixture(scope="module")
 def floors() -> np.ndarray:
     """400 s, rounded to float32 as sources do."""
-    moved = simulate(FRAME, duration_s=400.0, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=1).floors
-    return np.asarray(moved, dtype=np.float32).astype(float)
+    moved = ambient(Model(PAPER_FRAME), 400.0, RATE, 1, noise=0.05, level_spread=0.35)
+    return moved.astype(np.float32).astype(float)
 
 
 def told(x: np.ndarray) -> list[list[SpanFaults]]:

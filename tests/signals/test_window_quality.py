@@ -5,34 +5,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.core import Skipped, Window
-from monitor.model import Model, ShearFrame, simulate
-from monitor.signals import window_quality, windows
+from monitor.core import Skipped
+from monitor.model import Model
+from monitor.signals import window_quality
 from monitor.signals.window_quality import QualitySettings
-from monitor.signals.windows import WindowGrid
-
-FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
-
-
-def window(samples: np.ndarray, lags: int = 20) -> Window:
-    grid = WindowGrid(100.0, len(samples), 500, lags)
-    _, (item,) = windows.step(grid, windows.start(grid, samples.shape[1], index=0), samples, 0)
-    assert isinstance(item, Window)
-    return item
+from tests.support.simulated import PAPER_FRAME, ambient, whole_window
 
 
 def check(samples: np.ndarray, settings: QualitySettings | None = None, lags: int = 20) -> Skipped | None:
-    item = window(samples, lags)
+    item = whole_window(samples, 100.0, 500, lags)
     return window_quality.check(item.sums, 100.0, 40.0, settings or QualitySettings())
 
 
 def still(samples: np.ndarray) -> tuple[int, ...]:
-    return window_quality.still_channels(window(samples).sums)
+    return window_quality.still_channels(whole_window(samples, 100.0, 500, 20).sums)
 
 
 @pytest.fixture(scope="module")
 def frame() -> np.ndarray:
-    return simulate(FRAME, duration_s=20.0, rate_hz=100.0, noise=0.05, seed=1).floors
+    return ambient(Model(PAPER_FRAME), 20.0, 100.0, 1, noise=0.05)
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,8 @@ WINDOW, SEGMENTS = 40, 39
 YEAR = 3_155_760
 """Hops."""
 MONTH = YEAR // 12
+MEMORY_S, EXCESS = 8 * 3600.0, 1.2
+"""Of the alarm's smoothed standard deviations, for which `test_the_twin_judges_as_the_alarm_does` vouches."""
 
 
 @dataclass(frozen=True)
@@ -85,14 +87,14 @@ def _boxcar(values: Array, n: int) -> Array:
 def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
     """`sequential.look` over a series of windows without holes: its z, shape (hops, n), right wherever it exceeds `floor`."""
     n_hops, n = ddi.shape
-    memory = round(sequential_test._STD_MEMORY_S / HOP_S)
+    memory = round(MEMORY_S / HOP_S)
     log = np.log(variance)
     smooth = np.cumsum(log[: memory + 1], axis=0) / np.arange(1, min(memory + 1, n_hops) + 1)[:, None]
     if n_hops > memory + 1:
         share = 1.0 / (memory + 1)
         rest, _ = lfilter([share], [1.0, share - 1.0], log[memory + 1 :], axis=0, zi=(1.0 - share) * smooth[-1:])
         smooth = np.vstack([smooth, rest])
-    variance = np.maximum(variance / sequential_test._STD_EXCESS**2, np.exp(smooth))
+    variance = np.maximum(variance / EXCESS**2, np.exp(smooth))
     best = np.full((n_hops, n), -np.inf)
     for stretch in sequential_test.STRETCHES:
         sums, spreads, counts = np.zeros_like(ddi), np.zeros_like(ddi), np.zeros((n_hops, 1))

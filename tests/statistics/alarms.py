@@ -8,22 +8,20 @@ docs/alarms-run-length.png.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 
-from drivers.base import ACCELERATION
 from monitor.core import Array, Level, WindowResult
-from monitor.damage import AlarmSettings, Baseline, learn_baseline
-from monitor.model import simulate
+from monitor.damage import AlarmSettings, Baseline
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
-from tests.statistics.alarm_twin import HOP_S, MONTH, TWIN, WINDOW_S, Twin, episodes, evidence
-from tests.statistics.estimates import STIFFNESS, configuration
+from tests.statistics import figures
+from tests.statistics.alarm_twin import HOP_S, MONTH, TWIN, WINDOW_S, episodes, evidence
+from tests.statistics.estimates import configuration
+from tests.support.campaign import words
+from tests.support.simulated import ambient, learned, seeded, windows_of
 
 BASELINE_S = 14400.0
 SEED = 20270131
@@ -43,13 +41,7 @@ class Detection:
 
 
 def false_alarms(
-    years: float,
-    thresholds: Array,
-    *,
-    baseline_s: float = BASELINE_S,
-    weather: float = 0.0,
-    seed: int = SEED,
-    twin: Twin = TWIN,
+    years: float, thresholds: Array, *, baseline_s: float = BASELINE_S, weather: float = 0.0, seed: int = SEED
 ) -> NDArray[np.int64]:
     """False alarms of an intact frame at each threshold; a new baseline every month.
 
@@ -61,7 +53,7 @@ def false_alarms(
     count = np.zeros(thresholds.size, dtype=np.int64)
     day = np.sin(2.0 * np.pi * HOP_S * np.arange(MONTH) / 86400.0)[:, None]
     for rng in np.random.default_rng(seed).spawn(round(12 * years)):
-        ddi, variance, common = twin.readings(MONTH, baseline_s, rng)
+        ddi, variance, common = TWIN.readings(MONTH, baseline_s, rng)
         z = evidence(ddi + weather * day, variance, common, float(thresholds.min()))
         count += [episodes(z, threshold) for threshold in thresholds]
     return count
@@ -86,14 +78,7 @@ def delay(z: Array, story: int, first: int, settings: AlarmSettings) -> int:
 
 
 def detection(
-    loss: float,
-    story: int,
-    within_s: float,
-    trials: int,
-    *,
-    baseline_s: float = BASELINE_S,
-    seed: int = SEED,
-    twin: Twin = TWIN,
+    loss: float, story: int, within_s: float, trials: int, *, baseline_s: float = BASELINE_S, seed: int = SEED
 ) -> Detection:
     """Trials of a loss that begins at any time between two hops, after 1.5 h without; `story` from 0.
 
@@ -105,7 +90,7 @@ def detection(
     first = round((quiet_s - WINDOW_S) / HOP_S)
     delays, wrong = [], 0
     for rng in np.random.default_rng(seed).spawn(trials):
-        ddi, variance, common = twin.readings(hops, baseline_s, rng)
+        ddi, variance, common = TWIN.readings(hops, baseline_s, rng)
         onset = quiet_s - rng.uniform(0.0, HOP_S)
         ddi[:, story] += loss * ramp(onset, hops)
         z = evidence(ddi, variance, common, settings.significance - settings.deadband)
@@ -121,34 +106,16 @@ def raw_readings(
 ) -> list[WindowResult]:
     """Windows of one record simulated piece by piece: (seconds, {story: relative loss})."""
     config = configuration(hop_s)
-    model, floors = config.model(), []
-    for number, (seconds, losses) in enumerate(pieces):
-        left = [1.0 - losses.get(j, 0.0) for j in range(1, 4)]
-        motion = simulate(
-            model.with_stiffness(STIFFNESS * np.array(left)),
-            duration_s=seconds,
-            rate_hz=1000.0,
-            noise=0.1,
-            seed=int(np.random.SeedSequence([seed, number]).generate_state(1)[0]),
-        )
-        floors.append(motion.floors)
-    pipeline = Pipeline(config, healthy)
-    blocks = cut_into_blocks(ACCELERATION, np.concatenate(floors), config.channels, 1000.0, 0, 10_000)
-    return [r for block in blocks for r in pipeline.push(block) if isinstance(r, WindowResult)]
+    floors = [
+        ambient(config.model(), seconds, 1000.0, seeded(seed, number), loss=[losses.get(j, 0.0) for j in (1, 2, 3)])
+        for number, (seconds, losses) in enumerate(pieces)
+    ]
+    return windows_of(Pipeline(config, healthy), np.concatenate(floors), 1000.0)
 
 
 def raw_baseline(seconds: float, seed: int) -> Baseline:
     """Learned from a simulated record of the intact frame."""
-    calm = raw_readings([(seconds, {})], seed, None, hop_s=WINDOW_S / 2.0)
-    healthy, _ = learn_baseline(
-        configuration(HOP_S).instrumented(),
-        [r.modes for r in calm if r.modes is not None],
-        np.ones(1),
-        (),
-        updating=configuration(HOP_S).updating,
-        compensation=configuration(HOP_S).compensation,
-    )
-    return healthy
+    return learned(configuration(HOP_S), raw_readings([(seconds, {})], seed, None, hop_s=WINDOW_S / 2.0))
 
 
 def raw_detection(loss: float, within_s: float, trials: int, seed: int = SEED) -> list[str]:
@@ -168,44 +135,22 @@ def raw_detection(loss: float, within_s: float, trials: int, seed: int = SEED) -
 
 def plot(path: Path, thresholds: Array, counts: dict[str, tuple[float, NDArray[np.int64]]]) -> None:
     """Mean time between false alarms over the threshold; where none was seen, nothing is drawn."""
-    width, height, left, top, bottom = 860, 520, 80, 20, 60
-    low, high = -3, 2
-    picture = Image.new("RGB", (width, height), "white")
-    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(16)
-
-    def place(threshold: float, years: float) -> tuple[float, float]:
-        x = left + (width - left - 20) * (threshold - thresholds[0]) / (thresholds[-1] - thresholds[0])
-        return x, top + (height - top - bottom) * (high - np.log10(years)) / (high - low)
-
-    for exponent in range(low, high + 1):
-        x, y = place(thresholds[0], 10.0**exponent)
-        pen.line([(x, y), (width - 20, y)], fill="#dddddd")
-        pen.text((x - 8, y), f"{10.0**exponent:g}", fill="black", font=font, anchor="rm")
-    for threshold in thresholds[::2]:
-        x, y = place(threshold, 10.0**low)
-        pen.text((x, y + 8), f"{threshold:g}", fill="black", font=font, anchor="mt")
-    pen.line([place(THRESHOLD, 10.0**low), place(THRESHOLD, 10.0**high)], fill="#999999")
-    pen.text(
-        (width / 2, height - 8),
-        "significance in standard deviations; grey: default",
-        fill="black",
-        font=font,
-        anchor="mb",
-    )
-    for row, ((name, (years, count)), colour) in enumerate(
-        zip(counts.items(), ("#1f5fa8", "#2a8a4a", "#c0392b"), strict=True)
-    ):
-        seen = [place(t, years / c) for t, c in zip(thresholds, count, strict=True) if c]
-        pen.line(seen, fill=colour, width=3)
-        for x, y in seen:
-            pen.ellipse([x - 4, y - 4, x + 4, y + 4], fill=colour)
-        text = f"{name}, {years:g} years: years between false alarms"
-        pen.text((width - 120, height - bottom - 80 + 22 * row), text, fill=colour, font=font, anchor="rt")
-    picture.save(path)
+    with figures.figure(path, size=(8.6, 5.2)) as (axes,):
+        for (name, (years, count)), colour in zip(
+            counts.items(), (figures.BLUE, figures.GREEN, figures.RED), strict=True
+        ):
+            seen = count > 0
+            axes.plot(thresholds[seen], years / count[seen], "o-", color=colour, label=f"{name}, {years:g} years")
+        axes.axvline(THRESHOLD, color=figures.GREY, label="default")
+        axes.set(
+            yscale="log", ylim=(1e-3, 1e2), xlim=(thresholds[0], thresholds[-1]), ylabel="years between false alarms"
+        )
+        axes.set_xlabel("significance in standard deviations")
 
 
-def main(years: float) -> None:
+def main() -> None:
     """Everything, with the plot."""
+    (years,) = words(30.0)
     thresholds = np.arange(4.0, 6.76, 0.25)
     print(f"false alarms of an intact frame in {years:g} years, a new baseline every month; standing at {THRESHOLD:g}")
     print(f"{'significance':<44}", *(f"{t:7.2f}" for t in thresholds))
@@ -231,4 +176,4 @@ def main(years: float) -> None:
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else 30.0)
+    main()

@@ -5,8 +5,6 @@ Six frames, at rest and moving, and three of them with a gale, doors, a knocked 
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 from scipy.linalg import eigh
 from scipy.signal import cont2discrete, lfilter
@@ -16,6 +14,7 @@ from monitor.config import Configuration
 from monitor.events import Event
 from monitor.pipeline import Pipeline
 from tests.events.shaken import T0_NS, Array
+from tests.support.campaign import words
 
 RATE, LENGTH_S, RMS, NOISE, OFFSET = 100.0, 100.0, 0.01, 1e-5, 9.81
 FRAMES = {
@@ -81,7 +80,7 @@ def told(name: str, motion: Array) -> int:
 
 def main() -> None:
     """Print the number of events falsely told of each frame and disturbance."""
-    seeds, total = int(sys.argv[1]), 0
+    (seeds,), total = words(int), 0
     for name in FRAMES:
         for rest in (True, False):
             found = sum(told(name, ambient(name, np.random.default_rng(1000 + s), rest=rest)) for s in range(seeds))

@@ -10,24 +10,23 @@ its refinement; stiffness is updated with the true masses, without a baseline.
 
 from __future__ import annotations
 
-import multiprocessing
-import sys
 from dataclasses import dataclass
+from math import erfc, sqrt
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.core import ModalEstimate, StiffnessEstimate, WindowResult
-from monitor.damage import Baseline, damage_index, learn_baseline
+from monitor.damage import damage_index
 from monitor.identification import RefinementSettings
-from monitor.model import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
-from monitor.runs.paper_tables import MASSES_KG
+from monitor.runs import paper_tables
+from tests.statistics import figures
+from tests.support.campaign import each, words
+from tests.support.simulated import ambient, learned, seeded, windows_of
 
+MASSES = paper_tables.MASSES_KG
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])
 BASELINE_S, WINDOW_S = 1200.0, 400.0
 FREQUENCY_BOUND = np.array([0.88e-3, 0.50e-3, 0.47e-3])
@@ -102,79 +101,42 @@ class Trials:
         return "\n".join(lines)
 
 
-def configuration(hop_s: float) -> Configuration:
+def configuration(hop_s: float, **processing: float) -> Configuration:
     """The paper's frame with the true drawing."""
-    return Configuration.model_validate(
-        {
-            "structure": {
-                "kind": "shear_frame",
-                "masses_kg": MASSES_KG.tolist(),
-                "stiffness_n_per_m": STIFFNESS.tolist(),
-            },
-            "sensors": [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)],
-            "processing": {"hop_s": hop_s},
-        }
-    )
+    structure = {"kind": "shear_frame", "masses_kg": MASSES.tolist(), "stiffness_n_per_m": STIFFNESS.tolist()}
+    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
+    tables = {"structure": structure, "sensors": sensors, "processing": {"hop_s": hop_s, **processing}}
+    return Configuration.model_validate(tables)
 
 
-def windows(duration_s: float, seed: list[int], spread: float, pipelines: list[Pipeline]) -> list[list[WindowResult]]:
-    """Windows of one simulated record of the intact frame, as each of the pipelines sees them."""
-    config = pipelines[0].config
-    motion = simulate(
-        config.model(),
-        duration_s=duration_s,
-        rate_hz=1000.0,
-        noise=0.1,
-        level_spread=spread,
-        seed=int(np.random.SeedSequence(seed).generate_state(1)[0]),
-    )
-    blocks = list(cut_into_blocks(ACCELERATION, motion.floors, config.channels, 1000.0, 0, 10_000))
-    return [[r for b in blocks for r in p.push(b) if isinstance(r, WindowResult)] for p in pipelines]
+def one_baseline(
+    number: int, n_windows: int, spread: float, seed: int
+) -> tuple[list[WindowResult], list[WindowResult]]:
+    """Windows judged against a baseline of a record of its own, and the same windows by subspace identification alone."""
+    calm, config = configuration(10.0), configuration(WINDOW_S)
+
+    def record(seconds: float, part: int) -> np.ndarray:
+        return ambient(config.model(), seconds, 1000.0, seeded(seed, number, part), level_spread=spread)
+
+    baseline = learned(calm, windows_of(Pipeline(calm), record(BASELINE_S, 0), 1000.0))
+    bare = config.model_copy(update={"refinement": RefinementSettings(enabled=False)})
+    floors = record(WINDOW_S * n_windows, 1)
+    return windows_of(Pipeline(config, baseline), floors, 1000.0), windows_of(Pipeline(bare), floors, 1000.0)
 
 
-def calibrated(number: int, spread: float, seed: int) -> Baseline:
-    """A baseline from a record of its own."""
-    config = configuration(10.0)
-    (calm,) = windows(BASELINE_S, [seed, number, 0], spread, [Pipeline(config)])
-    return learn_baseline(
-        config.instrumented(),
-        [r.modes for r in calm if r.modes is not None],
-        np.ones(1),
-        (),
-        updating=config.updating,
-        compensation=config.compensation,
-    )[0]
-
-
-def one_baseline(task: tuple[int, int, float, int]) -> tuple[list[WindowResult], list[WindowResult]]:
-    """Windows judged against a baseline of their own, and the same windows by subspace identification alone."""
-    number, n_windows, spread, seed = task
-    with threadpool_limits(limits=1):
-        config = configuration(WINDOW_S)
-        bare = config.model_copy(update={"refinement": RefinementSettings(enabled=False)})
-        pipelines = [Pipeline(config, calibrated(number, spread, seed)), Pipeline(bare)]
-        judged, subspace = windows(WINDOW_S * n_windows, [seed, number, 1], spread, pipelines)
-        return judged, subspace
-
-
-def trials(n_baselines: int, n_windows: int, spread: float, seed: int, processes: int = 2) -> Trials:
+def trials(
+    n_baselines: int, n_windows: int, spread: float, seed: int, processes: int = 2, *, keep: bool = False
+) -> Trials:
     """Run them all."""
     tasks = [(i, n_windows, spread, seed) for i in range(n_baselines)]
-    if processes == 1:
-        parts = [one_baseline(task) for task in tasks]
-    else:
-        with multiprocessing.get_context("spawn").Pool(processes) as pool:
-            parts = list(pool.imap_unordered(one_baseline, tasks))
+    parts = each(one_baseline, tasks, processes, keep=keep)
     judged, subspace = ([r for part in parts for r in part[side]] for side in (0, 1))
     good = [r for r in judged if r.modes is not None and r.damage is not None]
     config = configuration(WINDOW_S)
     modes = [r.modes for r in good if r.modes is not None]
     known = [damage_index.step(m, config.model(), None, np.eye(3), config.updating)[0] for m in modes]
-    index = Estimates(
-        np.array([r.damage.ddi for r in good if r.damage]),
-        np.array([r.damage.ddi_std for r in good if r.damage]),
-        INDEX_BOUND,
-    )
+    read = [r.damage for r in good if r.damage is not None]
+    index = Estimates(np.array([d.ddi for d in read]), np.array([d.ddi_std for d in read]), INDEX_BOUND)
     before = [r for r in subspace if r.modes is not None and r.stiffness is not None]
     alone = _compared([r.modes for r in before if r.modes], [r.stiffness for r in before if r.stiffness])
     return Trials(
@@ -186,41 +148,59 @@ def trials(n_baselines: int, n_windows: int, spread: float, seed: int, processes
 
 
 def _compared(modes: list[ModalEstimate], stiffness: list[StiffnessEstimate]) -> dict[str, Estimates]:
-    """Estimates against the truth."""
+    """Estimates against the truth, relative to it."""
     model = configuration(WINDOW_S).model()
     truth = model.modes()
     f = truth.frequencies_hz
     damping = np.diag(truth.shapes.T @ model.damping_matrix() @ truth.shapes) / (2.0 * np.sqrt(truth.eigenvalues))
-    return {
-        "frequency": Estimates(
-            np.array([m.frequencies_hz / f - 1.0 for m in modes]),
-            np.array([m.frequencies_std_hz / f for m in modes]),
-            FREQUENCY_BOUND,
-        ),
-        "damping": Estimates(
-            np.array([m.damping_ratio / damping - 1.0 for m in modes]),
-            np.array([m.damping_std / damping for m in modes]),
-            DAMPING_BOUND,
-        ),
-        "stiffness": Estimates(
-            np.array([k.stiffness_n_per_m / STIFFNESS - 1.0 for k in stiffness]),
-            np.array([np.sqrt(np.diag(k.covariance)) / STIFFNESS for k in stiffness]),
+    rows = {
+        "frequency": ([(m.frequencies_hz, m.frequencies_std_hz) for m in modes], f, FREQUENCY_BOUND),
+        "damping": ([(m.damping_ratio, m.damping_std) for m in modes], damping, DAMPING_BOUND),
+        "stiffness": (
+            [(k.stiffness_n_per_m, np.sqrt(np.diag(k.covariance))) for k in stiffness],
+            STIFFNESS,
             STIFFNESS_BOUND,
         ),
     }
+    return {
+        name: Estimates(np.array([x / true - 1.0 for x, _ in row]), np.array([std / true for _, std in row]), bound)
+        for name, (row, true, bound) in rows.items()
+    }
 
 
-def main(arguments: list[str]) -> None:
+def draw(estimates: dict[str, Estimates], spread: float, folder: Path) -> None:
+    """Errors over their bounds, and the tails of what the intervals leave out, as ``estimates-*-PERCENT.svg``."""
+    percent = round(100.0 * spread)
+    names = ("frequency", "damping", "stiffness", "ddi")
+    with figures.figure(folder / f"estimates-efficiency-{percent}.svg") as (axes,):
+        for label, prefix, colour in (("subspace alone", "subspace ", figures.RED), ("refined", "", figures.BLUE)):
+            found = [(k, e) for k, name in enumerate(names) if (e := estimates.get(prefix + name)) is not None]
+            x = [k + 0.2 * place for k, _ in found for place in (-1, 0, 1)]
+            axes.plot(x, np.concatenate([e.efficiency for _, e in found]), "o", color=colour, label=label)
+        axes.axhline(1.0, color=figures.GREY)
+        axes.set_xticks(range(4), [*names[:3], "damage index"])
+        axes.set(
+            ylim=(0.9, 1.7),
+            title=f"RMSE over the Cramer-Rao bound, level wandering by {percent} %; modes or stories 1 to 3",
+        )
+    with figures.figure(folder / f"estimates-tails-{percent}.svg") as (axes,):
+        t = np.linspace(0.0, 4.4, 89)
+        axes.plot(t, [erfc(x / sqrt(2.0)) for x in t], color=figures.GREY, label="normal distribution")
+        for name, colour in (("subspace stiffness", figures.RED), ("ddi", figures.BLUE)):
+            z = np.abs(estimates[name].z).ravel()
+            axes.plot(t, [(z > x).mean() or np.nan for x in t], color=colour, label=name)
+        axes.set(yscale="log", ylim=(1e-5, 1.0), xlabel="error over its stated standard deviation")
+        axes.set_title(f"share of errors beyond, all stories, level wandering by {percent} %")
+
+
+def main() -> None:
     """Print the table and draw it where a directory is named."""
-    values = arguments + ["100", "20", "0", "20261121", "2"][len(arguments) :]
-    spread = float(values[2])
-    found = trials(int(values[0]), int(values[1]), spread, seed=int(values[3]), processes=int(values[4]))
+    n_baselines, n_windows, spread, seed, processes, folder = words(100, 20, 0.0, 20261121, 2, "")
+    found = trials(n_baselines, n_windows, spread, seed, processes)
     print(found.report())
-    if len(values) > 5:
-        from tests.statistics import plots
-
-        plots.write(found.estimates, spread, Path(values[5]))
+    if folder:
+        draw(found.estimates, spread, Path(folder))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

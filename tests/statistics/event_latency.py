@@ -8,7 +8,6 @@ message came.
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 import threading
 import time
@@ -19,7 +18,9 @@ import zenoh
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
+from drivers.zenoh_session import SessionSettings, open_session
 from tests.events.shaken import RATE, kanai_tajimi, shake, structure_text
+from tests.support.campaign import words
 from tests.support.live_rig import Command
 from tests.support.zenoh_router import Router, free_port
 
@@ -62,8 +63,9 @@ def send(publisher: ZenohPublisher, streams: dict[str, np.ndarray]) -> None:
             publisher.send(SampleBlock(topic, t_ns, first, RATE, channels, "m/s^2", part))
 
 
-def main(quakes: int) -> None:
+def main() -> None:
     """Print the delay of each message, s."""
+    (quakes,) = words(4)
     floors, ground = motion(quakes)
     port, told, lock = free_port(), list[tuple[object, float]](), threading.Lock()
 
@@ -76,10 +78,7 @@ def main(quakes: int) -> None:
     with tempfile.TemporaryDirectory() as name:
         site, router = Path(name) / "site.toml", Router(place)
         site.write_text(_SITE.format(port=port) + structure_text())
-        config = zenoh.Config()
-        config.insert_json5("mode", '"client"')
-        config.insert_json5("connect/endpoints", json.dumps([place]))
-        session = zenoh.open(config)
+        session = open_session(SessionSettings(connect=(place,)), Path())
         subscriber = session.declare_subscriber("**/event", take)
         daemon = Command(site.with_name("log"), "run", site)
         try:
@@ -94,11 +93,11 @@ def main(quakes: int) -> None:
             subscriber.undeclare()
             session.close()
             router.kill()
-    for revision, words in ((None, "preliminary"), (0, "final")):
+    for revision, kind in ((None, "preliminary"), (0, "final")):
         delays = sorted(delay for number, delay in told if number == revision)
-        print(f"{words}: {len(delays)} of {quakes}, after {', '.join(f'{delay:.1f}' for delay in delays)} s")
+        print(f"{kind}: {len(delays)} of {quakes}, after {', '.join(f'{delay:.1f}' for delay in delays)} s")
     print(f"exit code {code}")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 4)
+    main()

@@ -24,13 +24,12 @@ from typing import Any
 import numpy as np
 
 from drivers.base import ACCELERATION
-from drivers.mcap_file import McapWriter
 from monitor.config import configuration
-from monitor.model import simulate
 from monitor.runs import cut_into_blocks
-from tests.support.live_rig import Command, shm_monitor
+from tests.support.live_rig import Command, shm_monitor, write
 from tests.support.object_storage import object_storage
 from tests.support.samples import CHANNELS, FRAME, T0_NS
+from tests.support.simulated import ambient
 from tests.support.waiting import until
 
 _RATE = 128.0
@@ -93,9 +92,7 @@ def main() -> None:
     given = options.parse_args()
     out = given.out.resolve()
     out.mkdir(parents=True)
-    start_s = (
-        20.0 if given.machines else 0.0
-    )  # in which the machine that was killed comes back, while the other goes on
+    start_s = 20.0 if given.machines else 0.0  # in which the machine that was killed comes back
     seconds = 4.0 * given.kills * (given.every + start_s) + 120.0
     _record(out, seconds)
     calm, killed = Sink(), Sink()
@@ -129,15 +126,13 @@ def _record(out: Path, seconds: float) -> None:
     (out / "weak.toml").write_text(FRAME.replace("1514.8507", "900.0"))
     sound, weak = (configuration.load(out / name).model() for name in ("s.toml", "weak.toml"))
     parts = {
-        k: simulate(model, duration_s=length, rate_hz=_RATE, noise=0.03, seed=k).floors
+        k: ambient(model, length, _RATE, k, noise=0.03)
         for k, (model, length) in enumerate(((sound, 400.0), (sound, 120.0), (weak, 120.0)))
     }
     course = np.tile(np.concatenate([parts[1], parts[2]]), (int(seconds // 240.0) + 1, 1))[: round(seconds * _RATE)]
     streams = {"healthy": parts[0]} | {f"s{k}": np.roll(course, 1000 * k, axis=0) for k in range(_SITES)}
     for name, floors in streams.items():
-        with McapWriter(out / f"{name}.mcap") as writer:
-            for block in cut_into_blocks(ACCELERATION, floors, CHANNELS, _RATE, T0_NS, 64):
-                writer.write(block)
+        write(out / f"{name}.mcap", list(cut_into_blocks(ACCELERATION, floors, CHANNELS, _RATE, T0_NS, 64)))
     shm_monitor("calibrate", out / "healthy.mcap", "--structure", out / "s.toml", "--out", out / "baseline.json")
 
 
@@ -167,14 +162,7 @@ def _kill(host: Command, kills: int, every_s: float) -> tuple[int, dict[str, flo
 def _kill_machines(out: Path, kills: int, every_s: float) -> tuple[int, dict[str, float], str]:
     """Kill the host that has the sites, again and again, and let it come back to stand by.
 
-    Returns
-    -------
-    int
-        How often.
-    dict
-        How long it was until the other one had written a line of each site, s.
-    str
-        The machine that had the sites last.
+    Returns how often, how long it was until the other one had written a line of each site, s, and which had the sites last.
     """
     chance, away = random.Random(1), []
 

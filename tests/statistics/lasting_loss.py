@@ -30,14 +30,14 @@ def trial(lost: float, seed: int) -> Event:
     return [e for block in blocks(motion, n=4000) for e in pipeline.push(block) if isinstance(e, Event)][-1]
 
 
-def main(seeds: list[int]) -> None:
+def main() -> None:
     """Print the losses told, in percent, with their standard deviations."""
     for lost in (0.0, 0.03, 0.1, 0.3):
-        for seed in seeds:
+        for seed in map(int, sys.argv[1:]):
             event = trial(lost, seed)
             told = ", ".join(f"{100 * x:.2f} ({100 * s:.2f})" for x, s in zip(event.loss, event.loss_std, strict=True))
             print(f"{100 * lost:.0f} % lost in story 2, seed {seed}, revision {event.revision}: {told} %", flush=True)
 
 
 if __name__ == "__main__":
-    main([int(text) for text in sys.argv[1:]])
+    main()

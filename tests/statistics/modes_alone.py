@@ -9,22 +9,20 @@ calibration; nothing of the model that simulates is told to the monitor.  Window
 
 from __future__ import annotations
 
-import sys
+import tempfile
 from dataclasses import dataclass
-
-import numpy as np
+from pathlib import Path
 
 from drivers.base import ACCELERATION
+from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
-from monitor.core import Level, WindowResult
-from monitor.damage import ModalBaseline, learn_modal_baseline
-from monitor.model import simulate
+from monitor.core import Array, Level, WindowResult
+from monitor.damage import ModalBaseline
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
-from monitor.runs.baselines import modal_origin
-from monitor.runs.calibrate import covariate_units, with_common_modes
-from monitor.runs.modal_calibration import common_modes
+from monitor.runs import calibrate_modes, cut_into_blocks
 from tests.statistics.estimates import configuration
+from tests.support.campaign import words
+from tests.support.simulated import ambient, windows_of
 
 WINDOW_S, HOP_S, RATE_HZ, BURN_IN_S, T0_NS = 400.0, 50.0, 128.0, 5.0, 1_800_000_000_000_000_000
 FRAME = configuration(WINDOW_S)
@@ -51,41 +49,29 @@ class Watched:
         return sum(now and not before for before, now in zip([False, *high], high, strict=False))
 
 
-def watch(pipeline: Pipeline, seconds: float, seed: int, loss: tuple[float, ...] = (), begin_s: float = 0.0) -> Watched:
-    """Push ambient motion of the frame, with losses of its stories, through a pipeline."""
-    model = FRAME.model()
-    if loss:
-        model = model.with_stiffness(model.structure.stiffness_n_per_m * (1.0 - np.array(loss)))
-    motion = simulate(model, duration_s=seconds + BURN_IN_S, rate_hz=RATE_HZ, noise=0.1, seed=seed)
-    floors, first = motion.floors[round(BURN_IN_S * RATE_HZ) :], round(begin_s * RATE_HZ)
-    blocks = cut_into_blocks(ACCELERATION, floors, SITE.channels, RATE_HZ, T0_NS, 10_000, first=first)
-    return Watched([r for block in blocks for r in pipeline.push(block) if isinstance(r, WindowResult)])
+def motion(seconds: float, seed: int, loss: tuple[float, ...] = (0.0,)) -> Array:
+    """Ambient motion of the frame with losses of its stories."""
+    return ambient(FRAME.model(), seconds, RATE_HZ, seed, loss=loss, lead_s=BURN_IN_S)
+
+
+def watch(pipeline: Pipeline, seconds: float, seed: int, loss: tuple[float, ...] = (0.0,)) -> Watched:
+    """Push ambient motion of the frame through a pipeline."""
+    return Watched(windows_of(pipeline, motion(seconds, seed, loss), RATE_HZ, t0_ns=T0_NS))
 
 
 def calibrated(seconds: float, seed: int) -> ModalBaseline:
     """Learn the modes from ambient motion of the intact frame, as `calibrate` does."""
-    first = Pipeline(SITE)
-    watch(first, seconds, seed)
-    reference = common_modes(first.state.track, SITE.selection.max_modes)
-    assert reference is not None
-    good = [w for w in watch(Pipeline(SITE, reference=reference), seconds, seed).windows if w.skipped is None]
-    kept = with_common_modes(good, SITE.selection.required_modes)
-    return learn_modal_baseline(
-        SITE.channels,
-        modal_origin(SITE),
-        [w.modes for w in kept if w.modes is not None],
-        np.array([w.rms_m_s2 for w in kept]),
-        (),
-        (T0_NS, T0_NS + round(seconds * 1e9)),
-        [w.covariates for w in kept],
-        covariate_units(SITE),
-        SITE.compensation,
-        motion=[w.motion for w in kept if w.motion is not None],
-    )
+    with tempfile.TemporaryDirectory() as folder:
+        with McapWriter(Path(folder) / "healthy.mcap") as writer:
+            floors = motion(seconds, seed)
+            for block in cut_into_blocks(ACCELERATION, floors, SITE.channels, RATE_HZ, T0_NS, 10_000):
+                writer.write(block)
+        return calibrate_modes([Path(folder) / "healthy.mcap"], SITE)
 
 
-def main(seeds: int, hours: float, calibration_s: float) -> None:
+def main() -> None:
     """Print one line a seed, and the totals."""
+    seeds, hours, calibration_s = words(10, 4.0, 2400.0)
     false, watched_h, found = 0, 0.0, dict.fromkeys((0.10, 0.05, 0.03), 0)
     for seed in range(seeds):
         baseline = calibrated(calibration_s, 10_000 + seed)
@@ -108,5 +94,4 @@ def main(seeds: int, hours: float, calibration_s: float) -> None:
 
 
 if __name__ == "__main__":
-    arguments = [float(a) for a in sys.argv[1:]] + [None, None, None][len(sys.argv) - 1 :]
-    main(int(arguments[0] or 10), arguments[1] or 4.0, arguments[2] or 2400.0)
+    main()

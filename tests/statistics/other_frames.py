@@ -9,7 +9,6 @@ has the other simulator, of a three-story frame.)
 
 from __future__ import annotations
 
-import sys
 import time
 import tomllib
 
@@ -20,10 +19,10 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import Configuration
-from monitor.model import Context, Model, parse_effect, simulate
-from monitor.model.simulation import respond_exactly
+from monitor.model import Context, Model, channel_motion, parse_effect, simulate
 from monitor.runs import cut_into_blocks
 from tests.hidden import engine
+from tests.support.campaign import words
 
 LEAST_HZ = 1000.0
 """Of the simulation: forces are white up to half of it."""
@@ -45,7 +44,8 @@ def drawn_effect(model: Model, first_hz: float, floors: list[int], rng: np.rando
     story, floor, channel = rng.integers(1, n + 1), rng.integers(1, n + 1), rng.choice(floors)
     k, m = structure.stiffness_n_per_m[story - 1], structure.masses_kg[floor - 1]
     rate_hz = LEAST_HZ
-    moved = respond_exactly(model, rng.standard_normal((20_000, n)), rate_hz)
+    everywhere = Context(structure, tuple(map(str, range(n))), np.eye(n), rate_hz)
+    moved = channel_motion(model, rng.standard_normal((20_000, n)), None, rate_hz, everywhere)
     w = 2.0 * np.pi * np.maximum(rfftfreq(20_000, 1.0 / rate_hz), 0.3 * first_hz)[:, None]
     displaced, speed = (irfft(rfft(moved, axis=0) * by, axis=0, n=20_000) for by in (-1.0 / w**2, -1j / w))
     drift = np.diff(displaced, axis=1, prepend=0.0).std(axis=0)[story - 1]
@@ -110,9 +110,9 @@ def trial(rng: np.random.Generator) -> tuple[bool, str]:
     return right, f"{frame}: {effect or 'nothing'} -> {answer['verdict']} {said or rivals} ({took_s:.1f} s)"
 
 
-def main(arguments: list[str]) -> None:
+def main() -> None:
     """Print a line a trial, then how many were right."""
-    trials, seed = (int(a) for a in (*arguments, *("30", "1")[len(arguments) :]))
+    trials, seed = words(30, 1)
     right = 0
     with threadpool_limits(limits=1):
         for number in range(trials):
@@ -123,4 +123,4 @@ def main(arguments: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

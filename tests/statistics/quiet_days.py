@@ -9,8 +9,6 @@ of a sensor for some seconds, and one machine that starts and stops.  Each day a
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +19,7 @@ from scipy.signal import lfilter
 from monitor.events import EventState, Site, stage
 from monitor.signals import Conditioner
 from tests.events.shaken import MASSES, STIFFNESS, configuration
+from tests.support.campaign import gone_on_with, words
 
 Array = NDArray[np.float64]
 RATE = 100.0
@@ -91,20 +90,16 @@ def trial(seed: int) -> dict[str, int]:
             state, told = stage.step(state, hour * HOUR + first, 0, _DESIGN, span, site)
             events += sum(e.revision == 0 for e in told)
             held += sum(end - begin for begin, end in state.marks if begin >= hour * HOUR + first)
-    return {"seed": seed, "events": events, "suspected_s": round(held / RATE)}
+    return {"events": events, "suspected_s": round(held / RATE)}
 
 
-def main(n: int, seed: int, out: Path) -> None:
-    """Do the days that `out` lacks, and print the sum."""
-    done = [json.loads(text) for text in out.read_text().splitlines()] if out.exists() else []
-    out.parent.mkdir(parents=True, exist_ok=True)
-    for k in range(len(done), n):
-        done.append(trial(1000 * seed + k))
-        with out.open("a") as file:
-            file.write(json.dumps(done[-1]) + "\n")
+def main() -> None:
+    """Do the days that the file lacks, and print the sum."""
+    n, seed, out = words(int, int, Path)
+    done = gone_on_with(out, ("seed",), [(1000 * seed + k,) for k in range(n)], trial)
     found, held = (sum(day[name] for day in done) for name in ("events", "suspected_s"))
     print(f"{len(done)} days: {found} events; motion suspected for {held / len(done):.0f} s a day")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]))
+    main()

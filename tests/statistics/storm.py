@@ -10,23 +10,19 @@ windows at levels 0.5 to 3, then an hour of storm at 3 times the level, intact a
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.base import ACCELERATION
 from monitor.core import WHOLE, WindowResult
-from monitor.damage import Baseline, learn_baseline
-from monitor.model import simulate
+from monitor.damage import Baseline
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
 from tests.statistics.estimates import STIFFNESS, configuration
+from tests.support.campaign import words
+from tests.support.simulated import ambient, learned, seeded, windows_of
 
 WINDOW_S, HOP_S, RATE_HZ, BURN_IN_S = 400, 100, 200.0, 5.0
-CONFIG = configuration(float(WINDOW_S)).model_copy(
-    update={"processing": configuration(float(WINDOW_S)).processing.model_copy(update={"hop_s": float(HOP_S)})}
-)
+CONFIG = configuration(float(HOP_S))
 SHAPES = {"issue": (0.024, 0.072, 0.048), "top": (0.08, 0.02, 0.02), "base": (0.02, 0.03, 0.09)}
 """Greatest softening of the stories 1, 2, 3."""
 HALF = 3.0
@@ -47,31 +43,16 @@ def run(
     for k, nominal in enumerate(levels):
         level = nominal * float(np.exp(0.1 * rng.standard_normal()))
         model = CONFIG.model().with_stiffness(STIFFNESS * softened(level, shape) * (1.0 - loss))
-        made = int(np.random.SeedSequence([seed, begin_s, k]).generate_state(1)[0])
-        motion = simulate(model, duration_s=WINDOW_S + BURN_IN_S, rate_hz=RATE_HZ, noise=0.1, seed=made)
-        floors = level * motion.floors[round(BURN_IN_S * RATE_HZ) :]
-        first = round((begin_s + k * WINDOW_S) * RATE_HZ)
-        for block in cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 0, 10_000, first=first):
-            results += [r for r in pipeline.push(block) if isinstance(r, WindowResult)]
+        floors = level * ambient(model, WINDOW_S, RATE_HZ, seeded(seed, begin_s, k), lead_s=BURN_IN_S)
+        results += windows_of(pipeline, floors, RATE_HZ, first=round((begin_s + k * WINDOW_S) * RATE_HZ))
     return results
 
 
 def calibrated(levels: list[float], shape: tuple[float, ...], seed: int) -> Baseline:
     """Learn the baseline of windows at these levels."""
     pipeline = Pipeline(CONFIG)
-    good = [r for r in run(pipeline, levels, shape, seed, np.zeros(3)) if r.modes is not None]
-    return learn_baseline(
-        CONFIG.instrumented(),
-        [r.modes for r in good if r.modes is not None],
-        np.array([r.rms_m_s2 for r in good]),
-        (),
-        (0, len(levels) * WINDOW_S * 10**9),
-        [r.covariates for r in good],
-        {"level": "dB"},
-        pipeline.level_weights,
-        updating=CONFIG.updating,
-        compensation=CONFIG.compensation,
-    )[0]
+    seen = run(pipeline, levels, shape, seed, np.zeros(3))
+    return learned(CONFIG, seen, level_of=pipeline, span_ns=(0, len(levels) * WINDOW_S * 10**9))
 
 
 @dataclass(frozen=True)
@@ -119,16 +100,13 @@ def trial_b(shape: str, seed: int, stretches: int = 9) -> dict[str, Told]:
 
 def main() -> None:
     """Print what each trial said."""
-    which, seeds = sys.argv[1], [int(s) for s in (sys.argv[2] if len(sys.argv) > 2 else "1").split(",")]
-    for seed in seeds:
+    which, seeds = words(str, "1")
+    for seed in map(int, seeds.split(",")):
         for shape in SHAPES:
             for name, t in (trial_a if which == "a" else trial_b)(shape, seed).items():
-                stories = ["whole" if s == WHOLE else str(s) for s in t.announced]
-                index = np.round(100 * t.ddi, 2)
-                print(
-                    f"{shape} seed {seed} {name}: judged {100 * t.judged:.0f} %, announced {stories}, index {index} %",
-                    flush=True,
-                )
+                stories, index = ["whole" if s == WHOLE else str(s) for s in t.announced], np.round(100 * t.ddi, 2)
+                said = f"judged {100 * t.judged:.0f} %, announced {stories}, index {index} %"
+                print(f"{shape} seed {seed} {name}: {said}", flush=True)
 
 
 if __name__ == "__main__":

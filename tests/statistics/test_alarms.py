@@ -32,17 +32,17 @@ def end_ns(k: int) -> int:
     return round((WINDOW_S + HOP_S * k) * 1e9)
 
 
-def test_the_twin_judges_as_the_alarm_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sequential_test, "_STD_MEMORY_S", 2000.0)
-    ddi, variance, common = readings(1000, 3)
-    ddi[400:800, 1] += 0.004
+def test_the_twin_judges_as_the_alarm_does() -> None:
+    """Beyond the eight hours over which standard deviations are smoothed."""
+    ddi, variance, common = readings(3300, 3)
+    ddi[2900:3200, 1] += 0.004
     fast = evidence(ddi, variance, common, -9.0)
-    history = sequential_test.begin(3, WINDOW_S)
+    history, judged = sequential_test.begin(3, WINDOW_S), []
     for k, row in enumerate(ddi):
-        history, seen = sequential_test.look(
-            history, reading(row, variance[k], common), end_ns(k), AlarmSettings().model_form
-        )
-        np.testing.assert_allclose(seen.z, fast[k], rtol=1e-9)
+        seen = reading(row, variance[k], common)
+        history, found = sequential_test.look(history, seen, end_ns(k), AlarmSettings().model_form)
+        judged.append(found.z)
+    np.testing.assert_allclose(judged, fast, rtol=1e-9)
 
 
 def test_the_twin_confirms_as_the_alarm_does() -> None:

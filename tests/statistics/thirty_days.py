@@ -10,23 +10,22 @@ explains and what calibration got wrong are the raw run's own.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw
 from threadpoolctl import threadpool_limits
 
-from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
+from drivers.base import TEMPERATURE, SampleBlock
 from monitor.core import WHOLE, DamageReading, WindowResult
-from monitor.damage import Baseline, CovariateLaw, alarm, damage_index, law_lines, learn_baseline
-from monitor.damage.covariate_law import Effect
-from monitor.model import simulate
+from monitor.damage import Baseline, CovariateLaw, alarm, damage_index, law_lines
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
-from monitor.signals import temperature
-from tests.statistics.estimates import STIFFNESS, configuration
+from monitor.signals import LAGS_S
+from tests.statistics import figures
+from tests.statistics.estimates import configuration
+from tests.support.campaign import words
+from tests.support.simulated import ambient, learned, seeded, windows_of
 
 HOUR_S, DAY_S, WINDOW_S, HOP_S = 3600, 86_400, 400, 10
 RATE_HZ, BURN_IN_S = 200.0, 5.0
@@ -64,34 +63,15 @@ def raw(hours: range, seed: int, loss: np.ndarray = NO_LOSS) -> list[WindowResul
             SampleBlock(TEMPERATURE, hour * HOUR_S * 10**9, int(minutes[0]) // 60, 1 / 60, ("air",), "degC", degc)
         )
         end_s = hour * HOUR_S + WINDOW_S
-        motion = simulate(
-            CONFIG.model().with_stiffness(STIFFNESS * healthy_ratio(np.array(end_s)) * (1.0 - loss)),
-            duration_s=WINDOW_S + BURN_IN_S,
-            rate_hz=RATE_HZ,
-            noise=0.1,
-            seed=int(np.random.SeedSequence([seed, hour]).generate_state(1)[0]),
-        )
-        floors = motion.floors[round(BURN_IN_S * RATE_HZ) :]
-        first = round(hour * HOUR_S * RATE_HZ)
-        for block in cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 0, 10_000, first=first):
-            results += [r for r in pipeline.push(block) if isinstance(r, WindowResult) and r.modes is not None]
-    return results
+        left = healthy_ratio(np.array(end_s)) * (1.0 - loss)
+        floors = ambient(CONFIG.model(), WINDOW_S, RATE_HZ, seeded(seed, hour), loss=1.0 - left, lead_s=BURN_IN_S)
+        results += windows_of(pipeline, floors, RATE_HZ, first=round(hour * HOUR_S * RATE_HZ))
+    return [r for r in results if r.modes is not None]
 
 
 def calibrated(windows: list[WindowResult], channel: bool) -> Baseline:
     span_ns = (windows[0].t_end_ns - WINDOW_S * 10**9, windows[-1].t_end_ns)
-    felt = [{"temperature": r.covariates["temperature"]} for r in windows] if channel else []
-    return learn_baseline(
-        CONFIG.instrumented(),
-        [r.modes for r in windows if r.modes],
-        np.ones(1),
-        (),
-        span_ns,
-        felt,
-        {"temperature": "degC"},
-        updating=CONFIG.updating,
-        compensation=CONFIG.compensation,
-    )[0]
+    return learned(CONFIG, windows, units={"temperature": "degC"} if channel else None, span_ns=span_ns)
 
 
 @dataclass(frozen=True)
@@ -126,28 +106,19 @@ def watch(readings: list[tuple[int, DamageReading]]) -> Watch:
 
 
 def readings(windows: list[WindowResult], baseline: Baseline) -> list[tuple[int, DamageReading]]:
-    sensors, law = CONFIG.instrumented().sensor_matrix, baseline.law
+    known = baseline.model, baseline, CONFIG.instrumented().sensor_matrix, CONFIG.updating
+    felt = [None if baseline.law is None else baseline.law.expected(r.covariates) for r in windows]
     return [
-        (
-            r.t_end_ns,
-            damage_index.step(
-                r.modes,
-                baseline.model,
-                baseline,
-                sensors,
-                CONFIG.updating,
-                None if law is None else law.expected(r.covariates),
-            )[1],
-        )
-        for r in windows
+        (r.t_end_ns, damage_index.step(r.modes, *known, effect)[1])
+        for r, effect in zip(windows, felt, strict=True)
         if r.modes is not None
     ]
 
 
-def effects(t_s: np.ndarray, law: CovariateLaw) -> list[Effect]:
+def effects(t_s: np.ndarray, law: CovariateLaw) -> list[Any]:
     """What the law predicts at the end of windows."""
     felt = weather(t_s - 0.5 * WINDOW_S - CONFIG.temperature.patience_s, law.axes[0].lag_s)
-    return [law.expected({"temperature": np.full(len(temperature.LAGS_S), degc)}) for degc in felt]
+    return [law.expected({"temperature": np.full(len(LAGS_S), degc)}) for degc in felt]
 
 
 def explained(t_s: np.ndarray, baseline: Baseline, onset_s: float, loss: np.ndarray) -> np.ndarray:
@@ -166,7 +137,7 @@ def twin(
 ) -> Watch:
     """Readings every 10 s from one day to another; a loss begins half way."""
     t_s = np.arange(days[0] * DAY_S + WINDOW_S, days[1] * DAY_S, HOP_S)
-    mean = explained(t_s, baseline, 0.5 * DAY_S * (days[0] + days[1]), loss)
+    mean = explained(t_s, baseline, 0.5 * DAY_S * sum(days), loss)
     own = like.ddi_covariance - like.common_covariance
     per_window = WINDOW_S // HOP_S
     rng = np.random.default_rng(seed)
@@ -181,123 +152,103 @@ def twin(
     return watch(made)
 
 
-@dataclass(frozen=True)
-class Month:
-    """What thirty days said; `raw` hourly, `twin` every 10 s; keys are with and without the channel."""
+LOSS = np.array([0.0, 0.05, 0.0])
 
-    baselines: dict[str, Baseline]
-    raw: dict[str, Watch]
-    twin: dict[str, Watch]
-    unexplained: dict[str, np.ndarray]
+
+@dataclass(frozen=True)
+class Case:
+    """What thirty days said with or without the channel; `raw` hourly, `twin` every 10 s."""
+
+    baseline: Baseline
+    raw: Watch
+    twin: Watch
+    unexplained: np.ndarray
     """Of the raw windows: (reading - twin's mean) / stated standard deviation, shape (n, 3)."""
-    raw_loss: dict[str, Watch]
-    twin_loss: dict[str, Watch]
+    raw_loss: Watch
+    twin_loss: Watch
     onset_s: float
-    """Of the losses, of `LOSS` in story 2."""
+    """Of the losses, of `LOSS`."""
 
     def report(self) -> str:
-        """Figures, one case after the other."""
-        return "\n".join(self._case(name) for name in self.raw)
-
-    def _case(self, name: str) -> str:
-        b, r, t, z = self.baselines[name], self.raw[name], self.twin[name], self.unexplained[name]
-        law = law_lines(b.law)[0]
-        return "\n".join(
-            [
-                f"{name}: {law}",
-                f"  raw windows {len(r.t_s)}: DDI {_spread(r.ddi)} %, |z| > 5 in {_beyond(r)}; "
-                f"windows with a story alarm {len(r.story_alarms)}, of the whole structure {r.whole_alarms}",
-                f"  raw less twin's mean, over stated deviation: RMS {np.round(np.sqrt((z**2).mean(axis=0)), 2)}, "
-                f"mean {np.round(z.mean(axis=0), 2)}",
-                f"  twin windows {len(t.t_s)}: DDI {_spread(t.ddi)} %; with a story alarm {len(t.story_alarms)}, "
-                f"of the whole structure {t.whole_alarms}",
-                f"  loss of {100 * LOSS.max():.0f} % in story 2: raw {_found(self.raw_loss[name], self.onset_s)}, "
-                f"twin {_found(self.twin_loss[name], self.onset_s)}",
-            ]
+        """Figures, a line each."""
+        r, t, z, loss_percent = self.raw, self.twin, self.unexplained, 100 * LOSS.max()
+        beyond = int((np.abs(r.ddi / r.std) > 5.0).any(axis=1).sum())
+        return (
+            f"{law_lines(self.baseline.law)[0]}\n"
+            f"  raw windows {len(r.t_s)}: DDI {_spread(r.ddi)} %, |z| > 5 in {beyond}; "
+            f"windows with a story alarm {len(r.story_alarms)}, of the whole structure {r.whole_alarms}\n"
+            f"  raw less twin's mean, over stated deviation: RMS {np.round(np.sqrt((z**2).mean(axis=0)), 2)}, "
+            f"mean {np.round(z.mean(axis=0), 2)}\n"
+            f"  twin windows {len(t.t_s)}: DDI {_spread(t.ddi)} %; with a story alarm {len(t.story_alarms)}, "
+            f"of the whole structure {t.whole_alarms}\n"
+            f"  loss of {loss_percent:.0f} % in story 2: raw {self._found(self.raw_loss)}, twin {self._found(self.twin_loss)}"
         )
 
-
-LOSS = np.array([0.0, 0.05, 0.0])
+    def _found(self, w: Watch) -> str:
+        """When story 2 was announced after the onset, and what else was."""
+        after = [t - self.onset_s for t, story in w.story_alarms if story == 2 and t > self.onset_s]
+        wrong, first = len(w.story_alarms) - len(after), min(after, default=np.nan)
+        return f"announced {first:.0f} s after the onset, {wrong} wrong windows"
 
 
 def _spread(ddi: np.ndarray) -> str:
     return f"{100 * ddi.min():+.2f} to {100 * ddi.max():+.2f}, deviation {np.round(100 * ddi.std(axis=0), 3)}"
 
 
-def _beyond(w: Watch) -> int:
-    return int((np.abs(w.ddi / w.std) > 5.0).any(axis=1).sum())
-
-
-def _found(w: Watch, onset_s: float) -> str:
-    """When story 2 was announced after the onset, and what else was."""
-    first = min((t - onset_s for t, story in w.story_alarms if story == 2 and t > onset_s), default=np.nan)
-    wrong = sum(story != 2 or t <= onset_s for t, story in w.story_alarms)
-    return f"announced {first:.0f} s after the onset, {wrong} wrong windows"
-
-
-def month(days: int, seed: int, calibration_days: int = 2, loss_hours: int = 24, twin_days: float = np.inf) -> Month:
+def month(
+    days: int, seed: int, calibration_days: int = 2, loss_hours: int = 24, twin_days: float = np.inf
+) -> dict[str, Case]:
     """Calibrate on the first days, then watch the rest; a second run loses stiffness in its last third."""
     n_calm = 24 * calibration_days
     onset_hour = n_calm + (24 * days - n_calm) * 2 // 3
     onset_s = float(onset_hour * HOUR_S)
     windows = raw(range(24 * days), seed)
     hurt = windows[n_calm:onset_hour] + raw(range(onset_hour, min(onset_hour + loss_hours, 24 * days)), seed + 1, LOSS)
-    out = Month({}, {}, {}, {}, {}, {}, onset_s)
+    out = {}
     for name in ("with the channel", "without it"):
         b = calibrated(windows[:n_calm], name == "with the channel")
-        calm = readings(windows[n_calm:], b)
         plain = [r for _, r in readings(windows[n_calm : n_calm + 48], replace(b, law=None))]
-        like = replace(
-            plain[0],
-            ddi_covariance=np.mean([r.ddi_covariance for r in plain], axis=0),
-            common_covariance=np.mean([r.common_covariance for r in plain], axis=0),
+        ddi, common = (
+            np.mean([getattr(r, of) for r in plain], axis=0) for of in ("ddi_covariance", "common_covariance")
         )
-        seen = watch(calm)
-        out.baselines[name], out.raw[name] = b, seen
-        out.unexplained[name] = (seen.ddi - explained(seen.t_s, b, np.inf, NO_LOSS)) / np.sqrt(
-            np.diag(like.ddi_covariance)
+        like = replace(plain[0], ddi_covariance=ddi, common_covariance=common)
+        seen = watch(readings(windows[n_calm:], b))
+        around = onset_s / DAY_S - 0.1, onset_s / DAY_S + 0.1
+        out[name] = Case(
+            baseline=b,
+            raw=seen,
+            twin=twin((calibration_days, min(days, calibration_days + twin_days)), like, b, seed + 2),
+            unexplained=(seen.ddi - explained(seen.t_s, b, np.inf, NO_LOSS)) / np.sqrt(np.diag(ddi)),
+            raw_loss=watch(readings(hurt, b)),
+            twin_loss=twin(around, like, b, seed + 3, LOSS),
+            onset_s=onset_s,
         )
-        out.twin[name] = twin((calibration_days, min(days, calibration_days + twin_days)), like, b, seed + 2)
-        out.raw_loss[name] = watch(readings(hurt, b))
-        out.twin_loss[name] = twin((onset_s / DAY_S - 0.1, onset_s / DAY_S + 0.1), like, b, seed + 3, LOSS)
     return out
 
 
-_INK = {"air": "#999999", "with the channel": "#1f77b4", "without it": "#d62728"}
-
-
-def draw(result: Month, path: str) -> None:
+def draw(result: dict[str, Case], path: Path) -> None:
     """The index of each story over the days, with and without the channel, under the temperature."""
-    width, height, left = 1200, 190, 90
-    picture = Image.new("RGB", (width, 4 * height + 30), "white")
-    pen = ImageDraw.Draw(picture)
-    t = next(iter(result.raw.values())).t_s
-    panels = [("air, degC", {"air": weather(t)})] + [
-        (f"DDI story {j + 1}, %", {name: 100.0 * w.ddi[:, j] for name, w in result.raw.items()}) for j in range(3)
-    ]
-    for row, (title, lines) in enumerate(panels):
-        top, values = row * height + 25, np.concatenate(list(lines.values()))
-        low, high = np.floor(values.min()), np.ceil(values.max())
-        for mark in np.linspace(low, high, 5):
-            y = top + (high - mark) / (high - low) * (height - 40)
-            pen.line([(left, y), (width - 10, y)], fill="#e0e0e0")
-            pen.text((10, y - 6), f"{mark:.1f}", fill="black")
-        pen.text((left, top - 18), title, fill="black")
-        for name in sorted(lines, reverse=True):
-            x = left + (t - t[0]) / (t[-1] - t[0]) * (width - 10 - left)
-            y = top + (high - lines[name]) / (high - low) * (height - 40)
-            for a, b in pairwise(zip(x, y, strict=True)):
-                pen.line([a, b], fill=_INK[name], width=2)
-    for k, name in enumerate(result.raw):
-        pen.text((left + 300 + 160 * k, 7 + height), name, fill=_INK[name])
-    pen.text((left, 4 * height + 8), f"day {t[0] / DAY_S:.0f} to day {t[-1] / DAY_S:.0f}", fill="black")
-    picture.save(path)
+    with figures.figure(path, 4, (12.0, 8.0)) as panels:
+        for row, axes in enumerate(panels):
+            for (name, case), colour in zip(result.items(), (figures.BLUE, figures.RED), strict=True):
+                w = case.raw
+                if row:
+                    axes.plot(w.t_s / DAY_S, 100.0 * w.ddi[:, row - 1], color=colour, label=name)
+                elif colour == figures.BLUE:
+                    axes.plot(w.t_s / DAY_S, weather(w.t_s), color=figures.GREY, label="air")
+            axes.set_ylabel(f"DDI story {row}, %" if row else "degC")
+        panels[-1].set_xlabel("day")
+
+
+def main() -> None:
+    """Print the figures and draw them where a file is named."""
+    days, seed, plot = words(30, 20261201, "")
+    with threadpool_limits(limits=1):
+        outcome = month(days, seed)
+    print("\n".join(f"{name}: {case.report()}" for name, case in outcome.items()))
+    if plot:
+        draw(outcome, Path(plot))
 
 
 if __name__ == "__main__":
-    arguments = [*sys.argv[1:], *["30", "20261201"][len(sys.argv) - 1 :]]
-    with threadpool_limits(limits=1):
-        outcome = month(int(arguments[0]), int(arguments[1]))
-    print(outcome.report())
-    if len(arguments) > 2:
-        draw(outcome, arguments[2])
+    main()

@@ -10,13 +10,13 @@ frequencies of the last five days are lowered by 1 %.
 from __future__ import annotations
 
 import csv
-import sys
 from dataclasses import dataclass
 
 import numpy as np
 
 from monitor.core import Level
 from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
+from tests.support.campaign import words
 from tests.support.tower import DAY_NS, TOWER, Tower
 
 LEVEL = TOWER.with_name("level.csv")
@@ -69,7 +69,7 @@ def weeks(training_days: float = 12.0) -> Weeks:
 
 
 def main() -> None:
-    found = weeks(*map(float, sys.argv[1:2]))
+    found = weeks(*words(12.0))
     for model in found.judge.models:
         print(
             f"{model.name}: {model.readings} hours learned from, {100 * model.explained:.0f} % of the variance explained, "

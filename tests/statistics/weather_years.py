@@ -12,17 +12,20 @@ what is done with the rest (`CASES`).  FILE holds one line a run; what it holds 
 
 from __future__ import annotations
 
-import json
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 
 from monitor.core import WHOLE, DamageReading, Level
 from monitor.damage import AlarmSettings, CovariateLaw, CovariateSettings, alarm, slow_learning
 from monitor.damage.covariates import Change, learn_law
 from monitor.signals import LAGS_S
+from tests.statistics.lag_bound import lagged
+from tests.support.campaign import gone_on_with
 
 HOUR_NS, CALIBRATION_H, YEAR_H = 3_600_000_000_000, 14 * 24, 365 * 24
 STD = np.array([0.0010, 0.0017, 0.0018])
@@ -87,22 +90,16 @@ LOSSES = {
 
 def smooth(rng: np.random.Generator, n: int, hours: float) -> np.ndarray:
     """A stationary wander of unit variance."""
-    decay, white, out = np.exp(-1.0 / hours), rng.standard_normal(n), np.zeros(n)
-    out[0] = white[0]
-    for k in range(1, n):
-        out[k] = decay * out[k - 1] + np.sqrt(1.0 - decay**2) * white[k]
-    return out
+    decay, white = np.exp(-1.0 / hours), rng.standard_normal(n)
+    gain = np.sqrt(1.0 - decay**2)
+    return np.asarray(lfilter([gain], [1.0, -decay], white, zi=[(1.0 - gain) * white[0]])[0])
 
 
 def weather(rng: np.random.Generator, n: int, begin_day: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Temperature (degC), level over the day's, and rain (0 or 1), hour by hour."""
     day = begin_day + np.arange(n) / 24.0
-    degc = (
-        10.0
-        - 10.0 * np.cos(2 * np.pi * (day - 20.0) / 365.0)
-        + 4.0 * np.sin(2 * np.pi * day)
-        + 3.0 * smooth(rng, n, 60.0)
-    )
+    seasons, days = -10.0 * np.cos(2 * np.pi * (day - 20.0) / 365.0), 4.0 * np.sin(2 * np.pi * day)
+    degc = 10.0 + seasons + days + 3.0 * smooth(rng, n, 60.0)
     frost = np.clip(5.0 - np.abs((day - 25.0 + 180.0) % 365.0 - 180.0), 0.0, 1.0)
     degc -= frost * 10.0
     gale = np.clip(smooth(rng, n, 12.0) - 1.5, 0.0, None)  # a fifteenth of the time
@@ -113,7 +110,7 @@ def weather(rng: np.random.Generator, n: int, begin_day: float) -> tuple[np.ndar
 def change(degc: np.ndarray, level: np.ndarray, rain: np.ndarray, *, uneven: bool) -> np.ndarray:
     """Change of ln stiffness that the weather causes, shape (n, 3)."""
     frost, lags_h = (np.array([4.0, 2.0, 6.0]), (0.0, 0.5, 2.0)) if uneven else (FROST, (0.0,) * 3)
-    felt = np.column_stack([lagged(degc, hours) for hours in lags_h])
+    felt = np.column_stack([lagged(degc, hours) if hours else degc for hours in lags_h])
     warm = np.maximum(felt, 0.0) + frost * np.minimum(felt, 0.0)
     gives = (level**2 / (level**2 + 9.0))[:, None] * SOFT
     return np.asarray(-warm * SLOPES + np.log1p(-gives) - RAIN * rain[:, None])
@@ -125,16 +122,6 @@ def scatter(rng: np.random.Generator, n: int, *, failing: bool) -> np.ndarray:
     if failing:
         for begin in rng.integers(CALIBRATION_H, n, size=3 * FAILURES):
             out[begin : begin + int(LONGEST_H ** rng.random())] = STD * LESS
-    return out
-
-
-def lagged(values: np.ndarray, hours: float) -> np.ndarray:
-    """Values behind a first-order lag."""
-    if hours == 0.0:
-        return values
-    out, decay = values.copy(), np.exp(-1.0 / hours)
-    for k in range(1, values.size):
-        out[k] = values[k] + (out[k - 1] - values[k]) * decay
     return out
 
 
@@ -164,43 +151,27 @@ def one(year: int, seed: int, case: Case, loss: Loss) -> dict[str, object]:
         onset = n
     healthy = range(CALIBRATION_H - case.calibration_h, CALIBRATION_H)
     y -= y[healthy].mean(axis=0)
-    changes = [
-        Change(
-            np.expm1(y[k]),
-            np.diag(STD),
-            tuple((True, 3 * k + j) for j in range(3)),
-            under(degc[k], level[k], names),
-            k * HOUR_NS,
-        )
-        for k in healthy
-    ]
+    stories = [tuple((True, 3 * k + j) for j in range(3)) for k in range(n)]
+    felt = [under(degc[k], level[k], names) for k in range(n)]
+    changes = [Change(np.expm1(y[k]), np.diag(STD), stories[k], felt[k], k * HOUR_NS) for k in healthy]
     units = {"level": "dB", "temperature": "degC"}
     law = learn_law(changes, 0.0, {name: units[name] for name in names}, SETTINGS) if names else None
-    shape = (n if case.looks > 1 else 0, case.looks - 1, 3)
-    more = (
-        std[: shape[0], None] * np.random.default_rng([seed, year, 1]).standard_normal(shape) - noise[: shape[0], None]
-    )
-    return watch(law, case, degc, level, y, std, more, onset, lost)
+    looked = n if case.looks > 1 else 0
+    white = np.random.default_rng([seed, year, 1]).standard_normal((looked, case.looks - 1, 3))
+    return watch(law, case, felt, y, std, std[:looked, None] * white - noise[:looked, None], onset, lost)
 
 
 def watch(
-    law: CovariateLaw | None,
-    case: Case,
-    degc: np.ndarray,
-    level: np.ndarray,
-    y: np.ndarray,
-    std: np.ndarray,
-    more: np.ndarray,
-    onset: int,
-    lost: tuple[int, ...],
-) -> dict[str, object]:
+    law: CovariateLaw | None, case: Case, felt: list[dict[str, np.ndarray]], y: np.ndarray, std: np.ndarray,
+    more: np.ndarray, onset: int, lost: tuple[int, ...],
+) -> dict[str, object]:  # fmt: skip
     """The alarm over a year; `more` is the difference of the noise of further windows of each hour, 400 s apart."""
     state, verdicts = alarm.start(3, 400.0), []
     learning = None if law is None else slow_learning.start(law, CALIBRATION_H * HOUR_NS)
     common = np.diag(STD**2) / case.calibration_h
     skipped = 0
     for k in range(CALIBRATION_H, len(y)):
-        t_ns, seen = k * HOUR_NS, under(degc[k], level[k], case.names)
+        t_ns, seen = k * HOUR_NS, felt[k]
         added, relative, beyond, together = np.zeros((3, 3)), np.zeros(3), "", None
         if learning is not None:
             together = learning.law.together(SETTINGS.unevenness) if case.separated else None
@@ -269,20 +240,16 @@ def report(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def trial(year: int, case: str, loss: str, seed: int) -> dict[str, object]:
+    return one(year, seed, CASES[case], LOSSES[loss])
+
+
 def main() -> None:
     path = Path(sys.argv[1])
     years, seed = (int(a) for a in (*sys.argv[2:4], *("30", "2026")[len(sys.argv[2:4]) :]))
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {(r["year"], r["case"], r["loss"]) for r in rows}
     for year in range(years):
-        for case in sys.argv[4:] or CASES:
-            for loss in LOSSES:
-                if (year, case, loss) not in done:
-                    rows.append(
-                        {"year": year, "case": case, "loss": loss, **one(year, seed, CASES[case], LOSSES[loss])}
-                    )
-                    with path.open("a") as file:
-                        file.write(json.dumps(rows[-1]) + "\n")
+        tasks = [(year, case, loss) for case in sys.argv[4:] or CASES for loss in LOSSES]
+        rows = gone_on_with(path, ("year", "case", "loss"), tasks, partial(trial, seed=seed))
         print(f"{year + 1} years\n{report(rows)}", flush=True)
 
 

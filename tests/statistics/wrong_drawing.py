@@ -8,27 +8,16 @@ baselines of 1200 s; disjoint windows of the intact frame and of one that lost 5
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from drivers.base import ACCELERATION
-from monitor.config import Configuration
 from monitor.core import WindowResult
-from monitor.damage import learn_baseline
-from monitor.model import EFFECTS, Model, simulate
+from monitor.model import EFFECTS, Model
 from monitor.pipeline import Pipeline
-from monitor.runs import cut_into_blocks
 from tests.statistics.estimates import BASELINE_S, WINDOW_S, configuration
+from tests.support.campaign import each, words
+from tests.support.simulated import ambient, learned, windows_of
 
 LOSS = 0.05
-
-
-def _windows(truth: Model, duration_s: float, seed: int, pipeline: Pipeline) -> list[WindowResult]:
-    motion = simulate(truth, duration_s=duration_s, rate_hz=1000.0, noise=0.1, seed=seed)
-    blocks = cut_into_blocks(ACCELERATION, motion.floors, pipeline.config.channels, 1000.0, 0, 10_000)
-    return [r for b in blocks for r in pipeline.push(b) if isinstance(r, WindowResult)]
 
 
 def one_baseline(number: int, n_windows: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
@@ -38,32 +27,25 @@ def one_baseline(number: int, n_windows: int) -> list[tuple[int, np.ndarray, np.
     masses = np.array(drawn.structure.masses_kg) * (1.0 + 0.05 * rng.choice([-1.0, 1.0], 3))
     joints = EFFECTS["joint_flexibility"].create("frame", {"girder_to_column_ratio": 10.0})
     truth = Model(drawn.model().structure.with_masses(masses), (joints,))
-    overlapping = Configuration.model_validate({**drawn.model_dump(exclude_none=True), "processing": {"hop_s": 10.0}})
-    calm = _windows(truth, BASELINE_S, int(rng.integers(2**31)), Pipeline(overlapping))
-    baseline = learn_baseline(
-        overlapping.instrumented(),
-        [r.modes for r in calm if r.modes is not None],
-        np.ones(1),
-        (),
-        updating=overlapping.updating,
-        compensation=overlapping.compensation,
-    )[0]
+    overlapping = configuration(10.0)
+
+    def seen(model: Model, seconds: float, pipeline: Pipeline) -> list[WindowResult]:
+        return windows_of(pipeline, ambient(model, seconds, 1000.0, int(rng.integers(2**31))), 1000.0)
+
+    baseline = learned(overlapping, seen(truth, BASELINE_S, Pipeline(overlapping)))
     out = []
     for story in range(4):
         stiffness = truth.structure.stiffness_n_per_m.copy()
         stiffness[story - 1] *= 1.0 - LOSS if story else 1.0
-        run = _windows(
-            truth.with_stiffness(stiffness), WINDOW_S * n_windows, int(rng.integers(2**31)), Pipeline(drawn, baseline)
-        )
+        run = seen(truth.with_stiffness(stiffness), WINDOW_S * n_windows, Pipeline(drawn, baseline))
         out += [(story, r.damage.ddi, r.damage.ddi_std) for r in run if r.damage is not None]
     return out
 
 
-def main(arguments: list[str]) -> None:
+def main() -> None:
     """Print the table."""
-    n_baselines, n_windows = (int(a) for a in (*arguments, *("20", "5")[len(arguments) :]))
-    with threadpool_limits(limits=1):
-        rows = [row for i in range(n_baselines) for row in one_baseline(i, n_windows)]
+    n_baselines, n_windows = words(20, 5)
+    rows = [row for rows in each(one_baseline, [(i, n_windows) for i in range(n_baselines)]) for row in rows]
     print("lost in    mean index, stories 1 2 3 (%)   95 % intervals hold   right story leads")
     for story in range(4):
         ddi = np.array([d for s, d, _ in rows if s == story])
@@ -77,4 +59,4 @@ def main(arguments: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

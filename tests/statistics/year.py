@@ -25,11 +25,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceHealth
-from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.core import Gap, Skipped, WindowResult
 from monitor.damage import alarm, load_baseline, save_baseline
-from monitor.model import simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Publisher
 from monitor.runs import Session, calibrate, cut_into_blocks
@@ -38,9 +36,10 @@ from monitor.service import Daemon, logs
 from monitor.signals import Health
 from tests.statistics.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S
 from tests.support.frame_text import THREE_STORIES
+from tests.support.live_rig import ROOT, write
 from tests.support.live_site import RATE, SIZE, given
+from tests.support.simulated import ambient
 
-ROOT = Path(__file__).parents[2]
 T0_NS, DAY = 1_767_225_600_000_000_000, round(86_400 / HOP_S)
 BASELINE_S = 4 * 3600.0
 SITE = (
@@ -84,12 +83,9 @@ def make_site(folder: Path, keep_gb: float) -> tuple[Path, list[SampleBlock]]:
     site = folder / "site.toml"
     site.write_text(SITE.format(keep_gb=keep_gb))
     settings = configuration.load(site)
-    floors = simulate(settings.model(), duration_s=1200.0, rate_hz=RATE, noise=0.1, seed=1).floors
+    floors = ambient(settings.model(), 1200.0, RATE, 1)
     healthy = list(cut_into_blocks(ACCELERATION, floors, settings.channels, RATE, T0_NS, 1024))
-    with McapWriter(folder / "healthy.mcap") as writer:
-        for block in healthy:
-            writer.write(block)
-    save_baseline(calibrate([folder / "healthy.mcap"], settings)[0], folder / "baseline.json")
+    save_baseline(calibrate([write(folder / "healthy.mcap", healthy)], settings)[0], folder / "baseline.json")
     return site, healthy
 
 
@@ -227,8 +223,7 @@ def raw(hours: float, folder: Path) -> None:
     """The daemon as a process on samples."""
     site, _ = make_site(folder, keep_gb=0.1)
     settings = configuration.load(site)
-    stream = simulate(settings.model(), duration_s=3600.0, rate_hz=RATE, noise=0.1, seed=2).floors
-    np.save(folder / "stream.npy", stream.astype(np.float32))
+    np.save(folder / "stream.npy", ambient(settings.model(), 3600.0, RATE, 2).astype(np.float32))
     position, begun = folder / "position", time.monotonic()
     arguments = [site, folder / "stream.npy", position, 0, 0]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import socket
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import msgpack
@@ -18,28 +19,41 @@ from drivers.base import SourceContext, SourceError
 from drivers.can_bus import CanSource
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
-
-
 CHANNELS = ("a1", "a2", "a3")
-
-
 T0 = 1_767_225_600.0
-
-
 RATE = 1024.0
 
 
-_names = itertools.count()
+def source(
+    folder: Path = DEPLOY, channels: tuple[str, ...] = CHANNELS, bus: SilentBus | None = None, **table: object
+) -> CanSource:
+    """A source of the shipped layout; with a `bus` it hears that one, and has its time."""
+    table = {"interface": "virtual", "channel": "nobody's", "dbc": "frame.dbc", "sample_rate_hz": RATE} | table
+    more: dict[str, Any] = {} if bus is None else {"clock": bus.clock, "connect": lambda *_: bus}
+    return CanSource(CanSource.Settings.model_validate(table), SourceContext(channels, folder), **more)
 
 
-def source(folder: Path = DEPLOY, channels: tuple[str, ...] = CHANNELS, **table: object) -> CanSource:
-    table = {
-        "interface": "virtual",
-        "channel": f"test{next(_names)}",
-        "dbc": "frame.dbc",
-        "sample_rate_hz": RATE,
-    } | table
-    return CanSource(CanSource.Settings.model_validate(table), SourceContext(channels, folder))
+class SilentBus:
+    """A bus that gives what it is told to, and fails as it is told to; in its silence nothing passes but its own time."""
+
+    state = can.BusState.ACTIVE
+
+    def __init__(self, items: Iterable[can.Message | Exception] = ()) -> None:
+        self.items, self.now_s = deque(items), 0.0
+
+    def clock(self) -> float:
+        return self.now_s
+
+    def recv(self, timeout: float) -> can.Message | None:
+        if not self.items:
+            self.now_s += timeout
+            return None
+        item = self.items.popleft()
+        if isinstance(item, Exception):
+            raise item
+        return item
+
+    def shutdown(self) -> None: ...
 
 
 def accel(sequence: np.ndarray, values: np.ndarray | None = None, t0: float = T0) -> list[can.Message]:

@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 @functools.cache
-def _place() -> Path:
+def place() -> Path:
     """Folder of the references of this code; those of other code are deleted."""
     digest = hashlib.sha256()
     for pattern in _READ:
@@ -43,10 +43,10 @@ def _place() -> Path:
 @contextmanager
 def _alone(name: str) -> Iterator[Path]:
     """The only worker that computes this reference."""
-    place = _place() / name
-    with open(place.with_name(name + ".lock"), "w") as lock:
+    kept = place() / name
+    with open(kept.with_name(name + ".lock"), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        yield place
+        yield kept
 
 
 def _name(make: Callable[..., object], arguments: tuple[object, ...]) -> str:
