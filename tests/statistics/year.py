@@ -85,7 +85,7 @@ def make_site(folder: Path, keep_gb: float) -> tuple[Path, list[SampleBlock]]:
     settings = configuration.load(site)
     floors = ambient(settings.model(), 1200.0, RATE, 1)
     healthy = list(cut_into_blocks(ACCELERATION, floors, settings.channels, RATE, T0_NS, 1024))
-    save_baseline(calibrate([write(folder / "healthy.mcap", healthy)], settings)[0], folder / "baseline.json")
+    save_baseline(calibrate.calibrate([write(folder / "healthy.mcap", healthy)], settings)[0], folder / "baseline.json")
     return site, healthy
 
 
