@@ -201,24 +201,12 @@ def test_a_dead_channel_leaves_the_level_of_motion_as_it_is(
     assert abs(of_some - level) < 1.0
 
 
-def test_a_baseline_of_an_older_version_is_read_and_a_damaged_motion_is_refused(
-    folder: Path, site: Configuration, healthy: ModalBaseline, cut: Cut
-) -> None:
+def test_a_baseline_with_a_damaged_motion_is_refused(folder: Path, site: Configuration, healthy: ModalBaseline) -> None:
     tree, path = json.loads((folder / "b.json").read_text()), folder / "other.json"
     assert np.shape(tree["motion"]) == (len(CHANNELS),) * 2
     path.write_text(json.dumps(tree | {"motion": [[1.0]]}))
     with pytest.raises(BadInputError, match="its modes are damaged"):
         load_modal_baseline(path, CHANNELS, modal_origin(site))
-    del tree["motion"]
-    path.write_text(json.dumps(tree))
-    older = load_modal_baseline(path, CHANNELS, modal_origin(site))
-    assert older.motion is None
-    np.testing.assert_array_equal(older.frequencies_hz, healthy.frequencies_hz)
-    floors = motion(folder, 60, 9)
-    floors[:, 1] = np.nan
-    assert all(
-        np.isfinite(r.covariates["level"]).all() for r in windows(Pipeline(site, older), cut(floors, RATE_HZ, [128]))
-    )
 
 
 @pytest.mark.engine
