@@ -55,6 +55,7 @@ def power(trials: int, seed: int) -> float:
     return float(np.mean([seen(float(loss[k % 3]), k % 3, rng) for k in range(trials)]))
 
 
+@pytest.mark.engine
 def test_it_is_seen_about_as_often_as_stated() -> None:
     assert power(30, 1) > 0.75, "by the binomial 1 % limit of 90 %"
 

@@ -19,6 +19,8 @@ from monitor.inference import join_coordinates, maximize_posterior
 from monitor.model import Effect, StructuralPrior, parse_effect
 from tests.support.turning_frame import CONTEXT, TORSION, posterior
 
+pytestmark = pytest.mark.engine
+
 MACHINE = parse_effect("harmonic_excitation:floor 2:frequency_hz=17.5,force_n=0.6")
 THIRD = parse_effect("unmodelled_mode:frame:frequency_hz=11.9,damping_ratio=0.012,shape_1=0.7,shape_2=0.9,shape_3=-0.6")
 

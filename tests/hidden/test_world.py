@@ -56,6 +56,7 @@ MATRICES = (
 LAWS = ("gap_contact", "bilinear_stiffness", "quadratic_damping", "story_damper", "attached_oscillator")
 
 
+@pytest.mark.engine
 @pytest.mark.parametrize("name", ["healthy", *MATRICES, *LAWS])
 def test_both_simulators_move_alike(name: str) -> None:
     forces, ground, course = _drive()
@@ -117,6 +118,7 @@ def test_a_footing_on_a_spring_is_a_softer_lowest_story() -> None:
     assert ((footing - series) ** 2).mean() < 0.05 * ((footing - plain) ** 2).mean()
 
 
+@pytest.mark.engine
 def test_recorded_motion_is_as_the_sizes_assume(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(world, "wander", lambda duration_s, rng: np.ones(round(duration_s) + 2))
     act, motion = healthy(TRUTH, 1)

@@ -56,6 +56,7 @@ def test_a_simulated_recording_is_what_its_script_makes(name: str, tmp_path: Pat
     np.testing.assert_allclose(made, shipped, atol=1e-5 * float(np.abs(shipped).max()))
 
 
+@pytest.mark.engine
 @pytest.mark.parametrize("name", REPLAYS)
 def test_a_replay_gives_what_the_index_says(name: str) -> None:
     entry = REPLAYS[name]

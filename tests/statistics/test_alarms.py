@@ -76,6 +76,7 @@ def test_small_losses_are_found_in_time(story: int) -> None:
     assert half.found >= 0.95 and half.wrong == 0
 
 
+@pytest.mark.engine
 def test_a_raw_record_is_judged_like_the_twin() -> None:
     healthy = raw_baseline(1200.0, 105)
     windows = raw_readings([(600.0, {}), (500.0, {3: 0.03})], 106, healthy, hop_s=25.0)

@@ -8,6 +8,7 @@ import pytest
 from tests.statistics.estimates import trials
 
 
+@pytest.mark.engine
 def test_a_sample_lies_near_the_bounds_and_inside_its_intervals() -> None:
     found = trials(1, 12, 0.0, seed=7, processes=1)
     assert found.skipped == 0

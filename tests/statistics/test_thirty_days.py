@@ -31,6 +31,7 @@ def _assert_like_raw(result: dict[str, Case], least: float, most: float) -> None
         assert (rms < most).all() and (rms > least).all()
 
 
+@pytest.mark.engine
 def test_two_days_of_weather() -> None:
     result = month(days=2, seed=5, calibration_days=1, loss_hours=4, twin_days=0.2)
     _judge(result)
