@@ -51,7 +51,7 @@ pytestmark = pytest.mark.engine
 
 def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse_it() -> None:
     context = CONFIG.instrumented().context(RATE)
-    motion = simulate(CONFIG.model(), duration_s=400.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
+    motion = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
     blocks = cut_into_blocks(ACCELERATION, motion.floors[:, [0, 2, 1]], CONFIG.channels, RATE, 10**18, 128)
     known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
     problem, null = fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
@@ -67,7 +67,7 @@ def test_a_reversed_channel_is_ranked_first_beside_modes_that_are_forced_otherwi
 
     def recorded(torsion: tuple[Effect, ...], sign: float) -> ObservedSpectra:
         model = replace(CONFIG.model(), effects=torsion)
-        motion = simulate(model, duration_s=600.0, rate_hz=RATE, noise=0.03, seed=7, context=context)
+        motion = simulate(model, duration_s=300.0, rate_hz=RATE, noise=0.03, seed=7, context=context)
         samples = motion.floors * np.array([sign, 1.0, 1.0])
         blocks = cut_into_blocks(ACCELERATION, samples, CONFIG.channels, RATE, 10**18, 128)
         return classify(gather(blocks, CONFIG.front_end()))
@@ -85,7 +85,7 @@ def test_beside_modes_that_were_added_no_fit_is_held_at_a_drawing_far_off() -> N
     """Such fits took most of the time of an eight-floor building's calibration."""
     context = CONFIG.instrumented().context(RATE)
     model = replace(CONFIG.model(), effects=(StiffnessChange("story 2", -0.2), TORSION[0]))
-    motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, seed=10, context=context)
+    motion = simulate(model, duration_s=200.0, rate_hz=RATE, noise=0.05, seed=10, context=context)
     blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
     known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
     problem, null = fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
@@ -99,7 +99,7 @@ def test_beside_modes_that_were_added_no_fit_is_held_at_a_drawing_far_off() -> N
 def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channel: int) -> None:
     """A hundred times less noise than motion: what 2 % makes of the spectra is no straight line."""
     context = CONFIG.instrumented().context(RATE)
-    motion = simulate(CONFIG.model(), duration_s=400.0, rate_hz=RATE, noise=0.01, seed=9, context=context)
+    motion = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE, noise=0.01, seed=9, context=context)
     blocks = cut_into_blocks(
         ACCELERATION, motion.floors * np.where(np.arange(3) == channel, 0.98, 1.0), CONFIG.channels, RATE, 10**18, 128
     )
@@ -124,7 +124,7 @@ def candidate(evidence: float, location: str, nonlinear: bool = True) -> Candida
 
 def test_a_start_without_a_finite_gain_is_never_moved_to_the_size_it_predicts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside a structure held where it cannot explain a swapped channel it made a loss of no size, and the search failed."""
-    motion = simulate(CONFIG.model(), duration_s=400.0, rate_hz=RATE, noise=0.05, seed=9)
+    motion = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE, noise=0.05, seed=9)
     blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
     context, known = CONFIG.instrumented().context(RATE), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3)
     problem, null = fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)

@@ -139,7 +139,7 @@ def test_noise_that_follows_each_channels_motion_is_no_cause() -> None:
 
     def evidence(factor: Array, seed: int) -> ObservedSpectra:
         model = Model(config.model().structure)
-        floors = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.0, seed=seed, context=context).floors
+        floors = simulate(model, duration_s=200.0, rate_hz=RATE, noise=0.0, seed=seed, context=context).floors
         noise = 0.05 * floors.std(axis=0) * factor
         floors = floors + noise * np.random.default_rng([seed, 9]).standard_normal(floors.shape)
         return classify(

@@ -7,15 +7,19 @@ from functools import cache
 import numpy as np
 
 from drivers.base import ACCELERATION
-from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.config import Configuration
 from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import ObservedSpectra, Posterior, classify, gather, make_posterior
 from monitor.model import Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
-from tests.support.jointed_frame import CONFIG
+from tests.support.jointed_frame import BRISK, FRAME, SENSORS
+from tests.support.reference import once
 
 RATE = 512.0
+
+
+CONFIG = Configuration.model_validate({"structure": FRAME, "sensors": SENSORS, "diagnosis": BRISK})
 
 
 TORSION = tuple(
@@ -50,5 +54,6 @@ def posterior(off: np.ndarray, *effects: Effect) -> Posterior:
     return make_posterior(spectra(*effects), drawn(off), CONTEXT)
 
 
-def diagnosed(off: np.ndarray, *effects: Effect) -> Diagnosis:
-    return diagnose(spectra(*effects), drawn(off), CONTEXT, DiagnosisSettings())
+@once
+def diagnosed(off: tuple[float, ...], *effects: Effect) -> Diagnosis:
+    return diagnose(spectra(*effects), drawn(np.array(off)), CONTEXT, CONFIG.diagnosis)
