@@ -278,7 +278,7 @@ def slow_site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Conf
 def healthy(slow_site: Configuration, tmp_path_factory: pytest.TempPathFactory) -> Baseline:
     """Learned from a recording with a ramp of 10 K, through its file."""
     folder = tmp_path_factory.mktemp("healthy")
-    learned, _ = calibrate([record(folder / "ramp.mcap", slow_site, np.linspace(10, 20, 3000), 1, 0.0)], slow_site)
+    learned, _ = calibrate.calibrate([record(folder / "ramp.mcap", slow_site, np.linspace(10, 20, 3000), 1, 0.0)], slow_site)
     save_baseline(learned, folder / "b.json")
     return load_baseline(folder / "b.json", slow_site.instrumented(), slow_site.updating)
 
@@ -300,7 +300,7 @@ def test_replay_takes_the_weather_out_and_leaves_the_damage(
     slow_site: Configuration, healthy: Baseline, tmp_path: Path, loss: float
 ) -> None:
     day = record(tmp_path / "cold.mcap", slow_site, np.full(1000, 10.5), 2, loss)
-    summary = replay([day], slow_site, healthy, tmp_path / "out")
+    summary = replay.replay([day], slow_site, healthy, tmp_path / "out")
     lines = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
     effect = np.array([line["temperature_effect"] for line in lines])
     assert np.abs(effect - PER_DEGC * (10.5 - 14.8)).max() < 2.5e-3
@@ -315,7 +315,7 @@ def test_without_the_channel_nothing_is_taken_out_and_the_doubt_is_stated(
     slow_site: Configuration, healthy: Baseline, tmp_path: Path
 ) -> None:
     day = record(tmp_path / "cold.mcap", slow_site, np.full(600, 10.5), 2, 0.0, channel=False)
-    summary = replay([day], slow_site, healthy, tmp_path / "out")
+    summary = replay.replay([day], slow_site, healthy, tmp_path / "out")
     lines = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
     assert all(line["temperature_degc"] is None for line in lines)
     ddi, std = (np.mean([line[name] for line in lines], axis=0) for name in ("ddi", "ddi_std"))
