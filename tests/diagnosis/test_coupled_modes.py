@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import block_diag, eigh
 
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction, find_other_structure
-from monitor.diagnosis.missing_modes import as_seen, couple_modes, is_stated, resonances
+from monitor.diagnosis.missing_modes import as_seen, is_stated, resonances
 from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import _shows_other_direction
@@ -264,12 +264,6 @@ def test_a_coupling_is_found_and_stated_as_the_mode_that_is_seen() -> None:
     assert abs(cause.effect.values()["frequency_hz"] - own.frequency_hz) < 3.0 * cause.std["frequency_hz"]
     assert "eccentricity_1" not in cause.effect.values()
     assert not find_lack_of_fit(found.posterior, found.final_fit, found.settings)
-
-
-@pytest.mark.engine
-def test_what_is_not_coupled_stays_uncoupled() -> None:
-    found = diagnosed(np.ones(3), *TORSION)
-    assert couple_modes(found.posterior, found.final_fit) is None
 
 
 def test_a_mode_that_cannot_be_told_from_one_of_the_model_is_not_stated() -> None:

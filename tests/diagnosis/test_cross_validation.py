@@ -28,6 +28,7 @@ from monitor.inference import Segments, classify, gather, maximize_posterior
 from monitor.model import Effect, Model, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import diagnose_segments
+from tests.support.brisk import brisk
 from tests.support.damped_frame import DAMPER, RATE, context_of, recorded, settings
 
 pytestmark = pytest.mark.engine
@@ -208,7 +209,7 @@ def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:
 
 def test_what_a_swinging_gain_leaves_over_is_not_made_up_by_tones_and_oscillators() -> None:
     """They explain its sidebands beside a mode, where the model stays wrong, and nothing elsewhere."""
-    config = settings()
+    config = brisk(settings())
     context = context_of(config)
     motion = simulate(
         Model(context.structure),

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_limits
 
 from monitor.diagnosis.score_test import start_beside
 from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.inference import classify, gather
 from monitor.model import parse_effect, prior_from_drawing
-from monitor.runs.diagnose import diagnose_segments
+from monitor.runs import diagnose
+from tests.support.brisk import brisk
 from tests.support.pushed_frame import FORCED, pushed
 
 pytestmark = pytest.mark.engine
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(("place", "force_n", "relative"), [("frame", 0.6, 0.06), ("story 3", 1.0, 0.12)])
-def test_slip_is_named_at_its_place_with_its_size(place: str, force_n: float, relative: float) -> None:
+@pytest.mark.parametrize(
+    ("place", "force_n", "relative", "duration_s"),
+    [("frame", 0.6, 0.06, 90.0), pytest.param("story 3", 1.0, 0.12, 120.0, marks=pytest.mark.slow)],
+)
+def test_slip_is_named_at_its_place_with_its_size(
+    place: str, force_n: float, relative: float, duration_s: float
+) -> None:
+    config = brisk(FORCED)
     hidden = f"hysteretic_slip:{place}:force_n={force_n},relative={relative}"
-    segments = gather(pushed(hidden, seed=21), FORCED.front_end())
-    with threadpool_limits(limits=1):
-        found, gain = diagnose_segments(segments, prior_from_drawing(FORCED.model(), np.full(6, 0.1), 3), FORCED)
+    segments = gather(pushed(hidden, seed=21, duration_s=duration_s), config.front_end())
+    known = prior_from_drawing(config.model(), np.full(6, 0.1), 3)
+    found, gain = diagnose.diagnose_segments(segments, known, config)
     # The channels' noise differs, as their motion does, which a drawing does not know.
     (cause,) = (c for c in found.causes if c.effect.name != "sensor_noise")
     assert (cause.effect.name, cause.effect.location) == ("hysteretic_slip", place), found.causes

@@ -11,13 +11,13 @@ import pytest
 from monitor.diagnosis import initial_fit, stepwise_selection
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit
+from monitor.diagnosis.missing_modes import couple_modes
 from monitor.diagnosis.modal_start import find_modal_starts, fit_from_modes, identify_modes
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.inference import tone_log_odds
 from monitor.model import parse_effect
 from tests.support.turning_frame import CONTEXT, TORSION, TRUTH, diagnosed, drawn, posterior, spectra
 
-"""Rate of the samples, Hz: forces that are linear between them are white up to a twelfth of it."""
 OFF = np.array([1.3, 0.75, 1.25])
 """What the drawing says of the stiffnesses, over the truth."""
 
@@ -55,13 +55,14 @@ def test_the_spectra_are_fitted_from_there() -> None:
 
 
 @pytest.mark.engine
-def test_modes_that_the_model_lacks_are_named_as_such() -> None:
+def test_modes_that_the_model_lacks_are_named_as_such_and_are_not_coupled_where_nothing_is() -> None:
     found = diagnosed(OFF, *TORSION)
     assert found.verdict == "named"
     assert [c.effect.name for c in found.causes] == ["unmodelled_mode"] * 2
     for cause, true in zip(found.causes, TORSION, strict=True):
         value, std = (d["frequency_hz"] for d in (cause.effect.values(), cause.std))
         assert abs(value - true.values()["frequency_hz"]) < 3.0 * std
+    assert couple_modes(found.posterior, found.final_fit) is None
 
 
 @pytest.mark.engine

@@ -10,17 +10,16 @@ from typing import cast
 import numpy as np
 import pytest
 
-from drivers.base import ACCELERATION
 from monitor.core import Array
 from monitor.diagnosis import score_test, selection_round
 from monitor.diagnosis.ambiguity import tied_candidates
-from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import (
     Candidate,
     _expected_gains,
     _far_from_prior,
     best_first,
     best_of_each,
+    candidate_starts,
     fit_candidate,
     rank_by_score,
 )
@@ -29,66 +28,48 @@ from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_initial_mo
 from monitor.inference import (
     MapEstimate,
     Moments,
-    ObservedSpectra,
     Posterior,
     Prediction,
     classify,
-    gather,
     join_coordinates,
     maximize_posterior,
 )
 from monitor.inference.cross_spectra import accelerance
 from monitor.inference.higher_moments import _skewness
-from monitor.model import Effect, prior_from_drawing, simulate
-from monitor.model.effects import ChannelSwap, CubicStiffness, SensorGain, StiffnessChange
-from monitor.runs import cut_into_blocks
-from monitor.runs.diagnose import learn_healthy_prior
-from tests.support.jointed_frame import CONFIG, RATE
+from monitor.model import Effect, parse_effect
+from tests.support.jointed_frame import CONFIG, CONTEXT, TURNING, fitted, learned, recorded
 from tests.support.turning_frame import TORSION
 
 pytestmark = pytest.mark.engine
 
 
 def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse_it() -> None:
-    context = CONFIG.instrumented().context(RATE)
-    motion = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
-    blocks = cut_into_blocks(ACCELERATION, motion.floors[:, [0, 2, 1]], CONFIG.channels, RATE, 10**18, 128)
-    known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
-    problem, null = fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
+    problem, null = fitted(recorded(seed=8, reads=np.eye(3)[[0, 2, 1]], duration_s=200.0, noise=0.05))
     assert null.log_prior < -20.0
     (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, (), 3))[:2]
-    assert isinstance(first, ChannelSwap)
+    assert first.name == "channel_swap"
     assert first.location == "channel a2,a3"
     assert gain > 2.0 * second
 
 
 def test_a_reversed_channel_is_ranked_first_beside_modes_that_are_forced_otherwise_than_at_calibration() -> None:
-    context = CONFIG.instrumented().context(RATE)
-
-    def recorded(torsion: tuple[Effect, ...], sign: float) -> ObservedSpectra:
-        model = replace(CONFIG.model(), effects=torsion)
-        motion = simulate(model, duration_s=300.0, rate_hz=RATE, noise=0.03, seed=7, context=context)
-        samples = motion.floors * np.array([sign, 1.0, 1.0])
-        blocks = cut_into_blocks(ACCELERATION, samples, CONFIG.channels, RATE, 10**18, 128)
-        return classify(gather(blocks, CONFIG.front_end()))
-
-    weak = tuple(e.at(np.r_[e.coordinates[:2], 0.3 * e.coordinates[2:]]) for e in TORSION)
-    learnt = learn_healthy_prior(recorded(TORSION, 1.0).segments, CONFIG)
-    problem, null, _ = fit_initial_model(recorded(weak, -1.0), learnt, context)
+    learnt = learned(*TURNING)
+    modes = map(parse_effect, TURNING)
+    weak = tuple(e.at(np.r_[e.coordinates[:2], 0.3 * e.coordinates[2:5], e.coordinates[5:]]) for e in modes)
+    segments = recorded(*weak, seed=7, reads=np.array([-1.0, 1.0, 1.0]))
+    problem, null, _ = fit_initial_model(classify(segments), learnt, CONTEXT)
     assert learnt.n_persistent and learnt.log_density(null.x[: learnt.mean.size]) < -20.0
-    (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, (), 3))[:2]
+    shaped = [(e.name, e.location) for e in candidate_starts(problem, null) if e.nonlinear or e.is_narrow]
+    (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, shaped, 3))[:2]  # the others' fits take long
     assert (first.name, first.location) == ("sensor_polarity", "channel a1")
     assert gain > 2.0 * second
 
 
 def test_beside_modes_that_were_added_no_fit_is_held_at_a_drawing_far_off() -> None:
     """Such fits took most of the time of an eight-floor building's calibration."""
-    context = CONFIG.instrumented().context(RATE)
-    model = replace(CONFIG.model(), effects=(StiffnessChange("story 2", -0.2), TORSION[0]))
-    motion = simulate(model, duration_s=200.0, rate_hz=RATE, noise=0.05, seed=10, context=context)
-    blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
-    known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
-    problem, null = fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
+    problem, null = fitted(
+        recorded("stiffness_change:story 2:relative=-0.2", TORSION[0], seed=10, duration_s=200.0, noise=0.05)
+    )
     start = join_coordinates(null.x, TORSION[:1])
     beside_mode = maximize_posterior(problem, start, TORSION[:1])
     assert max(null.log_prior, beside_mode.log_prior) < -20.0
@@ -98,19 +79,12 @@ def test_beside_modes_that_were_added_no_fit_is_held_at_a_drawing_far_off() -> N
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channel: int) -> None:
     """A hundred times less noise than motion: what 2 % makes of the spectra is no straight line."""
-    context = CONFIG.instrumented().context(RATE)
-    motion = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE, noise=0.01, seed=9, context=context)
-    blocks = cut_into_blocks(
-        ACCELERATION, motion.floors * np.where(np.arange(3) == channel, 0.98, 1.0), CONFIG.channels, RATE, 10**18, 128
-    )
-    problem, null = fit_linearized(
-        classify(gather(blocks, CONFIG.front_end())), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3), context
-    )
-    ranked = best_of_each(rank_by_score(problem, null, (), 3))
+    reads = np.where(np.arange(3) == channel, 0.98, 1.0)
+    problem, null = fitted(recorded(seed=9, reads=reads, duration_s=200.0, noise=0.01), std=0.01)
     (promise, effect), *_ = [
         item
-        for item in ranked
-        if item[1].location == f"channel {CONFIG.channels[channel]}" and isinstance(item[1], SensorGain)
+        for item in best_of_each(rank_by_score(problem, null, (), 3))
+        if item[1].location == f"channel {CONFIG.channels[channel]}" and item[1].name == "sensor_gain"
     ]
     found = fit_candidate(problem, null, effect)
     assert found.effect.values()["gain"] == pytest.approx(0.98, abs=0.002)
@@ -118,16 +92,13 @@ def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channe
 
 
 def candidate(evidence: float, location: str, nonlinear: bool = True) -> Candidate:
-    effect = CubicStiffness(location, 1e26) if nonlinear else StiffnessChange(location, -0.1)
-    return Candidate(effect, cast(MapEstimate, SimpleNamespace()), 50.0, evidence)
+    size = "cubic_stiffness:{}:k3_n_per_m3=1e26" if nonlinear else "stiffness_change:{}:relative=-0.1"
+    return Candidate(parse_effect(size.format(location)), cast(MapEstimate, SimpleNamespace()), 50.0, evidence)
 
 
 def test_a_start_without_a_finite_gain_is_never_moved_to_the_size_it_predicts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside a structure held where it cannot explain a swapped channel it made a loss of no size, and the search failed."""
-    motion = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE, noise=0.05, seed=9)
-    blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
-    context, known = CONFIG.instrumented().context(RATE), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3)
-    problem, null = fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
+    problem, null = fitted(recorded(seed=9, duration_s=200.0, noise=0.05), std=0.01)
     whole = score_test.whitened_slope
 
     def broken(at: Posterior, fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:
@@ -135,7 +106,7 @@ def test_a_start_without_a_finite_gain_is_never_moved_to_the_size_it_predicts(mo
         return np.full_like(slope, np.nan) if effect.location == "story 2" else slope
 
     monkeypatch.setattr(score_test, "whitened_slope", broken)
-    starts: list[Effect] = [StiffnessChange(f"story {j}", -0.01) for j in (1, 2, 3)]
+    starts: list[Effect] = [parse_effect(f"stiffness_change:story {j}:relative=-0.01") for j in (1, 2, 3)]
     found = _expected_gains(problem, null, starts)
     assert {effect.location for _, effect in found} == {"story 1", "story 3"}
     assert all(np.isfinite([gain, *effect.coordinates]).all() for gain, effect in found)

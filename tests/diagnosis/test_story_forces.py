@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +18,11 @@ from tests.support.pushed_frame import FORCED, pushed
 pytestmark = pytest.mark.engine
 
 
+@cache
+def linear(ground: bool) -> tuple[StoryLaw, ...]:
+    return laws(gather(pushed(seed=8, ground=ground), FORCED.front_end()))
+
+
 def laws(segments: Segments) -> tuple[StoryLaw, ...]:
     """Laws beside a model that was fitted without any cause."""
     known = prior_from_drawing(FORCED.model(), np.full(6, 0.1), 3)
@@ -28,9 +34,7 @@ def laws(segments: Segments) -> tuple[StoryLaw, ...]:
 
 @pytest.mark.parametrize("ground", [False, True])
 def test_a_linear_frame_has_the_stiffness_of_its_model_at_every_level(ground: bool) -> None:
-    for law, k in zip(
-        laws(gather(pushed(seed=8, ground=ground), FORCED.front_end())), (2900.0, 1500.0, 1900.0), strict=True
-    ):
+    for law, k in zip(linear(ground), (2900.0, 1500.0, 1900.0), strict=True):
         assert "changes with the level as the model does, to within" in law.says
         np.testing.assert_allclose(law.stiffness_n_per_m, k, rtol=0.03)
         np.testing.assert_allclose(law.stiffness_n_per_m, law.model_stiffness_n_per_m, rtol=0.02)
@@ -38,7 +42,7 @@ def test_a_linear_frame_has_the_stiffness_of_its_model_at_every_level(ground: bo
 
 
 def test_the_loop_has_the_story_s_force_and_drift() -> None:
-    law = laws(gather(pushed(seed=8), FORCED.front_end()))[1]
+    law = linear(ground=False)[1]
     for loop in (law.measured, law.before, law.after):
         k = float(loop.force_n @ loop.drift_m / (loop.drift_m @ loop.drift_m))
         assert k == pytest.approx(1500.0, rel=0.03)

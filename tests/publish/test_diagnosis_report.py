@@ -22,6 +22,8 @@ from monitor.publish.reports.charts import decades, ticks
 from monitor.publish.reports.comparison import compare, level_dependence
 from monitor.publish.reports.diagnosis_report import page, write_report
 from monitor.publish.viewer.diagnosis_view import write_view
+from tests.support import jointed_frame
+from tests.support.jointed_frame import COLOUR, FORCES, GAINS
 from tests.support.searched import CONFIG, GAIN, LOSS, REFERENCE, Case, recorded, searched
 
 pytestmark = pytest.mark.engine
@@ -129,6 +131,21 @@ def test_what_is_not_judged_is_drawn_shaded_and_said_why() -> None:
         shown[name] = page(found, content_of(found, HeldOutGain(), (), {"without": [], "with": []}), part)
     assert 'class="unjudged"' in shown["narrow"] and "above 20.0 Hz nothing is judged" in shown["narrow"]
     assert 'class="unjudged"' not in shown["whole"] and "nothing is judged" not in shown["whole"]
+
+
+@pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (FORCES,)], ids=["colour and gains", "forces of every day"])
+def test_the_forces_that_stand_are_drawn_where_their_spectrum_was_learned(standing: tuple[str, ...]) -> None:
+    segments = jointed_frame.recorded(*standing, seed=2)
+    prior, context = jointed_frame.learned(*standing), jointed_frame.CONTEXT
+    found = diagnose(classify(segments), prior, context, DiagnosisSettings(worth=1e9))
+    shown = page(found, content_of(found, HeldOutGain(), (), {"without": [], "with": []}), segments)
+    title = "forces on the floors at calibration"
+    assert (title in shown, "rise_1" in shown) == (standing == (FORCES,), False)
+    if title in shown:  # falling, not level
+        drawn = re.search(r'<polyline class="line after" points="([^"]*)"', shown[shown.index(title) :])
+        assert drawn is not None
+        heights = [float(point.partition(",")[2]) for point in drawn[1].split()]
+        assert heights[-1] > heights[0] + 50.0  # px, downwards
 
 
 def test_the_limit_is_that_of_the_diagnosis(cases: dict[str, Case], tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A frame with an effect in a joint, recorded and fitted without it."""
+"""A frame whose recordings may hide effects: recorded, fitted without them, learned with them."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import numpy as np
 
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
+from monitor.core import Array
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.inference import MapEstimate, Posterior, classify, gather
-from monitor.model import Effect, Model, prior_from_drawing, simulate
-from monitor.runs import cut_into_blocks
+from monitor.inference import MapEstimate, Posterior, Segments, classify, gather
+from monitor.model import Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
+from monitor.runs import cut_into_blocks, diagnose
+from tests.support.brisk import briefly
+from tests.support.reference import once
 
 RATE = 128.0
 
@@ -20,27 +23,77 @@ FRAME = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_pe
 SENSORS = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
 
 
-BRISK = {"ranked": 8, "tried": 3, "favourites": 2}
-"""Settings of a search that fits fewer candidates than usual."""
+PLAIN = Configuration.model_validate({"structure": FRAME, "sensors": SENSORS})
+CONFIG = briefly(PLAIN)
 
 
-CONFIG = Configuration.model_validate(
-    {
-        "structure": FRAME,
-        "sensors": SENSORS,
-        "processing": {"cutoff_hz": 30.0, "hop_s": 5.0},
-        "refinement": {"segment_s": 10.0},
-        "diagnosis": BRISK,
-    }
-)
-"""The modes lie below 25 Hz; segments half as long as usual bear recordings half as long."""
+CONTEXT = CONFIG.instrumented().context(RATE)
+
+
+def recorded(
+    *effects: str | Effect,
+    seed: int,
+    reads: Array | None = None,
+    config: Configuration = CONFIG,
+    duration_s: float = 300.0,
+    noise: float = 0.02,
+    level_spread: float = 0.0,
+) -> Segments:
+    """The frame with effects, seen by channels that read the floors by a matrix, or each by a factor."""
+    present = tuple(parse_effect(e) if isinstance(e, str) else e for e in effects)
+    floors = simulate(
+        Model(config.model().structure, present),
+        duration_s=duration_s,
+        rate_hz=RATE,
+        noise=noise,
+        level_spread=level_spread,
+        seed=seed,
+        context=CONTEXT,
+    ).floors
+    if reads is not None:
+        floors = floors * reads if reads.ndim == 1 else floors @ reads.T
+    return gather(cut_into_blocks(ACCELERATION, floors, config.channels, RATE, 10**18, 128), config.front_end())
+
+
+def known(std: float = 0.002) -> StructuralPrior:
+    """The drawing, of which every stiffness and mass is known to a share."""
+    return prior_from_drawing(CONFIG.model(), np.full(6, std), 3)
+
+
+def fitted(segments: Segments, std: float = 0.002) -> tuple[Posterior, MapEstimate]:
+    """The drawing fitted to a recording."""
+    return fit_linearized(classify(segments), known(std), CONTEXT)
 
 
 def posed(effect: Effect, seed: int = 5) -> tuple[Posterior, MapEstimate]:
     """A recording with the effect, and the model without it fitted."""
-    model = Model(CONFIG.model().structure, (effect,))
-    context = CONFIG.instrumented().context(RATE)
-    motion = simulate(model, duration_s=200.0, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context)
-    blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
-    known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
-    return fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
+    return fitted(recorded(effect, seed=seed, duration_s=200.0, noise=0.05, level_spread=0.35))
+
+
+COLOUR = "coloured_excitation:frame:corner_hz=12"
+GAINS = ("sensor_gain:channel a1:gain=1.015", "sensor_gain:channel a2:gain=0.985")
+
+
+def forces(share: float, more: float) -> str:
+    """Falling ever faster, but for a hump at 8 Hz, and pushing floors together."""
+    rises = (f"rise_{i}={(0.3 if i == 10 else -0.3 - 0.3 * (i > 10)) + more}" for i in range(1, 16))
+    return f"ambient_forces:frame:common_share={share}," + ",".join(rises)
+
+
+FORCES, ANOTHER_DAY = forces(0.3, 0.0), forces(0.33, 0.06)
+"""Of the forces, and how they are on another day."""
+
+
+TURNING = (
+    "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=2.0,shape_2=1.5,shape_3=-0.9,"
+    "force_ratio=0.6,eccentricity_1=-0.275,eccentricity_2=-0.238,eccentricity_3=-0.081",
+    "unmodelled_mode:frame:frequency_hz=17.0,damping_ratio=0.01,shape_1=1.0,shape_2=-2.0,shape_3=0.6,"
+    "force_ratio=0.9,eccentricity_1=0.02,eccentricity_2=-0.1,eccentricity_3=-0.1",
+)
+"""Modes of a frame that turns besides."""
+
+
+@once
+def learned(*standing: str) -> StructuralPrior:
+    """The reference of a healthy frame that has had some effects from the start."""
+    return diagnose.learn_healthy_prior(recorded(*standing, seed=1), CONFIG)

@@ -25,9 +25,11 @@ FORCED = Configuration.model_validate(
 )
 
 
-def pushed(*effects: str, seed: int, ground: bool = False, late_s: int = 0) -> list[SampleBlock]:
+def pushed(
+    *effects: str, seed: int, ground: bool = False, late_s: int = 0, duration_s: float = 120.0
+) -> list[SampleBlock]:
     """A frame that a measured force on floor 2 shakes, on a ground that moves as well if wanted."""
-    rate_hz, n = 256.0, round(120.0 * 256.0)
+    rate_hz, n = 256.0, round(duration_s * 256.0)
     model = Model(FORCED.model().structure, tuple(parse_effect(e) for e in effects))
     rng = np.random.default_rng(seed)
     level = level_wander(n, rate_hz, 0.5, rng)

@@ -7,19 +7,15 @@ from functools import cache
 import numpy as np
 
 from drivers.base import ACCELERATION
-from monitor.config import Configuration
 from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import ObservedSpectra, Posterior, classify, gather, make_posterior
 from monitor.model import Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
-from tests.support.jointed_frame import BRISK, FRAME, SENSORS
-from tests.support.reference import once
+from tests.support.brisk import BRISK
+from tests.support.jointed_frame import PLAIN
 
 RATE = 512.0
-
-
-CONFIG = Configuration.model_validate({"structure": FRAME, "sensors": SENSORS, "diagnosis": BRISK})
 
 
 TORSION = tuple(
@@ -28,10 +24,10 @@ TORSION = tuple(
 )
 
 
-TRUTH = CONFIG.model()
+TRUTH = PLAIN.model()
 
 
-CONTEXT = CONFIG.instrumented().context(RATE)
+CONTEXT = PLAIN.instrumented().context(RATE)
 
 
 @cache
@@ -40,7 +36,7 @@ def spectra(*effects: Effect) -> ObservedSpectra:
     model = Model(TRUTH.structure, effects)
     motion = simulate(model, duration_s=600.0, rate_hz=RATE, noise=0.03, seed=5, context=CONTEXT)
     return classify(
-        gather(cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128), CONFIG.front_end())
+        gather(cut_into_blocks(ACCELERATION, motion.floors, PLAIN.channels, RATE, 10**18, 128), PLAIN.front_end())
     )
 
 
@@ -54,6 +50,5 @@ def posterior(off: np.ndarray, *effects: Effect) -> Posterior:
     return make_posterior(spectra(*effects), drawn(off), CONTEXT)
 
 
-@once
-def diagnosed(off: tuple[float, ...], *effects: Effect) -> Diagnosis:
-    return diagnose(spectra(*effects), drawn(np.array(off)), CONTEXT, CONFIG.diagnosis)
+def diagnosed(off: np.ndarray, *effects: Effect) -> Diagnosis:
+    return diagnose(spectra(*effects), drawn(off), CONTEXT, BRISK)

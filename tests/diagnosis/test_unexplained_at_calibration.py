@@ -1,0 +1,72 @@
+"""What no effect explains, and modes that no model in a plane has: at calibration they stand, later they are no news."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monitor.core import Array
+from monitor.diagnosis.cross_validation import HeldOutGain
+from monitor.diagnosis.files import content as content_of
+from monitor.diagnosis.stepwise_selection import diagnose
+from monitor.diagnosis.verdict import Diagnosis
+from monitor.inference import classify
+from monitor.model import StructuralPrior
+from monitor.runs.diagnose import learn_healthy_prior
+from tests.support.files import through_its_file
+from tests.support.jointed_frame import CONFIG, CONTEXT, TURNING, learned, recorded
+
+pytestmark = pytest.mark.engine
+
+STANDING_CROSSTALK = 0.3
+"""So much of the first channel's signal is in the last one's, which no effect explains."""
+LOSS = "stiffness_change:story 2:relative=-0.06"
+
+
+def mixed(crosstalk: float) -> Array:
+    return np.eye(3) + crosstalk * np.outer([0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def unexplained() -> StructuralPrior:
+    """Learned without the effects that explain less than 100 nats of the misfit, which take most of the time."""
+    certain = CONFIG.model_copy(update={"diagnosis": CONFIG.diagnosis.model_copy(update={"margin": 100.0})})
+    return learn_healthy_prior(recorded(seed=1, reads=mixed(STANDING_CROSSTALK)), certain)
+
+
+def diagnosed(
+    prior: StructuralPrior, seed: int, *effects: str, crosstalk: float = STANDING_CROSSTALK, max_causes: int = 2
+) -> Diagnosis:
+    """Diagnose a later recording of the same frame."""
+    segments = recorded(*effects, seed=seed, reads=mixed(crosstalk))
+    return diagnose(classify(segments), prior, CONTEXT, CONFIG.diagnosis.model_copy(update={"max_causes": max_causes}))
+
+
+def test_what_nothing_explains_at_calibration_is_no_news_later(unexplained: StructuralPrior) -> None:
+    assert unexplained.error is not None
+    clean = diagnosed(unexplained, 2)
+    assert clean.verdict == "none", [c.effect for c in clean.causes]
+    said = content_of(clean, HeldOutGain(), (), {"without": [], "with": []})
+    low, high = said["standing_misfit"]["bands_hz"][0]
+    assert f"{low:.1f}-{high:.1f}" in said["standing_misfit"]["says"] and "healthy" in said["says"]
+
+
+def test_a_loss_is_named_beside_what_nothing_explains(unexplained: StructuralPrior) -> None:
+    loss = diagnosed(unexplained, 3, LOSS)
+    assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 2")]
+    size, std = loss.causes[0].effect.values()["relative"], loss.causes[0].std["relative"]
+    assert abs(size + 0.06) < 2.0 * std < 0.04
+
+
+def test_a_change_of_what_nothing_explains_is_news(unexplained: StructuralPrior) -> None:
+    assert diagnosed(unexplained, 4, crosstalk=0.45, max_causes=1).verdict == "unexplained"
+
+
+def test_a_channel_that_reads_low_is_named_in_a_structure_that_turns() -> None:
+    """The modes carried from calibration must not bend to what one channel reads, nor the fit start without them."""
+    reference = through_its_file(learned(*TURNING), CONFIG)
+    assert "unmodelled_mode" in [e.name for e in reference.model.effects]
+    segments = recorded(*TURNING, "sensor_gain:channel a2:gain=0.85", seed=2)
+    low = diagnose(classify(segments), reference, CONTEXT, CONFIG.diagnosis)
+    assert [(c.effect.name, c.effect.location) for c in low.causes] == [("sensor_gain", "channel a2")]
+    assert abs(low.causes[0].effect.values()["gain"] - 0.85) < 3.0 * low.causes[0].std["gain"] < 0.06
