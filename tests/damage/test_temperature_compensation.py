@@ -278,7 +278,9 @@ def slow_site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Conf
 def healthy(slow_site: Configuration, tmp_path_factory: pytest.TempPathFactory) -> Baseline:
     """Learned from a recording with a ramp of 10 K, through its file."""
     folder = tmp_path_factory.mktemp("healthy")
-    learned, _ = calibrate.calibrate([record(folder / "ramp.mcap", slow_site, np.linspace(10, 20, 3000), 1, 0.0)], slow_site)
+    learned, _ = calibrate.calibrate(
+        [record(folder / "ramp.mcap", slow_site, np.linspace(10, 20, 3000), 1, 0.0)], slow_site
+    )
     save_baseline(learned, folder / "b.json")
     return load_baseline(folder / "b.json", slow_site.instrumented(), slow_site.updating)
 

@@ -59,20 +59,22 @@ def _name(make: Callable[..., object], arguments: tuple[object, ...]) -> str:
 def once(make: Callable[P, T]) -> Callable[P, T]:
     """Compute a function's result once for all workers; arguments tell themselves apart by `repr`, results are pickled.
 
-    Each caller has a copy of its own, the same within one worker.
+    All callers of a worker have the same copy.
     """
+    here: dict[str, T] = {}
 
-    @functools.cache
-    def kept(*arguments: object, **named: object) -> T:
-        with _alone(_name(make, (*arguments, *sorted(named.items())))) as place:
-            if place.exists():
-                return pickle.loads(place.read_bytes())
-            result = make(*arguments, **named)
-            place.with_suffix(".part").write_bytes(pickle.dumps(result))
-            place.with_suffix(".part").rename(place)
-            return result
+    @functools.wraps(make)
+    def kept(*arguments: P.args, **named: P.kwargs) -> T:
+        name = _name(make, (*arguments, *sorted(named.items())))
+        if name not in here:
+            with _alone(name) as place:
+                if not place.exists():
+                    place.with_suffix(".part").write_bytes(pickle.dumps(make(*arguments, **named)))
+                    place.with_suffix(".part").rename(place)
+                here[name] = pickle.loads(place.read_bytes())
+        return here[name]
 
-    return functools.wraps(make)(kept)
+    return kept
 
 
 def folder_once(make: Callable[[Path], object]) -> Callable[[], Path]:
