@@ -172,12 +172,12 @@ class _Scored:
                 of_fold[i] = np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
             samples += np.bincount(of_held, minlength=blocks.n) * (of_both[0].samples / np.count_nonzero(held))
         gain = _summarize_scores(nats, samples, spectra, blocks)
-        return replace(gain, calibration=_calibration_nats(self.diagnosis, form) / float(samples.sum()))
+        return replace(gain, calibration=calibration_nats(self.diagnosis, form) / float(samples.sum()))
 
     def is_confirmed_over(self, form: MapEstimate) -> bool:
         """Decide if the effects that a form lacks gain over it."""
         added = self.diagnosis.final_fit.effects[len(form.effects) :]
-        return _is_confirmed(self.diagnosis, added, self.gain_over(form))
+        return confirms(self.diagnosis, added, self.gain_over(form))
 
 
 def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
@@ -206,7 +206,7 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
     return _Scored.of(_Folds.of(segments), diagnosis).gain_over(diagnosis.null_fit)
 
 
-def _calibration_nats(diagnosis: Diagnosis, without: MapEstimate) -> float:
+def calibration_nats(diagnosis: Diagnosis, without: MapEstimate) -> float:
     """Compute the log density of what calibration learned at the final fit, less that at the other form's; see `HeldOutGain`."""
     posterior = diagnosis.posterior
     prior, structure = posterior.prior, posterior.layout.structure
@@ -321,12 +321,12 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
         scored = _Scored.of(folds, found)
         if all(scored.is_confirmed_over(rest.final_fit) for rest in shorter[n_withdrawn + 1 :]):
             gain = scored.gain_over(found.null_fit)
-            if _is_confirmed(found, found.final_fit.effects, gain):
+            if confirms(found, found.final_fit.effects, gain):
                 return found, gain if found.verdict != "none" else HeldOutGain()
-    return _without_causes(diagnosis), HeldOutGain()
+    return without_any_cause(diagnosis), HeldOutGain()
 
 
-def _is_confirmed(diagnosis: Diagnosis, effects: Sequence[Effect], gain: HeldOutGain) -> bool:
+def confirms(diagnosis: Diagnosis, effects: Sequence[Effect], gain: HeldOutGain) -> bool:
     """Decide if those effects of a diagnosis that were added gain on held-out data.
 
     Of an ambiguous answer the most probable alternative must gain.  Where no data can be held out, the effects stay.
@@ -343,7 +343,7 @@ def _is_confirmed(diagnosis: Diagnosis, effects: Sequence[Effect], gain: HeldOut
     return gain.is_significant or confirmed_by_sum
 
 
-def _without_causes(diagnosis: Diagnosis) -> Diagnosis:
+def without_any_cause(diagnosis: Diagnosis) -> Diagnosis:
     """Withdraw all causes."""
     return replace(
         diagnosis,

@@ -148,12 +148,12 @@ def find_excess_peaks(
         i = int(excess.argmax())
         values, vectors = np.linalg.eigh(spectra[max(0, i - 1) : i + 2].sum(axis=0).real)
         amplitude = vectors[:, -1] * np.sqrt(max(values[-1], 0.0) / posterior.observed.counts.sum())
-        found.append(Peak(float(band.hz[i] + band.bin_hz * _line_offset(power, i)), amplitude))
+        found.append(Peak(float(band.hz[i] + band.bin_hz * line_offset(power, i)), amplitude))
         excess[max(0, i - 4) : i + 5] = -np.inf
     return found
 
 
-def _line_offset(power: Array, i: int) -> float:
+def line_offset(power: Array, i: int) -> float:
     """Interpolate the frequency of a spectral line from its power in two neighbouring bins.
 
     Parameters
@@ -194,14 +194,12 @@ def rank_by_score(
         Number of the best effects beside the prior's structure that are fitted from there.
     """
     excluded = tuple(excluded)
-    gains = _expected_gains(posterior, null_fit, candidate_starts(posterior, null_fit, excluded))
-    if _far_from_prior(posterior, null_fit):
+    gains = expected_gains(posterior, null_fit, candidate_starts(posterior, null_fit, excluded))
+    if far_from_prior(posterior, null_fit):
         held, rest = _fit_at_prior(posterior, null_fit)
         candidates = candidate_starts(held, rest, excluded)  # other peaks are in excess there
         lost = null_fit.log_posterior - rest.log_posterior
-        at_prior = sorted(
-            ((g - lost, e) for g, e in _expected_gains(held, rest, candidates)), key=lambda item: -item[0]
-        )
+        at_prior = sorted(((g - lost, e) for g, e in expected_gains(held, rest, candidates)), key=lambda item: -item[0])
         # No score test tells what a law that is not proportional to its size, or has none, may gain once the structure is free,
         # nor what a law gains whose size is large beside that structure.
         shaped = [e for e in candidates if e.parameters and not e.proportional]
@@ -212,9 +210,7 @@ def rank_by_score(
     return sorted((item for item in gains if np.isfinite(item[0])), key=lambda item: -item[0])
 
 
-def _expected_gains(
-    posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]
-) -> list[tuple[float, Effect]]:
+def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]) -> list[tuple[float, Effect]]:
     """Predict the gain of every start about one fit, nats; leave out those of which none can be predicted.
 
     The change of the spectra by a small effect, less the part that the nuisances explain, is compared with the residual.
@@ -262,7 +258,7 @@ def _expected_gains(
 
 def best_of_each_kind(posterior: Posterior, null_fit: MapEstimate, starts: list[Effect]) -> list[Effect]:
     """Keep of every kind of effect the start, of any place, of which the score test predicts the largest gain."""
-    gains = sorted(_expected_gains(posterior, null_fit, starts), key=lambda item: item[0])
+    gains = sorted(expected_gains(posterior, null_fit, starts), key=lambda item: item[0])
     return list({effect.name: effect for _, effect in gains}.values())
 
 
@@ -284,7 +280,7 @@ def whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Pred
     )
 
 
-def _far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
+def far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
     """Decide if a fit without measured ground motion went far from the structure's prior.
 
     Modes that the model lacks lead a fit there for good: beside the prior's structure they are other modes.
@@ -434,7 +430,7 @@ def fit_candidate(
     if rough is not None and not driven and rough.delta_log_posterior > 0.0:
         start = rough.fit.x, rough.fit.effects
     found = score_candidate(posterior, null_fit, fitted(*start, frozen=frozen))
-    if not quick and _far_from_prior(posterior, null_fit):
+    if not quick and far_from_prior(posterior, null_fit):
         near = _fit_at_prior(posterior, null_fit, effect)[1]
         promising = (
             found.may_reach(min_log_evidence) or sum(posterior.score(near.x, near.effects)) > found.fit.log_posterior

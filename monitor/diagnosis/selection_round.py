@@ -71,16 +71,16 @@ def run_selection_round(
     starts = rank_by_score(posterior, fit, excluded, settings.favourites)
     ranked = [item for item in best_of_each(starts) if item[0] > min_gain]
     if posterior.observed.drive is None:
-        valid = _fit_ambient(posterior, fit, ranked, settings)
+        valid = fit_ambient(posterior, fit, ranked, settings)
     else:
         valid = _fit_driven(posterior, fit, ranked, [effect for _, effect in starts], settings)
     return sorted(
-        _simulate_contenders(posterior, fit, best_first(valid), added, settings),
+        simulate_contenders(posterior, fit, best_first(valid), added, settings),
         key=lambda p: -p.candidate.log_evidence,
     )
 
 
-def _is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
+def is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
     """Decide if a linear cause is valid: its size is significant and plausible.
 
     An oscillator must move within the band and must not be damped at once, since a heavy mass that hardly moves acts as a damper.
@@ -92,7 +92,7 @@ def _is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
     return effect.nonlinear or is_significant(effect, std[std.size - len(effect.parameters) :])
 
 
-def _fit_ambient(
+def fit_ambient(
     posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
 ) -> list[Candidate]:
     """Fit the best effects fully, and return those that are valid causes.
@@ -104,8 +104,8 @@ def _fit_ambient(
     while True:
         chosen, min_log_evidence = _shortlist_ambient(ranked, rough, settings)
         new = {key: effect for key, effect in chosen.items() if key not in fitted}
-        fitted |= _fit_fully(posterior, fit, new, rough, min_log_evidence)
-        valid = {key: c for key, c in fitted.items() if _is_valid_cause(posterior, c)}
+        fitted |= fit_fully(posterior, fit, new, rough, min_log_evidence)
+        valid = {key: c for key, c in fitted.items() if is_valid_cause(posterior, c)}
         invalid = fitted.keys() - valid.keys()
         if not rough or rough[0].key not in invalid:
             return list(valid.values())
@@ -121,11 +121,11 @@ def _fit_driven(
 ) -> list[Candidate]:
     """Fit the best effects fully where the ground is measured, and return those that are valid causes."""
     chosen, rough = _shortlist_driven(posterior, fit, ranked, starts, settings)
-    fitted = _fit_fully(posterior, fit, chosen, rough, -np.inf)
-    return [c for c in fitted.values() if _is_valid_cause(posterior, c)]
+    fitted = fit_fully(posterior, fit, chosen, rough, -np.inf)
+    return [c for c in fitted.values() if is_valid_cause(posterior, c)]
 
 
-def _fit_fully(
+def fit_fully(
     posterior: Posterior,
     fit: MapEstimate,
     effects: dict[tuple[str, str], Effect],
@@ -199,7 +199,7 @@ def _shortlist_driven(
     return {(e.name, e.location): e for e in (*same, *found, *failed)}, rough
 
 
-def _simulate_contenders(
+def simulate_contenders(
     posterior: Posterior, fit: MapEstimate, candidates: list[Candidate], added: Moments, settings: DiagnosisSettings
 ) -> list[RefittedCandidate]:
     """Simulate the nonlinear laws among the best candidates, and compare all candidates with the measured moments.
@@ -259,7 +259,7 @@ def _compare_moments(
     refitted = [simulated.get(c.key, RefittedCandidate(c, posterior, before)) for c in candidates]
     oriented = [
         (p, likelihood)
-        for p, likelihood in (_choose_orientation(p, before, measured) for p in refitted)
+        for p, likelihood in (choose_orientation(p, before, measured) for p in refitted)
         if np.isfinite(p.candidate.log_evidence + likelihood)
     ]
     if not oriented:
@@ -268,7 +268,7 @@ def _compare_moments(
     return [_add_evidence(p, likelihood - first) for p, likelihood in oriented]
 
 
-def _choose_orientation(
+def choose_orientation(
     refitted: RefittedCandidate, before: Moments, measured: MeasuredMoments
 ) -> tuple[RefittedCandidate, float]:
     """Choose the orientation of a candidate's law that fits the measured moments best; return candidate and log likelihood."""

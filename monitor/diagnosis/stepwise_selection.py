@@ -67,7 +67,7 @@ definition: the damping is known to a factor of e then]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _SearchState:
+class SearchState:
     """State of the search between two rounds."""
 
     posterior: Posterior
@@ -115,14 +115,14 @@ def diagnose(
     while _n_counted(stage) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
         rounds.append(tuple(p.candidate.without_slopes() for p in candidates))
-        candidates = _sufficient(stage, candidates, threshold)
+        candidates = sufficient_candidates(stage, candidates, threshold)
         if not candidates:
-            stage, candidates = _prefer_cause_to_coupling(stage, settings)
+            stage, candidates = prefer_cause_to_coupling(stage, settings)
             if not candidates:
                 break
             rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
         tied = tied_candidates(candidates, settings.rival)
-        if not any(is_independent_of_direction(p.candidate.effect) for p in tied) and _shows_other_direction(
+        if not any(is_independent_of_direction(p.candidate.effect) for p in tied) and shows_other_direction(
             stage, settings
         ):
             from_elsewhere = True  # no cause would be stated
@@ -159,7 +159,7 @@ def _begin(
     context: Context,
     settings: DiagnosisSettings,
     wider: StructuralPrior | None,
-) -> tuple[_SearchState, list[tuple[Candidate, ...]], tuple[MapEstimate, ...]]:
+) -> tuple[SearchState, list[tuple[Candidate, ...]], tuple[MapEstimate, ...]]:
     """Fit the model without causes, then the modes that it lacks.
 
     The wider prior takes the place of `prior` where it explains more of the misfit than it leaves, beyond what its parameters
@@ -168,9 +168,9 @@ def _begin(
     Returns
     -------
     stage, rounds, optima
-        As `_start_from_modes`.
+        As `start_from_modes`.
     """
-    begun = _start_from_modes(_first_stage(observed, prior, context, settings), settings)
+    begun = start_from_modes(_first_stage(observed, prior, context, settings), settings)
     stage = begun[0]
     if wider is None or not find_lack_of_fit(stage.posterior, stage.fit, settings):
         return begun
@@ -181,18 +181,18 @@ def _begin(
     least = max(left, settings.margin)
     if gain > least:  # otherwise the forces' fits decide nothing
         gain -= _gain_by_forces(stage)
-    return _start_from_modes(shaped, settings) if gain > least else begun
+    return start_from_modes(shaped, settings) if gain > least else begun
 
 
 def _first_stage(
     observed: ObservedSpectra, prior: StructuralPrior, context: Context, settings: DiagnosisSettings
-) -> _SearchState:
+) -> SearchState:
     """Fit the model without causes."""
     posterior, fit, moments = fit_initial_model(observed, prior, context)
-    return _SearchState(posterior, fit, fit, (), moments, settings.margin)
+    return SearchState(posterior, fit, fit, (), moments, settings.margin)
 
 
-def _gain_by_forces(stage: _SearchState) -> float:
+def _gain_by_forces(stage: SearchState) -> float:
     """Fit the effects of the forces; return the log evidence of the best of them, or zero."""
     posterior, fit = stage.posterior, stage.fit
     starts = [e for e in candidate_starts(posterior, fit) if e.family == "excitation" and not e.repeatable]
@@ -202,14 +202,12 @@ def _gain_by_forces(stage: _SearchState) -> float:
     return max([0.0, *filter(np.isfinite, fits)])
 
 
-def _search_once(
-    stage: _SearchState, settings: DiagnosisSettings
-) -> tuple[_SearchState, list[RefittedCandidate], float]:
+def _search_once(stage: SearchState, settings: DiagnosisSettings) -> tuple[SearchState, list[RefittedCandidate], float]:
     """Run one round of the search, and once more where it came upon a better fit without a further cause.
 
     Returns
     -------
-    stage : _SearchState
+    stage : SearchState
         Refitted where a better fit was found.
     candidates : list of RefittedCandidate
         Further causes, best first.
@@ -233,8 +231,8 @@ def _search_once(
     )
 
 
-def _sufficient(
-    stage: _SearchState, candidates: Sequence[RefittedCandidate], threshold: float
+def sufficient_candidates(
+    stage: SearchState, candidates: Sequence[RefittedCandidate], threshold: float
 ) -> list[RefittedCandidate]:
     """Return the candidates, best first, whose log evidence suffices to accept them."""
     at, fit = stage.posterior, stage.fit
@@ -243,16 +241,16 @@ def _sufficient(
     ]
 
 
-def _prefer_cause_to_coupling(
-    stage: _SearchState, settings: DiagnosisSettings
-) -> tuple[_SearchState, list[RefittedCandidate]]:
+def prefer_cause_to_coupling(
+    stage: SearchState, settings: DiagnosisSettings
+) -> tuple[SearchState, list[RefittedCandidate]]:
     """Find a cause that explains more, beside modes that are not coupled, than the coupling of these modes explains.
 
     A mode that is coupled to the floors moves their frequencies, so that couplings may stand in for a cause in the structure.
 
     Returns
     -------
-    stage : _SearchState
+    stage : SearchState
         With the modes uncoupled; as it was where there is no such cause.
     candidates : list of RefittedCandidate
         The causes, best first; empty where there is none.
@@ -265,7 +263,7 @@ def _prefer_cause_to_coupling(
         return stage, []
     before = replace(stage, posterior=update_linearization(posterior, apart), fit=apart)
     before, candidates, threshold = _search_once(before, settings)
-    causes = [p for p in _sufficient(before, candidates, threshold) if not p.candidate.effect.repeatable]
+    causes = [p for p in sufficient_candidates(before, candidates, threshold) if not p.candidate.effect.repeatable]
     if not causes:
         return stage, []
     best = causes[0].candidate
@@ -273,9 +271,9 @@ def _prefer_cause_to_coupling(
     return (before, causes) if gain >= stage.margin else (stage, [])
 
 
-def _start_from_modes(
-    stage: _SearchState, settings: DiagnosisSettings
-) -> tuple[_SearchState, list[tuple[Candidate, ...]], tuple[MapEstimate, ...]]:
+def start_from_modes(
+    stage: SearchState, settings: DiagnosisSettings
+) -> tuple[SearchState, list[tuple[Candidate, ...]], tuple[MapEstimate, ...]]:
     """Fit from the recording's own modes, where the fit from the drawing leaves lack of fit.
 
     A drawing may be so far off that a fit from it ends in a false optimum, and may lack modes that the recording has.  A baseline
@@ -283,7 +281,7 @@ def _start_from_modes(
 
     Returns
     -------
-    stage : _SearchState
+    stage : SearchState
         With the modes that the model lacks as accepted causes.
     rounds : list of tuple of Candidate
         For every such mode the candidates among which it was accepted.
@@ -322,15 +320,15 @@ def _start_from_modes(
 
 
 def _follow(
-    stage: _SearchState, start: MapEstimate, settings: DiagnosisSettings
-) -> tuple[_SearchState, list[tuple[Candidate, ...]]]:
+    stage: SearchState, start: MapEstimate, settings: DiagnosisSettings
+) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
     """Remove the modes of a start that others made superfluous, and add those that are still missing.
 
     Returns
     -------
-    stage : _SearchState
+    stage : SearchState
     rounds : list of tuple of Candidate
-        As `_start_from_modes`.
+        As `start_from_modes`.
     """
     posterior, gain = stage.posterior, start.log_posterior - stage.fit.log_posterior
     accepted = tuple(
@@ -348,7 +346,7 @@ def _follow(
     return stage, [(c,) for c in accepted] + at_peaks
 
 
-def _explained_by_one(stage: _SearchState, evidence: float, settings: DiagnosisSettings) -> bool:
+def _explained_by_one(stage: SearchState, evidence: float, settings: DiagnosisSettings) -> bool:
     """Decide if one other cause explains a recording as well as several modes that the model lacks, of log evidence `evidence`.
 
     A law that depends on the level distorts the peaks of the model, and modes beside them imitate the distortion.
@@ -360,7 +358,7 @@ def _explained_by_one(stage: _SearchState, evidence: float, settings: DiagnosisS
 
 
 def _prefer_mode(
-    stage: _SearchState, tied: list[RefittedCandidate], settings: DiagnosisSettings
+    stage: SearchState, tied: list[RefittedCandidate], settings: DiagnosisSettings
 ) -> list[RefittedCandidate]:
     """Return the mode, where the model lacks modes already and one more ties with the best causes; else these."""
     modes = [p for p in tied if p.candidate.effect.repeatable]
@@ -370,7 +368,7 @@ def _prefer_mode(
     return modes[:1] or tied
 
 
-def _n_counted(stage: _SearchState) -> int:
+def _n_counted(stage: SearchState) -> int:
     """Count the accepted causes that the search is limited to.
 
     Modes that the model lacks may be many.  So may sensors' faults where an input was measured, which separates them
@@ -381,13 +379,13 @@ def _n_counted(stage: _SearchState) -> int:
 
 
 def _add_missing_modes(
-    stage: _SearchState, settings: DiagnosisSettings
-) -> tuple[_SearchState, list[tuple[Candidate, ...]]]:
+    stage: SearchState, settings: DiagnosisSettings
+) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
     """Add modes that the model lacks, until the highest peak left has another cause or none.
 
     Returns
     -------
-    stage : _SearchState
+    stage : SearchState
     rounds : list of tuple of Candidate
         For every mode the candidates among which it was accepted.
     """
@@ -409,7 +407,7 @@ def _add_missing_modes(
         stage = replace(stage, posterior=update_linearization(stage.posterior, coupled), fit=coupled)
 
 
-def _acceptance_threshold(stage: _SearchState, settings: DiagnosisSettings) -> float:
+def _acceptance_threshold(stage: SearchState, settings: DiagnosisSettings) -> float:
     """Compute the log evidence that the next cause needs, nats."""
     if (
         stage.posterior.observed.drive is not None
@@ -422,7 +420,7 @@ def _acceptance_threshold(stage: _SearchState, settings: DiagnosisSettings) -> f
 
 
 def _refit_ground_interpolation(
-    stage: _SearchState, candidates: list[RefittedCandidate], min_gain: float
+    stage: SearchState, candidates: list[RefittedCandidate], min_gain: float
 ) -> tuple[Posterior, MapEstimate] | None:
     """Refit with the interpolation of the ground motion that the best candidates prefer; return None where it is the present one.
 
@@ -445,7 +443,7 @@ def _refit_ground_interpolation(
     return posterior, maximize_posterior(posterior, stage.fit.x, stage.fit.effects, iterations=FAR)
 
 
-def _accept(stage: _SearchState, best: RefittedCandidate, settings: DiagnosisSettings) -> _SearchState:
+def _accept(stage: SearchState, best: RefittedCandidate, settings: DiagnosisSettings) -> SearchState:
     """Accept a cause: refit all parameters beside it, and update the evidence that a further cause needs."""
     accepted = (*stage.accepted, best.candidate)
     posterior, fit = best.posterior, best.candidate.fit
@@ -466,24 +464,24 @@ def _accept(stage: _SearchState, best: RefittedCandidate, settings: DiagnosisSet
             settings.aftermath * best.candidate.delta_log_posterior,
             settings.margin + DIFFERS_STDS * best.log_evidence_std,
         )
-    return _SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
+    return SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
 
 
 def _accept_beside_tie(
-    stage: _SearchState, tied: RefittedCandidate, settings: DiagnosisSettings
-) -> tuple[_SearchState, list[RefittedCandidate]] | None:
+    stage: SearchState, tied: RefittedCandidate, settings: DiagnosisSettings
+) -> tuple[SearchState, list[RefittedCandidate]] | None:
     """Search, while rivals are tied, for a cause that is there whichever rival is the true cause.
 
     Parameters
     ----------
-    stage : _SearchState
+    stage : SearchState
         State before any of the rivals.
     tied : RefittedCandidate
         The best of the rivals.
 
     Returns
     -------
-    tuple of _SearchState and list of RefittedCandidate, or None
+    tuple of SearchState and list of RefittedCandidate, or None
         The state with the further cause, and the candidates among which it was found.  None where there is no such cause, or
         where it is itself tied.
     """
@@ -491,7 +489,7 @@ def _accept_beside_tie(
         return None
     extended = _accept(stage, tied, settings)
     refitted, candidates, threshold = _search_once(extended, settings)
-    candidates = _sufficient(refitted, candidates, threshold)
+    candidates = sufficient_candidates(refitted, candidates, threshold)
     if not candidates or len(tied_candidates(candidates, settings.rival)) > 1:
         return None
     found = candidates[0].candidate.effect
@@ -501,7 +499,7 @@ def _accept_beside_tie(
     return _accept(stage, RefittedCandidate(further_cause, stage.posterior, stage.moments), settings), candidates
 
 
-def _shows_other_direction(stage: _SearchState, settings: DiagnosisSettings) -> bool:
+def shows_other_direction(stage: SearchState, settings: DiagnosisSettings) -> bool:
     """Decide if no cause so far may stand in for another direction of the forces, and they act in another than at calibration."""
     if not all(is_independent_of_direction(e) for e in stage.fit.effects):
         return False

@@ -160,7 +160,7 @@ def judge(
     if verdict == "unexplained":
         found = _keep_confirmed_elsewhere(found, settings)
         left_over = _left_over(found, settings)
-    direction = _find_other_direction(found, settings) if verdict != "none" or from_elsewhere else None
+    direction = find_direction_beside_causes(found, settings) if verdict != "none" or from_elsewhere else None
     if direction is not None:
         found = found.keep([False] * len(found.fit.effects))
         verdict, alternatives = "unexplained", ()
@@ -169,7 +169,7 @@ def judge(
     posterior, fit = found.posterior, found.fit
     findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, null_fit)))
     still = find_level_dependence(backbone(posterior, fit))
-    causes, also_fitted = _causes(found)
+    causes, also_fitted = stated_causes(found)
     return Diagnosis(
         verdict=verdict,
         causes=causes,
@@ -242,7 +242,7 @@ def _keep_confirmed_elsewhere(found: FittedCauses, settings: DiagnosisSettings) 
     return found.keep(parallel_map(is_confirmed, range(len(fit.effects))))
 
 
-def _find_other_direction(found: FittedCauses, settings: DiagnosisSettings) -> LackOfFit | None:
+def find_direction_beside_causes(found: FittedCauses, settings: DiagnosisSettings) -> LackOfFit | None:
     """Find that the forces act in another direction than at calibration, by the fit with the sensors' faults and machines alone.
 
     Other causes may stand in for the direction; a channel that is exchanged, or a machine, changes the forces that are fitted
@@ -285,7 +285,7 @@ def has_nonlinear(fit: MapEstimate) -> bool:
     return any(e.nonlinear for e in fit.effects)
 
 
-def _causes(found: FittedCauses) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
+def stated_causes(found: FittedCauses) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
     """List the accepted effects with the standard deviations of their parameters: those that are stated, then the others."""
     posterior, fit = found.posterior, found.fit
     std = coordinate_std(posterior, fit, found.simulation_std)

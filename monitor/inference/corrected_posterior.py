@@ -94,7 +94,7 @@ class CorrectedPosterior(AmbientPosterior):
             factors = [_apparent_size_factor(e, next(growth) if e in moving else still) for e in corrected]
             grown = sizes * (np.hstack(factors) - 1.0)
             relative = relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion)
-        return _bound_corrections(relative)
+        return bound_corrections(relative)
 
     def _coordinate_scale(self, x: Array, laws: Sequence[Effect]) -> Array:
         """Compute the factor on the laws' coordinates that keeps their ratio to the masses and stiffnesses, shape (p,)."""
@@ -176,7 +176,7 @@ def _smooth_over_frequency(relative: ComplexArray, hz: Array) -> ComplexArray:
     return np.asarray(np.moveaxis(np.tensordot(near, relative, axes=(1, -3)), 0, -3))
 
 
-def _bound_corrections(relative: ComplexArray) -> ComplexArray:
+def bound_corrections(relative: ComplexArray) -> ComplexArray:
     """Bound relative corrections so that the corrected spectra stay positive definite, shape (classes, n_bins, c, c)."""
     deep = ~definite(relative - _MIN_CORRECTION * np.eye(relative.shape[-1])) & np.isfinite(relative).all(axis=(-2, -1))
     values, vectors = np.linalg.eigh(relative[deep])
@@ -201,7 +201,7 @@ def relative_to(spectra: ComplexArray, offset: ComplexArray, hz: Array) -> Compl
         ``L^-1 offset L^-H``, smoothed and bounded.
     """
     inverse = np.linalg.inv(np.linalg.cholesky(spectra))
-    return _bound_corrections(_smooth_over_frequency(_congruence(inverse, offset), hz))
+    return bound_corrections(_smooth_over_frequency(_congruence(inverse, offset), hz))
 
 
 def correct_posterior(

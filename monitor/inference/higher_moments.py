@@ -107,7 +107,7 @@ def measure_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstim
         Fit that gives the modes.
     """
     split = _split_by_mode(transforms, posterior, at)
-    skew, tails = _skewness(split.floors, posterior), [_kurtosis(narrow, split.level) for narrow in split.modes]
+    skew, tails = drift_skewness(split.floors, posterior), [_kurtosis(narrow, split.level) for narrow in split.modes]
     mean, std = (Moments(skew[i], np.array([t[i] for t in tails])) for i in (0, 1))
     return MeasuredMoments(mean, std, _kurtosis_between_modes(split, posterior.observed.band.hz))
 
@@ -116,7 +116,7 @@ def simulate_moments(transforms: ComplexArray, posterior: Posterior, at: MapEsti
     """Compute the moments of simulated segments as `measure_moments` does, without standard deviations."""
     split = _split_by_mode(transforms, posterior, at)
     tails = np.array([_kurtosis(narrow, split.level)[0] for narrow in split.modes])
-    return Moments(_skewness(split.floors, posterior)[0], tails)
+    return Moments(drift_skewness(split.floors, posterior)[0], tails)
 
 
 def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
@@ -192,7 +192,7 @@ def _kurtosis_between_modes(split: _Split, hz: Array) -> float:
     return max(0.0, float(np.dot(found, weight)) / max(sum(weight), 1.0))
 
 
-def _skewness(floors: ComplexArray, posterior: Posterior) -> tuple[Array, Array]:
+def drift_skewness(floors: ComplexArray, posterior: Posterior) -> tuple[Array, Array]:
     """Compute the mean skewness of the drifts over segments, and its standard deviation, shape (n_stories,) each.
 
     A drift that no sensor moves with has the skewness 0 with an infinite standard deviation.

@@ -111,7 +111,9 @@ def maximize_posterior(
             return nowhere
 
     def move(at: _Point, step: Array) -> _Point:
-        return max((evaluate(at, s) for s in _shortened(posterior, step, at.effects)), key=lambda point: point.value)
+        return max(
+            (evaluate(at, s) for s in shortened_steps(posterior, step, at.effects)), key=lambda point: point.value
+        )
 
     search = levenberg_marquardt(
         start,
@@ -200,7 +202,7 @@ def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: S
     return _Slopes(slopes, residual, mean_residual, slopes.information + precision, gradient)
 
 
-def _shortened(posterior: Posterior, step: Array, effects: Sequence[Effect]) -> tuple[Array, ...]:
+def shortened_steps(posterior: Posterior, step: Array, effects: Sequence[Effect]) -> tuple[Array, ...]:
     """Shorten a step, shape (p,), to its bounds, so that a fit from a bad start does not diverge.
 
     Where a coordinate's step is too long, either that coordinate's alone is shortened, or the whole step.  The former is longer,

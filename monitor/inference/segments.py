@@ -159,11 +159,18 @@ class Segments:
         )
 
 
-def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
+def gather(
+    blocks: Iterable[SampleBlock],
+    front_end: FrontEnd,
+    *,
+    most_driven: int = _DRIVEN_SEGMENTS,
+    lead_s: float = _LEAD_S,
+) -> Segments:
     """Condition a recording as in the pipeline and cut it into segments.
 
     Segments that hold a brief fault of one sensor are left out.  Where inputs were measured, the segments are those of the
-    three minutes with the largest inputs, with the inputs from one minute before.
+    three minutes with the largest inputs, with the inputs from one minute before; unless another number of segments,
+    `most_driven`, or another lead is given.
 
     The band is the part of the whole band that the recording can judge, see `monitor.inference.judged_band`: where the floors'
     motion or, where they were measured, the inputs show that forces act.
@@ -221,7 +228,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
             source_hz=conditioner.rate_in_hz,
             filtered=lambda hz: _filter_response(conditioner, hz),
         )
-        located = _keep_strongest(runs, list(floors.segments), whole, to_segments)
+        located = _keep_strongest(runs, list(floors.segments), whole, to_segments, most_driven, lead_s)
     drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered, peaks = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
@@ -265,22 +272,27 @@ def _inputs(topic: str, front_end: FrontEnd) -> list[Input]:
 
 
 def _keep_strongest(
-    runs: Runs, t_ns: Sequence[int], band: Band, locate: Callable[[Runs, Sequence[int]], Located | None]
+    runs: Runs,
+    t_ns: Sequence[int],
+    band: Band,
+    locate: Callable[[Runs, Sequence[int]], Located | None],
+    most: int,
+    lead_s: float,
 ) -> Located | None:
-    """Locate segments as `input_response.locate` does, but keep at most `_DRIVEN_SEGMENTS` consecutive ones.
+    """Locate segments as `input_response.locate` does, but keep at most `most` consecutive ones.
 
     The kept segments are those with the largest inputs.
     """
     located = locate(runs, t_ns)
-    if located is None or located[0].first.size <= _DRIVEN_SEGMENTS:
+    if located is None or located[0].first.size <= most:
         return located
     drive, covered = located
-    first = int(np.convolve(drive.power(band), np.ones(_DRIVEN_SEGMENTS), mode="valid").argmax())
-    chosen = np.flatnonzero(covered)[first : first + _DRIVEN_SEGMENTS]
+    first = int(np.convolve(drive.power(band), np.ones(most), mode="valid").argmax())
+    chosen = np.flatnonzero(covered)[first : first + most]
     rate_hz, times = drive.design.rate_hz, [t_ns[i] for i in chosen]
     cut = []
     for begin, samples in runs:
-        ends_s = np.array([times[0] - begin, times[-1] - begin]) * 1e-9 + [-_LEAD_S, drive.design.n / rate_hz]
+        ends_s = np.array([times[0] - begin, times[-1] - begin]) * 1e-9 + [-lead_s, drive.design.n / rate_hz]
         low, high = np.clip(np.rint(ends_s * rate_hz).astype(int), 0, len(samples))
         if high > low:
             cut.append((begin + round(low / rate_hz * 1e9), samples[low:high]))

@@ -114,7 +114,7 @@ class SpectralSlopes(Slopes):
         root : ndarray, shape (classes, n_bins)
             Root of the information in each bin.
         """
-        whitening = _whitening(spectra, root)
+        whitening = whitening_roots(spectra, root)
         information = _information(shared, scale, own, whitening)
         return cls(shared, scale, own, order, whitening, information[np.ix_(order, order)])
 
@@ -138,7 +138,7 @@ class SpectralSlopes(Slopes):
 
 def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) -> Array:
     """Compute the information on the shared, then on the own parameters, shape (p, p)."""
-    joint = _joint_directions(root)
+    joint = joint_directions(root)
     if joint is not None:
         return _joint_information(shared, scale, own, *joint)
     (classes, c, _, bins), p = root.shape, len(shared) + len(own)
@@ -153,7 +153,7 @@ def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) ->
     return out
 
 
-def _joint_directions(root: ComplexArray) -> tuple[ComplexArray, Array] | None:
+def joint_directions(root: ComplexArray) -> tuple[ComplexArray, Array] | None:
     """Find directions in which the spectra of all classes are diagonal, as those of one model at several levels are.
 
     Returns
@@ -186,7 +186,7 @@ def _joint_directions(root: ComplexArray) -> tuple[ComplexArray, Array] | None:
 
 
 def _joint_information(shared: Array, scale: Array, own: Array, directions: ComplexArray, weight: Array) -> Array:
-    """Compute as `_information` with slopes that are turned once for all classes, see `_joint_directions`."""
+    """Compute as `_information` with slopes that are turned once for all classes, see `joint_directions`."""
     c, bins = directions.shape[1:]
     main = (scale == scale[:, :1]).all(axis=0)
     n, p, classes = np.count_nonzero(main), len(shared) + len(own), range(len(scale))
@@ -265,7 +265,7 @@ def _congruence(directions: ComplexArray) -> Array:
 
 
 @compiled(error_model="numpy")
-def _whitening(spectra: ComplexArray, root: Array) -> ComplexArray:
+def whitening_roots(spectra: ComplexArray, root: Array) -> ComplexArray:
     """Compute ``sqrt(root) L^-1`` with ``S = L L^H``, shape (classes, c, c, n_bins); zero where S is not positive definite."""
     classes, bins, c, _ = spectra.shape
     out = np.zeros((classes, c, c, bins), dtype=np.complex128)

@@ -7,21 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.base import ACCELERATION
 from monitor.diagnosis.backward_elimination import (
     eliminate_backward,
     find_better_null_fit,
     fit_subset,
     join_coordinates,
 )
-from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant, summarize_fit
 from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate
-from monitor.inference import MapEstimate, Posterior, classify, gather, maximize_posterior, normal_moments
-from monitor.model import Context, Model, parse_effect, prior_from_drawing, simulate
-from monitor.runs import cut_into_blocks
-from tests.support.jointed_frame import CONFIG, RATE
+from monitor.inference import MapEstimate, Posterior, maximize_posterior, normal_moments
+from monitor.model import parse_effect
+from tests.support.jointed_frame import fitted, recorded
 
 pytestmark = pytest.mark.engine
 
@@ -29,13 +26,7 @@ MASS, OFFSET = "added_mass:floor 2:mass_kg=0.04", "time_offset:channel a3:second
 
 
 def prepared(*effects: str) -> tuple[Posterior, MapEstimate]:
-    model = Model(CONFIG.model().structure, tuple(parse_effect(e) for e in effects))
-    context = Context(model.structure, CONFIG.channels, CONFIG.instrumented().sensor_matrix, RATE)
-    motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
-    blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
-    return fit_linearized(
-        classify(gather(blocks, CONFIG.front_end())), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3), context
-    )
+    return fitted(recorded(*effects, seed=8, duration_s=200.0, noise=0.05), std=0.01)
 
 
 @pytest.fixture(scope="module")

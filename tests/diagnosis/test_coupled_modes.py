@@ -14,11 +14,11 @@ from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction
 from monitor.diagnosis.missing_modes import as_seen, is_stated, resonances
 from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import _shows_other_direction
-from monitor.diagnosis.verdict import FittedCauses, _find_other_direction
+from monitor.diagnosis.stepwise_selection import shows_other_direction
+from monitor.diagnosis.verdict import FittedCauses, find_direction_beside_causes
 from monitor.inference import Band, Posterior, maximize_posterior
 from monitor.inference.cross_spectra import Excitation, channel_response, cross_spectra, extended
-from monitor.inference.map_estimate import _shortened
+from monitor.inference.map_estimate import shortened_steps
 from monitor.model import Condition, Effect, EffectError, Model, StructuralPrior, System, parse_effect, simulate
 from monitor.model.effects import UnmodelledMode
 from tests.support.turning_frame import CONTEXT, RATE, TORSION, TRUTH, diagnosed, posterior
@@ -145,7 +145,7 @@ def test_forces_of_another_direction_vanish_on_the_floors(
         cause = SimpleNamespace(family=family, lines=lambda lines=lines: lines)
         fit = SimpleNamespace(x=np.array(forces), effects=(cause,))
         stage: Any = SimpleNamespace(posterior=at, fit=fit)
-        assert _shows_other_direction(stage, DiagnosisSettings()) is ends
+        assert shows_other_direction(stage, DiagnosisSettings()) is ends
 
 
 @pytest.mark.parametrize(("times", "found"), [(0.1, False), (1.0, False), (3.0, False), (10.0, True)])
@@ -195,7 +195,7 @@ def test_causes_that_move_a_coupled_mode_of_calibration_are_not_believed(ratio: 
     x = there.layout.with_structure(np.zeros(there.layout.n_nuisance), there.prior.mean)
     moved = np.log(ratio) * (np.arange(x.size) == there.layout.structure.stop - COUPLED.coordinates.size)
     fit: Any = SimpleNamespace(x=x + moved, effects=(), n_effect=0)
-    said = _find_other_direction(FittedCauses(there, fit, 0, np.zeros(0)), DiagnosisSettings())
+    said = find_direction_beside_causes(FittedCauses(there, fit, 0, np.zeros(0)), DiagnosisSettings())
     assert (said is not None) is silent
     if said is not None:
         assert said.is_explained and said.says.endswith("nothing can be said of the structure beside it")
@@ -219,10 +219,10 @@ def test_a_long_step_is_shortened_in_two_ways() -> None:
     at = posterior(np.ones(3))
     step = np.zeros(at.layout.n_nuisance)
     step[at.layout.stiffness], step[at.layout.forces] = 1.0, 0.5
-    bounded, scaled = _shortened(at, step, ())
+    bounded, scaled = shortened_steps(at, step, ())
     assert bounded[at.layout.forces] == pytest.approx(0.5) and scaled[at.layout.forces] == pytest.approx(0.05)
     assert bounded[at.layout.stiffness] == pytest.approx(0.1) == scaled[at.layout.stiffness]
-    assert len(_shortened(at, 0.1 * step, ())) == 1
+    assert len(shortened_steps(at, 0.1 * step, ())) == 1
 
 
 def test_slopes_of_extra_modes_are_those_of_the_whole_spectra() -> None:

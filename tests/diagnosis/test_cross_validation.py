@@ -10,11 +10,11 @@ import pytest
 from drivers.base import ACCELERATION
 from monitor.diagnosis.cross_validation import (
     HeldOutGain,
-    _calibration_nats,
-    _is_confirmed,
-    _without_causes,
+    calibration_nats,
     confirm_on_held_out,
+    confirms,
     heldout_gain,
+    without_any_cause,
 )
 from monitor.diagnosis.fold_refit import fitted_model
 from monitor.diagnosis.initial_fit import fit_linearized
@@ -154,11 +154,9 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
     beside = replace(found, verdict="unexplained", misfit=(LackOfFit("f = 1 Hz", 9.0, "more"),))
     loss, nothing_held_out = replace(gain, before=1.0, after=0.9999), HeldOutGain()
     effects = found.final_fit.effects
-    assert not _is_confirmed(replace(beside, causes=(Cause.of(effects[0], np.ones(1)),)), effects, loss)
-    assert _without_causes(beside).left_over == beside.misfit
-    assert _is_confirmed(beside, effects, replace(loss, after=1.0001)) and _is_confirmed(
-        beside, effects, nothing_held_out
-    )
+    assert not confirms(replace(beside, causes=(Cause.of(effects[0], np.ones(1)),)), effects, loss)
+    assert without_any_cause(beside).left_over == beside.misfit
+    assert confirms(beside, effects, replace(loss, after=1.0001)) and confirms(beside, effects, nothing_held_out)
 
 
 def test_what_the_old_form_would_change_of_the_calibration_counts(clean: Segments) -> None:
@@ -168,7 +166,7 @@ def test_what_the_old_form_would_change_of_the_calibration_counts(clean: Segment
     far = found.null_fit.x.copy()
     far[0] += 5.0 * learnt.units[0]
     moved = replace(found, posterior=replace(found.posterior, prior=learnt), null_fit=replace(found.null_fit, x=far))
-    nats = _calibration_nats(moved, moved.null_fit)
+    nats = calibration_nats(moved, moved.null_fit)
     assert nats == pytest.approx(
         learnt.log_density(found.final_fit.x[: learnt.mean.size]) - learnt.log_density(far[: learnt.mean.size])
     )
@@ -181,11 +179,11 @@ def test_an_ambiguous_answer_needs_the_gain_of_its_best_alternative(clean: Segme
     rivals = tuple((Candidate(e, found.final_fit, 9.0, 9.0), 1.0) for e in found.final_fit.effects)
     ambiguous = replace(found, verdict="ambiguous", alternatives=rivals)
     loss = HeldOutGain(1.0, 0.9988, (-0.0030, 0.0005), heldout="blocks")
-    assert not _is_confirmed(ambiguous, found.final_fit.effects, loss)
-    withdrawn = _without_causes(ambiguous)
+    assert not confirms(ambiguous, found.final_fit.effects, loss)
+    withdrawn = without_any_cause(ambiguous)
     assert (withdrawn.verdict, withdrawn.alternatives, withdrawn.final_fit) == ("none", (), found.null_fit)
-    assert _without_causes(replace(ambiguous, misfit=(LackOfFit("f = 1 Hz", 9.0, "more"),))).verdict == "unexplained"
-    assert _is_confirmed(ambiguous, found.final_fit.effects, replace(loss, ci95=(0.0005, 0.0030)))
+    assert without_any_cause(replace(ambiguous, misfit=(LackOfFit("f = 1 Hz", 9.0, "more"),))).verdict == "unexplained"
+    assert confirms(ambiguous, found.final_fit.effects, replace(loss, ci95=(0.0005, 0.0030)))
 
 
 def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
@@ -193,7 +191,7 @@ def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
     gain = heldout_gain(clean.part(np.arange(clean.t_s.size) < 3), found)
     assert (gain.value, gain.ci95) == (0.0, (0.0, 0.0))
     assert "too short" in gain.withheld
-    assert _is_confirmed(found, found.final_fit.effects, gain)  # the headline says why there is no gain
+    assert confirms(found, found.final_fit.effects, gain)  # the headline says why there is no gain
 
 
 def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:

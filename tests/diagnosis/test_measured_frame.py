@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import lzma
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,13 @@ from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
 from monitor.config import Configuration, configuration
 from monitor.damage import load_baseline
+from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.score_test import best_of_each, fit_candidate, rank_by_score
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.inference import Segments, classify, gather
-from monitor.model import StructuralPrior
+from monitor.inference import MapEstimate, Posterior, Segments, classify, gather
+from monitor.model import StructuralPrior, parse_effect, prior_from_drawing
 from monitor.runs import cut_into_blocks, diagnose
 
 ROOT = Path(__file__).parents[2]
@@ -65,3 +69,37 @@ def test_a_channel_that_reads_low_is_named_alone(low: tuple[Segments, Structural
     assert found.verdict == "named" and gain.ci95[0] > 0.0
     assert [(c.effect.name, c.effect.location) for c in found.causes] == [("sensor_gain", "channel a2")]
     assert abs(found.causes[0].effect.values()["gain"] - READS) < 3.0 * found.causes[0].std["gain"] < 0.05
+
+
+@pytest.mark.engine
+def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> None:
+    config = configuration.load(ROOT / "recordings" / "mini-shake-table-flexible.toml")
+    segments = gather(read_recordings([RECORDING]), config.front_end())
+    context = config.instrumented().context(segments.rate_hz)
+    problem, null = fit_linearized(
+        classify(segments), prior_from_drawing(config.model(), config.instrumented().prior_std, 3), context
+    )
+    assert problem.observed.drive is not None
+    assert problem.observed.drive.between == "smooth"
+    joints = fit_candidate(problem, null, parse_effect("joint_flexibility:frame:girder_to_column_ratio=3"))
+    assert joints.log_evidence > 100.0
+    told = find_ratio_change(problem, joints.fit)
+    assert told is not None
+    assert told.says.startswith("frequency ratios: f2/f1 3.0")
+    assert _beside_a_reference_with(joints.fit, problem) is None, "the reference has these ratios already"
+    softer = find_level_dependence(backbone(problem, null))
+    assert softer is not None
+    assert "falls with the level, from 3.7" in softer.says
+
+
+def _beside_a_reference_with(fit: MapEstimate, problem: Posterior) -> LackOfFit | None:
+    """The change of the ratios where the reference has the fit's structure and effects, and a gain is the only cause."""
+    known, gain = problem.prior, parse_effect("sensor_gain:channel a1:gain=1.05")
+    mean = np.concatenate([fit.x[problem.layout.structure], *[e.coordinates for e in fit.effects]])
+    precision = np.eye(mean.size)
+    reference = replace(known, model=replace(known.model, effects=fit.effects), mean=mean, precision=precision)
+    later = replace(problem, prior=reference)
+    x = problem.layout.with_structure(fit.x[problem.layout.nuisances], mean)
+    covariance = 1e-6 * np.eye(x.size + 1)
+    same = replace(fit, x=np.concatenate([x, gain.coordinates]), effects=(gain,), covariance=covariance)
+    return find_ratio_change(later, same)

@@ -14,7 +14,7 @@ from monitor.diagnosis.initial_fit import FAR, first_guess
 from monitor.diagnosis.missing_modes import cost_of_weak_modes, find_missing_modes, is_beyond_weak_modes
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.diagnosis.stepwise_selection import _prefer_cause_to_coupling, _SearchState, _sufficient
+from monitor.diagnosis.stepwise_selection import SearchState, prefer_cause_to_coupling, sufficient_candidates
 from monitor.inference import join_coordinates, maximize_posterior
 from monitor.model import Effect, StructuralPrior, parse_effect
 from tests.support.turning_frame import CONTEXT, TORSION, posterior
@@ -64,9 +64,9 @@ def test_beside_missing_modes_another_cause_needs_what_a_weak_mode_may_leave() -
 
     candidates = [of(loss, 10.0 + needed - 0.1), of(THIRD, 10.1), of(THIRD, 9.9)]
     stage: Any = SimpleNamespace(posterior=at, fit=with_mode)
-    assert _sufficient(stage, candidates, 10.0) == candidates[1:2]
+    assert sufficient_candidates(stage, candidates, 10.0) == candidates[1:2]
     stage.fit = without
-    assert _sufficient(stage, candidates, 10.0) == candidates[:2]
+    assert sufficient_candidates(stage, candidates, 10.0) == candidates[:2]
 
 
 @pytest.mark.parametrize(("lost", "is_baseline"), [(0.05, True), (0.05, False), (0.0, True)])
@@ -107,8 +107,8 @@ def test_a_loss_is_preferred_to_couplings_that_explain_less(
     assert coupled is not None
     x = join_coordinates(null_fit.x, (coupled,))
     fit = maximize_posterior(at, x, (coupled,), iterations=FAR)
-    stage = _SearchState(at, fit, null_fit, (), moments, settings.margin)
-    apart, causes = _prefer_cause_to_coupling(stage, settings)
+    stage = SearchState(at, fit, null_fit, (), moments, settings.margin)
+    apart, causes = prefer_cause_to_coupling(stage, settings)
     if not (lost and is_baseline):
         assert apart is stage and not causes
         return

@@ -135,7 +135,7 @@ def test_of_two_ways_to_couple_modes_the_evidence_decides(
     }
     for name, function in faked.items():
         monkeypatch.setattr(stepwise_selection, name, function)
-    found, rounds, others = stepwise_selection._start_from_modes(stage, DiagnosisSettings())
+    found, rounds, others = stepwise_selection.start_from_modes(stage, DiagnosisSettings())
     best, other = (coupled, apart) if lead > 0.0 else (apart, coupled)
     assert found.fit is best and rounds == [(best,)]
     assert others == (other,) * n_others, "another structure that explains as much"

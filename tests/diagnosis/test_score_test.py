@@ -15,11 +15,11 @@ from monitor.diagnosis import score_test, selection_round
 from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.score_test import (
     Candidate,
-    _expected_gains,
-    _far_from_prior,
     best_first,
     best_of_each,
     candidate_starts,
+    expected_gains,
+    far_from_prior,
     fit_candidate,
     rank_by_score,
 )
@@ -27,6 +27,7 @@ from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_initial_model
 from monitor.inference import (
     MapEstimate,
+    MeasuredMoments,
     Moments,
     Posterior,
     Prediction,
@@ -35,7 +36,7 @@ from monitor.inference import (
     maximize_posterior,
 )
 from monitor.inference.cross_spectra import accelerance
-from monitor.inference.higher_moments import _skewness
+from monitor.inference.higher_moments import drift_skewness
 from monitor.model import Effect, parse_effect
 from tests.support.jointed_frame import CONFIG, CONTEXT, TURNING, fitted, learned, recorded
 from tests.support.turning_frame import TORSION
@@ -73,7 +74,7 @@ def test_beside_modes_that_were_added_no_fit_is_held_at_a_drawing_far_off() -> N
     start = join_coordinates(null.x, TORSION[:1])
     beside_mode = maximize_posterior(problem, start, TORSION[:1])
     assert max(null.log_prior, beside_mode.log_prior) < -20.0
-    assert _far_from_prior(problem, null) and not _far_from_prior(problem, beside_mode)
+    assert far_from_prior(problem, null) and not far_from_prior(problem, beside_mode)
 
 
 @pytest.mark.parametrize("channel", [0, 1, 2])
@@ -107,7 +108,7 @@ def test_a_start_without_a_finite_gain_is_never_moved_to_the_size_it_predicts(mo
 
     monkeypatch.setattr(score_test, "whitened_slope", broken)
     starts: list[Effect] = [parse_effect(f"stiffness_change:story {j}:relative=-0.01") for j in (1, 2, 3)]
-    found = _expected_gains(problem, null, starts)
+    found = expected_gains(problem, null, starts)
     assert {effect.location for _, effect in found} == {"story 1", "story 3"}
     assert all(np.isfinite([gain, *effect.coordinates]).all() for gain, effect in found)
 
@@ -132,7 +133,7 @@ def test_a_law_whose_simulation_diverges_is_no_candidate(monkeypatch: pytest.Mon
     monkeypatch.setattr(selection_round, "refit_by_simulation", diverges)
     monkeypatch.setattr(selection_round, "measure_moments", lambda *a: None)
     linear = [candidate(30.0, "story 2", nonlinear=False), candidate(29.0, "story 3", nonlinear=False)]
-    found = selection_round._simulate_contenders(
+    found = selection_round.simulate_contenders(
         posterior, fit, [candidate(40.0, "story 1"), *linear], moments, DiagnosisSettings()
     )
     assert [p.candidate.key for p in found] == [c.key for c in linear]
@@ -148,13 +149,13 @@ def test_a_rough_fit_that_is_no_valid_cause_keeps_no_rival_out(monkeypatch: pyte
     )
     rough = {c.key: c for c in (best, base, loss, weak)}
     monkeypatch.setattr(selection_round, "fit_roughly", lambda *a: list(rough.values()))
-    monkeypatch.setattr(selection_round, "_fit_fully", lambda p, f, chosen, *a: {key: rough[key] for key in chosen})
+    monkeypatch.setattr(selection_round, "fit_fully", lambda p, f, chosen, *a: {key: rough[key] for key in chosen})
     ranked = [(40.0, best.effect), (21.0, base.effect), (20.0, loss.effect), (1.0, weak.effect)]
     settings = DiagnosisSettings(favourites=2)
 
     def found(invalid: Candidate | None) -> list[Candidate]:
-        monkeypatch.setattr(selection_round, "_is_valid_cause", lambda p, c: c is not invalid)
-        return selection_round._fit_ambient(posterior, fit, ranked, settings)
+        monkeypatch.setattr(selection_round, "is_valid_cause", lambda p, c: c is not invalid)
+        return selection_round.fit_ambient(posterior, fit, ranked, settings)
 
     assert found(invalid=None) == [best, base], "a valid cause that explains far more keeps its rivals out"
     assert found(invalid=best) == [base, loss]
@@ -165,7 +166,7 @@ def test_a_drift_that_no_sensor_moves_with_says_nothing_of_its_skewness() -> Non
     band = SimpleNamespace(hz=np.arange(1.0, 31.0), first=1, n_bins=30)
     structure = SimpleNamespace(drift_matrix=lambda: np.array([[1.0, 0.0], [0.0, 0.0]]))
     problem = SimpleNamespace(observed=SimpleNamespace(band=band), context=SimpleNamespace(structure=structure))
-    mean, std = _skewness(transforms, cast(Posterior, problem))
+    mean, std = drift_skewness(transforms, cast(Posterior, problem))
     assert np.isfinite([mean[0], std[0]]).all() and (mean[1], std[1]) == (0.0, np.inf)
 
 
@@ -178,3 +179,23 @@ def test_an_attached_mass_that_a_fit_lets_go_to_nothing_changes_no_response() ->
     whole = accelerance(mass, damping, stiffness, omega, np.eye(3)[:, :2])
     alone = accelerance(mass[:2, :2].copy(), damping[:2, :2].copy(), stiffness[:2, :2].copy(), omega, np.eye(2))
     np.testing.assert_allclose(whole[:, :2], alone, rtol=1e-12)
+
+
+def test_a_law_that_is_turned_round_lends_its_new_skewness_to_what_follows() -> None:
+    stop = parse_effect("gap_contact:story 1:gap_m=0.001,contact_stiffness_n_per_m=2000")
+    mirror = stop.mirrored()
+    assert mirror is not None
+    x, none_at_all = stop.coordinates, np.zeros(0)
+    estimate = MapEstimate(
+        x, (stop,), 0.0, 0.0, np.zeros((2, 2)), True, np.zeros((0, 2)), none_at_all, none_at_all, np.zeros((2, 2))
+    )
+    before, made = Moments(np.zeros(3), np.zeros(3)), Moments(np.array([0.3, 0.0, 0.0]), np.array([0.1, 0.0, 0.0]))
+    std = Moments(np.full(3, 0.05), np.full(3, 0.05))
+    polished = RefittedCandidate(Candidate(stop, estimate, 50.0, 50.0), cast(Posterior, SimpleNamespace()), made)
+    as_it_is, _ = selection_round.choose_orientation(polished, before, MeasuredMoments(made, std, 0.0))
+    assert as_it_is is polished
+    measured = MeasuredMoments(made.mirrored(before), std, 0.0)
+    turned, likelihood = selection_round.choose_orientation(polished, before, measured)
+    assert turned.candidate.effect == mirror == turned.candidate.fit.effects[0]
+    assert turned.moments.skewness == pytest.approx([-0.3, 0.0, 0.0])
+    assert likelihood == pytest.approx(measured.log_likelihood(made, 1.0) + 0.5 * (0.6 / 0.05) ** 2)

@@ -23,7 +23,7 @@ from monitor.inference import (
     simulate_exact,
     simulate_spectra,
 )
-from monitor.inference.corrected_posterior import _bound_corrections
+from monitor.inference.corrected_posterior import bound_corrections
 from monitor.inference.linearization import forced_motion
 from monitor.model import Effect, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
@@ -118,7 +118,7 @@ def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(
 def test_a_law_that_cannot_stand_has_no_likelihood() -> None:
     unknown = np.full((1, 2, 3, 3), np.nan, dtype=complex)
     deep = -2.0 * np.eye(3) + np.zeros((1, 2, 3, 3), dtype=complex)
-    both = _bound_corrections(np.concatenate([unknown, deep]))
+    both = bound_corrections(np.concatenate([unknown, deep]))
     assert np.isnan(both[0]).all()
     assert np.linalg.eigvalsh(both[1]) == pytest.approx(-0.85 * np.ones((2, 3)))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from monitor.inference import Posterior, with_coordinates
-from monitor.inference.spectral_slopes import _joint_directions, _whitening
+from monitor.inference.spectral_slopes import joint_directions, whitening_roots
 from monitor.model import Effect, parse_effect
 from tests.support.turning_frame import TORSION, posterior
 
@@ -77,6 +77,6 @@ def test_information_and_products_are_those_of_the_whitened_rows(at: Posterior) 
 def test_classes_of_one_model_share_directions_and_others_do_not(at: Posterior) -> None:
     x = point(at, EFFECTS)
     spectra, root = at.scatter(x, EFFECTS), at.root_information()
-    assert _joint_directions(_whitening(spectra, root)) is not None
+    assert joint_directions(whitening_roots(spectra, root)) is not None
     spectra[1] = at.scatter(point(at, (COUPLED,)), (COUPLED,))[1]
-    assert _joint_directions(_whitening(spectra, root)) is None
+    assert joint_directions(whitening_roots(spectra, root)) is None

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,6 @@ from drivers.base import ACCELERATION, GROUND, ROTATION_RATE
 from drivers.mcap_file import read_recordings
 from monitor.config import Configuration, configuration
 from monitor.diagnosis import WitnessRecord, WitnessSensor, compare_witnesses
-from monitor.diagnosis.witness import Witness
 from monitor.model import Condition, Model, ShearFrame
 from monitor.runs import diagnose, import_files
 from monitor.signals import SegmentDesign, transform
@@ -221,7 +221,7 @@ def tell_witnesses(recording: Path, structure: Path, extended: Path | None) -> N
     print(f"  floors come down by {shortening(model).round(3)} d^2/h of the stories below by the model")
 
 
-def compare(recording: Path, config: Configuration, sensors: tuple[WitnessSensor, ...], model: Model) -> list[Witness]:
+def compare(recording: Path, config: Configuration, sensors: tuple[WitnessSensor, ...], model: Model) -> list[Any]:
     """Compare witnesses on a given model, beside the same without its effects."""
     record = WitnessRecord(config.front_end(), sensors)
     for block in read_recordings([recording], topics=(ACCELERATION, GROUND, ROTATION_RATE)):

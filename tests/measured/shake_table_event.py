@@ -29,9 +29,7 @@ from drivers.mcap_writer import McapWriter
 from monitor.config import configuration
 from monitor.diagnosis import Score, score
 from monitor.inference import Segments, gather
-from monitor.model import Model
-from monitor.model.effects.time_offset import TimeOffset
-from monitor.runs import diagnose
+from monitor.model import EFFECTS, Model
 from tests.measured.sensor_faults import CHANNELS
 from tests.measured.shake_table_laws import RATE_HZ, in_band
 
@@ -97,11 +95,14 @@ def best_score(structure: Path, event: Sequence[SampleBlock]) -> tuple[Score, Ar
     """Score a structure with the delays of the channels that suit it best; return the score and the delays, ms."""
     config = configuration.load(structure)
     segments: Segments = gather(event, config.front_end())
-    context, model = diagnose._context(segments, config), config.model()
-    others = tuple(e for e in model.effects if not isinstance(e, TimeOffset))
+    context, model = config.instrumented().context(segments.rate_hz), config.model()
+    others = tuple(e for e in model.effects if e.name != "time_offset")
 
     def scored(delays_ms: Array) -> Score:
-        delays = (TimeOffset(f"channel {name}", 1e-3 * ms) for name, ms in zip(CHANNELS, delays_ms, strict=True))
+        delays = (
+            EFFECTS["time_offset"].create(f"channel {name}", {"seconds": 1e-3 * ms})
+            for name, ms in zip(CHANNELS, delays_ms, strict=True)
+        )
         delayed: Model = replace(model, effects=(*others, *delays))
         return score(segments, delayed, context)
 

@@ -32,7 +32,7 @@ from drivers.base import ACCELERATION, FORCE, SampleBlock
 from monitor.config import Configuration
 from monitor.diagnosis import content, fitted_model, structure_text
 from monitor.inference import gather
-from monitor.model import Model
+from monitor.model import Model, prior_from_drawing
 from monitor.runs import cut_into_blocks, diagnose
 
 RATE_HZ = 1e7 / 2**14 / 10.0
@@ -161,8 +161,9 @@ def main() -> None:
         if options.input:
             blocks += cut_into_blocks(FORCE, force[part, None], ("f1",), RATE_HZ, 10**18, 512, unit="N")
         segments = gather(sorted(blocks, key=lambda b: b.t_ns), config.front_end())
+        prior = prior_from_drawing(config.model(), config.instrumented().prior_std, len(config.channels))
         with threadpool_limits(limits=1):
-            found, gain = diagnose.diagnose_segments(segments, diagnose._drawing_prior(config), config)
+            found, gain = diagnose.diagnose_segments(segments, prior, config)
         told = content(found, gain, (), {})
         print(f"cutoff {cutoff_hz:g} Hz: {told['verdict']}; {told['says']}")
         print(f"  band {told['band']}")

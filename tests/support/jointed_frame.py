@@ -39,7 +39,7 @@ def recorded(
     noise: float = 0.02,
     level_spread: float = 0.0,
 ) -> Segments:
-    """The frame with effects, seen by channels that read the floors by a matrix, or each by a factor."""
+    """The frame with effects, seen by channels that read the floors by a matrix, each by a factor, or by a factor a sample."""
     present = tuple(parse_effect(e) if isinstance(e, str) else e for e in effects)
     floors = simulate(
         Model(config.model().structure, present),
@@ -51,7 +51,7 @@ def recorded(
         context=CONTEXT,
     ).floors
     if reads is not None:
-        floors = floors * reads if reads.ndim == 1 else floors @ reads.T
+        floors = floors @ reads.T if reads.shape == (3, 3) else floors * reads
     return gather(cut_into_blocks(ACCELERATION, floors, config.channels, RATE, 10**18, 128), config.front_end())
 
 
