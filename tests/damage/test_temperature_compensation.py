@@ -270,7 +270,8 @@ def _piece(model: Model, duration_s: float, rate_hz: float, seed: int) -> np.nda
 @pytest.fixture(scope="module")
 def slow_site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
     path = tmp_path_factory.mktemp("site") / "frame.toml"
-    path.write_text(frame_text.replace("window_s = 20.0\nhop_s = 5.0", "window_s = 200.0\nhop_s = 50.0"))
+    slow = frame_text.replace("window_s = 20.0\nhop_s = 5.0", "window_s = 200.0\nhop_s = 50.0\ncutoff_hz = 30.0")
+    path.write_text(slow + "\n[diagnosis]\nworth = 1e9\n")  # no cause is sought: the law is what is asked for
     return configuration.load(path)
 
 

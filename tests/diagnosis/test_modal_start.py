@@ -93,7 +93,8 @@ def test_a_drawing_that_is_far_off_is_no_cause() -> None:
     assert found.verdict == "none" and not found.causes
     assert not find_lack_of_fit(found.posterior, found.final_fit, found.settings)
     assert relative_stiffness(found.final_fit.x) == pytest.approx(np.ones(3), abs=0.01)
-    assert fit_linearized(spectra(), drawn(np.ones(3)), CONTEXT)[1].log_likelihood == pytest.approx(
+    observed = found.posterior.observed
+    assert fit_linearized(observed, drawn(np.ones(3)), CONTEXT)[1].log_likelihood == pytest.approx(
         found.final_fit.log_likelihood, abs=3.0
     )
 

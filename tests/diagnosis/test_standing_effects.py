@@ -14,8 +14,10 @@ from monitor.diagnosis import diagnose as search
 from monitor.inference import Segments, classify, gather
 from monitor.model import Model, StructuralPrior, parse_effect, prior_file, simulate
 from monitor.runs import cut_into_blocks, diagnose
+from tests.support import jointed_frame
 from tests.support.brisk import briefly
 from tests.support.files import through_its_file
+from tests.support.jointed_frame import TURNING
 
 pytestmark = pytest.mark.engine
 
@@ -121,3 +123,13 @@ def test_a_reference_from_its_file_is_the_one_that_was_learned() -> None:
         damaged["mean"][0] = far
         with pytest.raises(ValueError, match="not finite, above zero"):
             prior_file.from_plain(damaged, SITE.model(), SITE.channels)
+
+
+def test_a_channel_that_reads_low_is_named_in_a_structure_that_turns() -> None:
+    """The modes carried from calibration must not bend to what one channel reads, nor the fit start without them."""
+    reference = through_its_file(jointed_frame.learned(*TURNING), jointed_frame.CONFIG)
+    assert "unmodelled_mode" in [e.name for e in reference.model.effects]
+    segments = jointed_frame.recorded(*TURNING, "sensor_gain:channel a2:gain=0.85", seed=2)
+    low = search(classify(segments), reference, jointed_frame.CONTEXT, jointed_frame.CONFIG.diagnosis)
+    assert [(c.effect.name, c.effect.location) for c in low.causes] == [("sensor_gain", "channel a2")]
+    assert abs(low.causes[0].effect.values()["gain"] - 0.85) < 3.0 * low.causes[0].std["gain"] < 0.06

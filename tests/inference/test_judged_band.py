@@ -13,7 +13,7 @@ from scipy.linalg import eigh
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.core import BadInputError
-from monitor.diagnosis.healthy_prior import learn_prior
+from monitor.diagnosis import healthy_prior
 from monitor.inference.exact_simulation import draw_forces
 from monitor.inference.judged_band import find_judged_band
 from monitor.inference.observed_spectra import classify
@@ -187,7 +187,9 @@ def test_a_band_is_narrowed_to_what_the_baseline_could_judge(ended: Segments) ->
 @pytest.mark.engine
 def test_later_diagnoses_compare_where_the_healthy_recording_could_be_judged(ended: Segments) -> None:
     known = prior_from_drawing(CONFIG.model(), np.full(4, 0.1), 2)
-    learnt, _ = learn_prior(classify(ended), known, CONFIG.instrumented().context(RATE_HZ), CONFIG.diagnosis)
+    learnt, _ = healthy_prior.learn_prior(
+        classify(ended), known, CONFIG.instrumented().context(RATE_HZ), CONFIG.diagnosis
+    )
     assert learnt.judged_hz == pytest.approx(ended.band.hz[[0, -1]])
     floors = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE_HZ, seed=5, noise=0.01).floors
     white = gather(cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 10**18, 500), CONFIG.front_end())

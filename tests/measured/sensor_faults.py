@@ -124,99 +124,58 @@ def unchanged(samples: Array, rate_hz: float) -> Array:
     return samples
 
 
+def _of_each_channel(
+    kind: str,
+    label: str,
+    act: Callable[..., Array],
+    effect: str | None = None,
+    size: Callable[[int, Array], float] | None = None,
+    **arguments: float,
+) -> list[Fault]:
+    """The same fault of every channel; `size` is a function of the channel and the healthy samples."""
+    return [
+        Fault(kind, label, f"channel {name}", partial(act, channel=j, **arguments), effect, size and partial(size, j))
+        for j, name in enumerate(CHANNELS)
+    ]
+
+
 def faults() -> list[Fault]:
     """List all faults; neighbours in the list differ in kind, so that a campaign cut short has some of each."""
-    by_kind: list[list[Fault]] = [[Fault("clean", "no fault", "", unchanged)]]
-    channels = list(enumerate(CHANNELS))
-    by_kind.append(
-        [
-            Fault(
-                "gain",
-                f"gain {1.0 + sign * GAIN:.2f}",
-                f"channel {name}",
-                partial(scaled, channel=j, factor=1.0 + sign * GAIN),
-                "sensor_gain",
-                partial(_constant, 1.0 + sign * GAIN),
-            )
-            for sign in (1, -1)
-            for j, name in channels
-        ]
-    )
-    by_kind.append(
-        [
-            Fault(
-                "lag",
-                f"lag {1e3 * sign * LAG_S:+.0f} ms",
-                f"channel {name}",
-                partial(delayed, channel=j, seconds=sign * LAG_S),
-                "time_offset",
-                partial(_constant, sign * LAG_S),
-            )
-            for sign in (1, -1)
-            for j, name in channels
-        ]
-    )
-    by_kind.append(
-        [
-            Fault("polarity", "reversed", f"channel {name}", partial(scaled, channel=j, factor=-1.0), "sensor_polarity")
-            for j, name in channels
-        ]
-    )
-    by_kind.append(
-        [
-            Fault("swap", "swapped", f"channel {pair}", partial(swapped, pair=_indices(pair)), "channel_swap")
-            for pair in PAIRS
-        ]
-    )
-    by_kind.append(
-        [
-            Fault(
-                "clock",
-                f"clock {100.0 * CLOCK:.1f} % fast",
-                f"channel {name}",
-                partial(fast_clock, channel=j, relative=CLOCK),
-            )
-            for j, name in channels
-        ]
-    )
-    by_kind.append(
-        [
-            Fault(
-                "noise",
-                f"noise of {100.0 * share:.0f} %",
-                f"channel {name}",
-                partial(noisy, channel=j, share=share),
-                "sensor_noise",
-                partial(_times_rms, share, j),
-            )
-            for share in reversed(NOISE)
-            for j, name in channels
-        ]
-    )
-    by_kind.append(
-        [
-            Fault(
-                "clipping",
-                f"cut off at {over_rms:g} RMS",
-                f"channel {name}",
-                partial(clipped, channel=j, over_rms=over_rms),
-                "sensor_clipping",
-                partial(_times_rms, over_rms, j),
-            )
-            for over_rms in CLIPPING
-            for j, name in channels
-        ]
-    )
+    gains, lags = [], []
+    for sign in (1, -1):
+        gain, lag_s = 1.0 + sign * GAIN, sign * LAG_S
+        gains += _of_each_channel("gain", f"gain {gain:.2f}", scaled, "sensor_gain", _constant(gain), factor=gain)
+        label = f"lag {1e3 * lag_s:+.0f} ms"
+        lags += _of_each_channel("lag", label, delayed, "time_offset", _constant(lag_s), seconds=lag_s)
+    noises, limits = [], []
+    for share in reversed(NOISE):
+        label = f"noise of {100.0 * share:.0f} %"
+        noises += _of_each_channel("noise", label, noisy, "sensor_noise", _times_rms(share), share=share)
+    for over_rms in CLIPPING:
+        label = f"cut off at {over_rms:g} RMS"
+        limits += _of_each_channel(
+            "clipping", label, clipped, "sensor_clipping", _times_rms(over_rms), over_rms=over_rms
+        )
+    by_kind = [
+        [Fault("clean", "no fault", "", unchanged)],
+        gains,
+        lags,
+        _of_each_channel("polarity", "reversed", scaled, "sensor_polarity", factor=-1.0),
+        [Fault("swap", "swapped", f"channel {p}", partial(swapped, pair=_indices(p)), "channel_swap") for p in PAIRS],
+        _of_each_channel("clock", f"clock {100.0 * CLOCK:.1f} % fast", fast_clock, relative=CLOCK),
+        noises,
+        limits,
+    ]
     longest = max(map(len, by_kind))
     return [kind[i] for i in range(longest) for kind in by_kind if i < len(kind)]
 
 
-def _constant(size: float, healthy: Array) -> float:
-    return size
+def _constant(size: float) -> Callable[[int, Array], float]:
+    return lambda channel, healthy: size
 
 
-def _times_rms(factor: float, channel: int, healthy: Array) -> float:
-    return factor * own_rms(healthy, channel)
+def _times_rms(factor: float) -> Callable[[int, Array], float]:
+    return lambda channel, healthy: factor * own_rms(healthy, channel)
 
 
 def _indices(pair: str) -> tuple[int, int]:

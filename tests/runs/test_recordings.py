@@ -12,10 +12,11 @@ import pytest
 from drivers.mcap_file import read_recordings, recording_info
 from monitor.config import configuration
 from monitor.core import WindowResult, sha256
-from monitor.damage import baseline
+from monitor.damage import Baseline
 from monitor.inference import gather
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, diagnose
+from tests.support.brisk import brisk
 from tests.support.samples import Cli
 
 FOLDER = Path(__file__).parents[2] / "recordings"
@@ -61,7 +62,7 @@ def test_a_simulated_recording_is_what_its_script_makes(name: str, tmp_path: Pat
 def test_a_replay_gives_what_the_index_says(name: str) -> None:
     entry = REPLAYS[name]
     settings = configuration.load(FOLDER / entry["structure"])
-    healthy: baseline.Baseline | None = None
+    healthy: Baseline | None = None
     if entry.get("calibrate"):
         healthy, _ = calibrate.calibrate([FOLDER / f for f in entry["calibrate"]], settings)
     pipeline = Pipeline(settings, healthy)
@@ -82,7 +83,7 @@ def test_a_replay_gives_what_the_index_says(name: str) -> None:
 
 @pytest.mark.engine
 def test_the_damaged_recording_is_diagnosed_as_what_it_was_made_with() -> None:
-    config = configuration.load(FOLDER / "frame.toml")
+    config = brisk(configuration.load(FOLDER / "frame.toml"))
     healthy, changed = (
         gather(read_recordings([FOLDER / f"frame-{name}.mcap"]), config.front_end()) for name in ("healthy", "after")
     )

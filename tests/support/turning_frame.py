@@ -51,4 +51,7 @@ def posterior(off: np.ndarray, *effects: Effect) -> Posterior:
 
 
 def diagnosed(off: np.ndarray, *effects: Effect) -> Diagnosis:
-    return diagnose(spectra(*effects), drawn(off), CONTEXT, BRISK)
+    """The first half of the recording, whose two classes of level take less time than five, up to the frame's last mode."""
+    segments = spectra(*effects).segments
+    half = segments.part(segments.t_s < 300.0).within((2.0, 27.0))
+    return diagnose(classify(half), drawn(off), CONTEXT, BRISK)
