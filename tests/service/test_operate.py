@@ -106,6 +106,7 @@ def running(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 def test_status_tells_in_ten_lines(running: Running, main: Cli) -> None:
     out = running.site.parent / "out"
     until(lambda: "% against the structure file" in main("status", out).stdout, "a judged window")
+    until(lambda: "No baseline to compare with" in main("status", out).stdout.splitlines()[0], "a state of windows")
     until(lambda: "available" in main("status", out).stdout, "a line of health")
     for place in (running.site, out):
         done = main("status", place)
