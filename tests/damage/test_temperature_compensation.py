@@ -22,7 +22,6 @@ from monitor.pipeline import Pipeline
 from monitor.publish import to_json, window_line
 from monitor.runs import calibrate, cut_into_blocks, replay
 from monitor.signals import LAGS_S, TemperatureSettings, temperature
-from monitor.signals.temperature import TemperatureState
 from tests.support.samples import CHANNELS, T0_NS, Cut
 
 PER_DEGC = 1.5e-3
@@ -45,14 +44,14 @@ def felt_blocks(degc: np.ndarray, rate_hz: float = 1.0, size: int = 10, t0_ns: i
     ]
 
 
-def kept(blocks: list[SampleBlock]) -> TemperatureState:
+def kept(blocks: list[SampleBlock]) -> temperature.TemperatureState:
     state = temperature.start()
     for block in blocks:
         state = temperature.push(state, block)
     return state
 
 
-def felt(state: TemperatureState, end_s: float, window_s: float = 400.0) -> Temperature | None:
+def felt(state: temperature.TemperatureState, end_s: float, window_s: float = 400.0) -> Temperature | None:
     return temperature.window_temperature(state, T0_NS + round(end_s * 1e9), window_s, SETTINGS)
 
 

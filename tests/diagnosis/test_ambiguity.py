@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 
 from monitor.diagnosis.ambiguity import probabilities, tied_candidates
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate
-from monitor.inference import MapEstimate, Moments
-from monitor.inference.ambient_posterior import AmbientPosterior
-from monitor.model.effects import BilinearStiffness, StiffnessChange
+from monitor.inference import MapEstimate, Moments, Posterior
+from monitor.model import parse_effect
 
 RIVAL = 4.6
 
@@ -17,10 +19,12 @@ RIVAL = 4.6
 def judged(evidence: float, chance: float = 0.0) -> RefittedCandidate:
     none = np.zeros(0)
     fit = MapEstimate(none, (), 0.0, 0.0, np.zeros((0, 0)), True, np.zeros((0, 0)), none, none, np.zeros((0, 0)))
-    effect = StiffnessChange("story 1", -0.02) if chance == 0.0 else BilinearStiffness("story 1", 0.04)
+    law = (
+        "stiffness_change:story 1:relative=-0.02" if chance == 0.0 else "bilinear_stiffness:story 1:relative_drop=0.04"
+    )
     return RefittedCandidate(
-        Candidate(effect, fit, evidence, evidence),
-        AmbientPosterior.__new__(AmbientPosterior),
+        Candidate(parse_effect(law), fit, evidence, evidence),
+        cast(Posterior, SimpleNamespace()),
         Moments(none, none),
         log_evidence_std=chance,
     )

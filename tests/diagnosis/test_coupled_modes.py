@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import block_diag
 
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction, find_other_structure
 from monitor.diagnosis.missing_modes import as_seen, is_stated, resonances
@@ -16,85 +16,18 @@ from monitor.diagnosis.score_test import evidence_cost
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import shows_other_direction
 from monitor.diagnosis.verdict import FittedCauses, find_direction_beside_causes
-from monitor.inference import Band, Posterior, maximize_posterior
-from monitor.inference.cross_spectra import Excitation, channel_response, cross_spectra, extended
-from monitor.inference.map_estimate import shortened_steps
-from monitor.model import Condition, Effect, EffectError, Model, StructuralPrior, System, parse_effect, simulate
-from monitor.model.effects import UnmodelledMode
-from tests.support.turning_frame import CONTEXT, RATE, TORSION, TRUTH, diagnosed, posterior
+from monitor.inference import Posterior, maximize_posterior
+from monitor.model import Effect, EffectError, StructuralPrior, System, parse_effect
+from tests.support.turning_frame import CONTEXT, COUPLED, REST, TORSION, TRUTH, diagnosed, posterior
 
-COUPLED = parse_effect(
-    "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45,"
-    "force_ratio=0.6,eccentricity_1=-0.361,eccentricity_2=-0.325,eccentricity_3=-0.167,"
-    "force_arm_1=-0.3,force_arm_2=0.25,force_arm_3=0.1"
-)
 UNCOUPLED = parse_effect(
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45"
 )
-REST = Condition(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
-
-
-def coupled_system() -> System:
-    mass, stiffness = TRUTH.structural_matrices()
-    return extended(System(mass, TRUTH.damping_matrix(), stiffness), (COUPLED,), CONTEXT, REST)
-
-
-def test_simulation_and_spectra_agree() -> None:
-    motion = simulate(Model(TRUTH.structure, (COUPLED,)), duration_s=1200.0, rate_hz=RATE, seed=3, context=CONTEXT)
-    n, bins = round(10.0 * RATE), slice(20, 250)  # 2 to 25 Hz
-    parts = motion.floors[: len(motion.floors) // n * n].reshape(-1, n, 3) * np.hanning(n)[:, None]
-    x = np.fft.rfft(parts, axis=1)[:, bins] / np.sqrt(RATE * 0.375 * n)
-    measured = np.einsum("sfa,sfb->fab", x, x.conj()) / len(x)
-    band = Band(20, 230, 0.1, np.ones(230))
-    expected = cross_spectra(
-        coupled_system(), (COUPLED,), Excitation(np.full(3, 1.0 / RATE), np.zeros(3)), band, CONTEXT, REST
-    )
-    whitened = np.linalg.solve(np.linalg.cholesky(expected), measured)
-    power = (
-        np.einsum("faa->f", np.linalg.solve(np.linalg.cholesky(expected), whitened.conj().swapaxes(1, 2))).real / 3.0
-    )
-    assert power.reshape(-1, 23).mean(axis=1) == pytest.approx(np.ones(10), abs=0.06)
-
-
-def test_modes_with_eccentricities_and_arms_are_a_building_that_turns() -> None:
-    """Floors whose masses lie off the middle, where bracing and forces are: the same spectra, by its own equations of motion."""
-    off, radius, lever, turning, n = np.array([0.03, -0.02, 0.04]), 0.12, 0.05, 1.7, 3
-    mass, stiffness = TRUTH.structural_matrices()
-    # The floors' middles sway, then all turn; the bracing resists each about the middle.
-    masses = np.block([[mass, mass @ np.diag(-off)], [np.diag(-off) @ mass, mass @ np.diag(radius**2 + off**2)]])
-    springs = block_diag(stiffness, turning * radius**2 * stiffness)
-    # The middle's motion by that of the centre of mass.
-    to_centre = np.block([[np.eye(n), np.diag(off)], [np.zeros((n, n)), np.eye(n)]])
-    about_mass = to_centre.T @ springs @ to_centre
-    inertia = (to_centre.T @ masses @ to_centre)[n:, n:]
-    squared, turns = eigh(about_mass[n:, n:], inertia)
-    mean = float(TRUTH.structure.masses_kg.mean())
-    system, turns = System(mass, TRUTH.damping_matrix(), about_mass[:n, :n]), turns * np.sqrt(mean)
-    for f, turn in zip(np.sqrt(squared) / (2.0 * np.pi), turns.T, strict=True):
-        values = {"frequency_hz": float(f), "damping_ratio": 0.02, "force_ratio": 0.3}
-        for name, of in (
-            ("shape", (off + lever) * turn / mean),
-            ("eccentricity", np.linalg.solve(stiffness, about_mass[:n, n:] @ turn)),
-            ("force_arm", off * turn),
-        ):
-            values |= {f"{name}_{j + 1}": float(value) for j, value in enumerate(of)}
-        system = UnmodelledMode.create("frame", values).extend(system, CONTEXT, REST)
-    hz = np.linspace(1.0, 25.0, 40)
-    seen = channel_response(system, hz, CONTEXT)
-    # In the coordinates of the building: the forces act at the middles, the sensors are beside them.
-    back = np.linalg.inv(to_centre)
-    damping = block_diag(
-        TRUTH.damping_matrix(), np.linalg.inv(turns).T @ np.diag(0.04 * np.sqrt(squared) * mean) @ np.linalg.inv(turns)
-    )
-    damping = back.T @ damping @ back
-    for k, w in enumerate(2.0 * np.pi * hz):
-        moved = np.linalg.inv(masses + damping / (1j * w) - springs / w**2)
-        sensors = np.hstack([np.eye(n), lever * np.eye(n)])
-        assert seen[k, :, :n] == pytest.approx(sensors @ moved[:, :n], rel=1e-9)
 
 
 def test_the_coupled_system_has_one_mode_more_and_its_frequencies_move_apart() -> None:
-    system = coupled_system()
+    mass, stiffness = TRUTH.structural_matrices()
+    system = COUPLED.extend(System(mass, TRUTH.damping_matrix(), stiffness), CONTEXT, REST)
     hz = np.sqrt(np.linalg.eigvals(np.linalg.solve(system.mass, system.stiffness)).real) / (2.0 * np.pi)
     at = posterior(np.ones(3))
     fit = maximize_posterior(at, _start(at), (COUPLED,), iterations=0)
@@ -213,16 +146,6 @@ def test_a_fit_stays_where_the_coupling_leaves_the_structure_stable(monkeypatch:
     monkeypatch.setattr(type(at), "is_stable", lambda _, there, effects: bool((there[: x.size] == x).all()))
     held = maximize_posterior(at, x, (COUPLED,), iterations=6)
     assert (held.x == np.concatenate([x, COUPLED.coordinates])).all() and not held.converged
-
-
-def test_a_long_step_is_shortened_in_two_ways() -> None:
-    at = posterior(np.ones(3))
-    step = np.zeros(at.layout.n_nuisance)
-    step[at.layout.stiffness], step[at.layout.forces] = 1.0, 0.5
-    bounded, scaled = shortened_steps(at, step, ())
-    assert bounded[at.layout.forces] == pytest.approx(0.5) and scaled[at.layout.forces] == pytest.approx(0.05)
-    assert bounded[at.layout.stiffness] == pytest.approx(0.1) == scaled[at.layout.stiffness]
-    assert len(shortened_steps(at, 0.1 * step, ())) == 1
 
 
 def test_slopes_of_extra_modes_are_those_of_the_whole_spectra() -> None:

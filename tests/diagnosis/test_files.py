@@ -23,11 +23,10 @@ from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.inference import Segments, classify, maximize_posterior
-from monitor.model import Model, ModelDiscrepancy, parse_effect, prior_from_drawing
-from monitor.model.effects.unmodelled_mode import UnmodelledMode
-from monitor.model.prior_file import from_plain, to_plain
+from monitor.model import Model, ModelDiscrepancy, parse_effect, prior_file, prior_from_drawing
 from tests.support.commands import KEYS
 from tests.support.damped_frame import DAMPER, context_of, recorded, settings
+from tests.support.files import through_its_file
 
 pytestmark = pytest.mark.engine
 
@@ -156,7 +155,10 @@ def test_an_effect_that_has_vanished_is_stated_and_no_error(named: Diagnosis) ->
 
 def test_the_shape_of_a_coupled_mode_has_one_component_a_channel(named: Diagnosis) -> None:
     """Neither its force nor its couplings belong to it: the report puts a channel's name to each component."""
-    mode = UnmodelledMode("frame", 9.0, 0.01, (0.5, -0.25, 0.1), 4.0, (0.1, 0.0, -0.1), (0.0, 0.1, 0.0))
+    mode = parse_effect(
+        "unmodelled_mode:frame:frequency_hz=9,damping_ratio=0.01,shape_1=0.5,shape_2=-0.25,shape_3=0.1,force_ratio=4,"
+        "eccentricity_1=0.1,eccentricity_2=0,eccentricity_3=-0.1,force_arm_1=0,force_arm_2=0.1,force_arm_3=0"
+    )
     cause = Cause(mode, dict.fromkeys(mode.values(), 0.01))
     (told,) = plain(replace(named, causes=(cause,)))["causes"]
     assert [part["value"] for part in told["shape"]] == pytest.approx([1.0, -0.5, 0.2])
@@ -290,39 +292,35 @@ def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
     model = Model(site.model().structure, (parse_effect(DAMPER),))
     known = prior_from_drawing(model, site.instrumented().prior_std, 3)
     learnt, _ = learn_prior(classify(damped), known, context_of(site), site.diagnosis)
-    again = from_plain(json.loads(json.dumps(to_plain(learnt), allow_nan=False)), site.model(), site.channels)
-    assert again is not None and again.error is None
+    again = through_its_file(learnt, site)
+    assert again.error is None
     assert learnt.judged_hz is None, "the whole band was judged"
-    narrow = from_plain(
-        json.loads(json.dumps(to_plain(replace(learnt, judged_hz=(2.0, 18.5))))), site.model(), site.channels
-    )
-    assert narrow is not None and narrow.judged_hz == (2.0, 18.5)
+    narrow = through_its_file(replace(learnt, judged_hz=(2.0, 18.5)), site)
+    assert narrow.judged_hz == (2.0, 18.5)
     assert learnt.ln_forces is not None and again.ln_forces is not None
     assert again.ln_forces.tolist() == learnt.ln_forces.tolist() and abs(learnt.ln_forces.sum()) < 1e-9
     assert np.abs(learnt.ln_forces).max() < 1.0, "the floors are pushed alike"
-    plain = to_plain(learnt) or {}
+    plain = prior_file.to_plain(learnt) or {}
     with pytest.raises(ValueError, match="forces"):
-        from_plain(plain | {"ln_forces": [0.0, 1.0]}, site.model(), site.channels)
+        prior_file.from_plain(plain | {"ln_forces": [0.0, 1.0]}, site.model(), site.channels)
     wrong = ModelDiscrepancy(np.array([2.0, 2.25]), np.full((2, 3, 3), 0.1 - 0.2j), np.array([0.0, 0.01]))
-    doubted = from_plain(
-        json.loads(json.dumps(to_plain(replace(learnt, error=wrong)), allow_nan=False)), site.model(), site.channels
-    )
-    assert doubted is not None and doubted.error is not None
+    doubted = through_its_file(replace(learnt, error=wrong), site)
+    assert doubted.error is not None
     np.testing.assert_array_equal(doubted.error.relative, wrong.relative)
     assert doubted.error.doubtful_hz() == [[2.125, 2.375]]
     assert doubted.error.at(np.array([1.8, 2.1, 2.3, 2.4]))[1].tolist() == [0, 1]
-    content = to_plain(replace(learnt, error=wrong)) or {}
+    content = prior_file.to_plain(replace(learnt, error=wrong)) or {}
     with pytest.raises(ValueError, match="standing error"):
-        from_plain(content | {"error": content["error"] | {"variance": [0.0]}}, site.model(), site.channels)
+        prior_file.from_plain(content | {"error": content["error"] | {"variance": [0.0]}}, site.model(), site.channels)
     assert [e.name for e in again.effects(again.mean)] == ["story_damper"]
     for name in ("mean", "precision", "basis"):
         np.testing.assert_array_equal(getattr(again, name), getattr(learnt, name))
     accepted = Model(site.model().structure, (parse_effect("sensor_gain:channel a2:gain=1.05"),))
-    wider = from_plain(to_plain(learnt), accepted, site.channels)
+    wider = prior_file.from_plain(prior_file.to_plain(learnt), accepted, site.channels)
     assert wider is not None
     assert [e.name for e in wider.effects(wider.mean)] == ["story_damper", "sensor_gain"]
     with pytest.raises(ValueError, match="shapes"):
-        from_plain(to_plain(learnt), site.model(), ("a1", "a2"))
+        prior_file.from_plain(prior_file.to_plain(learnt), site.model(), ("a1", "a2"))
 
 
 def test_a_size_in_large_units_that_stands_is_not_said_to_be_certain(named: Diagnosis) -> None:

@@ -35,8 +35,6 @@ from monitor.inference import (
     join_coordinates,
     maximize_posterior,
 )
-from monitor.inference.cross_spectra import accelerance
-from monitor.inference.higher_moments import drift_skewness
 from monitor.model import Effect, parse_effect
 from tests.support.jointed_frame import CONFIG, CONTEXT, TURNING, fitted, learned, recorded
 from tests.support.turning_frame import TORSION
@@ -159,26 +157,6 @@ def test_a_rough_fit_that_is_no_valid_cause_keeps_no_rival_out(monkeypatch: pyte
 
     assert found(invalid=None) == [best, base], "a valid cause that explains far more keeps its rivals out"
     assert found(invalid=best) == [base, loss]
-
-
-def test_a_drift_that_no_sensor_moves_with_says_nothing_of_its_skewness() -> None:
-    transforms = np.random.default_rng(1).normal(size=(20, 30, 2)) + 0j
-    band = SimpleNamespace(hz=np.arange(1.0, 31.0), first=1, n_bins=30)
-    structure = SimpleNamespace(drift_matrix=lambda: np.array([[1.0, 0.0], [0.0, 0.0]]))
-    problem = SimpleNamespace(observed=SimpleNamespace(band=band), context=SimpleNamespace(structure=structure))
-    mean, std = drift_skewness(transforms, cast(Posterior, problem))
-    assert np.isfinite([mean[0], std[0]]).all() and (mean[1], std[1]) == (0.0, np.inf)
-
-
-def test_an_attached_mass_that_a_fit_lets_go_to_nothing_changes_no_response() -> None:
-    mass, stiffness = (
-        np.diag([2.0, 1.0, 1e-300]),
-        np.array([[300.0, -100.0, 0.0], [-100.0, 100.0, 0.0], [0.0, 0.0, 9e-297]]),
-    )
-    damping, omega = 0.01 * stiffness, np.linspace(1.0, 60.0, 50)
-    whole = accelerance(mass, damping, stiffness, omega, np.eye(3)[:, :2])
-    alone = accelerance(mass[:2, :2].copy(), damping[:2, :2].copy(), stiffness[:2, :2].copy(), omega, np.eye(2))
-    np.testing.assert_allclose(whole[:, :2], alone, rtol=1e-12)
 
 
 def test_a_law_that_is_turned_round_lends_its_new_skewness_to_what_follows() -> None:

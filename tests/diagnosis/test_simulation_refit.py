@@ -23,8 +23,6 @@ from monitor.inference import (
     simulate_exact,
     simulate_spectra,
 )
-from monitor.inference.corrected_posterior import bound_corrections
-from monitor.inference.linearization import forced_motion
 from monitor.model import Effect, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
 from tests.support.jointed_frame import CONFIG, RATE, SENSORS, posed
@@ -68,17 +66,6 @@ def test_classes_that_swing_more_than_the_model_says_are_measured(nonlinear: tup
     assert louder[-1].floor_velocity_m_s == pytest.approx(2.0 * plain[-1].floor_velocity_m_s, rel=0.1)
 
 
-def test_a_trial_step_without_stationary_motion_has_none_and_no_warning(
-    nonlinear: tuple[Posterior, MapEstimate],
-) -> None:
-    problem, null = nonlinear
-    law, x = parse_effect(CUBIC.format(STRONG)), null.x.copy()
-    assert (forced_motion(problem, x, (law,), [law]) > 0.0).all()
-    x[problem.layout.damping] += 60.0  # so overdamped that the slow poles round to 0
-    with np.errstate(divide="raise"):
-        assert np.isnan(forced_motion(problem, x, (law,), [law])).all()
-
-
 def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(
     nonlinear: tuple[Posterior, MapEstimate],
 ) -> None:
@@ -113,14 +100,6 @@ def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(
     heavier = made.scatter(x, (parse_effect(CUBIC.format(STRONG * np.exp(0.2))),))
     assert heavier == pytest.approx(made.scatter(null.x, (law,)), rel=1e-3)
     assert whitened_rms(problem, null, made.scatter(x, (law,)) - heavier) > 0.01
-
-
-def test_a_law_that_cannot_stand_has_no_likelihood() -> None:
-    unknown = np.full((1, 2, 3, 3), np.nan, dtype=complex)
-    deep = -2.0 * np.eye(3) + np.zeros((1, 2, 3, 3), dtype=complex)
-    both = bound_corrections(np.concatenate([unknown, deep]))
-    assert np.isnan(both[0]).all()
-    assert np.linalg.eigvalsh(both[1]) == pytest.approx(-0.85 * np.ones((2, 3)))
 
 
 def test_simulation_mends_what_linearization_misses(nonlinear: tuple[Posterior, MapEstimate]) -> None:

@@ -13,8 +13,15 @@ import pytest
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.drawing_refit import refit, refit_headline
 from monitor.diagnosis.lack_of_fit import LackOfFit
-from monitor.diagnosis.wording import class_in_words, csd_error_in_words, headline, in_words, law_family
-from monitor.model import FORMS, prior_from_drawing
+from monitor.diagnosis.wording import (
+    class_in_words,
+    csd_error_in_words,
+    headline,
+    in_words,
+    law_family,
+    separating_measurement,
+)
+from monitor.model import EFFECTS, FORMS, prior_from_drawing
 from tests.support.damped_frame import settings
 
 pytestmark = pytest.mark.engine
@@ -242,3 +249,21 @@ def test_a_clock_that_drifts_is_said_before_what_nothing_explains() -> None:
     assert said("unexplained", BASELINE, left_over=[clock, other]) == (
         "The delay of channel a2 grows. Something is wrong at 3.0-4.0 Hz, channel a1 that no known effect explains."
     )
+
+
+def test_the_separating_measurement_speaks_of_the_rivals() -> None:
+    def alternatives(*pairs: tuple[str, str]) -> list[dict[str, str]]:
+        return [{"effect": e, "location": p} for e, p in pairs]
+
+    assert separating_measurement([]) is None
+    assert separating_measurement(alternatives(("clock_rate", "frame"))) is None
+    base = separating_measurement(alternatives(("base_flexibility", "base"), ("stiffness_change", "story 3")))
+    assert base is not None and "footing" in base and "drift" not in base
+    uniform = separating_measurement(
+        alternatives(("clock_rate", "frame"), ("added_mass", "frame"), ("stiffness_change", "frame"))
+    )
+    assert uniform is not None and "clock" in uniform and "mass" in uniform
+    where = separating_measurement(alternatives(("story_damper", "story 1"), ("story_damper", "story 2")))
+    assert where is not None and "story 1 and story 2" in where
+    for effect in EFFECTS:
+        assert separating_measurement(alternatives((effect, "x"), ("stiffness_change", "story 1")))

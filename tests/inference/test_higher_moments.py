@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from monitor.diagnosis import diagnose
-from monitor.inference.higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments
+from monitor.inference.higher_moments import MeasuredMoments, Moments, drift_skewness, measure_moments, normal_moments
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
@@ -72,3 +74,12 @@ def test_friction_and_a_damper_are_told_apart_at_one_level(effect: str) -> None:
     assert [(c.effect.name, c.effect.location) for c in found.causes] == [(truth.name, truth.location)], (
         found.alternatives
     )
+
+
+def test_a_drift_that_no_sensor_moves_with_says_nothing_of_its_skewness() -> None:
+    transforms = np.random.default_rng(1).normal(size=(20, 30, 2)) + 0j
+    band = SimpleNamespace(hz=np.arange(1.0, 31.0), first=1, n_bins=30)
+    structure = SimpleNamespace(drift_matrix=lambda: np.array([[1.0, 0.0], [0.0, 0.0]]))
+    problem = SimpleNamespace(observed=SimpleNamespace(band=band), context=SimpleNamespace(structure=structure))
+    mean, std = drift_skewness(transforms, cast(Posterior, problem))
+    assert np.isfinite([mean[0], std[0]]).all() and (mean[1], std[1]) == (0.0, np.inf)

@@ -5,17 +5,16 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from monitor.diagnosis import DiagnosisSettings, HeldOutGain, StoryLaw, diagnose, in_words
+from monitor.diagnosis import Cause, DiagnosisSettings, HeldOutGain, StoryLaw, diagnose, in_words
 from monitor.diagnosis import content as content_of
-from monitor.diagnosis.story_forces import Loop
-from monitor.diagnosis.verdict import Cause
-from monitor.diagnosis.wording import separating_measurement
 from monitor.inference import classify
 from monitor.model import EFFECTS, FORMS, interval, parse_effect
 from monitor.publish.reports.charts import decades, ticks
@@ -191,7 +190,9 @@ def test_the_view_has_every_channel_and_the_verdict(cases: dict[str, Case], tmp_
 
 def test_the_page_and_the_view_draw_the_loops_of_every_story(cases: dict[str, Case], tmp_path: Path) -> None:
     case, phase, two = cases["named"], np.linspace(0.0, 20.0, 200), np.array([1.0, 2.0])
-    loops = [Loop(1e-3 * np.sin(phase), k * np.sin(phase + 0.1)) for k in (1.0, 2.0, 3.0)]
+    loops: Any = [
+        SimpleNamespace(drift_m=1e-3 * np.sin(phase), force_n=k * np.sin(phase + 0.1)) for k in (1.0, 2.0, 3.0)
+    ]
     laws = [StoryLaw(j, 1e-3 * two, two, 0.1 * two, two, two, two, two, *loops) for j in (1, 2)]
     shown = page(case.diagnosis, case.content, case.segments, laws)
     assert "story 1: force, N" in shown and "story 2: force, N" in shown
@@ -257,24 +258,6 @@ def test_words_have_the_size_and_the_direction(effect: str, place: str, values: 
 )
 def test_intervals_have_the_digits_that_are_known(value: float, std: float, text: str) -> None:
     assert interval({"value": value, "std": std}, 1.0, "N") == text
-
-
-def test_the_separating_measurement_speaks_of_the_rivals() -> None:
-    def alternatives(*pairs: tuple[str, str]) -> list[dict[str, str]]:
-        return [{"effect": e, "location": p} for e, p in pairs]
-
-    assert separating_measurement([]) is None
-    assert separating_measurement(alternatives(("clock_rate", "frame"))) is None
-    base = separating_measurement(alternatives(("base_flexibility", "base"), ("stiffness_change", "story 3")))
-    assert base is not None and "footing" in base and "drift" not in base
-    uniform = separating_measurement(
-        alternatives(("clock_rate", "frame"), ("added_mass", "frame"), ("stiffness_change", "frame"))
-    )
-    assert uniform is not None and "clock" in uniform and "mass" in uniform
-    where = separating_measurement(alternatives(("story_damper", "story 1"), ("story_damper", "story 2")))
-    assert where is not None and "story 1 and story 2" in where
-    for effect in EFFECTS:
-        assert separating_measurement(alternatives((effect, "x"), ("stiffness_change", "story 1")))
 
 
 def test_ticks_are_round_and_within() -> None:

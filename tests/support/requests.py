@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from monitor.service import Request
 from monitor.service.outlets.base import Outlet
-from monitor.service.requests import Answer, Request
+from monitor.service.requests import Answer
 
 
 class Desk(Outlet):

@@ -7,10 +7,9 @@ from functools import cache
 import numpy as np
 
 from drivers.base import ACCELERATION
-from monitor.diagnosis.stepwise_selection import diagnose
-from monitor.diagnosis.verdict import Diagnosis
+from monitor.diagnosis import Diagnosis, diagnose
 from monitor.inference import ObservedSpectra, Posterior, classify, gather, make_posterior
-from monitor.model import Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
+from monitor.model import Condition, Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
 from tests.support.brisk import BRISK
 from tests.support.jointed_frame import PLAIN
@@ -22,6 +21,16 @@ TORSION = tuple(
     parse_effect(f"unmodelled_mode:frame:frequency_hz={hz},damping_ratio=0.012,shape_1={a},shape_2={b},shape_3={c}")
     for hz, a, b, c in ((7.4, 1.0, 0.8, 0.45), (17.5, 0.9, -0.5, -1.1))
 )
+
+
+COUPLED = parse_effect(
+    "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45,"
+    "force_ratio=0.6,eccentricity_1=-0.361,eccentricity_2=-0.325,eccentricity_3=-0.167,"
+    "force_arm_1=-0.3,force_arm_2=0.25,force_arm_3=0.1"
+)
+
+
+REST = Condition(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
 
 
 TRUTH = PLAIN.model()
