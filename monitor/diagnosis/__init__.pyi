@@ -6,25 +6,23 @@ from .detectable_loss import detectable_losses
 from .drawing_refit import other_optima, refit, withdraw_other_structure
 from .files import content, effects_text, model_from_plain, model_to_plain, standing_causes, structure_text
 from .fold_refit import fitted_model
-from .initial_fit import FAR, fit_linearized
+from .initial_fit import FAR
 from .lack_of_fit import residual_bands
 from .observed_causes import add_observed_causes
 from .parameter_uncertainty import is_significant
 from .predictive_score import Score, score
-from .score_test import fit_candidate, parameter_cost
+from .score_test import parameter_cost
 from .settings import DiagnosisSettings
-from .simulation_refit import fit_initial_model
 from .stepwise_selection import diagnose
 from .story_forces import StoryLaw, story_laws
 from .trigger import Request, WatchSettings
-from .verdict import Cause, Diagnosis
+from .verdict import Diagnosis
 from .witness import compare_witnesses, contradictions
 from .witness_record import WitnessRecord, WitnessSensor
 from .wording import contradicted, csd_error_in_words, in_words
 
 __all__ = [
     "FAR",
-    "Cause",
     "ClockDrift",
     "Diagnosis",
     "DiagnosisSettings",
@@ -48,9 +46,6 @@ __all__ = [
     "detectable_losses",
     "diagnose",
     "effects_text",
-    "fit_candidate",
-    "fit_initial_model",
-    "fit_linearized",
     "fitted_model",
     "healthy_prior",
     "in_words",

@@ -11,7 +11,8 @@ import pytest
 from drivers.base import ACCELERATION, FORCE, GROUND
 from monitor.config import Configuration
 from monitor.core import Array, BadInputError
-from monitor.diagnosis import DiagnosisSettings, diagnose, fit_linearized, score
+from monitor.diagnosis import DiagnosisSettings, diagnose, score
+from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior

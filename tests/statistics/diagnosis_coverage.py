@@ -28,8 +28,9 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import Configuration
-from monitor.diagnosis import Cause, fit_candidate, fit_initial_model
-from monitor.diagnosis.verdict import FittedCauses, stated_causes
+from monitor.diagnosis.score_test import fit_candidate
+from monitor.diagnosis.simulation_refit import fit_initial_model
+from monitor.diagnosis.verdict import Cause, FittedCauses, stated_causes
 from monitor.inference import Segments, classify, gather
 from monitor.model import EFFECTS, Effect, StructuralPrior, simulate
 from monitor.runs import cut_into_blocks, diagnose

@@ -7,7 +7,7 @@ import numpy as np
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.core import Array
-from monitor.diagnosis import fit_linearized
+from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.inference import MapEstimate, Posterior, Segments, classify, gather
 from monitor.model import Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks, diagnose

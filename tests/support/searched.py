@@ -6,8 +6,11 @@ from dataclasses import dataclass, replace
 
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
-from monitor.diagnosis import Cause, Diagnosis, DiagnosisSettings, HeldOutGain, diagnose, fit_candidate, fit_linearized
+from monitor.diagnosis import Diagnosis, DiagnosisSettings, HeldOutGain, diagnose
 from monitor.diagnosis import content as content_of
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.score_test import fit_candidate
+from monitor.diagnosis.verdict import Cause
 from monitor.inference import Segments, classify, gather
 from monitor.model import Context, Effect, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
