@@ -1,4 +1,4 @@
-"""References that many tests read (a calibration, a diagnosis, a replay), computed once for all workers and all tiers.
+"""References that many tests read (a calibration, a diagnosis), computed once for all workers and all tiers.
 
 A reference is kept in out/references, in a folder named after a checksum of the code, the recordings, the locked
 packages and what the tests share: any change of one of these, and all references are computed anew.
@@ -75,20 +75,3 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
         return here[name]
 
     return kept
-
-
-def folder_once(make: Callable[[Path], object]) -> Callable[[], Path]:
-    """Fill a folder once for all workers; tests read it and write nothing there."""
-
-    @functools.cache
-    def kept() -> Path:
-        with _alone(_name(make, ())) as place:
-            if not place.exists():
-                part = place.with_suffix(".part")
-                shutil.rmtree(part, ignore_errors=True)
-                part.mkdir()
-                make(part)
-                part.rename(place)
-            return place
-
-    return functools.wraps(make)(kept)
