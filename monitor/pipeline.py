@@ -45,6 +45,7 @@ from monitor.signals import (
     Health,
     HealthState,
     LostState,
+    StillState,
     WatchState,
     WindowGrid,
     WindowState,
@@ -52,6 +53,7 @@ from monitor.signals import (
     channel_watch,
     lost_samples,
     sensor_health,
+    stillness,
     temperature,
     window_quality,
 )
@@ -92,6 +94,7 @@ class PipelineState:
     events: EventState
     ground: GroundState
     watch: WatchState
+    still: StillState
     learning: slow_learning.LearningState | None = None
     """The covariates' law as it was learned on in service; None before the first judged window."""
 
@@ -130,6 +133,7 @@ class Pipeline:
             EventState(),
             GroundState(),
             WatchState(),
+            stillness.start(len(config.channels)),
         )
 
     def push(self, block: SampleBlock) -> list[Result]:
@@ -258,7 +262,8 @@ class Pipeline:
         c = self.config
         spans_s = c.processing.window_s + c.health.span_s
         state, found = sensor_health.step(self.state.health, piece, dropped, c.channels, c.health, spans_s)
-        self.state = replace(self.state, health=state)
+        still = stillness.step(self.state.still, piece, self.front_end.step_s, c.processing.window_s)
+        self.state = replace(self.state, health=state, still=still)
         return found
 
     def _store_temperature(self, block: SampleBlock) -> None:
@@ -301,9 +306,13 @@ class Pipeline:
     def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
         """Process one complete window: identification, comparison with the reference, alarm."""
         c = self.config
-        strong = stage.skipped(self.state.events, item.t_end_ns, item.window_s, c.events)
-        if strong is not None:  # nor does it tell which channels are well
-            return self._skip(item.index, item.t_end_ns, item.window_s, strong, item.rms_m_s2)
+        begin_ns = item.t_end_ns - round(item.window_s * 1e9)
+        # Neither tells which channels are well.
+        untold = stillness.check(self.state.still, begin_ns, item.t_end_ns) or stage.skipped(
+            self.state.events, item.t_end_ns, item.window_s, c.events
+        )
+        if untold is not None:
+            return self._skip(item.index, item.t_end_ns, item.window_s, untold, item.rms_m_s2)
         in_use, left_out = self._choose_channels(item)
         if not in_use:
             # The level of motion is not known either.

@@ -16,9 +16,10 @@ from .memory import keep_freed
 from .naming import name_stories, name_stories_in
 from .optimization import levenberg_marquardt
 from .parallel import parallel_map
-from .parse import parse_address, parse_json, utc_ns
+from .parse import parse_address, parse_json, utc, utc_ns
 from .results import (
     GAP,
+    STILL,
     STRONG_MOTION,
     WHOLE,
     Alarm,
@@ -44,6 +45,7 @@ from .settings import Settings, read_settings, settings_problems
 
 __all__ = [
     "GAP",
+    "STILL",
     "STRONG_MOTION",
     "WHOLE",
     "Alarm",
@@ -94,6 +96,7 @@ __all__ = [
     "sha256",
     "single_blas_thread",
     "spare_inputs",
+    "utc",
     "utc_ns",
     "write_atomically",
 ]

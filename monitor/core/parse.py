@@ -30,6 +30,17 @@ def parse_address(text: str, *, any_port: bool = False) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
+def utc(t_ns: float) -> str:
+    """Write a time, ns since 1970 UTC, to the minute, in ISO 8601 without its zone.
+
+    Examples
+    --------
+    >>> utc(61e9)
+    '1970-01-01 00:01'
+    """
+    return f"{datetime.fromtimestamp(t_ns * 1e-9, UTC):%Y-%m-%d %H:%M}"
+
+
 def utc_ns(text: str) -> int:
     """Convert a time in ISO 8601 to nanoseconds since 1970 UTC; a time without zone is UTC.
 

@@ -50,6 +50,7 @@ class AlarmCondition(StrEnum):
 
 
 GAP = "gap in the data"
+STILL = "no reading changes"
 STRONG_MOTION = "strong motion, which is told as an event or was a short disturbance of all floors"
 
 
@@ -147,7 +148,7 @@ class Window:
     def rms_m_s2(self) -> float:
         """Response level: mean over channels of the RMS, m/s^2."""
         variance = self.sums.total[0].diagonal() / self.sums.counts.sum()
-        return float(np.sqrt(variance).mean())
+        return float(np.sqrt(np.maximum(variance, 0.0)).mean())  # of a constant channel: rounding errors of either sign
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -16,7 +16,6 @@ from .assessment import (
     modal_facts,
     outdated,
     unit_questions,
-    utc,
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
@@ -95,5 +94,4 @@ __all__ = [
     "slow_learning",
     "unit_questions",
     "update",
-    "utc",
 ]

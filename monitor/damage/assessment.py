@@ -11,13 +11,23 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from monitor.core import STRONG_MOTION, WHOLE, AlarmCondition, DamageReading, Level, ModalReading, Skipped, WindowResult
+from monitor.core import (
+    STILL,
+    STRONG_MOTION,
+    WHOLE,
+    AlarmCondition,
+    DamageReading,
+    Level,
+    ModalReading,
+    Skipped,
+    WindowResult,
+    utc,
+)
 from monitor.damage.detectable_loss import WITHIN_S
 from monitor.damage.modal_alarm import change_words
 from monitor.damage.origin import MOST_LISTED
@@ -640,7 +650,9 @@ def _unjudged(course: Course, known: Known) -> list[Fact]:
         says.append(f"no window could be judged{since}: {Skipped(reason).mend}")
     elif course.last is not None:
         silent_s = (course.last.t_end_ns - course.judged.t_end_ns) * 1e-9
-        if silent_s >= course.judged.window_s > 0.0:
+        if (course.last.skipped or "").startswith(STILL):
+            says.append(course.last.skipped or STILL)
+        elif silent_s >= course.judged.window_s > 0.0:
             says.append(f"the last {silent_s:.0f} s could not be judged: {Skipped(course.last.skipped or '').mend}")
     if not known.has_baseline:
         says.append("no baseline to compare with; make one with 'calibrate'")
@@ -757,8 +769,3 @@ def _sentence(text: str) -> str:
     """Begin with a capital letter, and end with a full stop or a question mark."""
     text = text[:1].upper() + text[1:]
     return text if text.endswith(("?", ".")) else text + "."
-
-
-def utc(t_ns: float) -> str:
-    """Write a time to the minute, ISO 8601 without its zone."""
-    return f"{datetime.fromtimestamp(t_ns * 1e-9, UTC):%Y-%m-%d %H:%M}"

@@ -28,8 +28,9 @@ from monitor.core import (
     MissingInputError,
     UserError,
     WindowResult,
+    utc,
 )
-from monitor.damage import AnyBaseline, Assessment, outdated, utc
+from monitor.damage import AnyBaseline, Assessment, outdated
 from monitor.events import Event
 from monitor.pipeline import Result
 from monitor.publish import EVENTS, Publisher, current_alarm_line, episode_content, to_json

@@ -12,8 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from monitor.core import AlarmCondition, MissingInputError, name_stories, parse_json
-from monitor.damage import Assessment, State, outdated, utc
+from monitor.core import AlarmCondition, MissingInputError, name_stories, parse_json, utc
+from monitor.damage import Assessment, State, outdated
 from monitor.publish import EVENTS, read_line
 from monitor.runs import ledger, ledger_chain
 from monitor.service.boot import boot_time

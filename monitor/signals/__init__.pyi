@@ -7,6 +7,7 @@ from . import (
     mains_hum,
     sensor_drift,
     sensor_health,
+    stillness,
     temperature,
     window_quality,
     windows,
@@ -20,6 +21,7 @@ from .resampling import Conditioner, ConditionState
 from .sensor_drift import Drift
 from .sensor_health import Health, HealthSettings, HealthState
 from .settings import ProcessingSettings
+from .stillness import StillState
 from .temperature import LAGS_S, TemperatureSettings
 from .welch import (
     LEAKAGE_OFFSETS,
@@ -50,6 +52,7 @@ __all__ = [
     "ProcessingSettings",
     "QualitySettings",
     "SegmentDesign",
+    "StillState",
     "TemperatureSettings",
     "WatchState",
     "WindowGrid",
@@ -66,6 +69,7 @@ __all__ = [
     "overlap_correlation",
     "sensor_drift",
     "sensor_health",
+    "stillness",
     "taper",
     "temperature",
     "transform",

@@ -156,7 +156,7 @@ def step(
     dropped : int
         Number of samples of the stream dropped so far.
     keep_s : float
-        Time before the newest span for which completed spans are kept for `check`, s.
+        Time before the samples from which on completed spans are kept for `check`, s.
 
     Returns
     -------
@@ -173,7 +173,7 @@ def step(
         nonlocal state
         span = _span_health(state, dropped, channels)
         found.append(span)
-        spans = tuple(s for s in (*state.spans, span) if abs(span.t_end_ns - s.t_end_ns) <= keep_s * 1e9)
+        spans = tuple(s for s in (*state.spans, span) if abs(piece.t_ns - s.t_end_ns) <= keep_s * 1e9)
         state = HealthState(t_ns, t_ns, rate, dropped=dropped, spans=spans)
 
     if piece.gap is not None:

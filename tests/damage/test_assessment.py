@@ -77,6 +77,15 @@ def test_a_windows_length_without_a_judged_window_is_not_judged() -> None:
     assert assess(Course(), KNOWN) == Assessment(State.NOT_JUDGED, "No window of data yet.")
 
 
+def test_a_dead_logger_is_not_judged_at_once_and_an_alarm_stands_above_it() -> None:
+    dead = replace(WELL, skipped="no reading changes: the logger is dead (since 2026-01-01 08:00 UTC)", detectable=None)
+    told = said(*[WELL] * 5, dead)
+    assert told.state is State.NOT_JUDGED and told.headline.startswith("No reading changes: the logger is dead (since")
+    alarmed = said(*[LOST] * 5, replace(dead, active=LOST.active))
+    assert alarmed.state is State.ALARM and any("logger is dead" in doubt for doubt in alarmed.doubts)
+    assert said(*[WELL] * 5, dead, WELL).state is State.NORMAL
+
+
 def test_a_loss_of_all_stories_alike_below_the_alarms_is_not_green() -> None:
     alike = replace(WELL, changes=((0.045, 0.002), (0.047, 0.002), (0.046, 0.002)))
     told = said(alike)

@@ -1,0 +1,115 @@
+"""Stretches in which no channel changes: a dead logger is told, a quiet night is not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from monitor.config import configuration
+from monitor.core import STILL
+from monitor.model import Model
+from monitor.pipeline import Pipeline
+from monitor.signals import stillness
+from monitor.signals.alignment import Piece
+from tests.support.samples import FRAME
+from tests.support.simulated import PAPER_FRAME, ambient, windows_of
+
+RATE, WINDOW_S, HOP_S, T0_NS = 100.0, 60.0, 5.0, 1_767_225_600_000_000_000
+
+
+@pytest.fixture(scope="module")
+def motion() -> np.ndarray:
+    """200 s of a frame, of RMS 1 in each channel."""
+    floors = ambient(Model(PAPER_FRAME), 200.0, RATE, 1, noise=0.2)
+    return np.asarray(floors / floors.std(axis=0))
+
+
+def told(values: np.ndarray, sizes: Sequence[int] = (500,)) -> list[str | None]:
+    """What is said of the window that ends with each hop."""
+    state, out, at, k, hop = stillness.start(values.shape[1]), [], 0, 0, round(HOP_S * RATE)
+    while at < len(values):
+        part = values[at : at + min(sizes[k % len(sizes)], hop - at % hop)]
+        state = stillness.step(state, Piece(T0_NS + round(at / RATE * 1e9), part, None, RATE), HOP_S, WINDOW_S)
+        at, k = at + len(part), k + 1
+        if at % hop == 0:
+            end_ns = T0_NS + round(at / RATE * 1e9)
+            found = stillness.check(state, end_ns - round(WINDOW_S * 1e9), end_ns)
+            out.append(None if found is None else found.reason)
+    return out
+
+
+@pytest.mark.parametrize("value", [0.0, None], ids=["zeros", "the last sample held"])
+@pytest.mark.parametrize("resolution", [1e-6, 0.5], ids=["fine", "coarse"])
+def test_a_logger_that_dies_is_told_with_the_next_hop(
+    motion: np.ndarray, value: float | None, resolution: float
+) -> None:
+    spoilt = np.round(motion / resolution) * resolution
+    spoilt[10_100:] = spoilt[10_099] if value is None else value
+    said = told(spoilt)
+    assert said[:20] == [None] * 20
+    assert all(reason is not None and reason.startswith(STILL) for reason in said[20:])
+    assert "since 2026-01-01 00:01 UTC" in str(said[20])
+
+
+def test_a_logger_that_stood_still_for_a_while_is_told_until_the_window_has_passed_it(motion: np.ndarray) -> None:
+    spoilt = motion.copy()
+    spoilt[10_100:10_400] = spoilt[10_099]
+    said = told(spoilt)
+    assert all("stood still" in str(reason) for reason in said[20:32])
+    assert said[:20] == [None] * 20 and said[33:] == [None] * 7
+
+
+def test_one_channel_that_moves_is_enough(motion: np.ndarray) -> None:
+    spoilt = motion.copy()
+    spoilt[5000:, 1:] = 0.0
+    assert told(spoilt) == [None] * 40
+
+
+def test_lost_samples_of_a_channel_hide_no_dead_logger(motion: np.ndarray) -> None:
+    spoilt = motion.copy()
+    spoilt[10_100:] = 0.0
+    spoilt[10_300:15_000, 0] = np.nan
+    assert all(str(reason).startswith(STILL) for reason in told(spoilt)[20:])
+
+
+@pytest.mark.parametrize("level", [0.15, 0.2, 0.3, 0.5, 1.0, 5.0])
+@pytest.mark.parametrize("evening", ["none", "slow", "at once"])
+def test_quiet_nights_near_the_resolution_are_real(motion: np.ndarray, level: float, evening: str) -> None:
+    """Motion of a few bits and less, all night, from a slow evening on or from one second to the next."""
+    n = len(motion)
+    course = {
+        "none": np.full(n, level),
+        "slow": 20.0 * (level / 20.0) ** np.linspace(0.0, 1.0, n),
+        "at once": np.where(np.arange(n) < 7700, 20.0, level),
+    }[evening]
+    offset = np.random.default_rng(2).uniform(-0.5, 0.5, 3)
+    quiet = 0.001 * np.round(course[:, None] * motion + offset)
+    assert told(quiet) == [None] * 40
+
+
+@given(sizes=st.lists(st.integers(1, 700), min_size=1, max_size=6))
+@settings(deadline=None, max_examples=15)
+def test_what_is_told_does_not_depend_on_how_the_samples_came(motion: np.ndarray, sizes: list[int]) -> None:
+    spoilt = 0.001 * np.round(0.5 * motion)
+    spoilt[10_100:10_900] = 0.0
+    spoilt[14_000:] = 0.003
+    assert told(spoilt, sizes) == told(spoilt)
+
+
+@pytest.mark.parametrize("size", [70, 100_000], ids=["small blocks", "one block"])
+def test_windows_with_a_dead_logger_are_not_judged(motion: np.ndarray, size: int, tmp_path: Path) -> None:
+    (tmp_path / "frame.toml").write_text(FRAME)
+    pipeline = Pipeline(configuration.load(tmp_path / "frame.toml"))
+    spoilt = motion.copy()
+    spoilt[6_100:8_950] = spoilt[6_099]
+    results = windows_of(pipeline, spoilt, RATE, size=size)
+    said = [None if r.skipped is None else r.skipped.reason for r in results]
+    ends_s = [round(r.t_end_ns * 1e-9, 3) for r in results]
+    while_dead = [str(s).startswith(STILL) for s, end in zip(said, ends_s, strict=True)]
+    assert while_dead == [65.0 <= end < 90.0 for end in ends_s]
+    assert [str(s).startswith("no reading") for s in said] == [65.0 <= end < 110.0 for end in ends_s]
