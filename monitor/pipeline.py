@@ -10,6 +10,7 @@ import numpy as np
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from monitor.config import Configuration
 from monitor.core import (
+    GAP,
     Array,
     BadInputError,
     Gap,
@@ -33,6 +34,7 @@ from monitor.damage import (
     StiffnessJudge,
     View,
     alarm,
+    clock_error,
     level_db,
     slow_learning,
 )
@@ -266,6 +268,11 @@ class Pipeline:
         self.state = replace(self.state, health=state, still=still)
         return found
 
+    def _rates_hz(self) -> tuple[float, float]:
+        """Return the rate that the source states, and its rate by the timestamps, Hz."""
+        align = self.state.align
+        return align.rate_hz, align.rate_hz * align.clock.ratio
+
     def _store_temperature(self, block: SampleBlock) -> None:
         """Store the temperatures that later windows may need."""
         state = temperature.push(self.state.temperature, block, self._oldest_ns())
@@ -346,7 +353,9 @@ class Pipeline:
             return skip(judged, modes, self._track_modes(modes, item, view))
         memory, said = judged
         self.state = replace(self.state, alarm=memory.alarm, learning=memory.learning)
-        degc = covariates.get("temperature")
+        degc, detectable, rates_hz = covariates.get("temperature"), said.detectable_loss, self._rates_hz()
+        if detectable is not None and self.baseline is not None:
+            detectable = detectable + clock_error(rates_hz, self.baseline.clock_ratio, modal=said.modal is not None)
         return WindowResult(
             item.index,
             item.t_end_ns,
@@ -359,11 +368,12 @@ class Pipeline:
             item.rms_m_s2,
             None if degc is None else Temperature(degc),
             self._track_modes(said.modes, item, view),
-            said.detectable_loss,
+            detectable,
             covariates,
             left_out,
             said.modal,
             None if left_out else item.sums.total[0] / item.sums.counts.sum(),
+            rates_hz,
         )
 
     def _choose_channels(self, item: Window) -> tuple[tuple[int, ...], tuple[LeftOutChannel, ...]]:
@@ -403,6 +413,9 @@ class Pipeline:
         left_out: tuple[LeftOutChannel, ...] = (),
     ) -> WindowResult:
         """Return the result of a window without damage index: the alarm is unchanged."""
+        stated, stamped = rates_hz = self._rates_hz()
+        if skipped.reason == GAP and self.state.align.is_at_odds:
+            skipped = Skipped(f"the clock and the stated rate are at odds ({stamped:.5g} Hz and {stated:g} Hz)")
         alarms, verdict = self.judge.hold(self.state.alarm, t_end_ns)
         self.state = replace(self.state, alarm=alarms)
         covariates = self._covariates(t_end_ns)
@@ -421,6 +434,7 @@ class Pipeline:
             tracks,
             covariates=covariates,
             left_out=left_out,
+            rates_hz=rates_hz,
         )
 
 

@@ -397,8 +397,8 @@ class WindowResult:
     mode_tracks: tuple[int, ...] = ()
     """Number of the track of each mode, then of each of `modes.others`, from 0; -1 for a mode not observed often enough yet."""
     detectable_loss: Array | None = None
-    """Shape (n,): smallest sudden loss of each story that would be seen (`damage.detectable_loss`), infinite where none would;
-    None without a baseline."""
+    """Shape (n,): smallest sudden loss of each story that would be seen (`damage.detectable_loss`), and what the source's clock
+    leaves open; infinite where none would be seen; None without a baseline."""
     covariates: dict[str, Array] = field(default_factory=dict)
     """Shape (n_lags,) for each covariate that is known: its mean over the window after each thermal lag of
     `temperature.LAGS_S`, in its unit; the level of motion has one value, in dB of 1 m of RMS drift."""
@@ -408,6 +408,8 @@ class WindowResult:
     """Change of the modes, where they are all that is judged."""
     motion: Array | None = None
     """Shape (c, c), (m/s^2)^2: covariance of the accelerations; None where not all channels were judged."""
+    rates_hz: tuple[float, float] | None = None
+    """Rate that the source states, and its rate by the timestamps, Hz."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from .baseline_file import load_baseline, save_baseline
 from .common_change import UNMEASURED, Expected
 from .covariate_law import CovariateLaw
 from .covariates import LEVEL, CovariateSettings, LearnedRange, common_words, law_lines, learned_ranges
+from .detectable_loss import clock_error
 from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
 from .judge import AnyBaseline, Judge, Memory, View
 from .level import drift_m, level_db
@@ -67,6 +68,7 @@ __all__ = [
     "WindowFacts",
     "alarm",
     "assess",
+    "clock_error",
     "common_words",
     "damage_index",
     "diagnosis_of",

@@ -28,7 +28,7 @@ from monitor.core import (
     WindowResult,
     utc,
 )
-from monitor.damage.detectable_loss import WITHIN_S
+from monitor.damage.detectable_loss import WITHIN_S, clock_error
 from monitor.damage.modal_alarm import change_words
 from monitor.damage.origin import MOST_LISTED
 from monitor.damage.sequential_test import CHANCE_STDS
@@ -127,6 +127,8 @@ class WindowFacts:
     """Channels of which no use was made, and what was wrong with each."""
     modal: bool = False
     """Whether modes alone are judged: stories are then numbers of modes and shapes, and losses their changes."""
+    rates_hz: tuple[float, float] | None = None
+    """Rate that the source states, and its rate by the timestamps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +194,8 @@ class Known:
     """Name and place of the effects that the structure file states."""
     channels: tuple[str, ...] = ()
     """Names of the channels; empty where they are not known."""
+    clock_ratio: float = 1.0
+    """Rate of the baseline's data by their timestamps over the stated one."""
     n_modes: int | None = None
     """Number of the modes, where these alone are judged; `names` are then theirs and their shapes'."""
 
@@ -242,6 +246,7 @@ def facts_of(result: WindowResult) -> WindowFacts:
         result.rms_m_s2,
         () if damage is None else tuple(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True)),
         tuple((gone.channel, gone.reason) for gone in result.left_out),
+        rates_hz=result.rates_hz,
     )
 
 
@@ -259,6 +264,7 @@ def _of_modes(result: WindowResult, modal: ModalReading) -> WindowFacts:
         None if result.detectable_loss is None else result.detectable_loss.tolist(),
         result.rms_m_s2,
         tuple((gone.channel, gone.reason) for gone in result.left_out),
+        result.rates_hz,
     )
 
 
@@ -271,6 +277,7 @@ def modal_facts(
     detectable: Sequence[float | None] | None,
     rms_m_s2: float | None,
     left_out: tuple[tuple[str, str], ...],
+    rates_hz: tuple[float, float] | None,
 ) -> WindowFacts:
     """Make the facts of a judged window of modes alone.
 
@@ -304,6 +311,7 @@ def modal_facts(
         tuple(frequencies),
         left_out,
         modal=True,
+        rates_hz=rates_hz,
     )
 
 
@@ -521,6 +529,7 @@ def _doubts(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
         says += _unalarmed(course, findings, known)
         says += _risen(course, known)
         says += _levels(course, known, whole)
+        says += _clock(course, known)
     says += known.baseline_doubts
     return [(State.DOUBTFUL, _sentence(sentence)) for sentence in says]
 
@@ -596,6 +605,22 @@ def _levels(course: Course, known: Known, whole: bool) -> list[str]:
     if seen is None or known.level_range_m_s2 is None:
         return []
     return unit_questions(*seen, known.level_range_m_s2)
+
+
+def _clock(course: Course, known: Known) -> list[str]:
+    """State both rates where what the clock leaves open exceeds the smallest loss that would have been seen."""
+    rates_hz = None if course.last is None else course.last.rates_hz
+    modal = known.n_modes is not None
+    error = clock_error(rates_hz, known.clock_ratio, modal=modal)
+    seen = [] if course.judged is None else [loss for loss in course.judged.detectable or () if loss is not None]
+    if rates_hz is None or error <= (max(seen) - error if seen else known.seen_from):
+        return []
+    stated, stamped = rates_hz
+    what = "frequencies" if modal else "stiffnesses"
+    return [
+        f"the samples come at {stamped:.6g} Hz by their timestamps, at {stated:g} Hz as the source states: all {what} may be "
+        f"off by {100 * error:.2g} %, from the clock or from the rate"
+    ]
 
 
 def unit_questions(least_m_s2: float, most_m_s2: float, calibration_m_s2: tuple[float, float]) -> list[str]:

@@ -59,6 +59,8 @@ class Baseline:
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
     """UTC of the first sample of the healthy data and of their end, ns."""
+    clock_ratio: float = 1.0
+    """Rate of the healthy data by their timestamps over the stated one."""
     reference: StructuralPrior | None = None
     """Prior of a diagnosis; None where the healthy data were too short for one, or the drawing was changed since."""
     converged: bool = True

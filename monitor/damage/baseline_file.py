@@ -137,6 +137,7 @@ class _Content(_Strict):
     reference_temperature_degc: float | None
     recordings: tuple[dict[str, str], ...]
     span_ns: tuple[int, int]
+    clock_ratio: Positive
     law: Law | None
     drift_weights: Matrix | None
     motion: Matrix | None
@@ -326,6 +327,7 @@ def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
         motion=None if c.motion is None else np.array(c.motion),
         recordings=c.recordings,
         span_ns=c.span_ns,
+        clock_ratio=c.clock_ratio,
         reference=prior_file.from_plain(reference, model, instrumented.channels),
         origin=Origin(**c.origin.model_dump()),
         converged=c.converged,

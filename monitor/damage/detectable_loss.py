@@ -33,6 +33,26 @@ _CORRELATION_STEP = 0.2
 """The same for correlations. [1; cost]"""
 
 
+def clock_error(rates_hz: tuple[float, float] | None, calibration: float, *, modal: bool) -> float:
+    """Compute the relative error of a stiffness, or of a frequency (`modal`), that the source's clock leaves open.
+
+    Parameters
+    ----------
+    rates_hz : (float, float), optional
+        Rate that the source states, and its rate by the timestamps, Hz.
+    calibration : float
+        Rate of the healthy data by their timestamps over the stated one: an error that both have cancels.
+
+    Examples
+    --------
+    >>> round(clock_error((100.0, 98.0), 1.0, modal=False), 6)
+    0.04
+    """
+    if rates_hz is None:
+        return 0.0
+    return (1.0 if modal else 2.0) * abs(rates_hz[1] / rates_hz[0] / calibration - 1.0)
+
+
 def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
     """Compute the smallest sudden loss of each story that the alarm sees with `PROBABILITY` within `WITHIN_S`.
 

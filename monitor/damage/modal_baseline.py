@@ -67,6 +67,8 @@ class ModalBaseline:
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
     """UTC of the first sample of the healthy data and of their end, ns."""
+    clock_ratio: float = 1.0
+    """Rate of the healthy data by their timestamps over the stated one."""
     doubts: tuple[str, ...] = ()
     """Why it may not be this structure's; not in the file."""
 

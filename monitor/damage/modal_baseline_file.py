@@ -57,6 +57,7 @@ class _Content(Settings):
     motion: Matrix | None
     recordings: tuple[dict[str, str], ...]
     span_ns: tuple[int, int]
+    clock_ratio: Positive
 
 
 def save_modal_baseline(baseline: ModalBaseline, path: Path) -> None:
@@ -157,4 +158,5 @@ def _build(c: _Content) -> ModalBaseline:
         shape_law=covariates.from_plain(None if c.shape_law is None else c.shape_law.model_dump(), m * (n - 1)),
         recordings=c.recordings,
         span_ns=c.span_ns,
+        clock_ratio=c.clock_ratio,
     )

@@ -105,6 +105,8 @@ def calibrate(
         t_ns=[r.t_end_ns for r in good if r.modes is not None],
         motion=[r.motion for r in good if r.motion is not None],
     )
+    baseline = replace(baseline, clock_ratio=pipeline.state.align.clock.ratio)
+    warn_of_clock(pipeline, on_warning)
     warn_of_confounding(baseline, on_warning)
     _warn_of_ambiguities(baseline, config, good[-1], on_warning)
     if segments is None:
@@ -245,6 +247,16 @@ def warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult],
     if len(kept) < len(windows):
         on_warning(
             f"{len(windows) - len(kept)} of {len(windows)} windows were left out: they lack a mode of the others"
+        )
+
+
+def warn_of_clock(pipeline: Pipeline, on_warning: OnWarning) -> None:
+    """Warn of a rate that the timestamps contradict: what is learned is right for a source with the same error."""
+    align = pipeline.state.align
+    if align.is_at_odds:
+        on_warning(
+            f"the samples come at {align.rate_hz * align.clock.ratio:.6g} Hz by their timestamps, at {align.rate_hz:g} Hz as "
+            "the recording states; the stated rate is used"
         )
 
 

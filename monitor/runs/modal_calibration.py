@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from monitor.pipeline import Pipeline
 from monitor.runs.baselines import modal_origin
 from monitor.runs.calibrate import (
     covariate_units,
+    warn_of_clock,
     warn_of_confounding,
     warn_of_missing_modes,
     why_not_learned,
@@ -73,8 +75,9 @@ def calibrate_modes(
         config.compensation,
         motion=[r.motion for r in kept if r.motion is not None],
     )
+    warn_of_clock(second, on_warning)
     warn_of_confounding(baseline, on_warning)
-    return baseline
+    return replace(baseline, clock_ratio=second.state.align.clock.ratio)
 
 
 def common_modes(state: tracking.TrackState, most: int) -> Modes | None:

@@ -271,6 +271,7 @@ class Session:
             unwatched=c.alarm.unwatched,
             accepted=tuple((e.name, e.location) for e in c.model().effects) if c.has_model else (),
             channels=c.channels,
+            clock_ratio=1.0 if b is None else b.clock_ratio,
             n_modes=None if c.has_model else modes,
         )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import ceil
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.base import UNIT_OF, SampleBlock
 from monitor.core import Array, BadInputError, Gap
+from monitor.signals.stream_clock import StreamClock
 
 _MAX_CLOCK_OFFSET_S = 1.0
 """Jump of the clock, from one block to the next in sequence, from which samples may have been lost. [s; judgement]"""
@@ -46,10 +47,17 @@ class AlignState:
     """Part of the drift that the times of samples already include."""
     late: int = 0
     """Number of consecutive samples dropped because they came late."""
+    clock: StreamClock = field(default_factory=StreamClock)
+    """The stream's rate by its timestamps."""
 
     def t_next_ns(self) -> int:
         """Return the UTC at which the next sample of the run is due."""
         return self.t_run_ns + round(self.n_run / self.rate_hz * 1e9) + self.label_ns
+
+    @property
+    def is_at_odds(self) -> bool:
+        """Whether the timestamps contradict the stated rate by more than a clock drifts."""
+        return abs(self.clock.ratio - 1.0) > _MAX_DRIFT
 
 
 def start() -> AlignState:
@@ -152,7 +160,8 @@ def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) ->
     t_ns, sequence = block.t_ns + round(offset / rate * 1e9), block.sequence + offset
     if n == 0:
         return state, []
-    begun = AlignState(t_ns, n, sequence + n, rate, state.dropped)
+    clock = state.clock if rate == state.rate_hz else StreamClock()
+    begun = AlignState(t_ns, n, sequence + n, rate, state.dropped, clock=clock.begin())
     if state.n_run == 0:
         return begun, [Piece(t_ns, values, None, rate)]
     due_ns = state.t_next_ns()
@@ -173,6 +182,7 @@ def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) ->
             offset_ns=offset_ns,
             label_ns=state.label_ns + shift_ns,
             late=0,
+            clock=state.clock.add(state.n_run / rate, offset_ns * 1e-9, n / rate),
         )
         return state, [Piece(due_ns + shift_ns, values, None, rate, shift_ns)]
     patience = ceil(_PATIENCE_S * rate) - state.late

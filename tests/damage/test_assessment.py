@@ -202,6 +202,32 @@ def test_g_for_m_s2_is_asked_about_while_it_lasts_and_in_a_recording_if_it_ever_
     assert said(odd, WELL).state is State.NORMAL
 
 
+@pytest.mark.parametrize(
+    ("stamped_hz", "calibration", "state"),
+    [
+        (100.0, 1.0, State.NORMAL),
+        (99.8, 1.0, State.NORMAL),
+        (98.0, 1.0, State.DOUBTFUL),
+        (98.0, 0.98, State.NORMAL),
+        (100.0, 0.98, State.DOUBTFUL),
+    ],
+)
+def test_a_rate_that_the_stamps_contradict_is_a_doubt_unless_calibration_had_the_same(
+    stamped_hz: float, calibration: float, state: State
+) -> None:
+    known, error = replace(KNOWN, clock_ratio=calibration), 2.0 * abs(stamped_hz / 100.0 / calibration - 1.0)
+    window = replace(WELL, rates_hz=(100.0, stamped_hz), detectable=(0.01 + error, 0.012 + error, 0.008 + error))
+    told = said(window, known=known)
+    assert told.state is state
+    if state is State.DOUBTFUL:
+        assert f"at {stamped_hz:g} Hz by their timestamps, at 100 Hz" in told.headline
+
+
+def test_a_clock_that_lets_no_window_be_judged_is_a_doubt() -> None:
+    odds = replace(WELL, skipped="the clock and the stated rate are at odds (90 Hz and 100 Hz)", rates_hz=(100.0, 90.0))
+    assert said(*[odds] * 50).state is State.DOUBTFUL
+
+
 def test_strong_motion_that_is_told_as_an_event_does_not_ask_for_the_unit() -> None:
     shaken = WindowFacts(T0, WINDOW_S, STRONG_MOTION, rms_m_s2=100.0)
     assert not any("is the unit right" in text for text in (said(WELL, shaken).headline, *said(WELL, shaken).doubts))

@@ -63,6 +63,7 @@ WINDOWS_SCHEMA = pa.schema(
         ("alarm_changed", pa.list_(pa.string())),
         ("channels_left_out", pa.list_(pa.string())),
         ("left_out_reasons", pa.list_(pa.string())),
+        ("rates_hz", _MANY),
         ("skipped", pa.string()),
     ]
 )

@@ -115,6 +115,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         },
         "channels_left_out": [gone.channel for gone in result.left_out],
         "left_out_reasons": [gone.reason for gone in result.left_out],
+        "rates_hz": result.rates_hz and _rounded(result.rates_hz),
         "skipped": result.skipped and result.skipped.reason,
     }
 
@@ -293,7 +294,14 @@ def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
         line.get("rms_m_s2"),
         () if line["ddi"] is None else tuple(zip(line["ddi"], line["ddi_std"], strict=True)),
         tuple(zip(line.get("channels_left_out") or (), line.get("left_out_reasons") or (), strict=False)),
+        rates_hz=_rates_hz(line),
     )
+
+
+def _rates_hz(line: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Return the stated rate and that by the timestamps, where a line has both."""
+    stated, stamped = line.get("rates_hz") or (None, None)
+    return None if stated is None or stamped is None else (float(stated), float(stamped))
 
 
 def _modal_facts(line: Mapping[str, Any], level: Level) -> WindowFacts:
@@ -312,6 +320,7 @@ def _modal_facts(line: Mapping[str, Any], level: Level) -> WindowFacts:
         line.get("detectable_loss"),
         line.get("rms_m_s2"),
         tuple(zip(line.get("channels_left_out") or (), line.get("left_out_reasons") or (), strict=False)),
+        _rates_hz(line),
     )
 
 

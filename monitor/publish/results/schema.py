@@ -51,6 +51,7 @@ LINE_SCHEMA: dict[str, Any] = {
         },
         "channels_left_out": _STRINGS,
         "left_out_reasons": _STRINGS,
+        "rates_hz": _NUMBERS,
         "skipped": {"type": ["string", "null"]},
     },
     "required": ["t_end_ns", "alarm", "skipped"],
