@@ -70,7 +70,17 @@ class ModalJudge:
             return identify_modes(window, ssi, select, settings.refinement, past, cutoff_hz)
         wanted = tuple(range(self.reference.eigenvalues.size))
         return identify(
-            window, past, self.reference, view.array.shown, ssi, select, wanted, cutoff_hz, refiner, "at calibration"
+            window,
+            past,
+            self.reference,
+            view.array.shown,
+            ssi,
+            select,
+            wanted,
+            cutoff_hz,
+            refiner,
+            "at calibration",
+            measured=True,
         )
 
     def judge(

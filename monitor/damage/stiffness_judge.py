@@ -114,6 +114,7 @@ class StiffnessJudge:
             wanted,
             cutoff_hz,
             partial(refine, window, settings=settings.refinement),
+            measured=self.baseline is not None,
         )
         return modes if isinstance(modes, Skipped) else view.array.correct(modes)
 

@@ -109,6 +109,8 @@ def identify(
     cutoff_hz: float | None = None,
     refiner: Callable[[ModalEstimate], ModalEstimate] | None = None,
     known: str = "by the model",
+    *,
+    measured: bool = False,
 ) -> ModalEstimate | Skipped:
     """Identify the modes of a window: poles of all orders, stabilisation, and match to the model's modes.
 
@@ -131,6 +133,9 @@ def identify(
         unchanged, the deviations are those of the subspace identification; their costly covariance is computed only then.
     known : str
         Where the reference is from, in words.
+    measured : bool
+        Whether the reference was measured on the structure.  Modes that then lie at one another's places are exchanged, as few
+        channels do where they see both modes alike, and are no reading.
 
     Returns
     -------
@@ -151,7 +156,7 @@ def identify(
     stable = mark_stable(poles, select, realisation.singular_values.size < max_order)
     in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
     frequencies = reference.frequencies_hz[list(wanted)]
-    modes, rest = _match(poles, stable, frequencies, shapes, select, in_band)
+    modes, rest = _match(poles, stable, frequencies, shapes, select, in_band, in_places=measured)
     clusters = [m for m in modes if m is not None]
     # Canonical correlations rank all modes alike, also those not wanted, which need room; by energy the strong ones come first.
     crowd = min(in_band, ssi.max_order // 2 - 2) if ssi.used(window.sums.head.shape[1]) in ("CVA", "UPC") else 0
@@ -215,7 +220,14 @@ def group_poles(poles: PoleTable, stable: Array, select: SelectionSettings, in_b
 
 
 def _match(
-    poles: PoleTable, stable: Array, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int
+    poles: PoleTable,
+    stable: Array,
+    frequencies: Array,
+    shapes: Array,
+    select: SelectionSettings,
+    in_band: int,
+    *,
+    in_places: bool,
 ) -> tuple[list[list[int] | None], list[list[int]]]:
     """Find for each of the model's modes the stable poles of its counterpart, None where there is none, and the other modes'.
 
@@ -224,6 +236,8 @@ def _match(
     frequencies : ndarray, shape (k,), Hz
     shapes : ndarray, shape (k, c)
         Frequencies and shapes of the model's modes.
+    in_places : bool
+        Put modes that lie at one another's places each at its own, or leave them out where their shapes do not allow it.
     """
     from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
 
@@ -242,10 +256,51 @@ def _match(
     )
     found: list[list[int] | None] = [None] * len(frequencies)
     rest = {j: np.flatnonzero(group == j).tolist() for j in range(cost.shape[1])}
-    for i, j in zip(*linear_sum_assignment(cost), strict=True):
-        if cost[i, j] < IMPOSSIBLE:
-            found[i] = rest.pop(int(j))
+    matched = {int(i): int(j) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < IMPOSSIBLE}
+    for moves, is_ring in _moves(matched, group, poles.frequency, frequencies, select) if in_places else ():
+        own = {place: matched[i] for i, place in moves.items()}
+        is_possible = all(cost[i, j] < IMPOSSIBLE for i, j in own.items())
+        if is_ring or is_possible:
+            matched = {i: j for i, j in matched.items() if i not in moves} | (own if is_possible else {})
+    for i, j in matched.items():
+        found[i] = rest.pop(j)
     return found, list(rest.values())
+
+
+def _moves(
+    matched: dict[int, int],
+    group: NDArray[np.intp],
+    pole_hz: Array,
+    frequencies: Array,
+    select: SelectionSettings,
+) -> list[tuple[dict[int, int], bool]]:
+    """Find the modes each of which was found where the reference has the next, farther away than one mode scatters.
+
+    They end in a ring, as no change of stiffness makes, or at a place of which no mode was found.  Where the last one was found at
+    its own place, a mode has moved past another.
+
+    Parameters
+    ----------
+    matched : dict
+        Mode of the data for each of the reference's.
+
+    Returns
+    -------
+    list of (dict, bool)
+        The mode of the reference at whose place each was found, and whether they are a ring.
+    """
+    known = np.log(frequencies)
+    places = {i: int(np.abs(known - np.log(np.median(pole_hz[group == j]))).argmin()) for i, j in matched.items()}
+    moved = {i: p for i, p in places.items() if abs(known[i] - known[p]) > 2.0 * select.stable_frequency}
+    found: list[tuple[dict[int, int], bool]] = []
+    for first in sorted(moved, key=lambda i: (i in moved.values(), i)):  # a chain from its beginning
+        moves, at = {}, first
+        while at in moved and at not in moves and not any(at in other for other, _ in found):
+            moves[at] = moved[at]
+            at = moved[at]
+        if moves and (at == first or at not in matched):
+            found.append((moves, at == first))
+    return found
 
 
 def distinct(
