@@ -276,8 +276,8 @@ def _moves(
 ) -> list[tuple[dict[int, int], bool]]:
     """Find the modes each of which was found where the reference has the next, farther away than one mode scatters.
 
-    They end in a ring, as no change of stiffness makes, or at a place of which no mode was found.  Where the last one was found at
-    its own place, a mode has moved past another.
+    They end in a ring, as no change of stiffness makes, or at a place of which no mode was found.  Where the last one was found
+    at its own place, a mode has moved past another.
 
     Parameters
     ----------
