@@ -1,5 +1,6 @@
 from .blas import single_blas_thread
 from .busy import Busy
+from .codec import decode, encode, from_plain, to_plain
 from .compilation import compiled
 from .errors import (
     BadConfigurationError,
@@ -76,8 +77,11 @@ __all__ = [
     "WindowResult",
     "WrongUsageError",
     "compiled",
+    "decode",
     "demand_place",
+    "encode",
     "finish",
+    "from_plain",
     "import_extra",
     "keep_freed",
     "levenberg_marquardt",
@@ -96,6 +100,7 @@ __all__ = [
     "sha256",
     "single_blas_thread",
     "spare_inputs",
+    "to_plain",
     "utc",
     "utc_ns",
     "write_atomically",

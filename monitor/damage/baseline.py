@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -23,21 +23,20 @@ class Baseline:
 
     model: Model
     """Model updated to the healthy modes."""
-    covariance: Array
-    """Covariance of stiffnesses, then masses, relative to their values, shape (p + n, p + n)."""
-    z: Array
-    """Measured vector of the healthy state, shape (n_data,) (see `updating.Observation`)."""
-    z_covariance: Array
-    """Shape (n_data, n_data)."""
-    misfit: Array
-    """z minus the updated model's: the systematic model error, which cancels from every change, shape (n_data,)."""
+    covariance: Annotated[Array, "q q"]
+    """Covariance of stiffnesses, then masses, relative to their values."""
+    z: Annotated[Array, "d"]
+    """Measured vector of the healthy state (see `updating.Observation`)."""
+    z_covariance: Annotated[Array, "d d"]
+    misfit: Annotated[Array, "d"]
+    """z minus the updated model's: the systematic model error, which cancels from every change."""
     model_mode: tuple[int, ...]
     """Numbers of the healthy modes in `model` (0 = lowest), in the order of `z`."""
     gauges: tuple[int, ...]
     log: bool
-    frequencies_hz: Array
-    frequencies_std_hz: Array
-    damping_ratio: Array
+    frequencies_hz: Annotated[Array, "m"]
+    frequencies_std_hz: Annotated[Array, "m"]
+    damping_ratio: Annotated[Array, "m"]
     channels: tuple[str, ...]
     floors: tuple[int, ...]
     """Floor of each channel."""
@@ -50,16 +49,16 @@ class Baseline:
     """Mean temperature over the windows; None without a temperature channel."""
     law: CovariateLaw | None = None
     """Dependence of the healthy stiffness on temperature, level and other covariates; None where none was learned."""
-    drift_weights: Array | None = None
-    """Shape (c, c), s^4: how the level that the law was learned at was measured (`level.drift_weights`)."""
-    motion: Array | None = None
-    """Shape (c, c), (m/s^2)^2: mean covariance of the accelerations over the windows, by which fewer channels measure the same
+    drift_weights: Annotated[Array, "c c"] | None = None
+    """How the level that the law was learned at was measured (`level.drift_weights`), s^4."""
+    motion: Annotated[Array, "c c"] | None = None
+    """Mean covariance of the accelerations over the windows, (m/s^2)^2, by which fewer channels measure the same
     level; None without accelerations."""
-    recordings: tuple[dict[str, Any], ...] = field(default=())
+    recordings: tuple[dict[str, str], ...] = field(default=())
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
     """UTC of the first sample of the healthy data and of their end, ns."""
-    clock_ratio: float = 1.0
+    clock_ratio: Annotated[float, 0.0] = 1.0
     """Rate of the healthy data by their timestamps over the stated one."""
     reference: StructuralPrior | None = None
     """Prior of a diagnosis; None where the healthy data were too short for one, or the drawing was changed since."""
@@ -143,7 +142,7 @@ def learn_baseline(
     instrumented: InstrumentedModel,
     windows: list[ModalEstimate],
     rms: Array,
-    recordings: tuple[dict[str, Any], ...],
+    recordings: tuple[dict[str, str], ...],
     span_ns: tuple[int, int] = (0, 0),
     covariates: Sequence[Mapping[str, Array]] = (),
     units: Mapping[str, str] | None = None,

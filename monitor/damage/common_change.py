@@ -22,7 +22,7 @@ Smith, Applied regression analysis (1998), section 5.1 (variance of a prediction
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +46,13 @@ changes of healthy structures]"""
 class CommonChange:
     """Sums of healthy windows from which the covariance of common changes follows."""
 
-    square: Array
-    """Shape (n, n): weighted sum of the squared distances, in the columns of `CovariateLaw.mixing`, where one window's noise is
+    square: Annotated[Array, "n n"]
+    """Weighted sum of the squared distances, in the columns of `CovariateLaw.mixing`, where one window's noise is
     1."""
     windows: int
     """Number of windows in the sum."""
-    lowest: Array
-    """Shape (2, n + 2, n): lowest values, over a stretch of two days, of the change of each quantity and of its negative: in the
+    lowest: Annotated[Array, "2 n+2 n"]
+    """Lowest values, over a stretch of two days, of the change of each quantity and of its negative: in the
     stretch that goes on, then in the n + 1 others that went lowest."""
 
     def add(self, distance: Array, change: Array) -> CommonChange:

@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -43,10 +44,10 @@ class Axis:
 
     name: str
     unit: str
-    knots: Array
-    """Shape (k,), increasing: where the slope may change."""
-    slope_std: Array
-    """Shape (k + 2,): prior standard deviation of the common slope, then of the own slope of each stretch, per unit."""
+    knots: Annotated[Array, "j"]
+    """Increasing: where the slope may change."""
+    slope_std: Annotated[Array, "j+2"]
+    """Prior standard deviation of the common slope, then of the own slope of each stretch, per unit."""
     lag: int = 0
     """Column of the covariate's lagged values."""
     lag_s: float = 0.0
@@ -86,19 +87,19 @@ class Effect:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CovariateLaw:
-    """Posterior of the slopes of n quantities, with K basis functions of all covariates together."""
+    """Posterior of the slopes of n quantities, with k basis functions of all covariates together."""
 
     axes: tuple[Axis, ...]
-    centre: Array
-    """Shape (K,): mean basis of the healthy windows, where the law predicts no change."""
-    spread: Array
-    """Shape (K, K): covariance of the basis over the healthy windows, for covariates that are missing later."""
-    slopes: Array
-    """Shape (n, K): mean of the slopes."""
-    posterior: Array
-    """Shape (n, K, K): covariance of the slopes for each column of `mixing`."""
-    mixing: Array
-    """Shape (n, n): the matrix A."""
+    centre: Annotated[Array, "k"]
+    """Mean basis of the healthy windows, where the law predicts no change."""
+    spread: Annotated[Array, "k k"]
+    """Covariance of the basis over the healthy windows, for covariates that are missing later."""
+    slopes: Annotated[Array, "n k"]
+    """Mean of the slopes."""
+    posterior: Annotated[Array, "n k k"]
+    """Covariance of the slopes for each column of `mixing`."""
+    mixing: Annotated[Array, "n n"]
+    """The matrix A."""
     scatter: float = 1.0
     """Variance of the healthy windows about the law, over the variance that they state."""
     common: CommonChange | None = None

@@ -1,15 +1,15 @@
-"""What the healthy stiffness may owe to each covariate: priors, axes, and the law in the baseline's file."""
+"""What the healthy stiffness may owe to each covariate: priors, axes, and the law as read from a baseline's file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from monitor.core import Array, Settings
+from monitor.core import Array, Settings, decode
 from monitor.damage.common_change import CommonChange, learn_common
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn, stories_prior
 from monitor.damage.level import drift_m
@@ -238,45 +238,19 @@ def shown_unit(axis: Axis) -> str:
     return "m" if axis.name == LEVEL else axis.unit
 
 
-def to_plain(law: CovariateLaw | None) -> dict[str, Any] | None:
-    """Convert a law to JSON types for the baseline's file."""
-    if law is None:
-        return None
-    content = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(law).items()}
-    if law.common is not None:
-        content["common"] = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(law.common).items()}
-    content["axes"] = [
-        {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in axis.items()} for axis in content["axes"]
-    ]
-    return content
-
-
-def from_plain(content: dict[str, Any] | None, n: int) -> CovariateLaw | None:
-    """Convert the JSON types that `to_plain` wrote back to a law of n stories.
+def read_law(content: Any, n: int, place: str = "law") -> CovariateLaw | None:
+    """Read the law of n quantities from a baseline's file; None where none was learned.
 
     Raises
     ------
-    ValueError, KeyError, TypeError
+    ValueError
         If the content is damaged or belongs to another structure.
     """
     if content is None:
         return None
-    axes = tuple(
-        Axis(**{**a, "knots": np.array(a["knots"]), "slope_std": np.array(a["slope_std"]), "range": tuple(a["range"])})
-        for a in content["axes"]
-    )
-    k = sum(a.slope_std.size for a in axes)
-    shapes = {"centre": (k,), "spread": (k, k), "slopes": (n, k), "posterior": (n, k, k), "mixing": (n, n)}
-    arrays = {name: np.array(content[name], dtype=float) for name in shapes}
-    if any(arrays[name].shape != shape or not np.isfinite(arrays[name]).all() for name, shape in shapes.items()):
-        raise ValueError("its dependence on covariates is damaged")
-    if any(a.slope_std.size != a.knots.size + 2 or not 0 <= a.lag < len(LAGS_S) for a in axes):
+    law = decode(CovariateLaw, content, place=place, n=n)
+    if sum(axis.slope_std.size for axis in law.axes) != law.centre.size:
+        raise ValueError("the covariates are not those of the law")
+    if any(not 0 <= axis.lag < len(LAGS_S) for axis in law.axes) or (law.common and law.common.windows < 0):
         raise ValueError("its covariates are damaged")
-    common = content["common"]
-    if common is not None:
-        square, lowest = (np.array(common[name], dtype=float) for name in ("square", "lowest"))
-        common = CommonChange(square, int(common["windows"]), lowest)
-        fits = common.square.shape == (n, n) and common.lowest.shape == (2, n + 2, n) and common.windows >= 0
-        if not (fits and np.isfinite(common.square).all() and np.isfinite(common.lowest).all()):
-            raise ValueError("its common change is damaged")
-    return CovariateLaw(axes, **arrays, scatter=float(content["scatter"]), common=common)
+    return law

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,29 +27,27 @@ class ModalOrigin:
     name: str
     unit: str
     """Of the samples."""
-    rate_hz: float
+    rate_hz: Annotated[float, 0.0]
     """Sample rate after resampling."""
-    cutoff_hz: float
+    cutoff_hz: Annotated[float, 0.0]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ModalBaseline:
     """Modes of the healthy structure."""
 
-    frequencies_hz: Array
-    """Shape (m,)."""
-    frequencies_std_hz: Array
-    """Shape (m,)."""
-    damping_ratio: Array
-    """Shape (m,); shown, not judged."""
-    shapes: Array
-    """Shape (m, c): real parts, 1 at the gauge."""
+    frequencies_hz: Annotated[Array, "m", 0.0]
+    frequencies_std_hz: Annotated[Array, "m"]
+    damping_ratio: Annotated[Array, "m"]
+    """Shown, not judged."""
+    shapes: Annotated[Array, "m c"]
+    """Real parts, 1 at the gauge."""
     gauges: tuple[int, ...]
     """Channel of the largest component of each shape."""
-    covariance: Array
-    """Shape (m, m): of the logarithms of the frequencies."""
-    shape_variance: Array
-    """Shape (m, c): of the shapes' components."""
+    covariance: Annotated[Array, "m m"]
+    """Of the logarithms of the frequencies."""
+    shape_variance: Annotated[Array, "m c"]
+    """Of the shapes' components."""
     channels: tuple[str, ...]
     windows: int
     level_range_m_s2: tuple[float, float]
@@ -61,13 +59,13 @@ class ModalBaseline:
     """Dependence of the modal stiffnesses, the squares of the frequencies, on the covariates; None where none was learned."""
     shape_law: CovariateLaw | None = None
     """Dependence of the shapes' components but the gauges', mode by mode."""
-    motion: Array | None = None
-    """Shape (c, c), (m/s^2)^2: covariance of the windows' accelerations, by which fewer channels measure the same level."""
-    recordings: tuple[dict[str, Any], ...] = field(default=())
+    motion: Annotated[Array, "c c"] | None = None
+    """Covariance of the windows' accelerations, (m/s^2)^2, by which fewer channels measure the same level."""
+    recordings: tuple[dict[str, str], ...] = field(default=())
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
     """UTC of the first sample of the healthy data and of their end, ns."""
-    clock_ratio: float = 1.0
+    clock_ratio: Annotated[float, 0.0] = 1.0
     """Rate of the healthy data by their timestamps over the stated one."""
     doubts: tuple[str, ...] = ()
     """Why it may not be this structure's; not in the file."""
@@ -88,7 +86,7 @@ def learn_modal_baseline(
     origin: ModalOrigin,
     windows: list[ModalEstimate],
     rms: Array,
-    recordings: tuple[dict[str, Any], ...],
+    recordings: tuple[dict[str, str], ...],
     span_ns: tuple[int, int],
     covariates: Sequence[Mapping[str, Array]],
     units: Mapping[str, str],

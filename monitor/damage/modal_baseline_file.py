@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import numpy as np
-from pydantic import ConfigDict, Field, ValidationError
-
-from monitor.core import BadConfigurationError, BadInputError, Settings, settings_problems, write_atomically
-from monitor.damage import covariates
-from monitor.damage.baseline_file import Law, read_content
+from monitor.core import BadConfigurationError, BadInputError, decode, encode
+from monitor.damage.baseline_file import BAD_CONTENT, read_content, write_content
+from monitor.damage.covariates import read_law
 from monitor.damage.modal_baseline import ModalBaseline, ModalOrigin
-from monitor.model import Matrix, Positive
 
 MODAL_FORMAT = 1
 """Counts changes of the meaning of a file of modes; files of another number are refused. [1; definition]"""
@@ -22,58 +17,9 @@ MODAL = "modal"
 """Kind of the baseline in a file of modes. [name; definition]"""
 
 
-class _Origin(Settings):
-    """`ModalOrigin` in the file."""
-
-    model_config = ConfigDict(strict=True)
-
-    name: str
-    unit: str
-    rate_hz: Positive
-    cutoff_hz: Positive
-
-
-class _Content(Settings):
-    """Content of the file: `ModalBaseline`."""
-
-    model_config = ConfigDict(strict=True)
-
-    kind: Literal["modal"]
-    format: int
-    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)]
-    frequencies_std_hz: tuple[float, ...]
-    damping_ratio: tuple[float, ...]
-    shapes: Matrix
-    gauges: tuple[Annotated[int, Field(ge=0)], ...]
-    covariance: Matrix
-    shape_variance: Matrix
-    channels: tuple[str, ...]
-    windows: int
-    level_range_m_s2: tuple[float, float]
-    origin: _Origin
-    reference_temperature_degc: float | None
-    law: Law | None
-    shape_law: Law | None
-    motion: Matrix | None
-    recordings: tuple[dict[str, str], ...]
-    span_ns: tuple[int, int]
-    clock_ratio: Positive
-
-
 def save_modal_baseline(baseline: ModalBaseline, path: Path) -> None:
     """Write the healthy modes as JSON, atomically."""
-    own = {
-        "kind": MODAL,
-        "format": MODAL_FORMAT,
-        "law": covariates.to_plain(baseline.law),
-        "shape_law": covariates.to_plain(baseline.shape_law),
-        "origin": asdict(baseline.origin),
-    }
-    content: dict[str, Any] = {}
-    for name in _Content.model_fields:
-        value = own[name] if name in own else getattr(baseline, name)
-        content[name] = value.tolist() if isinstance(value, np.ndarray) else value
-    write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_content(path, {"kind": MODAL, "format": MODAL_FORMAT, **encode(baseline, omit=("doubts",))})
 
 
 def load_modal_baseline(path: Path, channels: tuple[str, ...], here: ModalOrigin) -> ModalBaseline:
@@ -89,7 +35,7 @@ def load_modal_baseline(path: Path, channels: tuple[str, ...], here: ModalOrigin
         If the baseline is another structure's, or of another kind.
     """
     try:
-        text, tree = read_content(path)
+        tree = read_content(path)
         if tree.get("kind") != MODAL:
             raise BadConfigurationError(
                 f"{path}: the baseline is of a structure with a model, and here the modes alone are monitored; make one with "
@@ -97,14 +43,9 @@ def load_modal_baseline(path: Path, channels: tuple[str, ...], here: ModalOrigin
             )
         if tree["format"] != MODAL_FORMAT:
             raise BadInputError(f"{path}: baseline format {tree['format']!r}, expected {MODAL_FORMAT}; calibrate anew")
-        content = _Content.model_validate_json(text)
-        loaded = _build(content)
-    except ValidationError as error:
-        raise BadInputError(
-            f"{path}: not a baseline file ({settings_problems(error)[0]}); make one with 'calibrate'"
-        ) from error
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
+        loaded = _build(tree)
+    except BAD_CONTENT as error:
+        raise BadInputError(f"{path}: not a baseline file ({error}); make one with 'calibrate'") from error
     there = loaded.origin
     says = [] if loaded.channels == channels else [f"its channels are {', '.join(loaded.channels)}"]
     says += [
@@ -129,34 +70,17 @@ def load_modal_baseline(path: Path, channels: tuple[str, ...], here: ModalOrigin
     return loaded
 
 
-def _build(c: _Content) -> ModalBaseline:
+def _build(tree: dict[str, Any]) -> ModalBaseline:
     """Build the baseline from a file's content.
 
     Raises
     ------
-    ValueError, KeyError, TypeError
+    ValueError, TypeError, KeyError
         If the parts of the content do not fit each other.
     """
-    m, n = len(c.frequencies_hz), len(c.channels)
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("frequencies_hz", "frequencies_std_hz", "damping_ratio"), (m,))
-    shapes |= {"shapes": (m, n), "covariance": (m, m), "shape_variance": (m, n)}
-    shapes |= {"motion": (n, n)} if c.motion is not None else {}
-    arrays: dict[str, Any] = {name: np.array(getattr(c, name), dtype=float) for name in shapes}
-    if any(arrays[name].shape != shape or not np.isfinite(arrays[name]).all() for name, shape in shapes.items()):
-        raise ValueError("its modes are damaged")
-    if len(c.gauges) != m or any(g >= n for g in c.gauges):
+    m, c = len(tree["frequencies_hz"]), len(tree["channels"])
+    laws = {"law": read_law(tree["law"], m), "shape_law": read_law(tree["shape_law"], m * (c - 1), "shape_law")}
+    built = decode(ModalBaseline, tree, laws | {"doubts": ()}, beside=("kind", "format"), m=m, c=c)
+    if not m or len(built.gauges) != m or not all(0 <= g < c for g in built.gauges):
         raise ValueError("its gauges are damaged")
-    return ModalBaseline(
-        **arrays,
-        gauges=c.gauges,
-        channels=c.channels,
-        windows=c.windows,
-        level_range_m_s2=c.level_range_m_s2,
-        origin=ModalOrigin(**c.origin.model_dump()),
-        reference_temperature_degc=c.reference_temperature_degc,
-        law=covariates.from_plain(None if c.law is None else c.law.model_dump(), m),
-        shape_law=covariates.from_plain(None if c.shape_law is None else c.shape_law.model_dump(), m * (n - 1)),
-        recordings=c.recordings,
-        span_ns=c.span_ns,
-        clock_ratio=c.clock_ratio,
-    )
+    return built

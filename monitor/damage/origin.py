@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
@@ -24,9 +24,9 @@ class Origin:
 
     name: str
     kind: str
-    masses_kg: tuple[float, ...]
+    masses_kg: tuple[Annotated[float, 0.0], ...]
     """As drawn, one for each degree of freedom."""
-    stiffness_n_per_m: tuple[float, ...]
+    stiffness_n_per_m: tuple[Annotated[float, 0.0], ...]
     """As drawn, one for each story."""
     fingerprint: str
     """Of the drawn mass matrix, stiffness matrix and its derivatives (`matrices_fingerprint`)."""

@@ -11,19 +11,14 @@ import hashlib
 import json
 import logging
 import os
-import types
 from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
-from enum import Enum
-from fractions import Fraction
-from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar
 
 import numpy as np
 
 from drivers.disk import sync_folder
-from monitor.core import finish, partial
+from monitor.core import finish, from_plain, partial, to_plain
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +26,7 @@ FORMAT = "shm-monitor state"
 VERSION = 1
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
 UPGRADES: Mapping[int, Callable[[Any], Any]] = {}
-"""Version -> function that converts its plain value (`plain`) to that of the next version."""
+"""Version -> function that converts its plain value (`core.to_plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"
 _MOST_BYTES = 1 << 30
@@ -124,12 +119,10 @@ def to_bytes(key: str, value: object) -> bytes:
     arrays: list[bytes] = []
     size = 0
 
-    def pack(item: object) -> object:
+    def pack(item: np.ndarray) -> object:
         nonlocal size
-        if isinstance(item, np.generic):
-            return item.item()
-        if not isinstance(item, np.ndarray) or item.dtype.str not in _DTYPES:
-            raise TypeError(f"cannot be kept: {type(item).__name__} {getattr(item, 'dtype', '')}")
+        if item.dtype.str not in _DTYPES:
+            raise TypeError(f"cannot be kept: an array of {item.dtype}")
         # The order of the axes in memory is kept, because the rounding of sums depends on it.
         axes = sorted(range(item.ndim), key=lambda axis: -abs(item.strides[axis]))
         data = item.transpose(axes).tobytes()
@@ -138,7 +131,7 @@ def to_bytes(key: str, value: object) -> bytes:
         size += len(data)
         return place
 
-    text = json.dumps(plain(value), default=pack, separators=(",", ":"))
+    text = json.dumps(to_plain(value, pack), separators=(",", ":"))
     body = b"".join([text.encode(), b"\n", *arrays])
     head = {"format": FORMAT, "version": VERSION, "key": key, "sha256": hashlib.sha256(body).hexdigest()}
     return json.dumps(head).encode() + b"\n" + body
@@ -177,76 +170,18 @@ def from_bytes(
             if written not in upgrades:
                 raise CheckpointError(f"it is of version {written}, which cannot be upgraded")
             tree, written = upgrades[written](tree), written + 1
-        result = build(cls, tree)
+        result = from_plain(cls, tree, _array)
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
         raise CheckpointError(f"it does not fit this program: {error!r}") from error
     assert isinstance(result, cls)
     return result
 
 
-def plain(value: object) -> Any:
-    """Convert a value to dicts, lists, numbers, text and arrays; a dataclass becomes a dict, a dict a list of pairs."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in fields(value) if f.init}
-    if isinstance(value, dict):
-        return [[plain(k), plain(v)] for k, v in value.items()]
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Fraction):
-        return str(value)
-    return value
-
-
-def build(hint: Any, tree: Any) -> Any:
-    """Rebuild a value of the type `hint` from its plain form; the inverse of `plain`.
-
-    Raises
-    ------
-    ValueError
-        The tree does not fit the type.
-    """
-    origin, arguments = get_origin(hint), get_args(hint)
-    if is_dataclass(hint) and isinstance(hint, type):
-        wanted = _fields(hint)
-        if not isinstance(tree, dict) or tree.keys() != wanted.keys():
-            raise ValueError(f"{hint.__name__} has other fields")
-        return hint(**{name: build(kind, tree[name]) for name, kind in wanted.items()})
-    if origin in (Union, types.UnionType):
-        if tree is None and type(None) in arguments:
-            return None
-        (kind,) = (a for a in arguments if a is not type(None))
-        return build(kind, tree)
-    if hint is np.ndarray or origin is np.ndarray:
-        return _checked(tree, np.ndarray)
-    if origin in (tuple, list, dict):
-        return _collection(origin, arguments, _checked(tree, list))
-    if hint is Fraction or (isinstance(hint, type) and issubclass(hint, Enum)):
-        return hint(_checked(tree, str))
-    return _checked(tree, (float, int) if hint is float else hint)
-
-
-def _collection(origin: Any, arguments: tuple[Any, ...], items: list[Any]) -> Any:
-    if origin is dict:
-        return {build(arguments[0], k): build(arguments[1], v) for k, v in items}
-    if origin is list or arguments[-1] is Ellipsis:
-        return origin(build(arguments[0], item) for item in items)
-    return tuple(build(kind, item) for kind, item in zip(arguments, items, strict=True))
-
-
-def _checked(tree: Any, kind: Any) -> Any:
-    """Return the value if it has the type `kind`, else raise ValueError; a bool is no number."""
-    if not isinstance(tree, kind) or (isinstance(tree, bool) and kind is not bool):
-        raise ValueError(f"{str(tree)[:40]!r} is no {kind}")
+def _array(tree: Any, *_: object) -> np.ndarray:
+    """Return an array that `_unpack` has put in its place."""
+    if not isinstance(tree, np.ndarray):
+        raise ValueError(f"{str(tree)[:40]!r} is no array")
     return tree
-
-
-@cache
-def _fields(cls: type) -> dict[str, Any]:
-    """Return the types of the fields that the constructor of a dataclass takes, by name."""
-    hints = get_type_hints(cls)
-    return {f.name: hints[f.name] for f in fields(cls) if f.init}
 
 
 def _unpack(item: dict[str, Any], arrays: bytes) -> Any:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from monitor.core import WHOLE
+from monitor.core import WHOLE, encode
 from monitor.damage import AlarmSettings, alarm, slow_learning
 from monitor.damage.common_change import EVERY_NS, UNMEASURED, Expected, learn_common, nothing_learned
 from monitor.damage.covariate_law import CovariateLaw
-from monitor.damage.covariates import Change, CovariateSettings, common_words, from_plain, learn_law, to_plain
+from monitor.damage.covariates import Change, CovariateSettings, common_words, learn_law, read_law
 from monitor.damage.sequential_test import begin
 from tests.support.results import damage_reading
 
@@ -206,18 +206,18 @@ def test_the_alarm_is_silent_in_uneven_weather_and_finds_a_loss(expected: Expect
 
 def test_it_survives_the_baselines_file() -> None:
     law = law_of(20)
-    content = to_plain(law)
+    content = encode(law)
     assert content is not None
-    read = from_plain(content, 3)
+    read = read_law(content, 3)
     assert read is not None and read.common is not None and law.common is not None
     np.testing.assert_array_equal(read.common.square, law.common.square)
     assert read.common.windows == law.common.windows
     np.testing.assert_array_equal(read.common.lowest, law.common.lowest)
-    none = from_plain({**content, "common": None}, 3)
+    none = read_law({**content, "common": None}, 3)
     assert none is not None and none.together(UNEVENNESS) is None
     for damage in ({"square": [[1.0]]}, {"lowest": [[1.0]]}, {"windows": -1}):
-        with pytest.raises(ValueError, match="common change is damaged"):
-            from_plain({**content, "common": content["common"] | damage}, 3)
+        with pytest.raises(ValueError, match=r"common|covariates are damaged"):
+            read_law({**content, "common": content["common"] | damage}, 3)
 
 
 def test_windows_an_hour_apart_are_taken_however_many_there_are() -> None:

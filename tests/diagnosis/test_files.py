@@ -300,27 +300,27 @@ def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
     assert learnt.ln_forces is not None and again.ln_forces is not None
     assert again.ln_forces.tolist() == learnt.ln_forces.tolist() and abs(learnt.ln_forces.sum()) < 1e-9
     assert np.abs(learnt.ln_forces).max() < 1.0, "the floors are pushed alike"
-    plain = prior_file.to_plain(learnt) or {}
+    plain = prior_file.prior_content(learnt) or {}
     with pytest.raises(ValueError, match="forces"):
-        prior_file.from_plain(plain | {"ln_forces": [0.0, 1.0]}, site.model(), site.channels)
+        prior_file.read_prior(plain | {"ln_forces": [0.0, 1.0]}, site.model(), site.channels)
     wrong = ModelDiscrepancy(np.array([2.0, 2.25]), np.full((2, 3, 3), 0.1 - 0.2j), np.array([0.0, 0.01]))
     doubted = through_its_file(replace(learnt, error=wrong), site)
     assert doubted.error is not None
     np.testing.assert_array_equal(doubted.error.relative, wrong.relative)
     assert doubted.error.doubtful_hz() == [[2.125, 2.375]]
     assert doubted.error.at(np.array([1.8, 2.1, 2.3, 2.4]))[1].tolist() == [0, 1]
-    content = prior_file.to_plain(replace(learnt, error=wrong)) or {}
-    with pytest.raises(ValueError, match="standing error"):
-        prior_file.from_plain(content | {"error": content["error"] | {"variance": [0.0]}}, site.model(), site.channels)
+    content = prior_file.prior_content(replace(learnt, error=wrong)) or {}
+    with pytest.raises(ValueError, match=r"reference\.error\.variance"):
+        prior_file.read_prior(content | {"error": content["error"] | {"variance": [0.0]}}, site.model(), site.channels)
     assert [e.name for e in again.effects(again.mean)] == ["story_damper"]
     for name in ("mean", "precision", "basis"):
         np.testing.assert_array_equal(getattr(again, name), getattr(learnt, name))
     accepted = Model(site.model().structure, (parse_effect("sensor_gain:channel a2:gain=1.05"),))
-    wider = prior_file.from_plain(prior_file.to_plain(learnt), accepted, site.channels)
+    wider = prior_file.read_prior(prior_file.prior_content(learnt), accepted, site.channels)
     assert wider is not None
     assert [e.name for e in wider.effects(wider.mean)] == ["story_damper", "sensor_gain"]
-    with pytest.raises(ValueError, match="shapes"):
-        prior_file.from_plain(prior_file.to_plain(learnt), site.model(), ("a1", "a2"))
+    with pytest.raises(ValueError, match=r"reference\.mean"):
+        prior_file.read_prior(prior_file.prior_content(learnt), site.model(), ("a1", "a2"))
 
 
 def test_a_size_in_large_units_that_stands_is_not_said_to_be_certain(named: Diagnosis) -> None:

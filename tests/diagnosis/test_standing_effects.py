@@ -117,12 +117,12 @@ def test_a_reference_from_its_file_is_the_one_that_was_learned() -> None:
     assert known.n_persistent > 0 and known.known_lines_hz == read.known_lines_hz
     for name in ("mean", "precision", "start", "units"):
         np.testing.assert_allclose(getattr(read, name), getattr(known, name), rtol=1e-14, err_msg=name)
-    damaged = prior_file.to_plain(known)
+    damaged = prior_file.prior_content(known)
     assert damaged is not None
     for far in (1e4, -1e4):
         damaged["mean"][0] = far
         with pytest.raises(ValueError, match="not finite, above zero"):
-            prior_file.from_plain(damaged, SITE.model(), SITE.channels)
+            prior_file.read_prior(damaged, SITE.model(), SITE.channels)
 
 
 def test_a_channel_that_reads_low_is_named_in_a_structure_that_turns() -> None:

@@ -18,7 +18,7 @@ from monitor.events.ambient import AmbientReading, lasting_loss
 from monitor.events.motion import instrumental_intensity, integrated, response_spectrum
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import event_line, event_text, to_json
-from monitor.service.serialization import build, plain
+from monitor.service.serialization import from_bytes, to_bytes
 from tests.events.shaken import HEIGHTS, RATE, STIFFNESS, T0_NS, Array, Shaken, blocks, configuration, shake
 from tests.support.quake import ground, shaken, true_drifts
 
@@ -286,7 +286,7 @@ def test_the_state_survives_a_checkpoint_in_the_middle_of_an_event() -> None:
     whole = [to_json(event_line(e)) for e in events(run(configuration(), data))]
     half = Pipeline(configuration())
     told = [e for b in data[:720] for e in events(half.push(b))]
-    state = build(type(half.state), plain(half.state))
+    state = from_bytes(to_bytes("", half.state), "", type(half.state))
     rest = Pipeline(configuration())
     rest.state = state
     told += [e for b in data[720:] for e in events(rest.push(b))]

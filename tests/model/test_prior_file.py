@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from monitor.model import Model, ShearFrame, prior_from_drawing
 from monitor.model.effects import UnmodelledMode
-from monitor.model.prior_file import from_plain, to_plain
+from monitor.model.prior_file import prior_content, read_prior
 
 FRAME = Model(ShearFrame(np.array([0.33, 0.35, 0.31]), np.array([2900.0, 1500.0, 1900.0]), damping_ratio=0.01))
 MODE = UnmodelledMode("frame", 9.0, 0.012, (1.0, 0.8), 0.6, (-0.04, 0.02, 0.01), (0.0, 0.1, 0.2))
@@ -24,9 +24,9 @@ def test_a_mode_comes_back_with_its_eccentricities_and_arms_and_without_them_is_
         mean=np.concatenate([drawn.mean, MODE.coordinates]),
         precision=block_diag(drawn.precision, np.diag(np.arange(1.0, MODE.coordinates.size + 1.0))),
     )
-    content = to_plain(prior)
+    content = prior_content(prior)
     assert content is not None
-    read = from_plain(content, FRAME, ("a1", "a2"))
+    read = read_prior(content, FRAME, ("a1", "a2"))
     assert read is not None
     (mode,) = read.effects(read.mean)
     assert mode.values() == pytest.approx(MODE.values())
@@ -38,4 +38,4 @@ def test_a_mode_comes_back_with_its_eccentricities_and_arms_and_without_them_is_
         less = {"effects": [content["effects"][0] | {"parameters": values}], "mean": content["mean"][:n]}
         less["precision"] = [row[:n] for row in content["precision"][:n]]
         with pytest.raises((ValueError, KeyError)):
-            from_plain(content | less, FRAME, ("a1", "a2"))
+            read_prior(content | less, FRAME, ("a1", "a2"))

@@ -205,7 +205,7 @@ def test_a_baseline_with_a_damaged_motion_is_refused(folder: Path, site: Configu
     tree, path = json.loads((folder / "b.json").read_text()), folder / "other.json"
     assert np.shape(tree["motion"]) == (len(CHANNELS),) * 2
     path.write_text(json.dumps(tree | {"motion": [[1.0]]}))
-    with pytest.raises(BadInputError, match="its modes are damaged"):
+    with pytest.raises(BadInputError, match="motion: 1 values along c, 3 are expected"):
         load_modal_baseline(path, CHANNELS, modal_origin(site))
 
 

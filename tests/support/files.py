@@ -10,7 +10,7 @@ from monitor.model import StructuralPrior, prior_file
 
 def through_its_file(known: StructuralPrior, config: Configuration) -> StructuralPrior:
     """Write a reference as a baseline holds it, and read it back."""
-    plain = json.loads(json.dumps(prior_file.to_plain(known), allow_nan=False))
-    read = prior_file.from_plain(plain, config.model(), config.channels)
+    plain = json.loads(json.dumps(prior_file.prior_content(known), allow_nan=False))
+    read = prior_file.read_prior(plain, config.model(), config.channels)
     assert read is not None
     return read
