@@ -38,7 +38,7 @@ from .simulation import (
 )
 from .structures import MatrixStructure, ShearFrame
 from .structures.drawing import Drawing, LineTable, NodeTable, drawing_problems
-from .structures.tables import DrawnTable, Matrix, ModalTable, Positive, StructureTable
+from .structures.tables import DrawnTable, ModalTable, StructureTable
 
 __all__ = [
     "CALIBRATION_EFFECTS",
@@ -59,7 +59,6 @@ __all__ = [
     "LawKind",
     "Line",
     "LineTable",
-    "Matrix",
     "MatrixStructure",
     "ModalTable",
     "Model",
@@ -70,7 +69,6 @@ __all__ = [
     "Parameter",
     "ParameterEstimates",
     "Peak",
-    "Positive",
     "ShearFrame",
     "StructuralPrior",
     "StructureTable",

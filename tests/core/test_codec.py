@@ -85,5 +85,5 @@ def test_lengths_of_one_value_say_nothing_of_its_neighbour_and_those_known_from_
         decode(Bridge, encode(WHOLE), n=3)
     with pytest.raises(ValueError, match="bridge: '3' is no object"):
         decode(Bridge, 3, place="bridge")
-    with pytest.raises(ValueError, match=r"bridge\.kind is missing"):
+    with pytest.raises(ValueError, match=r"bridge\.bearings is missing"):
         decode(Bridge, {}, place="bridge")
