@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from math import ceil, floor
 
 import numpy as np
@@ -42,18 +43,22 @@ from monitor.events import Event, EventState, GroundState, Site, ground, stage
 from monitor.identification import tracking
 from monitor.model import Modes
 from monitor.signals import (
+    BesideState,
     Conditioner,
     ConditionState,
     Health,
     HealthState,
+    KnownBlocks,
     LostState,
     StillState,
     WatchState,
     WindowGrid,
     WindowState,
     alignment,
+    beside,
     channel_watch,
     lost_samples,
+    repeats,
     sensor_health,
     stillness,
     temperature,
@@ -99,6 +104,10 @@ class PipelineState:
     still: StillState
     learning: slow_learning.LearningState | None = None
     """The covariates' law as it was learned on in service; None before the first judged window."""
+    known: dict[str, KnownBlocks] = field(default_factory=dict)
+    """Latest blocks of each topic, of which none is taken a second time."""
+    beside: BesideState = field(default_factory=BesideState)
+    """Health of the channels that enter no estimate."""
 
 
 class Pipeline:
@@ -139,7 +148,7 @@ class Pipeline:
         )
 
     def push(self, block: SampleBlock) -> list[Result]:
-        """Process a block of samples and return all results that it completes, in order.
+        """Process a block of samples and return all results that it completes, in order; none for one that came before.
 
         Raises
         ------
@@ -168,12 +177,20 @@ class Pipeline:
 
     def finish(self) -> list[Event]:
         """Return what is known of events that the end of the data cuts."""
-        state, told = stage.finish(self.state.events, self.site)
+        state, told = stage.finish(self.state.events, self.site, partial(sensor_health.saturated, self.state.health))
         self.state = replace(self.state, events=state)
         return told
 
     def _advance(self, block: SampleBlock) -> list[Result]:
         """Process a block of samples as `push`, without restoring the state on an error."""
+        before = self.state.known.get(block.topic, KnownBlocks())
+        known = repeats.step(before, block)
+        if known is None:
+            if block.topic == ACCELERATION:
+                align = self.state.align
+                self.state = replace(self.state, align=replace(align, dropped=align.dropped + block.n_samples))
+            return []
+        self.state = replace(self.state, known={**self.state.known, block.topic: known})
         if block.topic == TEMPERATURE:
             self._store_temperature(block)
         if block.topic == GROUND and self.config.events.enabled:
@@ -181,8 +198,10 @@ class Pipeline:
         if block.topic != ACCELERATION:
             self._store_covariates(block)
             return []
-        align_state, pieces = self.front_end.align(self.state.align, block, keep_partial=True)
-        self.state = replace(self.state, align=align_state)
+        align = replace(self.state.align, late=0) if repeats.overlaps(before, block) else self.state.align
+        align_state, pieces = self.front_end.align(align, block, keep_partial=True)
+        others = beside.step(self.state.beside, block, self.front_end.channels, self.config.health)
+        self.state = replace(self.state, align=align_state, beside=others)
         results: list[Result] = []
         for piece in pieces:
             run = self.state.run
@@ -218,7 +237,8 @@ class Pipeline:
         """Look for events in conditioned samples, of which the first has grid index `first`."""
         if not (self.config.events.enabled and len(values)):
             return []
-        state, told = stage.step(self.state.events, first, run.t0_ns, run.conditioner, values, self.site)
+        saturated = partial(sensor_health.saturated, self.state.health)
+        state, told = stage.step(self.state.events, first, run.t0_ns, run.conditioner, values, self.site, saturated)
         self.state = replace(self.state, events=state)
         return told
 
@@ -262,10 +282,11 @@ class Pipeline:
     def _check_sensors(self, piece: alignment.Piece, dropped: int) -> list[Health]:
         """Update the health of the sensors, and return that of the spans that are complete."""
         c = self.config
-        spans_s = c.processing.window_s + c.health.span_s
+        spans_s = max(c.processing.window_s, c.events.reach_s) + c.health.span_s
         state, found = sensor_health.step(self.state.health, piece, dropped, c.channels, c.health, spans_s)
         still = stillness.step(self.state.still, piece, self.front_end.step_s, c.processing.window_s)
-        self.state = replace(self.state, health=state, still=still)
+        others, found = beside.tell(self.state.beside, found)
+        self.state = replace(self.state, health=state, still=still, beside=others)
         return found
 
     def _rates_hz(self) -> tuple[float, float]:

@@ -111,7 +111,8 @@ def _report_period(folder: Path, out: Path, start: str | None, end: str | None, 
         "windows": r.course.windows,
         "windows_due": r.due,
         "judged": sum(r.judged),
-        "alarms": len(period.course.losses),
+        "alarms": period.alarms,
+        "events": len(period.events),
         "findings": len(period.findings),
     }
     text = (

@@ -198,6 +198,10 @@ class Known:
     """Rate of the baseline's data by their timestamps over the stated one."""
     n_modes: int | None = None
     """Number of the modes, where these alone are judged; `names` are then theirs and their shapes'."""
+    aside: tuple[str, ...] = ()
+    """Channels that are measured and enter no estimate, as along other directions."""
+    aside_faults: tuple[tuple[str, str], ...] = ()
+    """Those of them that are faulty, and what is wrong with each."""
 
     @property
     def words(self) -> Words:
@@ -431,9 +435,10 @@ def assess(
         *_alike(course, known),
         *_unjudged(course, known),
     ]
-    remarks = _remarks(course, known, whole)
+    remarks, aside = _remarks(course, known, whole), _aside(known)
     if not facts:
-        return Assessment(State.NORMAL, _sentence(_seen(course, known)), tuple(remarks))
+        return Assessment(State.NORMAL, _sentence("; ".join([_seen(course, known), *aside])), tuple(remarks))
+    remarks += map(_sentence, aside)
     facts.sort(key=lambda fact: -fact[0].rank)  # stable: of equals the first stays first
     (state, headline), *others = facts
     sentences = [headline, *(sentence for _, sentence in others), *remarks]
@@ -455,8 +460,8 @@ def outdated(assessment: Assessment, why: str, t_ns: int | None = None) -> Asses
     known = "" if t_ns is None else f", as of {utc(t_ns)} UTC"
     latest = f"{assessment.headline.rstrip('.')}{known}"
     if assessment.state.rank <= State.NOT_JUDGED.rank:
-        doubts = (_sentence(f"before: {latest[:1].lower()}{latest[1:]}"), *assessment.doubts)
-        return Assessment(State.NOT_JUDGED, _sentence(why), doubts)
+        headline = f"{why}; before: {latest[:1].lower()}{latest[1:]}"
+        return Assessment(State.NOT_JUDGED, _sentence(headline), assessment.doubts)
     return Assessment(assessment.state, _sentence(latest), (_sentence(why), *assessment.doubts))
 
 
@@ -750,6 +755,7 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
         for o in outages
     ]
     says += _all_frequencies(course, known)
+    says += [f"channel {name}, which enters no estimate, {fault}" for name, fault in known.aside_faults]
     ended = [loss for loss in course.losses if loss.t_last_ns is not None]
     if ended and not whole:
         loss = ended[-1]
@@ -758,6 +764,15 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
             f"an earlier {loss.level.value} of {_name(loss.story, known)} ({size}) ended {utc(loss.t_last_ns or 0)} UTC"
         )
     return [_sentence(sentence) for sentence in says]
+
+
+def _aside(known: Known) -> list[str]:
+    """Say that there are channels of which no estimate is made: what happens in their directions is not judged."""
+    if not known.aside:
+        return []
+    along = "judged along x only: " if known.n_modes is None else ""
+    count = len(known.aside) + len(known.channels)
+    return [f"{along}{len(known.aside)} of {count} channels enter no estimate"]
 
 
 def _name(story: int, known: Known) -> str:

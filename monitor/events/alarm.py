@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from monitor.core import AlarmCondition
 from monitor.events.event import Event
+from monitor.events.limits import POSSIBLY
 
 _MOST = 64
 """Most alarms that are kept: those acknowledged first go first, then the oldest. [count; cost]"""
@@ -39,7 +40,9 @@ class EventAlarm:
     def says(self) -> str:
         """The alarm in one sentence."""
         more = f", and {len(self.exceeded) - 1} more" if len(self.exceeded) > 1 else ""
-        return f"event {self.id} exceeded a limit of the site: {self.exceeded[0]}{more}; nobody has acknowledged it"
+        first = self.exceeded[0]
+        how = "possibly exceeded" if first.startswith(POSSIBLY) else "exceeded"
+        return f"event {self.id} {how} a limit of the site: {first.removeprefix(POSSIBLY)}{more}; nobody has acknowledged it"
 
 
 def follow(

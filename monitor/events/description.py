@@ -35,11 +35,24 @@ def describe(
     end_ns: int,
     before_hz: Array,
     note: str = "",
+    saturated: NDArray[np.bool_] | None = None,
 ) -> Event:
-    """Measure an event from its samples, and compare it with the site's limits."""
+    """Measure an event from its samples, and compare it with the site's limits.
+
+    `saturated`, shape (c,), are channels that reached the end of their range.
+    """
     rate_hz, strong = record.rate_hz, record.strong
     drift, std, corner_hz, limits = story_drifts(record, site)
     live = ~record.still
+    if saturated is None or not saturated.size:
+        saturated = np.zeros(live.size, dtype=bool)
+    cut_off = tuple(name for name, cut in zip(site.channels, saturated, strict=True) if cut)
+    bounds = (
+        f"{', '.join(cut_off)} reached the end of the range: peaks and drifts made of it are lower bounds"
+        if cut_off
+        else ""
+    )
+    std = np.where(_made_of(saturated, record, site), np.nan, std)
     floors = tuple(
         floor_motion(name, record.floors[:, i], rate_hz, corner_hz, strong) if live[i] else unknown_motion(name)
         for i, name in enumerate(site.channels)
@@ -78,7 +91,8 @@ def describe(
             loss=loss,
             loss_std=loss_std,
             verdict=None,
-            note="; ".join(filter(None, (note, gone, limits, early))),
+            saturated=cut_off,
+            note="; ".join(filter(None, (note, bounds, gone, limits, early))),
         ),
         site,
     )
@@ -138,15 +152,28 @@ def drift_accelerations(record: Record, site: Site) -> tuple[NDArray[np.bool_], 
     accelerations : ndarray, shape (n_samples, n_told), m/s^2
     """
     live = ~record.still
-    motion, sensors, rides = record.floors[:, live], site.sensors[live], site.rides[live]
+    motion = record.floors[:, live]
     if record.ground is not None:
-        motion = motion - record.ground[:, None] * rides
-    # Rows of weights on the channels that give a story's drift; without a ground they must not move with it.
+        motion = motion - record.ground[:, None] * site.rides[live]
+    told, weights = _weights(record, site)
+    return told, motion @ weights[:, told]
+
+
+def _weights(record: Record, site: Site) -> tuple[NDArray[np.bool_], Array]:
+    """Find the stories whose drift sensors tell, shape (n,), and the weights on the live channels that give it, shape (c, n)."""
+    sensors, rides = site.sensors[~record.still], site.rides[~record.still]
+    # Without a ground they must not move with it.
     weights, *_ = np.linalg.lstsq(sensors.T, site.drifts.T, rcond=None)
     exact = np.abs(sensors.T @ weights - site.drifts.T).max(axis=0) < _UNRELATED
     rigid = np.abs(rides @ weights) < _UNRELATED
-    told = exact & (rigid | (record.ground is not None))
-    return told, motion @ weights[:, told]
+    return np.asarray(exact & (rigid | (record.ground is not None))), np.asarray(weights)
+
+
+def _made_of(channels: NDArray[np.bool_], record: Record, site: Site) -> NDArray[np.bool_]:
+    """Find the stories whose drift some of the channels enter, shape (n,): by the model all of them enter every drift."""
+    told, weights = _weights(record, site)
+    entering = np.abs(weights[channels[~record.still]]).max(axis=0, initial=0.0) > _UNRELATED
+    return np.asarray(np.where(told, entering, channels.any()))
 
 
 def inertia_above(record: Record, site: Site) -> Array:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from monitor.core import Array
 
 
@@ -77,5 +80,13 @@ class Event:
     """The site's own words for the first limit exceeded, or "no limit exceeded"; None where no limit can be judged."""
     exceeded: tuple[str, ...] = ()
     """Every limit exceeded, in words."""
+    saturated: tuple[str, ...] = ()
+    """Channels that reached the end of their range: their peaks are lower bounds, and the drifts made of them have no standard
+    deviation."""
     note: str = ""
     """What limits these figures, in words."""
+
+    @property
+    def is_bound(self) -> NDArray[np.bool_]:
+        """Stories whose drift is a lower bound, as a channel that it is made of reached the end of its range, shape (n,)."""
+        return np.asarray(np.isfinite(self.drift_m) & np.isnan(self.drift_std_m) & bool(self.saturated))

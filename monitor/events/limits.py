@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.events.event import Event
@@ -12,6 +13,8 @@ from monitor.events.settings import LimitTable
 from monitor.events.site import Site
 
 NO_LIMIT = "no limit exceeded"
+POSSIBLY = "possibly exceeded: "
+"""Begin of what is said where a drift that is a lower bound lies below a limit. [words; definition]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -25,7 +28,13 @@ class Compared:
     least: Array
     """Beyond the limit, it is exceeded: the drift itself, and the lower end of the loss's interval."""
     largest: Array
-    """Within the limit, it is not exceeded: the upper end of the interval of two standard deviations."""
+    """Within the limit, it is not exceeded: the upper end of the interval of two standard deviations; infinite where `value` is a
+    lower bound."""
+
+    @property
+    def possibly(self) -> NDArray[np.bool_]:
+        """Stories in which the limit may be exceeded, as a sensor reached the end of its range, shape (n,)."""
+        return np.asarray(np.isposinf(self.largest) & ~(self.least > self.limit))
 
 
 def compared(event: Event, limit: LimitTable) -> Compared:
@@ -35,6 +44,7 @@ def compared(event: Event, limit: LimitTable) -> Compared:
             event.drift_std_m, event.drift_m, out=np.zeros_like(event.drift_m), where=event.drift_m > 0.0
         )
         largest = event.drift_ratio * (1.0 + 2.0 * shares)
+        largest = np.where(event.is_bound & np.isfinite(event.drift_ratio), np.inf, largest)
         return Compared("drift ratio", limit.drift_ratio, event.drift_ratio, event.drift_ratio, largest)
     assert limit.residual_loss is not None
     half = 2.0 * event.loss_std
@@ -42,12 +52,13 @@ def compared(event: Event, limit: LimitTable) -> Compared:
 
 
 def exceedances(event: Event, site: Site) -> tuple[tuple[int, int], ...]:
-    """List every limit exceeded, by its number in the site file, and the story, both from 0."""
-    found = []
+    """List every limit exceeded, then every one possibly exceeded, by its number in the site file, and the story, both from 0."""
+    sure, possible = list[tuple[int, int]](), list[tuple[int, int]]()
     for i, limit in enumerate(site.settings.limits):
         c = compared(event, limit)
-        found += [(i, j) for j in np.flatnonzero(np.nan_to_num(c.least) > c.limit).tolist()]
-    return tuple(found)
+        sure += [(i, j) for j in np.flatnonzero(np.nan_to_num(c.least) > c.limit).tolist()]
+        possible += [(i, j) for j in np.flatnonzero(c.possibly).tolist()]
+    return (*sure, *possible)
 
 
 def judge(event: Event, site: Site) -> Event:
@@ -61,11 +72,15 @@ def judge(event: Event, site: Site) -> Event:
         known = known and bool(judged.all() or (limit.residual_loss is not None and event.revision != 1))
     exceeded = exceedances(event, site)
     words = tuple(_words(event, limits[i], site.names[j], j) for i, j in exceeded)
-    verdict = limits[exceeded[0][0]].says if exceeded else NO_LIMIT if known and n_judged else None
+    verdict = NO_LIMIT if known and n_judged else None
+    if exceeded:
+        i, j = exceeded[0]
+        verdict = (POSSIBLY if compared(event, limits[i]).possibly[j] else "") + limits[i].says
     return replace(event, verdict=verdict, exceeded=words)
 
 
 def _words(event: Event, limit: LimitTable, name: str, j: int) -> str:
     """Say which limit is exceeded in story `j`, from 0."""
     c = compared(event, limit)
-    return f"{limit.says} ({name}: {c.what} {c.value[j]:.2g}, limit {c.limit:.2g})"
+    begin, least = (POSSIBLY, "at least ") if c.possibly[j] else ("", "")
+    return f"{begin}{limit.says} ({name}: {c.what} {least}{c.value[j]:.2g}, limit {c.limit:.2g})"

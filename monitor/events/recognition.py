@@ -172,7 +172,9 @@ def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, pe
     return Frames(power, samples, peaks_at)
 
 
-def pass_quiet(state: RecognitionState, frames: Frames, own: int, settings: EventSettings) -> RecognitionState | None:
+def pass_quiet(
+    state: RecognitionState, frames: Frames, own: int, settings: EventSettings, *, saturated: bool = False
+) -> RecognitionState | None:
     """Take all steps at once; None where one of them is above the threshold, or asks for more than this.
 
     The state is that after `step` for each of them, to the last bit.
@@ -181,8 +183,9 @@ def pass_quiet(state: RecognitionState, frames: Frames, own: int, settings: Even
         return None
     from monitor.events.kernels import average_while_quiet
 
+    thresholds = np.full(_FULL + 1, settings.ratio_off) if saturated else _thresholds(settings.ratio_on)
     quiet, long_term, steps = average_while_quiet(
-        frames.power, state.long_term, state.steps, _thresholds(settings.ratio_on), own, _RAISED_BANDS, DEAD, _TINY
+        frames.power, state.long_term, state.steps, thresholds, own, _RAISED_BANDS, DEAD, _TINY
     )
     return RecognitionState(frames.tail(len(frames.power) - 1), long_term, steps, 0) if quiet else None
 
@@ -193,6 +196,12 @@ def _averaged(long_term: Array, steps: int, power: Array) -> tuple[Array, int]:
     return long_term + (0.5 * (power[0] + power[1]) - long_term) / steps, steps
 
 
+def are_most(state: RecognitionState, channels: NDArray[np.bool_]) -> bool:
+    """Say whether more than half of the live channels are among `channels`, shape (c,), or (0,) where none is."""
+    live = _live(state.long_term)
+    return bool(channels.size and 2 * np.count_nonzero(channels & live) > np.count_nonzero(live))
+
+
 def _live(long_term: Array) -> NDArray[np.bool_]:
     """Find the channels that are not dead; channels lie along the last axis but one."""
     strength = np.add.reduce(long_term, axis=-1)
@@ -200,7 +209,14 @@ def _live(long_term: Array) -> NDArray[np.bool_]:
 
 
 def step(
-    state: RecognitionState, frames: Frames, k: int, own: int, settings: EventSettings, *, active: bool
+    state: RecognitionState,
+    frames: Frames,
+    k: int,
+    own: int,
+    settings: EventSettings,
+    *,
+    active: bool,
+    saturated: bool = False,
 ) -> tuple[RecognitionState, Trigger]:
     """Compare the two frames that a step of samples completes with the long-term average.
 
@@ -215,6 +231,9 @@ def step(
         Index of the band of the structure's lowest frequency (`own_band`).
     active : bool
         Whether an event is going on: the long-term average then stays as it is.
+    saturated : bool
+        Whether more than half of the live channels reach the end of their range: what they show of the motion is less than the
+        motion, and the threshold that ends an event begins one.
 
     Returns
     -------
@@ -236,7 +255,7 @@ def step(
     ratio, live = [0.0] * _FRAMES, _live(state.long_term)
     if state.steps and live.any():
         ratio = _voted_ratio(frames.power[k][:, live], state.long_term[live], own).tolist()
-    threshold = settings.ratio_on * _early_factor(state.steps, settings.ratio_on)
+    threshold = settings.ratio_off if saturated else settings.ratio_on * _early_factor(state.steps, settings.ratio_on)
     above, loud = [r >= threshold for r in ratio], [r >= settings.ratio_off for r in ratio]
     if settings.level_m_s2 is not None and frames.peaks is not None:
         level = settings.level_m_s2

@@ -53,6 +53,11 @@ class EventSettings(Settings):
     limits: tuple[LimitTable, ...] = ()
     """Limits of the site; there is no default."""
 
+    @property
+    def reach_s(self) -> float:
+        """Greatest length of data that the description of an event needs, s."""
+        return self.pre_s + self.longest_s + self.post_s + self.merge_s
+
     @model_validator(mode="after")
     def _consistent(self) -> EventSettings:
         """Refuse thresholds in the wrong order."""

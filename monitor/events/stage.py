@@ -7,10 +7,12 @@ loss after an hour of ambient motion.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import STRONG_MOTION, Array, Skipped, WindowResult
 from monitor.events import alarm, recognition
@@ -30,6 +32,16 @@ _TOGETHER_STEPS = 30
 """Most steps whose power is measured together. [steps; cost: the arrays stay small where a block is an hour long]"""
 _GROUND_LATE_S = recognition.STEP_S
 """Time by which the ground's samples may arrive after the floors'. [s; the time after which the preliminary message is sent]"""
+
+
+Saturated = Callable[[int, int], NDArray[np.bool_]]
+"""Function that finds the channels which reached the end of their range between two times (UTC), shape (c,), or (0,) where none
+is known."""
+
+
+def none_saturated(begin_ns: int, end_ns: int) -> NDArray[np.bool_]:
+    """Say that nothing is known of the sensors' range."""
+    return np.zeros(0, dtype=bool)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -116,8 +128,7 @@ def keep_ground(
     state: EventState, piece: Ground, conditioner: Conditioner | None, settings: EventSettings
 ) -> EventState:
     """Keep samples of the measured ground motion, filtered by `conditioner`, as long as the floors' samples beside them."""
-    reach_s = settings.pre_s + settings.longest_s + settings.post_s + settings.merge_s
-    oldest_ns = piece.t_ns - round(reach_s * 1e9)
+    oldest_ns = piece.t_ns - round(settings.reach_s * 1e9)
     if state.conditioner is not None:
         oldest_ns = max(oldest_ns, state.t0_ns + round((state.first / state.rate_hz - _GROUND_LATE_S) * 1e9))
     kept = [g for g in state.ground if g.t_ns + round(g.values.size / g.rate_hz * 1e9) > oldest_ns]
@@ -125,7 +136,13 @@ def keep_ground(
 
 
 def step(
-    state: EventState, first: int, t0_ns: int, conditioner: Conditioner, values: Array, site: Site
+    state: EventState,
+    first: int,
+    t0_ns: int,
+    conditioner: Conditioner,
+    values: Array,
+    site: Site,
+    saturated: Saturated = none_saturated,
 ) -> tuple[EventState, list[Event]]:
     """Take a span of conditioned samples.
 
@@ -141,6 +158,8 @@ def step(
     values : ndarray, shape (n_samples, c), m/s^2
     site : Site
         What the site's files say of structure, sensors and limits.
+    saturated : callable
+        Finds the channels that reached the end of their range between two times.
 
     Returns
     -------
@@ -152,7 +171,7 @@ def step(
     n, told = recognition.step_n(rate_hz), list[Event]()
     follows = state.recognition is not None and rate_hz == state.rate_hz and first == state.end
     if not follows:
-        state, told = _break_off(state, site, "a gap in the data cut it")
+        state, told = _break_off(state, site, "a gap in the data cut it", saturated)
         state = _begin(state, first, conditioner, values.shape[1])
     t0_ns -= round(conditioner.delay_s * 1e9)
     pieces = (*state.kept, values)
@@ -163,14 +182,16 @@ def step(
     while state.settling and state.judged + n <= end:
         state = _settle(state)
     while state.judged + n <= end:
-        state, new = _judge(state, min((end - state.judged) // n, _TOGETHER_STEPS), conditioner.cutoff_hz, site)
+        state, new = _judge(
+            state, min((end - state.judged) // n, _TOGETHER_STEPS), conditioner.cutoff_hz, site, saturated
+        )
         told += new
     return _forget(_with_alarms(state, told, site), site), told
 
 
-def finish(state: EventState, site: Site) -> tuple[EventState, list[Event]]:
+def finish(state: EventState, site: Site, saturated: Saturated = none_saturated) -> tuple[EventState, list[Event]]:
     """Tell what is known of events whose final line is still to come where the data end."""
-    state, told = _break_off(state, site, "the data end in it")
+    state, told = _break_off(state, site, "the data end in it", saturated)
     return _with_alarms(state, told, site), told
 
 
@@ -250,7 +271,9 @@ def _settle(state: EventState) -> EventState:
     )
 
 
-def _judge(state: EventState, count: int, cutoff_hz: float, site: Site) -> tuple[EventState, list[Event]]:
+def _judge(
+    state: EventState, count: int, cutoff_hz: float, site: Site, saturated: Saturated
+) -> tuple[EventState, list[Event]]:
     """Judge the next steps of samples, `count` of them, whose power is measured together."""
     assert state.recognition is not None
     settings, rate_hz, told = site.settings, state.rate_hz, list[Event]()
@@ -260,22 +283,35 @@ def _judge(state: EventState, count: int, cutoff_hz: float, site: Site) -> tuple
     known, judged = state.recognition, state.judged
     peaks = settings.level_m_s2 is not None
     frames = recognition.measure(known.tail, samples, rate_hz, cutoff_hz, peaks=peaks)
-    quiet = None if state.strong else recognition.pass_quiet(known, frames, own, settings)
+    quiet, cut_off = None, False
+    if not state.strong:
+        quiet = recognition.pass_quiet(known, frames, own, settings, saturated=True)
+        if quiet is None:  # what the sensors' range is worth is asked for here alone: it costs more
+            cut_off = _are_saturated(state, judged, judged + count * n, saturated)
+            quiet = None if cut_off else recognition.pass_quiet(known, frames, own, settings)
     if quiet is not None:  # as mostly
         return replace(state, recognition=quiet, judged=judged + count * n), told
     for k in range(count):
         active = bool(state.strong) and not state.strong[-1].closed
-        known, found = recognition.step(known, frames, k, own, settings, active=active)
+        at_end = cut_off and _are_saturated(state, judged, judged + n, saturated)
+        known, found = recognition.step(known, frames, k, own, settings, active=active, saturated=at_end)
         judged += n
         if state.strong or any(found.raised):
-            state, new = _follow(replace(state, recognition=known, judged=judged), found, cutoff_hz, site)
+            state, new = _follow(replace(state, recognition=known, judged=judged), found, cutoff_hz, site, saturated)
             assert state.recognition is not None
             known, told = state.recognition, told + new
     return replace(state, recognition=known, judged=judged), told
 
 
+def _are_saturated(state: EventState, begin: int, end: int, saturated: Saturated) -> bool:
+    """Say whether more than half of the live channels reached the end of their range between two grid indices."""
+    assert state.recognition is not None
+    begin_ns, end_ns = (state.t0_ns + round(i / state.rate_hz * 1e9) for i in (begin, end))
+    return recognition.are_most(state.recognition, saturated(begin_ns, end_ns))
+
+
 def _follow(
-    state: EventState, found: recognition.Trigger, cutoff_hz: float, site: Site
+    state: EventState, found: recognition.Trigger, cutoff_hz: float, site: Site, saturated: Saturated
 ) -> tuple[EventState, list[Event]]:
     """Follow events through the last judged step, of which the frames have `found` something, or during an event."""
     known = state.recognition
@@ -307,7 +343,7 @@ def _follow(
     if going is not None:
         quiet_s, length_s = (end - going.end) / rate_hz, (end - going.begin) / rate_hz
         if quiet_s >= recognition.STEP_S and not going.told:
-            told.append(_describe(state, going, None, site))
+            told.append(_describe(state, going, None, site, saturated))
             going = replace(going, told=True)
         if quiet_s >= settings.merge_s:
             going = replace(going, closed=True)
@@ -316,40 +352,43 @@ def _follow(
             going = replace(going, closed=True, end=end, note=note)
             state = replace(state, recognition=recognition.begin_anew(known))
     strong = before if going is None else (*before, going)
-    return _tell_final(replace(state, strong=strong), end, site, told)
+    return _tell_final(replace(state, strong=strong), end, site, told, saturated)
 
 
-def _tell_final(state: EventState, end: int, site: Site, told: list[Event]) -> tuple[EventState, list[Event]]:
+def _tell_final(
+    state: EventState, end: int, site: Site, told: list[Event], saturated: Saturated
+) -> tuple[EventState, list[Event]]:
     """Tell the final line of every event that is followed by enough quiet motion, or by another event."""
     wanted, waiting = round(site.settings.post_s * state.rate_hz), list[Strong]()
     for i, item in enumerate(state.strong):
         later = state.strong[i + 1 :]
         if item.closed and (later or end >= item.end + wanted):
-            state, final = _final(state, item, min([end, *(next_.begin for next_ in later[:1])]), site)
+            until = min([end, *(next_.begin for next_ in later[:1])])
+            state, final = _final(state, item, until, site, saturated)
             told = [*told, final]
         else:
             waiting.append(item)
     return replace(state, strong=tuple(waiting)), told
 
 
-def _break_off(state: EventState, site: Site, note: str) -> tuple[EventState, list[Event]]:
+def _break_off(state: EventState, site: Site, note: str, saturated: Saturated) -> tuple[EventState, list[Event]]:
     """Tell what is known of events that a gap, or the end of the data, cuts."""
     told = list[Event]()
     for item in state.strong:
         cut = item if item.closed else replace(item, note=note)
-        state, final = _final(state, cut, state.end, site)
+        state, final = _final(state, cut, state.end, site, saturated)
         told.append(final)
     return replace(state, strong=()), told
 
 
-def _final(state: EventState, item: Strong, end: int, site: Site) -> tuple[EventState, Event]:
+def _final(state: EventState, item: Strong, end: int, site: Site, saturated: Saturated) -> tuple[EventState, Event]:
     """Describe an event for good, by the samples up to grid index `end`, and wait for what the windows tell after it."""
-    event = _describe(state, item, end, site)
+    event = _describe(state, item, end, site, saturated)
     before = tuple(r for r in state.recent if r.end_ns <= event.begin_ns)
     return replace(state, awaiting=(*state.awaiting, Awaiting(event, before))), event
 
 
-def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> Event:
+def _describe(state: EventState, item: Strong, end: int | None, site: Site, saturated: Saturated) -> Event:
     """Describe an event: preliminarily, by the samples so far, or for good by those up to grid index `end`."""
     from monitor.events.description import describe  # filters take a while to load
     from monitor.events.record import make_record
@@ -376,6 +415,7 @@ def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> E
         end_ns=end_ns,
         before_hz=mean_frequencies(before, site.modes_hz.size),
         note="; ".join(filter(None, (item.note, early))),
+        saturated=saturated(begin_ns, end_ns),
     )
 
 

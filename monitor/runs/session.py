@@ -36,7 +36,7 @@ from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish import Publisher, Quality, Summary, event_line, reaches_between, to_json, window_line
 from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.online_diagnosis import FINDING_KEYS, BlockStore, OnlineDiagnosis, OnlineDiagnosisState
-from monitor.signals import Health
+from monitor.signals import Health, HealthState, sensor_health
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +97,7 @@ class Session:
         self._model_hz = config.model().modes().frequencies_hz.tolist() if config.has_model else []
         self._baseline, self._whole, self._between = baseline, whole, tuple(between)
         self._assessment: Assessment | None = None
+        self._aside_faults: tuple[tuple[str, str], ...] = ()
         self.events = 0
         """Number of times that something was told of an event."""
         self.stated: dict[int, WindowFacts] = {}
@@ -159,7 +160,7 @@ class Session:
         block : SampleBlock
             Samples of any length.
         accepted : callable
-            Called with the results before any publisher takes them.
+            Called with the results before any publisher takes them, except where the block came before.
 
         Raises
         ------
@@ -167,7 +168,10 @@ class Session:
             If the pipeline refuses the block; the state of the session is then unchanged.
         """
         going = bool(self.pipeline.state.events.strong)  # what this block ends is saved below, so it is kept until then
+        known = self.pipeline.state.known
         results = self.pipeline.push(block)
+        if not results and self.pipeline.state.known is known:  # it came before: it is not recorded again either
+            return []
         accepted(results)
         if self._recordings is not None:
             self._recordings.push(block, active=going or bool(self.pipeline.state.events.strong))
@@ -226,7 +230,7 @@ class Session:
         return {
             **self.assessment.content,
             **summary,
-            "known": asdict(self._known),
+            "known": asdict(self._known_now),
             "covariates_learned": {
                 name: learned._asdict()
                 for name, learned in learned_ranges(None if self._baseline is None else self._baseline.law).items()
@@ -246,7 +250,7 @@ class Session:
         findings = self.online_diagnosis.findings
         exceeded = [a.says for a in self.pipeline.state.events.alarms if a.unacknowledged]
         return assess(
-            self._summary.course, self._known, findings, standing=present.active, exceeded=exceeded, whole=whole
+            self._summary.course, self._known_now, findings, standing=present.active, exceeded=exceeded, whole=whole
         )
 
     @cached_property
@@ -255,6 +259,13 @@ class Session:
         processing = self.config.processing.model_dump_json()
         name = self.config.site.name or self.config.structure.name
         return {"site": to_json(self.pipeline.site.content()), "processing": processing, "name": name}
+
+    @property
+    def _known_now(self) -> Known:
+        """What the state depends on and no window changes, with the channels that the stream has beside those in use."""
+        witnesses = [s.channel for s in self.config.witnesses]
+        aside = tuple(dict.fromkeys((*witnesses, *self.pipeline.state.beside.names)))
+        return replace(self._known, aside=aside, aside_faults=self._aside_faults) if aside else self._known
 
     @cached_property
     def _known(self) -> Known:
@@ -299,6 +310,7 @@ class Session:
                 publisher.gap(result)
         elif isinstance(result, Health):
             self._quality.add(result)
+            self._note_faults(result)
             for publisher in self._publishers:
                 publisher.health(result)
         elif isinstance(result, Event):
@@ -318,6 +330,16 @@ class Session:
             for publisher in self._publishers:
                 publisher.window(result, line)
             self.online_diagnosis.window(result)
+
+    def _note_faults(self, health: Health) -> None:
+        """Note the faults, in the latest span, of channels that enter no estimate."""
+        names = self.pipeline.state.beside.names
+        if not names:
+            return
+        span = HealthState(spans=(health,))
+        found = sensor_health.check(span, health.t_ns, health.t_end_ns, self.config.health)
+        found |= {c.channel: "gives no numbers" for c in health.channels if c.lost == 1.0}
+        self._aside_faults = tuple((name, found[name].partition(" (")[0]) for name in names if name in found)
 
     def _count(self, result: WindowResult) -> None:
         """Count a window in the summary, unless it was not due."""

@@ -72,6 +72,8 @@ _TIDY_S = 60.0
 """Interval at which closed months are packed and the budget of the folder is looked after. [s; judgement]"""
 _CHECK_S = 1.0
 """Interval at which the outputs are asked whether they fail, so that a line of health tells a failure soon. [s; judgement]"""
+_LATE_S = 30.0
+"""Shortest delay of data by the wall clock from which the state is no present one. [s; judgement]"""
 _LATEST = 50
 _LEAN_POLL_S = 1.0
 """Longest wait of a reader for a block where threads of many sites share the processor. [s; judgement: below `_STOP_S`]"""
@@ -148,7 +150,8 @@ class Site(Publisher):
         self._tidied_s = float("-inf")
         self._failed: set[str] = set()
         self._said: Assessment | None = None
-        self._data_s = float("-inf")  # no window has come yet: what a checkpoint knows is no present state
+        self._data_s: float | None = None  # no data have come yet: what a checkpoint knows is no present state
+        self._block_s, self._was_late = 0.0, False
         self._path, self._stopping, self._end_s = path, False, float("inf")
         self._reload_requested = self._rereading = False
         self._reloaded: Reloaded | None = None
@@ -278,6 +281,9 @@ class Site(Publisher):
         """
         self._reload()
         self._requests.step(self.session, timed=self._progress.first is not None)
+        if self._is_late != self._was_late:
+            self._was_late = not self._was_late
+            self._health_s = self._summary_s = float("-inf")  # told everywhere at once
         if now - self._health_s >= self._quiet_s or self._failures_changed(now):
             self.health(None)
         if now - self._sync_s >= self.settings.recorder.flush_s:
@@ -336,8 +342,6 @@ class Site(Publisher):
 
     def window(self, result: WindowResult, line: str) -> None:
         """Write and publish the result of a window, unless a previous run did so."""
-        if not self._keeper.resuming:
-            self._data_s = self._clock()
         present = self._publish_state()
         self._history.episodes([episode_content(e) for e in self.session.episodes[-_LATEST:]])
         if result.index in self._keeper.written:
@@ -402,7 +406,7 @@ class Site(Publisher):
         self._health_s = self._checked_s = self._clock()
         self._line_writer.do("free space", self._vitals.look_at_disk)
         line = self._vitals.line(span, self.reader, self._recording.health(), self.outputs())
-        line["ledger_head"] = self._requests.head
+        line |= {"ledger_head": self._requests.head, "data_age_s": self._age_s}
         line["web"] = next((outlet.url for outlet in self._outlets if outlet.url), None)
         for name in line["failed"].keys() - self._failed:
             _log.warning("blocked: %s: %s", name, line["failed"][name])
@@ -436,7 +440,7 @@ class Site(Publisher):
             return
         before = self.session.windows
         try:
-            self.session.push(block, partial(self._record, block))
+            self.session.push(block, partial(self._record, block, self.session.now_ns))
         except BadInputError as error:
             self._vitals.refuse(str(error))
             return
@@ -445,8 +449,13 @@ class Site(Publisher):
             self._vitals.published(arrived_s)
         self._keeper.took(self.session, block)
 
-    def _record(self, block: SampleBlock, results: Sequence[Result]) -> None:
-        """Record an accepted block; a block that changes an alarm is on the disk before the change is announced."""
+    def _record(self, block: SampleBlock, known_ns: int, results: Sequence[Result]) -> None:
+        """Record an accepted block; a block that changes an alarm is on the disk before the change is announced.
+
+        `known_ns` is the end of the data before it: a block without a new sample is no sign that data come.
+        """
+        if self.session.now_ns != known_ns:
+            self._data_s, self._block_s = self._clock(), block.n_samples / block.sample_rate_hz
         self._recording.write(block)
         alarms = [(r.alarm.active, r.alarm.conditions) for r in results if isinstance(r, WindowResult)]
         exceeded = any(isinstance(r, Event) and r.exceeded for r in results)
@@ -486,11 +495,26 @@ class Site(Publisher):
 
     @property
     def _present(self) -> Assessment:
-        """The present state of the structure: that of the session, outdated once no window has come for a window's length."""
-        present, silent_s, p = self.session.present, self._clock() - self._data_s, self.settings.processing
-        if silent_s < p.window_s + p.hop_s or not self.session.windows:
+        """The present state of the structure: that of the session, outdated once data are late."""
+        present = self.session.present
+        if not self._is_late:
             return present
-        return outdated(present, f"no data since {utc(self.session.now_ns)} UTC")
+        lasting = "" if self._age_s is None else f" (for {_span(self._age_s)})"
+        return outdated(present, f"no data since {utc(self.session.now_ns)} UTC{lasting}")
+
+    @property
+    def _age_s(self) -> float | None:
+        """Time since the latest data were taken, s; None before the first of this run."""
+        return None if self._data_s is None else max(0.0, self._clock() - self._data_s)
+
+    @property
+    def _is_late(self) -> bool:
+        """Whether the next block is overdue by more than two hops and `_LATE_S`: none waits, and the source has not ended."""
+        if self._keeper.resuming or self.reader.ended or len(self.reader.queue):
+            return False
+        if self._age_s is None:  # of an earlier run alone
+            return self.session.windows > 0
+        return self._age_s > self._block_s + max(2.0 * self.settings.processing.hop_s, _LATE_S)
 
     def _publish_state(self) -> Assessment:
         """Publish the present state where it is not what was published last, and return it."""
@@ -560,6 +584,12 @@ class Site(Publisher):
     def _share_s(self) -> float:
         """Return the time that the next part may take to close, s: half of the remaining time, so that the others have some."""
         return max(0.0, self._end_s - self._clock()) / 2.0
+
+
+def _span(seconds: float) -> str:
+    """Write a span in seconds up to two minutes, in minutes up to two hours, then in hours."""
+    limits = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"), (float("inf"), 3600.0, "h"))
+    return next(f"{seconds / unit:.0f} {name}" for limit, unit, name in limits if seconds < limit)
 
 
 def _open_viewer(settings: Configuration, healthy: AnyBaseline | None, serve: tuple[str, int]) -> RerunPublisher | None:

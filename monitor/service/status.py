@@ -156,7 +156,7 @@ def tell(status: dict[str, Any]) -> str:
         "state": lambda: f"{State(status['state']).words.upper()}: {status['headline']}",
         "doubts": lambda: " ".join(status["doubts"]),
         "monitor": lambda: _monitor(status, health),
-        "source": lambda: _source(source, health),
+        "source": lambda: _source(source, health, status["silent_s"]),
         "quality": lambda: _quality(quality, health),
         "windows": lambda: f"{summary.get('windows', 0)}, {summary.get('skipped', 0)} skipped; {_latest(result)}",
         "modes": lambda: _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0),
@@ -187,9 +187,10 @@ def _monitor(status: dict[str, Any], health: dict[str, Any]) -> str:
     return f"{status['monitor']}{up}, {last_line}; blocked: {'; '.join(status['troubles']) or 'nothing'}{lost}"
 
 
-def _source(source: dict[str, Any], health: dict[str, Any]) -> str:
+def _source(source: dict[str, Any], health: dict[str, Any], silent_s: float | None) -> str:
     connected = "connected" if source.get("connected") else f"NOT connected {source.get('error', '')}".rstrip()
-    return f"{'read to its end' if source.get('ended') else connected}, lost {source.get('lost', 0)} times; {_delay(health)}"
+    at_work = "read to its end" if source.get("ended") else connected
+    return f"{at_work}, lost {source.get('lost', 0)} times; {_delay(health, silent_s)}"
 
 
 def _reference(result: dict[str, Any]) -> tuple[str, str]:
@@ -235,7 +236,8 @@ def last_event(event: Mapping[str, Any] | None) -> str:
     if event is None:
         return ""
     drifts = [(value, j) for j, value in enumerate(event["drift_peak_m"], 1) if value is not None]
-    largest = f"; largest drift {1e3 * max(drifts)[0]:.3g} mm in story {max(drifts)[1]}" if drifts else ""
+    least = "at least " if event.get("saturated") else ""
+    largest = f"; largest drift {least}{1e3 * max(drifts)[0]:.3g} mm in story {max(drifts)[1]}" if drifts else ""
     return f"{event['id']}: {event['verdict'] or 'no limit was judged'}{largest}"
 
 
@@ -280,9 +282,10 @@ def troubles_of(health: Mapping[str, Any] | None) -> list[str]:
     return [f"{name}: {why}" for name, why in (troubles | (health.get("failed") or {})).items()]
 
 
-def _delay(health: dict[str, Any]) -> str:
-    t_ns = health.get("t_ns")
-    return "no data in the last span" if t_ns is None else f"data until {_utc(t_ns)}"
+def _delay(health: dict[str, Any], silent_s: float | None) -> str:
+    t_ns, age_s = health.get("t_ns"), health.get("data_age_s")
+    until = "no data in the last span" if t_ns is None else f"data until {_utc(t_ns)}"
+    return until if age_s is None or silent_s is None else f"{until}, the last {age_s + silent_s:.0f} s ago"
 
 
 def _quality(quality: dict[str, Any], health: dict[str, Any]) -> str:

@@ -1,10 +1,12 @@
 from . import (
     alignment,
+    beside,
     channel_faults,
     channel_relations,
     channel_watch,
     lost_samples,
     mains_hum,
+    repeats,
     sensor_drift,
     sensor_health,
     stillness,
@@ -12,11 +14,13 @@ from . import (
     window_quality,
     windows,
 )
+from .beside import BesideState
 from .channel_faults import FALSE_RATE
 from .channel_watch import WatchState
 from .front_end import FrontEnd
 from .lost_samples import LostState
 from .neighbours import NORMAL_MAD
+from .repeats import KnownBlocks
 from .resampling import Conditioner, ConditionState
 from .sensor_drift import Drift
 from .sensor_health import Health, HealthSettings, HealthState
@@ -41,6 +45,7 @@ __all__ = [
     "LAGS_S",
     "LEAKAGE_OFFSETS",
     "NORMAL_MAD",
+    "BesideState",
     "ConditionState",
     "Conditioner",
     "Drift",
@@ -48,6 +53,7 @@ __all__ = [
     "Health",
     "HealthSettings",
     "HealthState",
+    "KnownBlocks",
     "LostState",
     "ProcessingSettings",
     "QualitySettings",
@@ -58,6 +64,7 @@ __all__ = [
     "WindowGrid",
     "WindowState",
     "alignment",
+    "beside",
     "bin_correlation",
     "channel_faults",
     "channel_relations",
@@ -67,6 +74,7 @@ __all__ = [
     "lost_samples",
     "mains_hum",
     "overlap_correlation",
+    "repeats",
     "sensor_drift",
     "sensor_health",
     "stillness",

@@ -18,6 +18,7 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from monitor.core import Array, Gap, Settings
@@ -221,6 +222,19 @@ def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettin
         elif clipped[c.channel] / n > settings.max_clipped:
             found[c.channel] = f"is clipped ({100 * clipped[c.channel] / n:.0f} % of its samples)"
     return found
+
+
+def saturated(state: HealthState, begin_ns: int, end_ns: int) -> NDArray[np.bool_]:
+    """Find the channels whose samples pile up at their largest or least value between two times (UTC), shape (c,).
+
+    The spans that overlap this time tell it, the one that is not complete among them.
+    """
+    found = [[c.clipped > 0.0 for c in s.channels] for s in state.spans if s.t_ns < end_ns and s.t_end_ns > begin_ns]
+    if state.n and state.t_ns < end_ns and state.t_end_ns > begin_ns:
+        x = np.concatenate(state.parts).T
+        names = tuple(map(str, range(len(x))))
+        found.append([c.clipped > 0.0 for c in _channel_health(np.ascontiguousarray(x), state.rate_hz, names)])
+    return np.any(found, axis=0) if found else np.zeros(0, dtype=bool)
 
 
 def _span_health(state: HealthState, dropped: int, channels: tuple[str, ...]) -> Health:

@@ -143,7 +143,7 @@ def test_a_monitor_that_does_not_run_says_no_normal(tmp_path: Path) -> None:
         ended = status.look(tmp_path)
         assert (ended["state"], ended["monitor"], ended["exit_code"]) == (wanted.value, "not running", 12)
         rows = status.tell(ended)
-        assert "The monitor does not run." in rows and "he latest headline, as of 2026-01-01 00:00 UTC." in rows
+        assert "The monitor does not run" in rows and "he latest headline, as of 2026-01-01 00:00 UTC." in rows
 
 
 def test_an_alarm_that_a_restart_kept_stands_before_the_first_window(tmp_path: Path, frame_text: str) -> None:

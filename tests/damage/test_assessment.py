@@ -38,6 +38,17 @@ def test_green_says_the_loss_that_would_have_been_seen() -> None:
     assert said(*[WELL] * 5) == Assessment(State.NORMAL, "No loss above 1.2 % in any story.")
 
 
+def test_the_headline_names_the_directions_of_which_no_estimate_is_made() -> None:
+    aside, channels = ("y1", "z1", "y2", "z2", "y3", "z3"), ("x1", "x2", "x3")
+    known = replace(KNOWN, channels=channels, aside=aside)
+    note = "udged along x only: 6 of 9 channels enter no estimate."
+    assert said(*[WELL] * 5, known=known).headline == f"No loss above 1.2 % in any story; j{note}"
+    assert f"J{note}" in said(known=known).doubts
+    known = replace(known, aside_faults=(("z2", "is stuck"),))
+    assert "Channel z2, which enters no estimate, is stuck." in said(*[WELL] * 5, known=known).doubts
+    assert "along" not in said(*[WELL] * 5, known=replace(known, n_modes=3)).headline
+
+
 @pytest.mark.parametrize(
     ("detectable", "tells"), [(None, "is not seen"), (0.25, "only a loss above 25 %"), (0.1, "10 %")]
 )

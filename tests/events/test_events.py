@@ -13,11 +13,11 @@ from scipy.signal import fftconvolve, resample_poly
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import Configuration
 from monitor.core import Skipped, WindowResult
-from monitor.events import Event, recognition, stage
+from monitor.events import Event, LimitTable, compared, recognition, stage
 from monitor.events.ambient import AmbientReading, lasting_loss
 from monitor.events.motion import instrumental_intensity, integrated, response_spectrum
 from monitor.pipeline import Pipeline, Result
-from monitor.publish import event_line, event_text, to_json
+from monitor.publish import event_line, event_text, read_event, to_json
 from monitor.service.serialization import from_bytes, to_bytes
 from tests.events.shaken import HEIGHTS, RATE, STIFFNESS, T0_NS, Array, Shaken, blocks, configuration, shake
 from tests.support.quake import ground, shaken, true_drifts
@@ -253,6 +253,56 @@ def test_limits_of_the_site_decide_in_its_own_words() -> None:
 def test_a_limit_of_the_lasting_loss_alone_is_not_judged_before_the_revision() -> None:
     told = events(run(configuration(events={"limits": [LOSS_LIMIT]}), blocks(shaken(), n=500)))
     assert [e.revision for e in told] == [None, 0] and [e.verdict for e in told] == [None, None]
+
+
+@pytest.mark.parametrize("with_ground", [True, False])
+@pytest.mark.parametrize("reach", [2.0, 5.0, 20.0])
+def test_sensors_that_saturate_give_lower_bounds_and_a_limit_that_is_possibly_exceeded(
+    reach: float, with_ground: bool
+) -> None:
+    """The range is so many times the peak of the ambient motion; the limit lies above what the cut-off samples show."""
+    motion, limit = shaken(), {"drift_ratio": 0.1, "says": "inspect the joints"}
+    ambient = np.abs(motion.floors[: round(70 * RATE)]).max(axis=0)
+    cut = replace(motion, floors=np.clip(motion.floors, -reach * ambient, reach * ambient))
+    pipeline = Pipeline(configuration(events={"limits": [limit]}))
+    results = [r for b in blocks(cut, n=500, with_ground=with_ground) for r in pipeline.push(b)]
+    told = [*events(results), *pipeline.finish()]
+    assert [e.revision for e in told] == [None, 0]
+    for event in told:
+        assert {"a1", "a2"} <= set(event.saturated)
+        assert event.verdict == "possibly exceeded: inspect the joints"
+        assert any("story" in words and "at least" in words for words in event.exceeded)
+        assert "reached the end of the range" in event.note and "at least" in event_text(event)
+        assert np.isnan(event.drift_std_m[np.isfinite(event.drift_m)]).any()
+        line = event_line(event)
+        assert line["saturated"] == list(event.saturated) and None in line["drift_peak_std_m"]
+        again = read_event(line)
+        assert again.saturated == event.saturated
+        assert compared(again, LimitTable.model_validate(limit)).possibly.any()
+    (alarm,) = pipeline.state.events.alarms
+    assert alarm.unacknowledged and f"event {told[0].id} possibly exceeded a limit of the site: inspect" in alarm.says
+
+
+@pytest.mark.parametrize("reach", [1.5, 2.0, 3.0])
+@pytest.mark.parametrize("peak", [1.0, 20.0, 200.0])
+def test_a_quake_that_saturates_all_sensors_early_in_the_data_is_an_event(peak: float, reach: float) -> None:
+    """The range, not the motion, bounds what the samples exceed the ambient motion by, when little of that is known yet."""
+    motion = shake(ground(65.0, (15.0, peak, 3)), np.random.default_rng(4))[0]
+    limit = reach * np.abs(motion.floors[: round(10 * RATE)]).max()
+    cut = replace(motion, floors=np.clip(motion.floors, -limit, limit))
+    told = events(run(configuration(), blocks(cut, n=500, with_ground=False)))
+    assert told[0].revision is None and len(told[0].saturated) == 3
+
+
+def test_a_sensor_that_saturates_leaves_the_stories_that_it_does_not_enter_known() -> None:
+    motion = shaken()
+    top = np.abs(motion.floors[:, 0]).max()
+    floors = np.column_stack([np.clip(motion.floors[:, 0], -0.5 * top, 0.5 * top), motion.floors[:, 1:]])
+    config = configuration(events={"limits": [{"drift_ratio": 0.1, "says": "go"}]})
+    event = events(run(config, blocks(replace(motion, floors=floors), n=500)))[-1]
+    assert event.saturated == ("a1",)
+    assert np.isnan(event.drift_std_m).tolist() == [True, False, False]
+    assert [words.count("story 1") for words in event.exceeded] == [1]
 
 
 @pytest.mark.parametrize("fault", [0.0, np.nan])

@@ -12,9 +12,10 @@ from rerun.chunk import RrdReader
 
 from drivers.mcap_file import recording_info
 from monitor.core import BadInputError, MissingInputError, WrongUsageError
-from monitor.events import Event
+from monitor.events import Event, EventSettings
 from monitor.publish import EventPage, Publisher, event_line, read_event, to_json
 from monitor.runs import EventRecordings, Session, page_of, read_event_line, write_event_motion, write_event_page
+from monitor.service import status
 from tests.events.shaken import blocks, configuration
 from tests.support.event_pages import LIMITS, page, told
 from tests.support.samples import Cli
@@ -37,6 +38,19 @@ def test_the_page_has_the_verdict_the_limits_and_every_chart() -> None:
     assert all(title in html for title in (*titles, "Pseudo-acceleration", "UNOFFICIAL", "date and signature"))
     assert "the revision after ambient motion tells it far more closely" in html
     assert html.count('class="beyond"') == int((event.drift_ratio > 0.0005).sum()) > 0
+
+
+def test_a_sensor_at_the_end_of_its_range_makes_bounds_of_what_the_page_shows() -> None:
+    event, site, seen = told()
+    says = "possibly exceeded: go"
+    std = np.array([np.nan, *event.drift_std_m[1:]])
+    bound = replace(event, saturated=("a1",), drift_std_m=std, verdict=says, exceeded=(f"{says} (story 1)",))
+    settings = EventSettings.model_validate({"limits": [{"drift_ratio": 0.5, "says": "go"}]})
+    html = page(bound, replace(site, settings=settings), seen)
+    assert all(words in html for words in ("limit possibly exceeded", "POSSIBLY EXCEEDED", "a1 (at least)"))
+    assert f"drift at least {1e3 * bound.drift_m[0]:.3g} mm" in html
+    told_in_status = [status.last_event(event_line(e)) for e in (bound, event)]
+    assert ["at least" in text for text in told_in_status] == [True, False]
 
 
 def test_a_revised_event_shows_its_lasting_loss_with_its_interval() -> None:

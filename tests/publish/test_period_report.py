@@ -15,6 +15,8 @@ import pytest
 from monitor.core import BadInputError
 from monitor.publish.reports.period_data import read_results
 from monitor.publish.reports.period_report import read_period, write_period
+from monitor.publish.results.event_lines import event_line, event_text
+from tests.support import event_pages
 from tests.support.period_lines import ALARM, HOP, SKIPPED, T0, json_lines, line_of
 from tests.support.samples import Cli
 
@@ -384,3 +386,29 @@ def test_a_folder_without_results_is_66_and_an_input_is_never_overwritten(
     before = (months / "summary.json").read_bytes()
     assert main("report", months, "--out", months / "summary.json").returncode != 0
     assert (months / "summary.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("acknowledged_by", ["", "Ada"])
+def test_an_event_s_alarm_stands_in_the_report_as_in_the_status(
+    tmp_path: Path, main: Cli, acknowledged_by: str
+) -> None:
+    event, _, _ = event_pages.told()
+    rows = [{**line_of(k), "t_end_ns": event.begin_ns + (k - 5) * HOP} for k in range(20)]
+    json_lines(tmp_path / "results.jsonl", rows)
+    (tmp_path / "events.jsonl").write_text(json.dumps(event_line(event)) + '\n{"id": "cut by a cra')
+    condition = "normal" if acknowledged_by else "returned to normal, unacknowledged"
+    alarm = {"id": event.id, "condition": condition, "exceeded": ["go <and> look: story 3"], "by": acknowledged_by}
+    (tmp_path / "summary.json").write_text(json.dumps({"event_alarms": [alarm]}))
+    done = main("report", tmp_path, "--out", tmp_path / "r.html", "--json")
+    said, text = json.loads(done.stdout), words(parsed(tmp_path / "r.html"))
+    assert said["alarms"] == said["events"] == 1
+    assert (said["state"] == "alarm") is not bool(acknowledged_by)
+    assert (f"vent {event.id} exceeded a limit" in said["headline"]) is not bool(acknowledged_by)
+    assert event_text(event) in text and "go <and> look: story 3" in text
+    assert (f"by {acknowledged_by}" if acknowledged_by else "nobody yet") in text
+    before = str(np.datetime64(event.begin_ns - HOP, "ns").astype("datetime64[s]"))
+    done = main("report", tmp_path, "--out", tmp_path / "r.html", "--json", "--to", f"{before}Z")
+    assert json.loads(done.stdout)["alarms"] == 0 and json.loads(done.stdout)["state"] != "alarm"
+    after = str(np.datetime64(event.begin_ns + 2 * HOP, "ns").astype("datetime64[s]"))
+    done = main("report", tmp_path, "--out", tmp_path / "r.html", "--json", "--from", f"{after}Z")
+    assert json.loads(done.stdout)["alarms"] == int(not acknowledged_by)  # it stands

@@ -14,7 +14,7 @@ from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
 from monitor.core import BadConfigurationError
 from monitor.model import ShearFrame, parse_effect
-from tests.support.samples import Cli
+from tests.support.samples import T0_NS, Cli
 
 FRAME = """
 [structure]
@@ -102,6 +102,36 @@ def test_a_replay_gives_the_same_bytes(sites: Sites) -> None:
     lines = (bare / "results.jsonl").read_bytes()
     assert lines.count(b"\n") == 8 and b'"skipped": null' in lines
     assert lines == (full / "results.jsonl").read_bytes()
+
+
+@pytest.mark.parametrize("fault", [0.0, np.nan])
+@pytest.mark.parametrize("in_file", [False, True])
+def test_channels_that_enter_no_estimate_are_told_and_one_that_dies_is_told_by_name(
+    sites: Sites, tmp_path: Path, in_file: bool, fault: float
+) -> None:
+    """Also where the structure file does not know the channel."""
+    recording = tmp_path / "dead.mcap"
+    with McapWriter(recording) as writer:
+        for block in read_recordings([sites.full]):
+            samples = block.samples.copy()
+            if block.topic == ACCELERATION:
+                samples[block.t_ns - T0_NS + np.arange(len(samples)) * 10_000_000 > 40 * 10**9, 1] = fault
+            writer.write(replace(block, samples=samples))
+    structure = sites.more if in_file else sites.plain
+    told = []
+    for source in (sites.full, recording):
+        done = sites.main("replay", source, "--structure", structure, "--out", tmp_path / "out")
+        assert done.returncode == 0, done.stderr
+        summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+        assert set(summary["quality"]["channels"]) == {"a1", "a2", "across"}
+        told.append(" ".join([summary["headline"], *summary["doubts"]]))
+    aside = 3 if in_file else 1
+    assert all(f"udged along x only: {aside} of {aside + 2} channels enter no estimate" in text for text in told)
+    wrong = "is stuck" if fault == 0.0 else "gives no numbers"
+    assert [f"hannel across, which enters no estimate, {wrong}" in text for text in told] == [False, True]
+    assert (tmp_path / "out" / "results.jsonl").read_bytes() == (
+        sites.folder / "plain-replay" / "results.jsonl"
+    ).read_bytes()
 
 
 @pytest.mark.engine

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -39,6 +40,7 @@ from monitor.service.status import look, tell, troubles_of
 from monitor.service.threads import BlockQueue, Reader
 from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.site import RATE, Scripted, Step, health, lines, own, replayed, summary, write
+from tests.support.waiting import until
 
 
 def test_run_gives_what_replay_gives_of_source_and_of_own_recordings(
@@ -466,29 +468,51 @@ def test_without_data_a_line_of_health_comes_at_the_stated_interval(site: Path) 
     assert len(health(site.parent / "out")) >= len(told_s)
 
 
-def test_a_state_is_outdated_once_no_data_have_come_for_a_window_s_length(
-    site: Path, record: np.ndarray, cut: Cut
+@pytest.mark.parametrize(("hop_s", "patience_s"), [(5.0, 30.0), (20.0, 40.0)])
+def test_a_state_is_no_present_one_once_data_are_late_by_two_hops_or_half_a_minute(
+    site: Path, record: np.ndarray, cut: Cut, hop_s: float, patience_s: float
 ) -> None:
-    said: list[Assessment] = []
+    """Everywhere at once: the state, the summary, the line of health and the metrics; no line of results."""
+    said: list[tuple[float, Assessment]] = []
+    told: list[Mapping[str, Any]] = []
     seconds = [0.0]
+    site.write_text(site.read_text().replace("hop_s = 5.0", f"hop_s = {hop_s}"))
+    out, metrics = site.parent / "out", Metrics("bench", None)
 
     class States(Outlet):
         def state(self, assessment: Assessment) -> None:
-            said.append(assessment)
+            said.append((seconds[0], assessment))
+
+        def health_line(self, line: Mapping[str, Any]) -> None:
+            told.append(line)
 
     def script() -> Iterator[Step]:
-        """The clock runs while the source is silent."""
-        yield from cut(record, RATE)
-        while not said[-1].headline.startswith("No data") and seconds[0] < 1e5:
-            seconds[0] += 5.0
+        """The clock runs while the source is silent, then data come again."""
+        *most, last = cut(record, RATE)
+        yield from most
+        while not said[-1][1].headline.startswith("No data") and seconds[0] < 1e3:
+            seconds[0] += 1.0
             yield None
+            yield None
+        late_s, late = said[-1]
+        assert patience_s <= late_s <= patience_s + 3.0
+        assert late.state is State.NOT_JUDGED
+        assert re.fullmatch(r"No data since 20\S+ \S+ UTC \(for \d+ s\); before: no baseline.*", late.headline)
+        until(lambda: summary(out)["headline"] == late.headline, "a summary that says so")
+        assert told[-1]["data_age_s"] >= patience_s
+        families = {family.name: family for family in metrics.collect()}
+        assert families["shm_data_age_seconds"].samples[0].value == told[-1]["data_age_s"]
+        assert [s.value for s in families["shm_state"].samples if s.labels["state"] == "not_judged"] == [1.0]
+        assert re.search(
+            r"source .*; data until .*, the last \d\d s ago|in the last span, the last \d\d s ago", tell(look(out))
+        )
+        yield last
 
-    Daemon(site, Scripted(script()), [States()], clock=lambda: seconds[0], tick_s=0.001).run()
-    assert said[0].headline == "No window of data yet."
-    assert said[-1].state is State.NOT_JUDGED and said[-1].headline.startswith("No data since 20")
-    assert any(doubt.startswith("Before: no baseline") for doubt in said[-1].doubts)
-    summary = json.loads((site.parent / "out" / "summary.json").read_text())
-    assert {key: summary[key] for key in said[-1].content} == said[-1].content
+    Daemon(site, Scripted(script()), [States(), metrics], clock=lambda: seconds[0], tick_s=0.001).run()
+    assert not said[-1][1].headline.startswith("No data")
+    assert not any("no data" in str(line).lower() for line in lines(out))
+    content = summary(out)
+    assert {key: content[key] for key in said[-1][1].content} == said[-1][1].content
 
 
 def test_a_drivers_bug_is_not_swallowed(site: Path) -> None:

@@ -20,13 +20,14 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from drivers.base import SampleBlock
+from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import read_recordings
 from drivers.recorder import recorded
 from monitor.config import configuration
-from monitor.core import Level
+from monitor.core import Gap, Level
 from monitor.damage import AlarmState, StoryState, load_baseline
 from monitor.damage.alarm import acknowledge
+from monitor.events import Event
 from monitor.model import simulate
 from monitor.publish import facts_of_line
 from monitor.runs import Session
@@ -35,11 +36,14 @@ from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import plain
 from monitor.service.restart import Checkpointer, Saved
 from monitor.service.threads import Recording
+from tests.events.shaken import blocks
 from tests.support.live_rig import Command
 from tests.support.live_site import RATE, SIZE, LiveDaemon, save_stream
+from tests.support.quake import shaken
 from tests.support.samples import T0_NS, Cli, Cut
+from tests.support.shaken_site import SITE as SHAKEN_SITE
 from tests.support.site import SITE as BARE_SITE
-from tests.support.site import Scripted, lines, own, replayed, run_until, summary, write
+from tests.support.site import Endless, Scripted, Told, lines, own, replayed, run_until, summary, write
 from tests.support.zenoh_router import free_port
 
 pytestmark = pytest.mark.system
@@ -348,6 +352,62 @@ def test_a_daemon_that_serves_a_view_is_resumed_too(
     session = run_until(site, [], 9).session
     assert "not resumed" not in caplog.text
     assert session.windows == len(lines(out)) >= 9
+
+
+class Preliminary(Told):
+    """Notes events of which it is told at once, and gaps."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.events: list[str] = []
+        self.gaps: list[Gap] = []
+
+    def event(self, event: Event, line: str) -> None:
+        if event.revision is None:
+            self.events.append(event.id)
+
+    def gap(self, gap: Gap) -> None:
+        self.gaps.append(gap)
+
+
+@pytest.mark.parametrize("numbered_anew", [False, True])
+def test_blocks_that_a_cache_sends_again_after_a_restart_are_taken_once(tmp_path: Path, numbered_anew: bool) -> None:
+    """Two minutes with a quake come again, more than the minute after which late data are a clock that was set back."""
+    site, out, told = tmp_path / "site.toml", tmp_path / "out", Preliminary()
+    text = SHAKEN_SITE.replace("[recorder]\nenabled = false", "[recorder]\nmin_free_gb = 0.0")
+    site.write_text(text + "[processing]\nwindow_s = 20.0\nhop_s = 5.0\n[identification]\nblock_rows = 10\n")
+    stream = blocks(shaken())
+    first = len(stream) * 4 // 5
+    before = Endless(stream[:first], 20)
+    before.daemon = Daemon(site, before, [told])
+    before.daemon.run()
+    assert len(told.events) == 1 and len(lines(out)) >= 20
+    again = [replace(b, sequence=b.sequence + 7) for b in stream] if numbered_anew else stream
+    Daemon(site, Scripted(again), [told]).run()
+    assert told.events == [line["id"] for line in lines(out, "events.jsonl") if line["revision"] == 0]
+    assert not told.gaps
+    assert [line["window"] for line in lines(out)] == list(range(len(lines(out))))
+    recorded_n = Counter(b.topic for b in read_recordings(own(out)))
+    assert recorded_n == Counter(b.topic for b in stream)
+    floors = [b for b in stream[:first] if b.topic == ACCELERATION]
+    assert summary(out)["dropped_samples"] == sum(b.n_samples for b in floors)
+
+
+def test_blocks_that_come_again_cut_otherwise_contribute_their_new_samples_alone(tmp_path: Path) -> None:
+    site, out, told = tmp_path / "site.toml", tmp_path / "out", Preliminary()
+    text = "[processing]\nwindow_s = 20.0\nhop_s = 5.0\n[identification]\nblock_rows = 10\n"
+    site.write_text(SHAKEN_SITE + text)
+    stream = blocks(shaken(), with_ground=False)
+    first = Endless(stream[: len(stream) * 4 // 5], 20)
+    first.daemon = Daemon(site, first, [told])
+    first.daemon.run()
+    Daemon(site, Scripted(blocks(shaken(), with_ground=False, n=70)), [told]).run()
+    assert len(told.events) == 1 and not told.gaps
+    whole = Session(configuration.load(site), None, (), None, tmp_path)
+    for block in stream:
+        whole.push(block)
+    assert [line["window"] for line in lines(out)] == list(range(whole.windows))
+    assert summary(out)["dropped_samples"] == 50 * (len(stream) * 4 // 5)
 
 
 @pytest.mark.parametrize("checkpoint_s", [0.0, 20.0])

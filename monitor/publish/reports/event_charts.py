@@ -82,11 +82,14 @@ def story_map(event: Event, names: Sequence[str], limits: Sequence[LimitTable]) 
     rows = []
     for j, name in enumerate(names):
         state = _state(event, j, limits)
-        drift = f"{1e3 * event.drift_m[j]:.3g} mm" if np.isfinite(event.drift_m[j]) else "not known"
+        least = "at least " if event.is_bound[j] else ""
+        drift = f"{least}{1e3 * event.drift_m[j]:.3g} mm" if np.isfinite(event.drift_m[j]) else "not known"
         ratio = f" ({100 * event.drift_ratio[j]:.2g} %)" if np.isfinite(event.drift_ratio[j]) else ""
         loss = with_interval(100.0 * event.loss[j], 200.0 * event.loss_std[j])
         lost = f", lasting loss {loss} %" if np.isfinite(event.loss[j]) else ""
         words = {"beyond": "limit exceeded", "within": "within the limits", "unknown": "not judged"}[state]
+        if state != "beyond" and any(compared(event, limit).possibly[j] for limit in limits):
+            words = "limit possibly exceeded"
         said = f"drift {drift}{ratio}{lost}: {words}"
         rows.append(f'<div><b class="{state}">{escape(name)}</b><span>{escape(said)}</span></div>')
     return f'<div class="stories">{"".join(rows)}</div>'

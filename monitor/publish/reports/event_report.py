@@ -93,7 +93,8 @@ def _head(page: EventPage) -> str:
 def _verdict(event: Event) -> tuple[str, str]:
     """Return the class of the verdict's colour, and the verdict in two words."""
     if event.exceeded:
-        return "alarm", "limit exceeded"
+        possibly = event.verdict is not None and event.verdict.startswith("possibly exceeded: ")
+        return "alarm", "limit possibly exceeded" if possibly else "limit exceeded"
     return ("normal", "within limits") if event.verdict is not None else ("", "no limit judged")
 
 
@@ -115,9 +116,12 @@ def _limits(page: EventPage) -> str:
         largest, where = _UNKNOWN, _UNKNOWN
         if np.isfinite(c.value).any():
             j = int(np.nanargmax(c.largest))
-            largest, where = f"{with_interval(100 * c.value[j], 100 * (c.largest[j] - c.value[j]))} %", page.names[j]
+            least = "at least " if np.isinf(c.largest[j]) else ""
+            largest = f"{least}{with_interval(100 * c.value[j], 100 * (c.largest[j] - c.value[j]))} %"
+            where = page.names[j]
         undecided = "the interval holds it" if np.isfinite(c.value).all() else "not judged"
         exceeded, within = (c.least > c.limit).any(), (c.largest <= c.limit).all()
+        undecided = "POSSIBLY EXCEEDED" if c.possibly.any() else undecided
         outcome = "EXCEEDED" if exceeded else "not exceeded" if within else undecided
         what = "drift ratio" if limit.drift_ratio is not None else "lasting loss of stiffness"
         rows.append((what, f"{100 * c.limit:.3g} %", largest, where, outcome, limit.says))
@@ -137,8 +141,10 @@ def _stories(page: EventPage) -> str:
         heights = None if site is None else site.heights_m
         out.append(charts.drift_profile(e, page.names, heights, of_drift))
         rows = [
-            (name, _with_std(1e3 * drift, 1e3 * std), _number(100 * ratio, 3))
-            for name, drift, std, ratio in zip(page.names, e.drift_m, e.drift_std_m, e.drift_ratio, strict=True)
+            (name, ("at least " if bound else "") + _with_std(1e3 * drift, 1e3 * std), _number(100 * ratio, 3))
+            for name, drift, std, ratio, bound in zip(
+                page.names, e.drift_m, e.drift_std_m, e.drift_ratio, e.is_bound, strict=True
+            )
         ]
         out.append(table(["story", "#largest drift, mm", "#over the height, %"], rows))
     else:
@@ -158,11 +164,16 @@ def _floors(page: EventPage) -> str:
         out.append(f"<p>{escape(page.why_not)}</p>")
     motions = [*page.event.floors, *([] if page.event.ground is None else [page.event.ground])]
     rows = [
-        (f.channel, *(_number(v, 3) for v in (f.peak_m_s2, f.rms_m_s2, 1e3 * f.peak_m_s, f.arias_m_s, f.cav_m_s)))
+        (_named(f, page), *(_number(v, 3) for v in (f.peak_m_s2, f.rms_m_s2, 1e3 * f.peak_m_s, f.arias_m_s, f.cav_m_s)))
         for f in motions
     ]
     head = ["channel", "#peak, m/s²", "#RMS, m/s²", "#velocity, mm/s", "#Arias, m/s", "#CAV, m/s"]
     return "".join(out) + table(head, rows)
+
+
+def _named(motion: FloorMotion, page: EventPage) -> str:
+    """Name a channel, and say where its motion is a lower bound."""
+    return motion.channel + (" (at least)" if motion.channel in page.event.saturated else "")
 
 
 def _frequencies(page: EventPage) -> str:
@@ -263,6 +274,7 @@ def _data(page: EventPage) -> str:
         rows.append(("gaps", str(r.gaps) if r.gaps else "none"))
     still = [f.channel for f in e.floors if not np.isfinite(f.peak_m_s2)]
     rows.append(("channels without motion", ", ".join(still) or "none"))
+    rows.append(("channels at the end of their range", ", ".join(e.saturated) or "none"))
     rows.append(("ground", "not measured" if e.ground is None else "measured, one component"))
     origin = "their standard deviations join noise, and what half the corner changes"
     rows.append(("drifts", f"dynamic, above {e.corner_hz:.2g} Hz; {origin}"))

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import parse_json, utc_ns
+from monitor.core import AlarmCondition, parse_json, utc_ns
 from monitor.damage import Loss
+from monitor.events import Event, EventAlarm
 from monitor.publish.reports.period_data import utc
+from monitor.publish.results.event_lines import EVENTS, read_event
 from monitor.publish.results.recorded_time import between_recordings
 
 _REQUEST = re.compile(
@@ -176,6 +178,27 @@ def read_findings(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]
     """Read the diagnoses of the period's data, in the order of time."""
     found = [f for path in (folder / "findings").rglob("*.json") for f in _read_json_objects(path, whole=True)]
     return sorted((f for f in found if from_ns < f.get("t_ns", 0) <= to_ns), key=lambda f: int(f["t_ns"]))
+
+
+def read_events(folder: Path) -> list[Event]:
+    """Read the events of a run, each as its highest revision says, in the order of time."""
+    found: dict[str, Event] = {}
+    for line in _read_json_objects(folder / EVENTS):
+        try:
+            event = read_event(line)
+        except (KeyError, TypeError, ValueError):  # a line that a crash cut
+            continue
+        if event.revision is not None and event.revision >= (found.get(event.id, event).revision or 0):
+            found[event.id] = event
+    return sorted(found.values(), key=lambda e: e.begin_ns)
+
+
+def event_alarms(summary: dict[str, Any]) -> list[EventAlarm]:
+    """Return the alarms of events that a summary lists."""
+    return [
+        EventAlarm(str(a["id"]), tuple(a["exceeded"]), (), a["condition"] != AlarmCondition.NORMAL, str(a["by"]))
+        for a in summary.get("event_alarms", ())
+    ]
 
 
 def read_decisions(folder: Path, health: HealthFile, n_modes: int = 0) -> list[Decision]:

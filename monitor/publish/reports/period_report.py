@@ -15,11 +15,13 @@ from pydantic import TypeAdapter
 
 from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
 from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, assess, diagnosis_of, is_seen
+from monitor.events import Event, EventAlarm
 from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import Grid, PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality
 from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, panel, time_axes
+from monitor.publish.results.event_lines import event_text
 from monitor.publish.results.recorded_time import between_recordings
 
 _MAX_ROWS = 200
@@ -46,6 +48,14 @@ class Period:
     """`alarm_loss`, `min_loss`, `significance`; empty where the run did not record them."""
     learned: Mapping[str, LearnedRange] = field(default_factory=dict)
     """Range of each covariate at calibration."""
+    events: list[Event] = field(default_factory=list)
+    event_alarms: list[EventAlarm] = field(default_factory=list)
+    """Of these events, and of earlier ones those that nobody has acknowledged."""
+
+    @property
+    def alarms(self) -> int:
+        """Number of alarms, those of events among them."""
+        return len(self.course.losses) + len(self.event_alarms)
 
 
 def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
@@ -77,6 +87,11 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         course = replace(results.course, losses=tuple(sorted(losses, key=lambda loss: loss.t_first_ns)))
         thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
         learned = {str(n): LearnedRange(**r) for n, r in summary.get("covariates_learned", {}).items()}
+        events = notes.read_events(folder)
+        began_ns = {event.id: event.begin_ns for event in events}
+        alarms = [a for a in notes.event_alarms(summary) if began_ns.get(a.id, start) <= stop]
+        alarms = [a for a in alarms if a.unacknowledged or began_ns.get(a.id, start) > start]
+        events = [event for event in events if start < event.begin_ns <= stop]
     with _name_file_in_errors(folder / "ledger.jsonl"):
         decisions = [d for d in notes.read_decisions(folder, health, known.n_modes or 0) if start < d.t_ns <= stop]
     with _name_file_in_errors(folder / "findings"):
@@ -85,9 +100,12 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         known = replace(known, names=tuple(f"story {j + 1}" for j in range(len(results.ddi))))
         known = replace(known, has_baseline=not results.no_baseline)
     with _name_file_in_errors(folder / "results.jsonl"):
-        assessment = assess(course, known, findings, whole=True)
+        exceeded = [alarm.says for alarm in alarms if alarm.unacknowledged]
+        assessment = assess(course, known, findings, exceeded=exceeded, whole=True)
     name = folder.resolve().name
-    return Period(name, results, quality, course, assessment, known, findings, decisions, thresholds, learned)
+    return Period(
+        name, results, quality, course, assessment, known, findings, decisions, thresholds, learned, events, alarms
+    )
 
 
 def _known_of(summary: Mapping[str, Any]) -> Known:
@@ -129,7 +147,7 @@ def write_period(path: Path, period: Period) -> None:
 
 def page(period: Period) -> str:
     """Write the page, which is well-formed XML as well."""
-    sections = (_head, _damage, _changes, _alarms, _modes, _covariates, _trust, _findings)
+    sections = (_head, _damage, _changes, _alarms, _events, _modes, _covariates, _trust, _findings)
     return document(f"{period.name}: {_span(period)}", [section(period) for section in sections])
 
 
@@ -157,8 +175,8 @@ def _head(period: Period) -> str:
     apart = ", the time between recordings apart" if r.between else ""
     evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s{apart}"
     figures = [(f"{100 * sum(r.judged) / r.due:.1f} %", evaluated)]
-    if period.known.has_baseline:
-        figures.append((f"{len(period.course.losses)}", "alarm" if len(period.course.losses) == 1 else "alarms"))
+    if period.known.has_baseline or period.alarms:
+        figures.append((f"{period.alarms}", "alarm" if period.alarms == 1 else "alarms"))
     if period.quality is not None and period.quality.availability is not None:
         figures.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
     if r.ddi and period.known.has_baseline:
@@ -281,7 +299,7 @@ def _clipped(axes: TimeAxes, from_ns: int, to_ns: int | None) -> tuple[float, fl
 
 def _alarms(period: Period) -> str:
     """Tabulate every alarm with the verdict of its diagnosis and the actions of the operators."""
-    if not period.course.losses:
+    if not period.alarms:
         none = "None." if period.known.has_baseline else "Without a baseline none can be raised."
         return f"<h2>Alarms</h2><p>{none}</p>"
     rows = []
@@ -293,9 +311,24 @@ def _alarms(period: Period) -> str:
         verdict = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
         size = _percent(e.ddi, e.ddi_std)
         rows.append((e.level, _story(e.story, period), utc(e.t_first_ns), ended, size, verdict, actions))
+    began = {event.id: utc(event.begin_ns) for event in period.events}
+    for alarm in period.event_alarms[:_MAX_ROWS]:
+        seen = "nobody yet" if alarm.unacknowledged else f"by {alarm.acknowledged_by}"
+        lasts = "lasts" if alarm.unacknowledged else _UNKNOWN
+        what = f"event {alarm.id}: {'; '.join(alarm.exceeded)}"
+        rows.append((Level.ALARM, what, began.get(alarm.id, _UNKNOWN), lasts, _UNKNOWN, "a limit of the site", seen))
     size = "#stiffness lost" if period.known.n_modes is None else "#change"
     head = ["level", "where", "@from, UTC", "@to, UTC", size, "diagnosis", "acknowledged"]
     return "<h2>Alarms</h2>" + table(head, rows) + _rest_count(len(period.course.losses))
+
+
+def _events(period: Period) -> str:
+    """Tabulate the strong motions of the whole structure; nothing where there was none."""
+    if not period.events:
+        return ""
+    rows = [(e.id, utc(e.begin_ns), utc(e.end_ns), event_text(e), e.note) for e in period.events[:_MAX_ROWS]]
+    head = ["event", "@from, UTC", "@to, UTC", "what it was", "note"]
+    return "<h2>Events</h2>" + table(head, rows) + _rest_count(len(period.events))
 
 
 def _rest_count(count: int) -> str:

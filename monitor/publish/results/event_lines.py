@@ -42,6 +42,7 @@ def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
         "loss_std": _numbers(event.loss_std),
         "verdict": event.verdict,
         "exceeded": list(event.exceeded),
+        "saturated": list(event.saturated),
         "floors": [_motion(f) for f in event.floors],
         "ground": None if event.ground is None else _motion(event.ground),
         "instrumental_intensity": None
@@ -90,6 +91,7 @@ def read_event(line: Mapping[str, Any]) -> Event:
         loss_std=_array(line["loss_std"]),
         verdict=line["verdict"],
         exceeded=tuple(line["exceeded"]),
+        saturated=tuple(line.get("saturated", ())),
         note=str(line["note"]),
     )
 
@@ -109,17 +111,21 @@ def event_text(event: Event) -> str:
     known = [f for f in event.floors if math.isfinite(f.peak_m_s2)]
     if known:
         strongest = max(known, key=lambda f: f.peak_m_s2)
-        parts.append(f"largest acceleration {strongest.peak_m_s2:.2g} m/s^2 at {strongest.channel}")
+        least = "at least " if event.saturated else ""
+        parts.append(f"largest acceleration {least}{strongest.peak_m_s2:.2g} m/s^2 at {strongest.channel}")
     if event.ground is not None:
         parts.append(f"ground {event.ground.peak_m_s2:.2g} m/s^2")
     if np.isfinite(event.drift_m).any():
         j = int(np.nanargmax(event.drift_m))
         drift = with_interval(1e3 * event.drift_m[j], 2e3 * event.drift_std_m[j])
-        parts.append(f"largest drift {drift} mm in story {j + 1}")
+        least = "at least " if event.saturated else ""
+        parts.append(f"largest drift {least}{drift} mm in story {j + 1}")
     if np.isfinite(event.loss).any():
         j = int(np.nanargmax(event.loss / event.loss_std))
         lost = with_interval(100.0 * event.loss[j], 200.0 * event.loss_std[j])
         parts.append(f"lasting loss {lost} % of stiffness in story {j + 1}")
+    if event.saturated:
+        parts.append(f"{', '.join(event.saturated)} reached the end of the range")
     text = "; ".join(parts)
     return text[0].upper() + text[1:] + "."
 

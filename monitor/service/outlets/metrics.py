@@ -280,6 +280,7 @@ def _health_metrics(health: Mapping[str, Any]) -> Iterator[Metric]:
         (CounterMetricFamily, "shm_refused_blocks", "Blocks turned away.", health["refused"]["blocks"]),
         (GaugeMetricFamily, "shm_queue_blocks", "Blocks that wait.", health["queue"]),
         (GaugeMetricFamily, "shm_data_delay_seconds", "Clock less time of the data.", health["delay_s"]),
+        (GaugeMetricFamily, "shm_data_age_seconds", "Since the latest data came.", health.get("data_age_s")),
         (GaugeMetricFamily, "shm_latency_max_seconds", "Longest since the start.", 1e-3 * health["latency_ms"]["max"]),
         (GaugeMetricFamily, "shm_uptime_seconds", "Since the start.", health.get("uptime_s")),
         (GaugeMetricFamily, "shm_disk_free_bytes", "Where results go.", health.get("disk_free_bytes")),

@@ -106,6 +106,7 @@ def _schemas() -> dict[str, Any]:
         "monitor": {"type": "string", "enum": ["starting", "running", "silent"]},
         "troubles": {"type": "array", "items": {"type": "string"}, "description": "Parts that do not work."},
         "t_ns": {**_INTEGER, "description": "Data until."},
+        "data_age_s": {**_NUMBER, "description": "Since the latest data came, s."},
         "uptime_s": {**_NUMBER, "description": "Since the start of the monitor, s."},
         "disk_free_bytes": {**_INTEGER, "description": "Where results go."},
         "windows": {**_INTEGER, "description": "Number of windows in this run."},

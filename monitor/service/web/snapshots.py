@@ -199,6 +199,7 @@ class Snapshots:
                 "monitor": "starting" if not health else "silent" if silent else "running",
                 "troubles": troubles_of(health),
                 "t_ns": health.get("t_ns"),
+                "data_age_s": health.get("data_age_s"),
                 "uptime_s": health.get("uptime_s"),
                 "disk_free_bytes": health.get("disk_free_bytes"),
                 "windows": self._summary.get("windows"),
@@ -246,7 +247,8 @@ class Snapshots:
         """Write the sensors' health in the latest span of data, and of the stream, the source and the recorder."""
         with self._lock:
             row, health = self._latest or {}, self._health or {}
-            reasons = dict(zip(row.get("channels_left_out") or (), row.get("left_out_reasons") or (), strict=False))
+            reasons = dict.fromkeys((self._summary.get("known") or {}).get("aside") or (), "enters no estimate")
+            reasons |= zip(row.get("channels_left_out") or (), row.get("left_out_reasons") or (), strict=False)
             told = {channel["channel"]: channel for channel in self._channels}
             names = dict.fromkeys([*((self._summary.get("known") or {}).get("channels") or ()), *told, *reasons])
             channels = [

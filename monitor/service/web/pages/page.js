@@ -88,7 +88,7 @@ function pair(value, std, unit, scale = 1, least = 0) {
 const number = (x, digits = 3) => (known(x) ? (x !== 0 && (Math.abs(x) < 1e-3 || Math.abs(x) >= 1e5) ? x.toExponential(2) : String(Number(x.toPrecision(digits)))) : "–");
 function span(seconds) {
   if (!known(seconds)) return "–";
-  return seconds < 5400 ? `${Math.round(seconds / 60)} min` : seconds < 172800 ? `${(seconds / 3600).toFixed(1)} h` : `${(seconds / 86400).toFixed(1)} days`;
+  return seconds < 120 ? `${Math.round(seconds)} s` : seconds < 5400 ? `${Math.round(seconds / 60)} min` : seconds < 172800 ? `${(seconds / 3600).toFixed(1)} h` : `${(seconds / 86400).toFixed(1)} days`;
 }
 function element(kind, text, attributes = {}) {
   const made = document.createElement(kind);
@@ -145,6 +145,7 @@ function showState() {
   $("version").textContent = `shm-monitor ${status.version}`;
   const facts = [
     ["Data until", status.t_ns || status.latest ? `${utc(status.t_ns || status.latest.t_end_ns, true)} UTC` : "no data yet"],
+    ["Last data", known(status.data_age_s) ? `${span(status.data_age_s)} ago` : "none in this run"],
     ["Windows", known(status.windows) ? `${status.windows}, ${status.skipped} not judged` : "–"],
     ["Latest window", status.latest ? (status.latest.skipped ? `not judged: ${status.latest.skipped}` : "judged") : "none yet"],
     ["Monitor", known(status.uptime_s) ? `${status.monitor}, up ${span(status.uptime_s)}` : status.monitor],
@@ -361,10 +362,11 @@ async function showEvents() {
   table("events", ["Begin", "Lasted", "Peak acceleration", "Largest drift", "Verdict"], events.map((e) => {
     const peaks = Object.entries(e.peak_acceleration_m_s2 || {}).filter(([, v]) => known(v)).sort((a, b) => b[1] - a[1]);
     const drifts = (e.drift_peak_m || []).map((v, j) => [v, j]).filter(([v]) => known(v)).sort((a, b) => b[0] - a[0]);
+    const least = (e.saturated || []).length ? "at least " : "";
     return [
       utc(e.t_begin_ns, true), known(e.t_end_ns) ? `${((e.t_end_ns - e.t_begin_ns) / 1e9).toFixed(0)} s` : "lasts",
-      peaks.length ? `${number(peaks[0][1])} m/s² (${peaks[0][0]})` : "–",
-      drifts.length ? `${number(1e3 * drifts[0][0])} mm (${story(drifts[0][1] + 1)})` : "–",
+      peaks.length ? `${least}${number(peaks[0][1])} m/s² (${peaks[0][0]})` : "–",
+      drifts.length ? `${least}${number(1e3 * drifts[0][0])} mm (${story(drifts[0][1] + 1)})` : "–",
       e.verdict || (e.revision === null ? "preliminary" : "no limit was judged"),
     ];
   }), "No strong motion so far.");
