@@ -40,6 +40,9 @@ by which g and m/s^2, the closest units in use, differ: the motion itself may be
 _MOST_UNSEEN = 0.3
 """Loss of a story that green leaves unseen at most, however high a site sets its alarm. [ratio; judgement]"""
 
+_PLAYBACK = 2.0
+"""Pace, or its inverse, from which data are played back rather than measured with a wrong rate. [ratio; convention: `max_pace` of the
+deployed sites; at such a rate no mode would be found where it was]"""
 _MOST_OUTAGES = 64
 """Most ended times without a channel that are kept. [count; cost]"""
 
@@ -402,6 +405,7 @@ def assess(
     *,
     standing: Mapping[int, Level] | None = None,
     exceeded: Sequence[str] = (),
+    clocks: Sequence[tuple[str, float, float]] = (),
     whole: bool = False,
 ) -> Assessment:
     """Decide the state.
@@ -418,6 +422,8 @@ def assess(
         Announced level by story before the first window: of alarms that a restart kept.
     exceeded : sequence of str
         What alarms of events say that nobody has acknowledged, oldest first.
+    clocks : sequence of (str, float, float)
+        Each sensor node whose rate the driver measures: its name, its rate over the stated one, and its standard deviation.
     whole : bool
         State of a whole recording, alarms that ended and misfits that passed included, in place of the present state.
 
@@ -430,7 +436,7 @@ def assess(
         *_alarms(course, known, findings, whole),
         *_kept(course, known, standing or {}),
         *((State.ALARM, _sentence(says)) for says in reversed(exceeded)),
-        *_doubts(course, known, findings, whole),
+        *_doubts(course, known, findings, clocks, whole),
         *_silent(course, known),
         *_alike(course, known),
         *_unjudged(course, known),
@@ -518,7 +524,13 @@ def _concerns(finding: Mapping[str, Any], loss: Loss) -> bool:
     return loss.story == WHOLE or not places or not places.isdisjoint({f"story {loss.story}", "frame"})
 
 
-def _doubts(course: Course, known: Known, findings: Sequence[Mapping[str, Any]], whole: bool) -> list[Fact]:
+def _doubts(
+    course: Course,
+    known: Known,
+    findings: Sequence[Mapping[str, Any]],
+    clocks: Sequence[tuple[str, float, float]],
+    whole: bool,
+) -> list[Fact]:
     """State why the damage index cannot be relied on."""
     says = []
     if known.has_baseline:
@@ -534,7 +546,7 @@ def _doubts(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
         says += _unalarmed(course, findings, known)
         says += _risen(course, known)
         says += _levels(course, known, whole)
-        says += _clock(course, known)
+        says += _clock(course, known, clocks)
     says += known.baseline_doubts
     return [(State.DOUBTFUL, _sentence(sentence)) for sentence in says]
 
@@ -612,20 +624,25 @@ def _levels(course: Course, known: Known, whole: bool) -> list[str]:
     return unit_questions(*seen, known.level_range_m_s2)
 
 
-def _clock(course: Course, known: Known) -> list[str]:
-    """State both rates where what the clock leaves open exceeds the smallest loss that would have been seen."""
-    rates_hz = None if course.last is None else course.last.rates_hz
-    modal = known.n_modes is not None
-    error = clock_error(rates_hz, known.clock_ratio, modal=modal)
-    seen = [] if course.judged is None else [loss for loss in course.judged.detectable or () if loss is not None]
-    if rates_hz is None or error <= (max(seen) - error if seen else known.seen_from):
-        return []
-    stated, stamped = rates_hz
-    what = "frequencies" if modal else "stiffnesses"
-    return [
-        f"the samples come at {stamped:.6g} Hz by their timestamps, at {stated:g} Hz as the source states: all {what} may be "
-        f"off by {100 * error:.2g} %, from the clock or from the rate"
-    ]
+def _clock(course: Course, known: Known, clocks: Sequence[tuple[str, float, float]]) -> list[str]:
+    """State both rates where what a clock leaves open exceeds the smallest loss that would have been seen."""
+    modal, last, judged = known.n_modes is not None, course.last, course.judged
+    widened = 0.0 if judged is None else clock_error(judged.rates_hz, known.clock_ratio, modal=modal)
+    seen = [] if judged is None else [loss for loss in judged.detectable or () if loss is not None]
+    least = max(seen) - widened if seen else known.seen_from
+    stated, stamped = (1.0, known.clock_ratio) if last is None or last.rates_hz is None else last.rates_hz
+    found = [("by their timestamps", stamped / stated, 0.0)]
+    found += [(f"by the clock of this machine ({node})", ratio, std) for node, ratio, std in clocks]
+    says = []
+    for how, ratio, std in found:
+        away = max(abs(ratio / known.clock_ratio - 1.0) - 2.0 * std, 0.0)
+        error = clock_error((1.0, 1.0 + away), 1.0, modal=modal)
+        if error > least and 1.0 / _PLAYBACK < ratio < _PLAYBACK:
+            says.append(
+                f"the samples come at {stated * ratio:.6g} Hz {how}, at {stated:g} Hz as the source states: all "
+                f"{'frequencies' if modal else 'stiffnesses'} may be off by {100 * error:.2g} %, from the clock or from the rate"
+            )
+    return says
 
 
 def unit_questions(least_m_s2: float, most_m_s2: float, calibration_m_s2: tuple[float, float]) -> list[str]:

@@ -98,6 +98,8 @@ class Session:
         self._baseline, self._whole, self._between = baseline, whole, tuple(between)
         self._assessment: Assessment | None = None
         self._aside_faults: tuple[tuple[str, str], ...] = ()
+        self.clocks: tuple[tuple[str, float, float], ...] = ()
+        """Each sensor node whose rate the driver measures: its name, its rate over the stated one, and its deviation."""
         self.events = 0
         """Number of times that something was told of an event."""
         self.stated: dict[int, WindowFacts] = {}
@@ -250,7 +252,13 @@ class Session:
         findings = self.online_diagnosis.findings
         exceeded = [a.says for a in self.pipeline.state.events.alarms if a.unacknowledged]
         return assess(
-            self._summary.course, self._known_now, findings, standing=present.active, exceeded=exceeded, whole=whole
+            self._summary.course,
+            self._known_now,
+            findings,
+            standing=present.active,
+            exceeded=exceeded,
+            clocks=self.clocks,
+            whole=whole,
         )
 
     @cached_property

@@ -394,10 +394,11 @@ class Site(Publisher):
         if health is not None:
             span = plain(health)
             self._history.health(span)
-            if (
-                self._view is not None and not self._keeper.resuming
-            ):  # the source is not open yet, and its clocks are the present ones
-                self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
+            if not self._keeper.resuming:  # before, the source is not open yet, and its clocks are the present ones
+                clocks = self.reader.source.health().clocks
+                if self._view is not None:
+                    self._view.clocks(health.t_end_ns, clocks)
+                self.session.clocks = tuple((c.node, 1.0 + 1e-6 * c.drift_ppm, 1e-6 * c.drift_std_ppm) for c in clocks)
         if self._keeper.resuming:
             if self._clock() - self._health_s >= self._quiet_s:
                 self._tell_start()

@@ -234,6 +234,18 @@ def test_a_rate_that_the_stamps_contradict_is_a_doubt_unless_calibration_had_the
         assert f"at {stamped_hz:g} Hz by their timestamps, at 100 Hz" in told.headline
 
 
+@pytest.mark.parametrize(
+    ("ratio", "std", "doubtful"),
+    [(0.98, 0.0, True), (0.98, 0.01, False), (1.002, 1e-5, False), (20.0, 0.0, False), (0.05, 0.0, False)],
+)
+def test_a_rate_that_the_driver_measures_is_a_doubt_unless_it_is_unsure_or_data_are_played_back(
+    ratio: float, std: float, doubtful: bool
+) -> None:
+    told = assess(course(replace(WELL, rates_hz=(100.0, 100.0))), KNOWN, clocks=[("node 3", ratio, std)])
+    assert (told.state is State.DOUBTFUL) == doubtful
+    assert ("at 98 Hz by the clock of this machine (node 3), at 100 Hz" in told.headline) == doubtful
+
+
 def test_a_clock_that_lets_no_window_be_judged_is_a_doubt() -> None:
     odds = replace(WELL, skipped="the clock and the stated rate are at odds (90 Hz and 100 Hz)", rates_hz=(100.0, 90.0))
     assert said(*[odds] * 50).state is State.DOUBTFUL
