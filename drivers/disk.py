@@ -1,9 +1,51 @@
-"""Synchronisation of folders with the disk, so that new file names outlast a crash."""
+"""Files that exist under their final name only when they are complete, and folders whose new names outlast a crash."""
 
 from __future__ import annotations
 
 import os
+import stat
+from errno import EINVAL
 from pathlib import Path
+
+
+def destination(path: Path) -> Path:
+    """Return the file that is written where `path` is named: what a link leads to, so that the link stays.
+
+    Raises
+    ------
+    OSError
+        What stands there is neither a file nor a folder: a device, a pipe or a socket, which no file may replace.
+    """
+    place = Path(os.path.realpath(path)) if path.is_symlink() else path
+    # /dev/stdout leads to a pipe that has no name, which only `path` itself tells
+    if (path.exists() and not (path.is_file() or path.is_dir())) or (place.is_symlink() and not place.exists()):
+        raise OSError(EINVAL, "is no regular file; name another place", str(path))
+    return place
+
+
+def partial(path: Path) -> Path:
+    """Return the path under which a file is written before it gets its final name.
+
+    Raises
+    ------
+    OSError
+        As of `destination`, or what stands under that path is no regular file.
+
+    Examples
+    --------
+    >>> partial(Path("day.mcap")).name
+    'day.mcap.part'
+    """
+    place = destination(path)
+    part = place.with_name(place.name + ".part")
+    if os.path.lexists(part) and not stat.S_ISREG(part.lstat().st_mode):
+        raise OSError(EINVAL, "is no regular file; remove it", str(part))
+    return part
+
+
+def finish(path: Path) -> None:
+    """Rename the partial file of `path` to its final name."""
+    os.replace(partial(path), destination(path))
 
 
 def sync_folder(folder: Path) -> None:

@@ -14,6 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from drivers import codec
 from drivers.base import SampleBlock
+from drivers.disk import finish, partial
 
 _CHUNK_BYTES = 256 * 1024
 LIBRARY = "shm-monitor"
@@ -84,8 +85,8 @@ class McapWriter:
     ) -> None:
         """Create the `.part` file."""
         self.path = Path(path)
-        self.part_path = self.path.with_name(self.path.name + ".part")
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.part_path = partial(self.path)
+        self.part_path.parent.mkdir(parents=True, exist_ok=True)
         self._file = self.part_path.open("wb")
         self._writer = Writer(
             self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
@@ -156,7 +157,7 @@ class McapWriter:
             self._file.flush()
             os.fsync(self._file.fileno())
             self._file.close()
-            os.replace(self.part_path, self.path)
+            finish(self.path)
         except BaseException:
             self.abort()
             raise
@@ -165,7 +166,7 @@ class McapWriter:
         """Give the unfinished file its final name, readable up to the last whole chunk; for a full disk."""
         with contextlib.suppress(OSError):
             self._file.close()
-        os.replace(self.part_path, self.path)
+        finish(self.path)
 
     def abort(self) -> None:
         """Remove the unfinished file."""

@@ -5,23 +5,14 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from errno import EISDIR
 from itertools import count
 from pathlib import Path
 
+from drivers.disk import finish as finish
+from drivers.disk import partial as partial
 from monitor.core.errors import MissingInputError, WrongUsageError
-
-
-def partial(path: Path) -> Path:
-    """Return the path under which a file is written before it gets its final name.
-
-    Examples
-    --------
-    >>> partial(Path("day.mcap")).name
-    'day.mcap.part'
-    """
-    return path.with_name(path.name + ".part")
 
 
 def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
@@ -32,9 +23,9 @@ def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None
     WrongUsageError
         If an output is an input too.
     """
-    taken = {path.resolve() for path in inputs if path is not None}
+    taken = {os.path.realpath(path) for path in inputs if path is not None}
     for path in outputs:
-        if path.resolve() in taken:
+        if os.path.realpath(path) in taken:
             raise WrongUsageError(f"{path} is an input of this command; name another place for its output")
 
 
@@ -47,12 +38,12 @@ def demand_place(path: Path) -> None:
         If the file cannot be written.
     """
     try:
-        path.resolve().parent.mkdir(parents=True, exist_ok=True)
+        part = partial(path)
+        part.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
             raise IsADirectoryError(EISDIR, "is a folder")
-        with partial(path).open("w"):
-            pass
-        partial(path).unlink()
+        part.open("w").close()
+        part.unlink()
     except OSError as error:
         raise MissingInputError(f"{path}: cannot be written: {error.strerror}") from error
 
@@ -67,11 +58,6 @@ def no_empty_folder(folder: Path) -> Iterator[None]:
         if not was_there and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
         raise
-
-
-def finish(path: Path) -> None:
-    """Rename the partial file of `path` to its final name."""
-    os.replace(partial(path), path)
 
 
 def set_aside(path: Path) -> Path:
@@ -91,9 +77,12 @@ def write_atomically(path: Path, text: str) -> None:
             file.flush()
             os.fsync(file.fileno())
         finish(path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise OSError(
+            error.errno, error.strerror, str(path)
+        ) from error  # the name that was given, not where a link leads
 
 
 def sha256(path: Path) -> str:

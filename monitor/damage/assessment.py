@@ -41,8 +41,8 @@ _MOST_UNSEEN = 0.3
 """Loss of a story that green leaves unseen at most, however high a site sets its alarm. [ratio; judgement]"""
 
 _PLAYBACK = 2.0
-"""Pace, or its inverse, from which data are played back rather than measured with a wrong rate. [ratio; convention: `max_pace` of the
-deployed sites; at such a rate no mode would be found where it was]"""
+"""Pace, or its inverse, from which data are played back rather than measured with a wrong rate. [ratio; convention: `max_pace` of
+the deployed sites; at such a rate no mode would be found where it was]"""
 _MOST_OUTAGES = 64
 """Most ended times without a channel that are kept. [count; cost]"""
 

@@ -17,6 +17,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
+from drivers.disk import destination
 from monitor.core import BadInputError, MissingInputError
 
 _READ_BYTES = 1 << 20
@@ -41,7 +42,7 @@ def append_lines(ledger: Path, entries: Sequence[Mapping[str, Any]]) -> str:
         The ledger cannot be written; it is then as it was before.
     """
     try:
-        with ledger.open("a+b", buffering=0) as file:
+        with destination(ledger).open("a+b", buffering=0) as file:
             _lock(file)
             size = _remove_incomplete_line(file)
             text, previous = b"", _link(file, size)

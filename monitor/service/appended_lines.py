@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from drivers.disk import destination
 from monitor.core import Busy
 
 _log = logging.getLogger(__name__)
@@ -138,12 +139,13 @@ class AppendedLines:
         OSError
             The disk does not allow it.
         """
-        os.replace(self._path, place)
+        path, place = destination(self._path), destination(place)
+        os.replace(path, place)
         before = self._handle
         try:
             self._open()
         except OSError:
-            os.replace(place, self._path)
+            os.replace(place, path)
             raise
         os.close(before)
 
@@ -164,6 +166,7 @@ class AppendedLines:
 
     def _open(self) -> None:
         """Open the file and remove an incomplete last line."""
+        destination(self._path)  # refuses what is no regular file
         self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         size = end = os.fstat(self._handle).st_size
         while end > 0:

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from drivers.disk import sync_folder
+from drivers.disk import destination, sync_folder
 from monitor.core import finish, from_plain, partial, to_plain
 
 _log = logging.getLogger(__name__)
@@ -66,14 +66,15 @@ def save(path: Path, key: str, value: object) -> int:
     OSError
         The disk does not accept the file; the last checkpoint is then unchanged.
     """
-    data, temporary = to_bytes(key, value), partial(path)
+    data, path = to_bytes(key, value), destination(path)
+    temporary = partial(path)
     try:
         with temporary.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         if path.exists():
-            os.replace(path, previous(path))
+            os.replace(path, destination(previous(path)))
         finish(path)
         sync_folder(path.parent)
     except OSError:
@@ -105,7 +106,8 @@ def forget(path: Path) -> None:
 
 def previous(path: Path) -> Path:
     """Return the path under which the value before the present one is kept."""
-    return path.with_name(path.name + ".previous")
+    place = Path(os.path.realpath(path))
+    return place.with_name(place.name + ".previous")
 
 
 def to_bytes(key: str, value: object) -> bytes:

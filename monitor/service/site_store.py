@@ -3,6 +3,9 @@
 One object, the manifest, says who monitors the site and in which objects its files stand.  It is written on the condition that
 nobody wrote it since it was read, so that what is stored is always the work of one monitor after another, never a mixture.
 Nobody's clock has to be right: a monitor is gone when its manifest has not changed for some of its intervals.
+
+A folder may be copied or restored with all that is in it, so that it proves nothing alone: each run has a name of its own, the
+manifest says in which folder of which machine it works, and counts the states of the files, of which the folder knows the latest.
 """
 
 from __future__ import annotations
@@ -25,20 +28,24 @@ from uuid import uuid4
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from drivers.disk import destination, sync_folder
 from monitor.config import Configuration
 from monitor.core import Busy, InUseError, MissingInputError, import_extra, write_atomically
+from monitor.service.boot import boot_time
 from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
 _MANIFEST = "manifest.json"
+_LOCK = "state/lock"
+"""File that a monitor of this folder holds open and locked, so that no other file has its number meanwhile."""
 _NOTE = "state/owner"
-"""File with the name under which this folder's monitor wrote the manifest; it never leaves the machine."""
+"""File with what this folder knows of the manifest (`_Note`); it is not stored."""
 _SUPERSEDED = "superseded"
 """Folder for what a folder held when the monitor of another machine had gone on meanwhile."""
 _FETCHED = ".fetched"
 """What the name of a file ends with until it was fetched."""
-_OWN = re.compile(rf"state/lock|{_NOTE}|state/history\.db.*|{_SUPERSEDED}/.*|.*\{_FETCHED}")
+_OWN = re.compile(rf"{_LOCK}|{_NOTE}|state/history\.db.*|{_SUPERSEDED}/.*|.*\{_FETCHED}")
 """Files that stay on this machine: the database repeats results.jsonl, and changes anywhere at any time."""
 _APPENDED = re.compile(r".*\.(jsonl|mcap|mcap\.part)")
 """Files to which bytes are only appended; others are small, and read again when they have changed."""
@@ -89,8 +96,14 @@ class Manifest(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     owner: str = Field(min_length=1)
-    """Name of the folder's monitor, drawn when it took the site."""
+    """Name of the run of a monitor, drawn when it took the site."""
     machine: str
+    process: int = 0
+    """Number of its process there."""
+    place: str = ""
+    """Start of the machine's kernel and number of the folder's lock on its file system: no copy of the folder has the same."""
+    generation: int = 0
+    """Counts the states of the files."""
     number: int
     """Counts how often the manifest was written, so that each one differs from the one before."""
     every_s: float
@@ -107,10 +120,20 @@ class Manifest(BaseModel):
         return files
 
 
+class _Note(BaseModel):
+    """What a folder knows of the manifest, written before the manifest itself: so a folder that knows less is an older one."""
+
+    owners: tuple[str, ...] = ()
+    """Names under which its monitor may have written the manifest last."""
+    generation: int = 0
+    """State of the files that it has, or newer ones."""
+
+
 class SiteStore:
     """Copy of a site's output folder in object storage, and the right to monitor the site.
 
-    From `open` to `close` a thread stores what has changed, and says that the monitor is at work, whatever other threads do.
+    From `open` to `close` a thread stores what has changed, and another one, which touches no disk, says that the monitor is at
+    work, whatever other threads wait for.
 
     Parameters
     ----------
@@ -127,7 +150,7 @@ class SiteStore:
     client : callable
         Returns the client of the storage.
     thread : callable
-        Makes the thread that does the work.
+        Makes the threads that do the work.
 
     Attributes
     ----------
@@ -152,7 +175,10 @@ class SiteStore:
         self.url = f"{url.rstrip('/')}/{site}"
         bucket, _, prefix = self.url.removeprefix("s3://").partition("/")
         self._bucket, self._prefix, self._out, self.every_s, self._clock = bucket, f"{prefix}/", out, every_s, clock
-        self._owner = ""
+        self._owner = uuid4().hex
+        self._place = ""
+        self._writing = threading.Lock()
+        """Held while the manifest is written; no holder touches a disk."""
         self._present: Manifest | None = None
         """Latest manifest of this monitor."""
         self._tag: str | None = None
@@ -171,7 +197,7 @@ class SiteStore:
         """Set when what has changed up to now is stored."""
         self._last: State | None = None
         """State to store before the thread ends; None while it goes on."""
-        self._thread: threading.Thread | None = None
+        self._threads: tuple[threading.Thread, ...] = ()
 
     @property
     def failed(self) -> str | None:
@@ -219,22 +245,26 @@ class SiteStore:
         MissingExtraError
             The extra `s3` is not installed.
         """
+        self._owner, self._place = uuid4().hex, self._here()
         try:
             found, tag = self._read()
             begun = tag
             while found is not None and self._is_at_work(found, tag):
                 if not wait or tag != begun:
-                    raise InUseError(f"{self.url}: the monitor of {found.machine} is at work")
+                    raise InUseError(
+                        f"{self.url}: the monitor of {found.machine} (process {found.process}) is at work, in another folder"
+                    )
                 time.sleep(min(1.0, self.every_s))
                 found, tag = self._read()
             self._take(found, tag)
         except OSError as error:
-            self._owner = self._note()
-            if not self._owner:
+            if not self._note().owners:
                 raise MissingInputError(f"{self.url}: {error}") from error
             self._fail(error)
-        self._last, self._thread = None, self._new_thread(self._work, "store")
-        self._thread.start()
+        self._last = None
+        self._threads = self._new_thread(self._work, "store"), self._new_thread(self._stay, "lease")
+        for thread in self._threads:
+            thread.start()
 
     def settle(self, timeout_s: float) -> None:
         """Store what has changed up to now, and wait for it for at most `timeout_s`; not where the storage fails."""
@@ -251,8 +281,29 @@ class SiteStore:
         with self._changed:
             self._last = state
             self._changed.notify_all()
-        if self._thread is not None:
-            self._thread.join(timeout_s)
+        end_s = time.monotonic() + timeout_s
+        for thread in self._threads:
+            thread.join(max(0.0, end_s - time.monotonic()))
+
+    def _stay(self) -> None:
+        """Say that the monitor is at work until it is closed (the thread's work)."""
+        while True:
+            with self._changed:
+                if self._changed.wait_for(lambda: self._last is not None, self.every_s / 2):
+                    return
+            self.renew()
+
+    def renew(self) -> None:
+        """Say that the monitor is at work, if it is time; touches no disk."""
+        try:
+            with self._writing:
+                present = self._present
+                if present is not None and (present.owner, present.state) == (self._owner, "held") and self._is_due():
+                    self._write_manifest("held", present.files, present.generation)
+        except InUseError as error:
+            self._lose(error)
+        except OSError as error:
+            self._fail(error)
 
     def _work(self) -> None:
         """Store what has changed, again and again (the thread's work)."""
@@ -277,18 +328,23 @@ class SiteStore:
         try:
             if self._present is None:  # the storage has not answered before, or has lost the manifest
                 found, tag = self._read()
-                self._demand_own(found)
+                if found is not None and not (self._is_own(found) and self._is_from_here(found)):
+                    raise InUseError(
+                        f"{self.url}: the monitor of {found.machine} (process {found.process}) went on from other files"
+                    )
                 self._take(found, tag)
             self._store_changes(state)
         except InUseError as error:
-            self.is_lost, self._failure = True, str(error)
-            (self._out / _NOTE).unlink(missing_ok=True)
+            self._lose(error)
         except OSError as error:
             self._fail(error)
         else:
             if self._failure is not None:
                 _log.warning("%s: stored again", self.url)
             self._failure = None
+
+    def _lose(self, error: InUseError) -> None:
+        self.is_lost, self._failure = True, str(error)
 
     def _fail(self, error: OSError) -> None:
         if self._failure is None:
@@ -299,7 +355,7 @@ class SiteStore:
 
     def _is_at_work(self, found: Manifest | None, tag: str | None) -> bool:
         """Return whether a manifest is that of a monitor that may be at work elsewhere."""
-        if found is None or found.state != "held" or found.owner == self._note():
+        if found is None or self._is_from_here(found):
             self._seen = None
             return False
         assert tag is not None
@@ -307,8 +363,31 @@ class SiteStore:
             self._seen = tag, self._clock()
         return self._clock() - self._seen[1] < _SILENT * found.every_s
 
+    def _here(self) -> str:
+        """Say in which folder of which machine this monitor works; empty where that cannot be said."""
+        boot_id, _ = boot_time()
+        try:
+            about = (self._out / _LOCK).stat()
+        except OSError:
+            return ""
+        return f"{boot_id} {about.st_dev}:{about.st_ino}" if boot_id else ""
+
+    def _is_from_here(self, found: Manifest) -> bool:
+        """Return whether a manifest is that of no monitor elsewhere: one that has left the site, or one of this very folder.
+
+        The lock of the folder says that the latter is gone.
+        """
+        if found.state != "held" or found.owner == self._owner:
+            return True
+        return found.owner in self._note().owners and found.place != "" and found.place == (self._place or self._here())
+
+    def _is_own(self, found: Manifest) -> bool:
+        """Return whether the files of this folder are as new as those of a manifest, which its monitor wrote."""
+        note = self._note()
+        return found.owner == self._owner or (found.owner in note.owners and found.generation <= note.generation)
+
     def _demand_own(self, found: Manifest | None) -> None:
-        """Check that a manifest is one of this folder's monitor, if there is one.
+        """Check that a manifest is one of this run, if there is one.
 
         Raises
         ------
@@ -321,7 +400,7 @@ class SiteStore:
     def _take(self, found: Manifest | None, tag: str | None) -> None:
         """Become the one who writes the manifest; fetch the files unless those of this folder are newer.
 
-        The note is written last: of a folder whose files were not all fetched nobody goes on.
+        Where files are fetched the note is written last: of a folder whose files were not all fetched nobody goes on.
 
         Raises
         ------
@@ -329,30 +408,39 @@ class SiteStore:
             The monitor of another machine was faster.
         """
         note = self._note()
-        is_own = found is None or found.owner == note
-        if not is_own:  # the files of this folder are not the latest: nobody goes on from them
+        is_own = found is None or self._is_own(found)
+        if is_own:
+            self._keep_note(note.generation, note.owners)
+        else:  # the files of this folder are not the latest: nobody goes on from them
             (self._out / _NOTE).unlink(missing_ok=True)
         files = {} if found is None else found.files
-        self._owner = note if is_own and note else uuid4().hex
-        self._present, self._tag = found, tag
+        with self._writing:
+            self._present, self._tag = found, tag
         try:
             self._commit("held", files)
             if not is_own:
                 self._fetch(files)
-            place = self._out / _NOTE
-            place.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(place, self._owner)
+            self._keep_note(note.generation if found is None or is_own else found.generation)
         except OSError:
             self._present = None
             raise
         self._remove_others({_MANIFEST} | _objects(files))
 
-    def _note(self) -> str:
-        """Return the name under which the monitor of this folder wrote the manifest; empty if it never did."""
+    def _note(self) -> _Note:
+        """Return what this folder knows of the manifest; earlier versions wrote the name alone."""
         try:
-            return (self._out / _NOTE).read_text(encoding="ascii")
+            text = (self._out / _NOTE).read_text(encoding="ascii")
+            return _Note.model_validate_json(text) if text.startswith("{") else _Note(owners=(text,) if text else ())
         except (OSError, ValueError):
-            return ""
+            return _Note()
+
+    def _keep_note(self, generation: int, owners: tuple[str, ...] = ()) -> None:
+        """Note, before it is stored, which state of the files this folder has, and the names of its monitor."""
+        place = self._out / _NOTE
+        place.parent.mkdir(parents=True, exist_ok=True)
+        names = dict.fromkeys((*owners, self._owner))
+        write_atomically(place, _Note(owners=tuple(names), generation=generation).model_dump_json())
+        sync_folder(place.parent)
 
     # The storage.  All of it raises OSError where it does not answer.
 
@@ -376,11 +464,25 @@ class SiteStore:
             The monitor of another machine did.
         """
         before = self._present
-        number = 1 if before is None else before.number + 1
+        generation = 0 if before is None else before.generation
+        if before is not None and files != before.files:
+            generation += 1
+            self._keep_note(generation)
+        with self._writing:
+            self._write_manifest(state, files, generation)
+        if before is not None:
+            self._remove(_objects(before.files) - _objects(files))
+
+    def _write_manifest(self, state: State, files: dict[str, StoredFile], generation: int) -> None:
+        """Do that, with the lock held."""
+        before = self._present
         manifest = Manifest(
             owner=self._owner,
             machine=socket.gethostname(),
-            number=number,
+            process=os.getpid(),
+            place=self._place,
+            generation=generation,
+            number=1 if before is None else before.number + 1,
             every_s=self.every_s,
             state=state,
             files=files,
@@ -391,8 +493,6 @@ class SiteStore:
             answer = self._ask("put_object", Key=_MANIFEST, Body=body, **condition)
             if answer is not None:
                 self._tag, self._present, self._committed_s = answer[1], manifest, self._clock()
-                if before is not None:
-                    self._remove(_objects(before.files) - _objects(files))
                 return
             found, self._tag = self._read()  # refused: a write of ours may have arrived whose answer did not
             self._demand_own(found)
@@ -424,8 +524,11 @@ class SiteStore:
     def _say_at_work(self, files: dict[str, StoredFile] | None = None) -> None:
         """Write the manifest, with the files given or those before, if it is time: much is being stored or fetched."""
         assert self._present is not None
-        if self._clock() - self._committed_s >= self.every_s:
+        if self._is_due():
             self._commit("held", self._present.files if files is None else files)
+
+    def _is_due(self) -> bool:
+        return self._clock() - self._committed_s >= self.every_s
 
     def _files(self) -> Iterator[str]:
         """List the names of the files that are kept in the storage."""
@@ -478,7 +581,7 @@ class SiteStore:
             if name not in files:
                 _put_aside(self._out / name, name, aside)
         for name, file in files.items():
-            path = self._out / name
+            path = destination(self._out / name)
             if path.exists() and _is_content(path, file):
                 continue
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -562,3 +562,16 @@ def test_no_block_whatever_it_says_ends_the_monitor_or_comes_back_as_nonsense(
         session.push(block)
     to_json(plain(session.content(1.0)))
     assert len(session.pipeline.state.health.spans) < 200
+
+
+def test_lines_that_are_rolled_leave_a_link_in_its_place(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    place = tmp_path / "results.jsonl"
+    place.symlink_to("disk/results.jsonl")
+    lines = AppendedLines(place)
+    lines.write("one")
+    lines.roll(tmp_path / "closed.jsonl")
+    lines.write("two")
+    lines.close()
+    assert place.is_symlink() and place.read_text() == "two\n"
+    assert (tmp_path / "closed.jsonl").read_text() == "one\n"

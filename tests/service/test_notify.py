@@ -20,7 +20,7 @@ from monitor.core import Alarm, AlarmCondition, Level, Skipped, WindowResult
 from monitor.damage import Assessment, State
 from monitor.service.daemon_health import losses
 from monitor.service.outlets import notices
-from monitor.service.outlets.delivery_workers import Deliveries, DeliveryProcess
+from monitor.service.outlets.delivery_workers import Deliveries, DeliveryProcess, send_test
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.service.outlets.outbox import Outbox
@@ -123,7 +123,7 @@ def test_a_doubt_is_told_once_it_has_lasted_a_window_s_length_and_so_is_its_end(
     one = [(window(0), WELL), (window(10), DOUBTFUL), (window(20), WELL), (window(30), DOUBTFUL), (window(40), WELL)]
     assert told_of(one)[1] == []
     told, said = told_of([(window(10.0 * k), DOUBTFUL) for k in range(9)])
-    assert said == [Notice("doubtful", False, "doubtful", "Goodness of fit 31.\nA doubt.")]
+    assert said == [Notice("doubtful", False, "doubtful", "Goodness of fit 31.\nA doubt.", "structure")]
     back = [(window(100), WELL), (window(110), DOUBTFUL), *((window(t), WELL) for t in (120, 130, 140, 150))]
     assert [n.title for n in told_of(back, told)[1]] == ["no longer doubtful: normal"]
 
@@ -131,7 +131,7 @@ def test_a_doubt_is_told_once_it_has_lasted_a_window_s_length_and_so_is_its_end(
 def test_an_alarm_speaks_for_the_doubts_beside_it() -> None:
     lost = Assessment(State.WARNING, "Story 2 lost 5 %.", ("Goodness of fit 31.",))
     told, said = told_of([(window(10.0 * k, s2=Level.WARNING), lost) for k in range(9)])
-    assert said == [Notice("alarm", False, "warning: story 2", "Story 2 lost 5 %.\nGoodness of fit 31.")]
+    assert said == [Notice("alarm", False, "warning: story 2", "Story 2 lost 5 %.\nGoodness of fit 31.", "story 2")]
     assert [n.title for n in told_of([(window(90), WELL)], told)[1]] == ["cleared: story 2"]
 
 
@@ -140,8 +140,8 @@ def test_that_nothing_would_have_been_seen_is_told_as_long_as_that_nothing_was_j
     assert told_of([*young, (window(3000), WELL)])[1] == []
     course = [(window(10.0 * k), UNSEEN) for k in range(500)] + [(window(5000), WELL)]
     assert told_of(course)[1] == [
-        Notice("blind", False, "not judged", UNSEEN.headline),
-        Notice("blind", True, "judged again", WELL.headline),
+        Notice("blind", False, "not judged", UNSEEN.headline, "structure"),
+        Notice("blind", True, "judged again", WELL.headline, "structure"),
     ]
 
 
@@ -230,33 +230,96 @@ def notifier(place: Path, to: Addresses, deadline_s: float = 30.0, **settings: A
 
 
 def tell(one: Notifier, *levels: Level, t_s: float = 0.0) -> None:
-    for level in levels or (Level.ADVISORY, Level.WARNING, Level.ALARM):
+    """Tell of story 2 alone, or of three stories at once."""
+    for level in levels:
         one.window(window(t_s, s2=level), "")
+    if not levels:
+        one.window(window(t_s, s1=Level.ADVISORY, s2=Level.WARNING, s3=Level.ALARM), "")
 
 
-def test_messages_arrive_once_in_order_after_failures_also_across_restarts(place: Path, clerk: Clerk) -> None:
+def test_messages_arrive_once_after_failures_also_across_restarts(place: Path, clerk: Clerk) -> None:
     clerk.refuses = lambda job: True
     one = clerk.notifier(place, ONE)
     tell(one, Level.ADVISORY)
     until(lambda: clerk.tries >= 2 and one.failed, "tried again")
     one.close(5.0)
-    clerk.refuses = lambda job: False
     again = clerk.notifier(place, ONE)
-    tell(again, Level.ADVISORY, Level.WARNING, t_s=10.0)  # the first stands as before: not told again
-    again.window(window(20), "")
+    tell(again, Level.ADVISORY, t_s=10.0)  # it stands as before: not told again
+    clerk.refuses = lambda job: False
+    until(lambda: clerk.titles == ["advisory: story 2"], "after the restart")
+    tell(again, Level.WARNING, t_s=20.0)
+    until(lambda: len(clerk.titles) == 2, "the next")
+    again.window(window(30), "")
     until(lambda: len(clerk.titles) == 3 and again.failed is None, "all have come")
     again.close(5.0)
     assert clerk.titles == ["advisory: story 2", "warning: story 2", "cleared: story 2"]
     assert [job["type"] for job in clerk.done] == ["warning", "warning", "success"]
+    assert "superseded" not in "".join(job["body"] for job in clerk.done)
     assert len(Outbox(place)) == 0
 
 
+def test_after_an_outage_the_newest_state_goes_first_and_tells_what_it_supersedes_in_one_line(
+    place: Path, clerk: Clerk
+) -> None:
+    clerk.refuses = lambda job: job["url"] == ONE
+    one = clerk.notifier(place, ONE, OTHER, most_per_hour=200)
+    for k in range(50):
+        tell(one, Level.WARNING, t_s=20.0 * k)
+        until(lambda n=2 * k + 1: len(clerk.titles) == n, "the other has it")
+        one.window(window(20.0 * k + 10.0), "")
+        until(lambda n=2 * k + 2: len(clerk.titles) == n, "the other has it")
+    one.close(5.0)
+    clerk.done.clear()
+    again = clerk.notifier(place, ONE, OTHER)
+    again.window(window(2000.0, s1=Level.ALARM), "")
+    until(lambda: clerk.done, "the other has it")
+    clerk.refuses = lambda job: False
+    until(lambda: len(clerk.done) == 3, "both know all")
+    again.close(5.0)
+    assert {job["url"] for job in clerk.done[:2]} == {ONE, OTHER}
+    assert clerk.titles == ["alarm: story 1", "alarm: story 1", "cleared: story 2"]
+    _, line, sent = clerk.done[2]["body"].split("\n")
+    assert line.startswith("Not delivered since ") and sent.endswith("message 100")
+    assert line.endswith("superseded by this: 50 x warning: story 2; 49 x cleared: story 2")
+    assert len(Outbox(place)) == 0
+
+
+def delivered_in_order(box: Outbox, lately: tuple[str, ...] = ()) -> list[str]:
+    """Titles as the address `a` is to receive them."""
+    titles = []
+    while (message := box.first("a", lately=lately)) is not None:
+        titles.append(message.notice.title)
+        lately = (*(kind for kind in lately if kind != message.notice.kind), message.notice.kind)
+        box.delivered(message, "a")
+    return titles
+
+
+def test_many_events_hold_up_no_alarm_and_the_newest_of_them_goes_first(place: Path) -> None:
+    box = Outbox(place)
+    for k in range(100):
+        for told in ("preliminary", "measured"):
+            box.add(Told(), [Notice("event", False, f"{told} {k}", "", f"e{k}")], ["a"])
+    box.add(Told(), [Notice("alarm", False, "alarm: story 1", "", "story 1")], ["a"])
+    titles = delivered_in_order(box)
+    assert titles[:3] == ["measured 99", "alarm: story 1", "measured 98"] and len(titles) == 101
+
+
+def test_a_standing_alarm_is_not_given_up_for_the_many_of_another_story(place: Path) -> None:
+    box = Outbox(place, most=10)
+    box.add(Told(), [Notice("alarm", False, "alarm: story 1", "", "story 1")], ["a"])
+    box.add(Told(), [Notice("source", False, "source lost", "", "source")], ["a"])
+    for k in range(25):
+        box.add(Told(), [Notice("alarm", False, f"{k}", "", "story 2")], ["a"])
+    assert len(box) == 10 and box.dropped == 17
+    assert delivered_in_order(box) == ["24", "alarm: story 1", "source lost"]
+
+
 def test_a_message_that_is_always_refused_does_not_hold_up_those_behind_it(place: Path, clerk: Clerk) -> None:
-    clerk.refuses = lambda job: "advisory" in job["title"]
+    clerk.refuses = lambda job: "alarm" in job["title"]
     one = clerk.notifier(place, ONE)
     tell(one)
     until(lambda: len(clerk.titles) == 2, "those behind it")
-    assert clerk.titles == ["warning: story 2", "alarm: story 2"]
+    assert clerk.titles == ["warning: story 2", "advisory: story 1"]
     until(lambda: one.failed, "the refused one is told")
     clerk.refuses = lambda job: False
     until(lambda: len(clerk.titles) == 3 and one.failed is None, "the refused one, tried without end")
@@ -273,7 +336,7 @@ def test_one_that_takes_nothing_holds_up_no_other_and_is_forgotten_when_removed(
     one.change(NotifySettings(), Addresses((OTHER,)))
     until(lambda: one.failed is None, "forgotten")
     one.window(window(10), "")
-    until(lambda: len(clerk.titles) == 4, "goes on")
+    until(lambda: len(clerk.titles) == 6, "goes on")
     one.close(5.0)
     assert len(Outbox(place)) == 0
 
@@ -283,11 +346,12 @@ def test_no_more_than_asked_for_in_an_hour_and_half_of_them_for_alarms(place: Pa
     one = clerk.notifier(place, ONE, most_per_hour=most)
     for k in range(6):
         one.health_line(health(recording=k % 2 == 1))
-    until(lambda: len(clerk.titles) == most // 2, "half")
+        due = min(k + 1, most // 2)
+        until(lambda n=due: len(clerk.titles) == n, "half")
     tell(one)
     until(lambda: len(clerk.titles) == most, "the other half")
     one.close(5.0)
-    assert clerk.titles[most // 2 :] == ["advisory: story 2", "warning: story 2"][: most // 2]
+    assert clerk.titles[most // 2 :] == ["alarm: story 3", "warning: story 2"][: most // 2]
     assert len(Outbox(place)) == 9 - most
 
 
@@ -397,7 +461,7 @@ def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
     again = Outbox(place, most=10)
     assert again.told.levels == {24: Level.WARNING}
     first = again.first("a")
-    assert first is not None and first.notice.title == "15" and first.id == 16
+    assert first is not None and first.notice.title == "24" and first.id == 25
     again.delivered(first, "a")
     assert len(again) == 10 and again.first("b") == replace(first, to=("b",))
 
@@ -444,7 +508,7 @@ def test_an_address_or_a_heartbeat_that_drips_holds_up_no_other_and_is_told_of(
     one = notifier(place, to, deadline_s=3.0, heartbeat_s=0.05)
     tell(one)
     until(lambda: len(hook.got) == 3, "the other has all")
-    assert hook.titles[0] == "[lab] advisory: story 2" and hook.got[0]["type"] == "warning"
+    assert hook.titles[0] == "[lab] alarm: story 3" and hook.got[0]["type"] == "warning"
     until(lambda: str(one.failed).count(" has taken ") == 1 and "not heard" in str(one.failed), "both are told")
     told = r"heartbeat not heard for \d+ s; delivery to address 1 \(json\) has taken \d+ s"
     assert re.fullmatch(told, str(one.failed))
@@ -489,9 +553,9 @@ def test_alarms_go_before_housekeeping(place: Path, clerk: Clerk) -> None:
     tell(one, Level.ALARM)
     one.window(window(10), "")
     clerk.refuses = lambda job: False
-    until(lambda: len(clerk.titles) == 4, "all have come")
+    until(lambda: len(clerk.titles) == 2, "all have come")
     one.close(5.0)
-    assert clerk.titles == ["alarm: story 2", "cleared: story 2", "recorder stopped", "recorder goes on"]
+    assert clerk.titles == ["cleared: story 2", "recorder goes on"]
 
 
 def test_a_full_outbox_gives_up_housekeeping_first_and_counts_it(tmp_path: Path) -> None:
@@ -500,11 +564,7 @@ def test_a_full_outbox_gives_up_housekeeping_first_and_counts_it(tmp_path: Path)
         box.add(Told(), [Notice("alarm", False, f"a{k}", ""), Notice("recorder", False, f"r{k}", "")], ["a"])
     assert box.dropped == 4
     box.save()
-    again, titles = Outbox(tmp_path / "outbox.jsonl"), []
-    while (message := again.first("a")) is not None:
-        titles.append(message.notice.title)
-        again.delivered(message, "a")
-    assert titles == ["a0", "a1", "a2", "a3"]
+    assert delivered_in_order(Outbox(tmp_path / "outbox.jsonl")) == ["a3", "a2", "a1", "a0"]
 
 
 def test_every_kind_of_notice_has_its_place(tmp_path: Path) -> None:
@@ -556,6 +616,17 @@ def test_an_address_and_a_disk_that_do_not_answer_are_told_within_ten_seconds(
     one.close(0.2)
 
 
+@pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
+def test_an_address_that_sends_on_to_another_place_has_taken_nothing(hook: Hook, status: int) -> None:
+    hook.status, hook.location = status, f"http://127.0.0.1:{hook.server_port}/{Hook.ELSEWHERE}"
+    host = f"127.0.0.1:{hook.server_port}"
+    urls = [f"{kind}://{host}/here{asks}" for kind in ("json", "xml", "form") for asks in ("", "?redirect=yes")]
+    trials = send_test(urls, [f"http://{host}/beat"], "lab")
+    assert [trial.exit_code for trial in trials] == [1] * 7
+    assert set(hook.paths) == {"/beat"}, "nothing went to the other place"
+    assert hook.got == []
+
+
 @pytest.mark.system
 def test_the_command_tells_what_became_of_a_test_message_at_every_address(
     tmp_path: Path, hook: Hook, main: Cli, frame_text: str
@@ -572,7 +643,7 @@ def test_the_command_tells_what_became_of_a_test_message_at_every_address(
     assert done.returncode == 1, done.stderr
     first, second, third, why = done.stdout.splitlines()
     assert re.fullmatch(r"address 1 \(json\): taken after [\d.]+ s \(exit code 0\)", first)
-    assert second == "address 2 (json): refused, or not reached (exit code 1)"
+    assert second == "address 2 (json): refused, redirected, or not reached (exit code 1)"
     assert third.startswith("heartbeat: taken after") and hook.paths == ["/hush"]
     assert "apprise -vv" in why
     assert hook.titles == ["[lab] test"] and "hush" not in done.stdout + done.stderr

@@ -250,3 +250,19 @@ def test_session_state_is_a_copy(frame_text: str, cut: Cut, tmp_path: Path) -> N
     for block in cut(np.random.default_rng(1).standard_normal((4000, 3)), RATE):
         session.push(block)
     assert before.summary.course.windows == 0 and session.windows > 0
+
+
+@dataclass(frozen=True)
+class Count:
+    count: int
+
+
+def test_a_linked_checkpoint_stays_a_link_and_keeps_the_one_before(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    place = tmp_path / "checkpoint"
+    place.symlink_to("disk/checkpoint")
+    for count in (1, 2, 3):
+        save(place, "key", Count(count))
+    assert place.is_symlink() and load(place, "key", Count) == Count(3)
+    (tmp_path / "disk" / "checkpoint").write_bytes(b"damaged")
+    assert load(place, "key", Count) == Count(2)

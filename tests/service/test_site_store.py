@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import random
 import re
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from io import BytesIO
@@ -17,6 +19,7 @@ import pytest
 
 from monitor.core import InUseError, MissingInputError
 from monitor.service.site_store import OBJECT_BYTES, SiteStore
+from tests.support.waiting import until
 
 exceptions = pytest.importorskip("botocore.exceptions")
 
@@ -153,6 +156,163 @@ def test_another_machine_goes_on_with_the_same_files(
     assert (tmp_path / "a" / "results.jsonl").read_bytes() == b"one\ntwo\n"
     (aside,) = (tmp_path / "a" / "superseded").iterdir()
     assert content(aside) == {"results.jsonl": b"one\nalone\n"}, "what it alone had is kept"
+
+
+def copied(source: Path, target: Path) -> None:
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(source, target)
+
+
+def test_a_copy_of_the_folder_is_no_right_to_the_site(
+    machine: Callable[[str], SiteStore], tmp_path: Path, clock: Clock
+) -> None:
+    a = machine("a")
+    a.open(wait=False)
+    (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
+    a.push()
+    copied(tmp_path / "a", tmp_path / "b")
+    with pytest.raises(InUseError, match=rf"process {os.getpid()}\) is at work, in another folder"):
+        machine("b").open(wait=False)
+    a.push()
+    assert not a.is_lost and a.failed is None
+
+
+def test_of_two_copies_of_a_folder_that_has_left_the_site_one_has_it(
+    machine: Callable[[str], SiteStore], tmp_path: Path
+) -> None:
+    a = machine("a")
+    a.open(wait=False)
+    a.push("released")
+    copied(tmp_path / "a", tmp_path / "b")
+    first, second = machine("b"), machine("a")
+    first.open(wait=False)
+    with pytest.raises(InUseError, match="is at work"):
+        second.open(wait=False)
+
+
+def test_of_two_copies_that_begin_while_the_storage_is_away_one_ends(
+    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket
+) -> None:
+    a = machine("a")
+    a.open(wait=False)
+    a.push("released")
+    copied(tmp_path / "a", tmp_path / "b")
+
+    def away(call: str, is_done: bool) -> None:
+        raise exceptions.EndpointConnectionError(endpoint_url="s3")
+
+    bucket.fail = away
+    first, second = machine("a"), machine("b")
+    first.open(wait=False)
+    second.open(wait=False)
+    bucket.fail = lambda call, is_done: None
+    for store in (first, second, first):
+        store.push()
+    assert not first.is_lost and first.failed is None
+    assert second.is_lost and "went on from other files" in str(second.failed)
+
+
+@pytest.mark.parametrize("is_away", [False, True])
+@pytest.mark.parametrize("is_same_run", [False, True])
+def test_a_folder_restored_from_an_older_copy_deletes_nothing_that_is_newer(
+    machine: Callable[[str], SiteStore],
+    tmp_path: Path,
+    bucket: Bucket,
+    clock: Clock,
+    is_same_run: bool,
+    is_away: bool,
+) -> None:
+    """Either the copy was made in the run that then died, or before; the storage may be away when the restored one begins."""
+    folder = tmp_path / "a"
+    a = machine("a")
+    a.open(wait=False)
+    (folder / "results.jsonl").write_bytes(b"one\n")
+    a.push()
+    copied(folder, tmp_path / "backup")
+    if not is_same_run:
+        a.push("released")
+        a = machine("a")
+        a.open(wait=False)
+    (folder / "results.jsonl").write_bytes(b"one\ntwo\n")
+    (folder / "recordings").mkdir()
+    (folder / "recordings" / "1.mcap").write_bytes(b"data")
+    a.push()
+    newest = content(folder)
+    copied(tmp_path / "backup", folder)
+    if is_away:
+
+        def away(call: str, is_done: bool) -> None:
+            raise exceptions.EndpointConnectionError(endpoint_url="s3")
+
+        bucket.fail = away
+        early = machine("a")
+        early.open(wait=False)
+        bucket.fail = lambda call, is_done: None
+        early.push()
+        assert early.is_lost and "went on from other files" in str(early.failed)
+    again = machine("a")
+    if again.is_held():  # a lock that is another file
+        clock.now_s += 15.0
+    again.open(wait=False)
+    assert content(folder) == newest
+    again.push()
+    assert again.failed is None and content(folder) == newest
+
+
+def test_the_lease_is_renewed_while_a_file_hangs_and_its_loss_is_heard(
+    machine: Callable[[str], SiteStore], tmp_path: Path, clock: Clock
+) -> None:
+    """A pipe that nobody writes to stands for a file of a disk that hangs."""
+    a, b = machine("a"), machine("b")
+    a.open(wait=False)
+    pipe = tmp_path / "a" / "recordings.mcap"
+    os.mkfifo(pipe)
+    storing = threading.Thread(target=a.push, daemon=True)
+    storing.start()
+    for _ in range(8):
+        assert b.is_held()
+        clock.now_s += 5.0
+        a.renew()
+    assert storing.is_alive() and not a.is_lost and a.failed is None
+    silent(b, clock)  # its machine was stopped
+    b.open(wait=False)
+    a.renew()
+    assert a.is_lost and "taken over" in str(a.failed)
+    with pipe.open("wb"):
+        storing.join(10.0)
+    assert not storing.is_alive() and not b.is_lost
+    b.push()
+    assert b.failed is None, "what hung has written nothing beside it"
+
+
+def test_the_lease_has_a_thread_of_its_own(tmp_path: Path, bucket: Bucket) -> None:
+    def manifest() -> dict[str, Any]:
+        content: dict[str, Any] = json.loads(bucket.objects["tower/manifest.json"])
+        return content
+
+    store = SiteStore("s3://bucket", "tower", tmp_path, 0.02, client=lambda: bucket)
+    store.open(wait=True)
+    pipe = tmp_path / "recordings.mcap"
+    os.mkfifo(pipe)
+    begun = manifest()["number"]
+    until(lambda: manifest()["number"] > begun + 20, "the lease is renewed while the pipe is read")
+    assert "recordings.mcap" not in manifest()["files"]
+    handle = os.open(pipe, os.O_RDWR)
+    pipe.unlink()
+    os.close(handle)
+    store.close("released", 30.0)
+    assert manifest()["state"] == "released"
+
+
+def test_a_monitor_that_has_left_the_site_says_no_more_that_it_is_at_work(
+    machine: Callable[[str], SiteStore], clock: Clock
+) -> None:
+    a = machine("a")
+    a.open(wait=False)
+    a.push("released")
+    clock.now_s += 60.0
+    a.renew()
+    assert not machine("b").is_held()
 
 
 def test_a_thread_stores_what_has_changed_at_once_where_asked_and_at_the_end(tmp_path: Path, bucket: Bucket) -> None:

@@ -1,4 +1,4 @@
-"""A web hook that hears messages, fails or dribbles."""
+"""A web hook that hears messages, fails, sends on or dribbles."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from typing import Any
 
 
 class Hook(http.server.ThreadingHTTPServer):
-    """Keeps what it is sent; answers with `status`."""
+    """Keeps what it is sent; answers with `status`, and `location` if there is one, but well at the place `ELSEWHERE`."""
+
+    ELSEWHERE = "elsewhere"
 
     def __init__(self) -> None:
         self.status = 200
+        self.location: str | None = None
         self.refuses: str | None = None
         self.got: list[dict[str, Any]] = []
         self.paths: list[str] = []
@@ -35,19 +38,28 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     server: Hook
 
     def do_POST(self) -> None:
-        body = json.loads(self.rfile.read(int(self.headers["content-length"])))
+        text = self.rfile.read(int(self.headers["content-length"]))
+        body = json.loads(text) if "json" in self.headers["content-type"] else {"title": "", "text": text}
         self.server.tries += 1
         refused = self.server.refuses is not None and self.server.refuses in body["title"]
-        status = 422 if refused else self.server.status
+        status = 422 if refused else self._status
         if status == 200:
             self.server.got.append(body)
-        self.send_response(status)
-        self.end_headers()
+        self._answer(status)
 
     def do_GET(self) -> None:
         self.server.beats += 1
         self.server.paths.append(self.path)
-        self.send_response(self.server.status)
+        self._answer(self._status)
+
+    @property
+    def _status(self) -> int:
+        return 200 if self.path.strip("/") == Hook.ELSEWHERE else self.server.status
+
+    def _answer(self, status: int) -> None:
+        self.send_response(status)
+        if self.server.location is not None:
+            self.send_header("location", self.server.location)
         self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None: ...

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, RecordingError
+from drivers.disk import destination
 from drivers.mcap_file import recording_info
 from monitor.config import configuration
 from monitor.core import UserError, WindowResult, keep_freed, no_empty_folder, write_atomically
@@ -79,7 +80,7 @@ class WindowsFile(Publisher):
         """Finish the file and move it to the dataset."""
         self._flush()
         self._file.close()
-        os.replace(self._scratch, self._final)
+        os.replace(self._scratch, destination(self._final))
 
     def abandon(self) -> None:
         """Remove the unfinished file."""

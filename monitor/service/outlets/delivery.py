@@ -2,6 +2,8 @@
 
 The exit code is 0 if that was done.  It is a process of its own because libraries bound the time of each read, never that of a
 delivery as a whole; a process can be ended.  The kernel ends it at its deadline also where its parent is gone.
+
+No redirect is followed: a message that is sent on arrives without a body, and what answers there is not the receiver.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+import urllib.request
 from typing import Any
 
 _READ_S = 10.0
@@ -19,18 +22,24 @@ def _notify(job: dict[str, Any]) -> bool:
     """Send a message with apprise; return whether it was accepted."""
     import apprise
 
-    asset = apprise.AppriseAsset(async_mode=False, app_id="shm-monitor", app_desc="structural health monitor")
+    asset = apprise.AppriseAsset(
+        async_mode=False, app_id="shm-monitor", app_desc="structural health monitor", http_redirects=False
+    )
     service = apprise.Apprise.instantiate(job["url"], asset=asset)
     if not isinstance(service, apprise.NotifyBase):
         return False
+    service.redirects = False  # also where the address itself asks for them
     return bool(service.notify(body=job["body"], title=job["title"], notify_type=job["type"]))
 
 
-def _fetch(job: dict[str, Any]) -> bool:
-    """Fetch an http or https address; return whether it answered without an error."""
-    import urllib.request
+class _NoRedirects(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_: Any) -> None:
+        """Have every redirect raised as an error."""
 
-    with urllib.request.urlopen(job["url"], timeout=_READ_S) as answer:
+
+def _fetch(job: dict[str, Any]) -> bool:
+    """Fetch an http or https address; return whether it answered itself, without an error."""
+    with urllib.request.build_opener(_NoRedirects).open(job["url"], timeout=_READ_S) as answer:
         answer.read(1024)
     return True
 

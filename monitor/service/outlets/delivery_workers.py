@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -121,7 +121,7 @@ class Trial:
         if self.exit_code == 0:
             return f"taken after {self.took_s:.1f} s"
         late = self.exit_code is not None and self.exit_code < 0
-        return f"no answer within {_DEADLINE_S:g} s" if late else "refused, or not reached"
+        return f"no answer within {_DEADLINE_S:g} s" if late else "refused, redirected, or not reached"
 
 
 def send_test(urls: Sequence[str], beats: Sequence[str], site: str) -> list[Trial]:
@@ -158,7 +158,7 @@ def _name(number: int, url: str) -> str:
 
 
 class AddressWorker:
-    """Delivery of messages to one address, the most urgent first, each tried again until it is delivered.
+    """Delivery of messages to one address, in the order of `Outbox.first`, each tried again until it is delivered.
 
     Parameters
     ----------
@@ -191,9 +191,11 @@ class AddressWorker:
         self._url, self._outbox, self._site, self._clock = url, outbox, site, clock
         self.key = hashlib.sha256(url.encode()).hexdigest()[:12]
         self.number, self.most_per_hour = number, most_per_hour
-        self._tried_id = 0
-        self._refusals: dict[int, int] = {}
-        self._aside_until_s: dict[int, float] = {}
+        self._tried: str | None = None
+        """Subject of the latest message that was refused: what supersedes it is another try of the same."""
+        self._refusals: dict[str, int] = {}
+        self._aside_until_s: dict[str, float] = {}
+        self._lately: list[str] = []
         self._may_set_aside = True
         self._due_s = self._wait_s = 0.0
         self._failing_since_s: float | None = None
@@ -271,20 +273,21 @@ class AddressWorker:
         now = self._clock()
         while self._sent_s and now - self._sent_s[0] >= _HOUR_S:
             self._sent_s.popleft()
-        aside = [number for number, until_s in self._aside_until_s.items() if until_s > now]
-        message = self._outbox.first(self.key, aside)
+        aside = [subject for subject, until_s in self._aside_until_s.items() if until_s > now]
+        message = self._outbox.first(self.key, aside, self._lately)
         if message is None:
             message = self._outbox.first(self.key)
-            return message, now if message is None else self._aside_until_s[message.id]
+            return message, now if message is None else self._aside_until_s[message.subject]
         most = self.most_per_hour if message.notice.urgent else -(-self.most_per_hour // 2)
         if len(self._sent_s) >= most:
             return message, self._sent_s[-most] + _HOUR_S
-        # A message that is more urgent than the one that was refused is tried at once.
-        return message, self._due_s if message.id == self._tried_id else now
+        # A message that goes before the one that was refused is tried at once.
+        return message, self._due_s if message.subject == self._tried else now
 
     def _taken(self, message: Message) -> None:
         """Note that a message was delivered; those that were refused before are tried again, now that the address takes some."""
-        self._refusals.pop(message.id, None)
+        self._refusals.pop(message.subject, None)
+        self._lately = [*(kind for kind in self._lately if kind != message.notice.kind), message.notice.kind]
         self._aside_until_s.clear()
         self._may_set_aside = True
         self._outbox.delivered(message, self.key)
@@ -295,13 +298,13 @@ class AddressWorker:
         A message that was refused often steps aside, since the address may refuse that message alone.  Where the one behind it
         is refused as well the address takes none, and all keep their order.
         """
-        first_attempt = message.id != self._tried_id
+        subject = message.subject
         first_s, longest_s = self._deliveries.resend_s
-        self._wait_s = first_s if first_attempt else min(max(first_s, 2.0 * self._wait_s), longest_s)
-        self._tried_id, self._due_s = message.id, self._clock() + self._wait_s
-        self._refusals[message.id] = refusals = self._refusals.get(message.id, 0) + 1
-        if message.id in self._aside_until_s or (refusals >= self._deliveries.set_aside and self._may_set_aside):
-            self._aside_until_s[message.id] = self._clock() + longest_s
+        self._wait_s = first_s if subject != self._tried else min(max(first_s, 2.0 * self._wait_s), longest_s)
+        self._tried, self._due_s = subject, self._clock() + self._wait_s
+        self._refusals[subject] = refusals = self._refusals.get(subject, 0) + 1
+        if subject in self._aside_until_s or (refusals >= self._deliveries.set_aside and self._may_set_aside):
+            self._aside_until_s[subject] = self._clock() + longest_s
             self._may_set_aside = False
         if self._failing_since_s is None:
             self._failing_since_s = began_s
@@ -309,11 +312,16 @@ class AddressWorker:
 
     def _job(self, message: Message) -> dict[str, Any]:
         """Describe a delivery for the process."""
-        notice = message.notice
+        notice, lines = message.notice, [message.notice.text or message.notice.title]
+        if earlier := self._outbox.superseded(message, self.key):
+            titles = Counter(f"{m.notice.title}" for m in earlier)
+            said = "; ".join(f"{count} x {title}" if count > 1 else title for title, count in titles.items())
+            lines.append(f"Not delivered since {earlier[0].when}, and superseded by this: {said}")
+        lines.append(f"{message.when}, site {self._site}, message {message.id}")
         return {
             "url": self._url,
             "title": f"[{self._site}] {notice.title}",
-            "body": f"{notice.text or notice.title}\n{message.when}, site {self._site}, message {message.id}",
+            "body": "\n".join(lines),
             "type": "success" if notice.good else "warning",
         }
 

@@ -48,6 +48,8 @@ class Notice:
     """True if the message announces the end of a trouble."""
     title: str
     text: str
+    about: str | None = None
+    """Whose state it tells, among those of its kind: a later notice about the same supersedes it; None of one that none does."""
 
     @property
     def rank(self) -> int:
@@ -124,7 +126,7 @@ def _blindness(
 ) -> tuple[Told, list[Notice]]:
     """Derive the notice that nothing has been judged for `blind_s`, or is judged again."""
     if result.skipped is None and present.state is not State.NOT_JUDGED:
-        notices = [Notice("blind", True, "judged again", _text(present))] if told.blind else []
+        notices = [Notice("blind", True, "judged again", _text(present), "structure")] if told.blind else []
         return replace(told, blind=False, judged_ns=result.t_end_ns), notices
     since = result.t_end_ns if told.judged_ns is None else told.judged_ns
     told = replace(told, judged_ns=since)
@@ -133,7 +135,7 @@ def _blindness(
     text = _text(present)
     if result.skipped is not None and present.state is not State.NOT_JUDGED:
         text = f"no window could be judged for {(result.t_end_ns - since) / 60e9:.0f} min: {result.skipped.mend}"
-    return replace(told, blind=True), [Notice("blind", False, State.NOT_JUDGED.words, text[:_MOST_TEXT])]
+    return replace(told, blind=True), [Notice("blind", False, State.NOT_JUDGED.words, text[:_MOST_TEXT], "structure")]
 
 
 def _doubts(told: Told, result: WindowResult, present: Assessment) -> tuple[Told, list[Notice]]:
@@ -147,7 +149,8 @@ def _doubts(told: Told, result: WindowResult, present: Assessment) -> tuple[Told
     if result.t_end_ns - since < result.window_s * 1e9:
         return replace(told, doubt_ns=since), []
     title = present.state.words if doubtful else f"no longer doubtful: {present.state.words}"
-    return replace(told, doubtful=doubtful, doubt_ns=None), [Notice("doubtful", not doubtful, title, _text(present))]
+    notice = Notice("doubtful", not doubtful, title, _text(present), "structure")
+    return replace(told, doubtful=doubtful, doubt_ns=None), [notice]
 
 
 def _alarms(
@@ -165,10 +168,10 @@ def _alarms(
         place = "the whole structure" if story == WHOLE else f"story {story}"
         if now.rank > before.rank and now.rank >= least:
             levels[story] = now
-            notices.append(Notice("alarm", False, f"{now.value}: {place}", _text(present)))
+            notices.append(Notice("alarm", False, f"{now.value}: {place}", _text(present), place))
         elif now is Level.NORMAL and before is not Level.NORMAL:
             del levels[story]
-            notices.append(Notice("alarm", True, f"cleared: {place}", f"was {before.value}; {_text(present)}"))
+            notices.append(Notice("alarm", True, f"cleared: {place}", f"was {before.value}; {_text(present)}", place))
     return replace(told, levels=levels), notices
 
 
@@ -200,13 +203,15 @@ def of_health(
         why = str(source["error"] or source["detail"] or ("connected" if source["connected"] else "not connected"))
         text = f"no data for {silent_s / 60:.0f} min: {why}" if lost else ""
         told = replace(told, lost=lost)
-        notices.append(Notice("source", not lost, "source lost" if lost else "source is back", text[:_MOST_TEXT]))
+        title = "source lost" if lost else "source is back"
+        notices.append(Notice("source", not lost, title, text[:_MOST_TEXT], "source"))
     recorder = line["recorder"]
     stopped = recorder is not None and not recorder["recording"]
     if stopped != told.stopped:
         told = replace(told, stopped=stopped)
         title = "recorder stopped" if stopped else "recorder goes on"
-        notices.append(Notice("recorder", not stopped, title, str(recorder["detail"])[:_MOST_TEXT] if stopped else ""))
+        text = str(recorder["detail"])[:_MOST_TEXT] if stopped else ""
+        notices.append(Notice("recorder", not stopped, title, text, "recorder"))
     return told, notices
 
 
@@ -227,4 +232,4 @@ def of_finding(
 
 def of_event(event: Event) -> Notice:
     """Announce what is told of an event; the verdict stands first in the text."""
-    return Notice("event", False, telling(event), event_text(event))
+    return Notice("event", False, telling(event), event_text(event), event.id)

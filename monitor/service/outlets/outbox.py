@@ -1,4 +1,8 @@
-"""Outbox of messages: stored on the disk until every address has received them, by urgency and in bounded number."""
+"""Outbox of messages: stored on the disk until every address has received them, by urgency and in bounded number.
+
+The newest message on a story's alarm, an event, the source .. stands for those before it that an address has not received either:
+it is delivered first and tells them in one line.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +38,11 @@ class Message:
     to: tuple[str, ...]
     """Keys of the addresses that have not received it."""
 
+    @property
+    def subject(self) -> str:
+        """What it tells the state of; of a notice that none supersedes, the message itself."""
+        return f"{self.notice.kind} {self.id if self.notice.about is None else self.notice.about}"
+
 
 class Outbox:
     """Messages to deliver and the state that was announced last, in one file that is replaced as a whole with every change.
@@ -47,7 +56,8 @@ class Outbox:
     path : Path
         File of the outbox.
     most : int
-        Largest number of waiting messages; beyond it the oldest of the least urgent are given up and counted in `dropped`.
+        Largest number of waiting messages; beyond it those that are superseded are given up first, then the oldest of the least
+        urgent, and counted in `dropped`.
 
     Attributes
     ----------
@@ -91,19 +101,47 @@ class Outbox:
             self._give_up()
             self.changed.notify_all()
 
-    def first(self, key: str, but: Collection[int] = ()) -> Message | None:
-        """Return the most urgent message, among those the oldest, that the address `key` has not received; None if there is none.
+    def first(self, key: str, but: Collection[str] = (), lately: Sequence[str] = ()) -> Message | None:
+        """Return the message that the address `key` is to receive next; None if there is none.
 
-        Messages with the numbers in `but` are left out.
+        That is the newest of the most urgent kind.  Urgent kinds take turns, so that many of one kind hold up none of another.
+
+        Parameters
+        ----------
+        key : str
+            Key of the address.
+        but : collection of str
+            Subjects that are left out.
+        lately : sequence of str
+            Kinds that were delivered to the address, the latest last.
         """
+
+        def place(message: Message) -> tuple[bool, int, int, int]:
+            kind = message.notice.kind
+            return (
+                not message.notice.urgent,
+                lately.index(kind) if kind in lately else -1,
+                message.notice.rank,
+                -message.id,
+            )
+
         with self.changed:
-            waiting = (m for m in self._messages if key in m.to and m.id not in but)
-            return min(waiting, key=lambda m: (m.notice.rank, m.id), default=None)
+            return min((m for m in self._messages if key in m.to and m.subject not in but), key=place, default=None)
+
+    def superseded(self, message: Message, key: str) -> list[Message]:
+        """Return what the address `key` has not received of the earlier messages on the subject of `message`, oldest first."""
+        with self.changed:
+            return [m for m in self._messages if key in m.to and m.subject == message.subject and m.id < message.id]
 
     def delivered(self, message: Message, key: str) -> None:
-        """Record that the address `key` has received a message."""
+        """Record that the address `key` has received a message, and with it those that it supersedes."""
         with self.changed:
-            self._keep(replace(m, to=tuple(k for k in m.to if m.id != message.id or k != key)) for m in self._messages)
+            self._keep(
+                replace(m, to=tuple(k for k in m.to if k != key))
+                if m.subject == message.subject and m.id <= message.id
+                else m
+                for m in self._messages
+            )
 
     def only(self, keys: Iterable[str]) -> None:
         """Keep only messages to the addresses with these keys, because the other addresses were removed."""
@@ -142,11 +180,13 @@ class Outbox:
         self.changed.notify_all()
 
     def _give_up(self) -> None:
-        """Remove and count the messages beyond the limit: of the least urgent kind, the oldest."""
+        """Remove and count the messages beyond the limit: superseded ones, then of the least urgent kind, the oldest."""
         excess = len(self._messages) - self._most
         if excess <= 0:
             return
-        gone = {m.id for m in sorted(self._messages, key=lambda m: (-m.notice.rank, m.id))[:excess]}
+        newest = {m.subject: m.id for m in self._messages}
+        order = sorted(self._messages, key=lambda m: (m.id == newest[m.subject], -m.notice.rank, m.id))
+        gone = {m.id for m in order[:excess]}
         self._messages = [m for m in self._messages if m.id not in gone]
         self.dropped += excess
         _log.error("%s: %d messages wait; %d are given up", self._path, len(self._messages) + excess, excess)
