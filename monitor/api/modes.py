@@ -7,12 +7,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monitor.api.samples import checked, longest_window_s, whole_window
 from monitor.api.structures import Structure
 from monitor.core import Array, ComplexArray, ModalEstimate, Skipped, import_extra, single_blas_thread
 from monitor.identification import (
+    LEAST_PERIODS,
     RefinementSettings,
     SelectionSettings,
     SsiSettings,
@@ -22,6 +22,7 @@ from monitor.identification import (
     refine,
 )
 from monitor.identification import identify as identify_by_model
+from monitor.model import interval
 from monitor.signals import FrontEnd, ProcessingSettings
 
 _CUTOFF_SHARE = 0.4
@@ -69,7 +70,10 @@ class Modes:
 
     def __str__(self) -> str:
         rows = zip(self.frequencies_hz, self.frequencies_std_hz, self.damping_ratio, self.damping_std, strict=True)
-        lines = [f"{f:10.4f} ± {2 * s:.4f} Hz   {100 * d:6.2f} ± {200 * e:.2f} %" for f, s, d, e in rows]
+        lines = [
+            f"{interval({'value': f, 'std': s}, 1.0, 'Hz'):>20}   {interval({'value': d, 'std': e}, 100.0, '%'):>14}"
+            for f, s, d, e in rows
+        ]
         return "\n".join(["frequency and damping ratio, ± two standard deviations", *lines, *self.missing])
 
     def plot(self, axes: Any = None) -> Any:
@@ -162,7 +166,7 @@ def identify(
         segment_s = _longer_segment_s(found, front_end.segment_s, window_s)
         if segment_s > front_end.segment_s:
             found = identified(replace(front_end, segment_s=segment_s))
-    return _modes(found, names, None, window_s)
+    return _modes(found, names, window_s, by_model=False)
 
 
 def _longer_segment_s(found: ModalEstimate, segment_s: float, window_s: float) -> float:
@@ -209,7 +213,7 @@ def _by_model(samples: Array, rate_hz: float, structure: Structure) -> Modes:
         partial(refine, window, settings=config.refinement),
     )
     found = found if isinstance(found, Skipped) else array.correct(found)
-    return _modes(found, structure.channels, () if isinstance(found, Skipped) else found.model_mode, window.window_s)
+    return _modes(found, structure.channels, window.window_s, by_model=True)
 
 
 def sub_array(structure: Structure) -> SubArray:
@@ -226,17 +230,25 @@ def sub_array(structure: Structure) -> SubArray:
 def _modes(
     found: ModalEstimate | Skipped,
     channels: tuple[str, ...],
-    model_mode: NDArray[np.int64] | tuple[int, ...] | None,
     window_s: float,
+    *,
+    by_model: bool,
 ) -> Modes:
-    """Form the library's result of an estimate."""
-    numbers = None if model_mode is None else tuple(int(k) + 1 for k in model_mode)
+    """Form the library's result of an estimate, without the modes of which the data hold too few periods."""
     c = len(channels)
     if isinstance(found, Skipped):
+        numbers = () if by_model else None
         none, nowhere = np.zeros(0), np.zeros((0, 2 + 2 * c, 0, 2 + 2 * c))
         shapes = np.zeros((0, c), complex)
         poles = np.zeros((0, 4))
         return Modes(none, none, none, none, shapes, nowhere, channels, numbers, (found.reason,), poles, window_s, None)
+    periods = found.frequencies_hz * window_s
+    short = tuple(
+        f"mode at {f:.3g} Hz: {n:.2g} periods in {window_s:g} s, {LEAST_PERIODS:g} are the least: cannot say"
+        for f, n in zip(found.frequencies_hz, periods, strict=True)
+        if n < LEAST_PERIODS
+    )
+    found = found.only(frozenset(found.model_mode[periods >= LEAST_PERIODS].tolist())) if short else found
     covariance = np.einsum("bmp,bnq->mpnq", found.deviations, found.deviations)
     if not len(found.deviations):
         covariance = np.full_like(covariance, np.nan)
@@ -248,8 +260,8 @@ def _modes(
         found.shapes,
         covariance,
         channels,
-        numbers,
-        tuple(why for _, why in found.missing),
+        tuple(int(k) + 1 for k in found.model_mode) if by_model else None,
+        (*(why for _, why in found.missing), *short),
         found.poles,
         window_s,
         found,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import Array, BadInputError, Window
+from monitor.identification import LEAST_RECORD_S
 from monitor.signals import Conditioner, FrontEnd, windows
 
 
@@ -66,9 +67,10 @@ def longest_window_s(samples: Array, rate_hz: float, hop_s: float) -> float:
     Raises
     ------
     BadInputError
-        They do not fill one hop.
+        They do not fill one hop, or are too short to state modes.
     """
-    hops = int(len(samples) / rate_hz / hop_s + 1e-9)
-    if hops == 0:
-        raise BadInputError(f"samples: {len(samples) / rate_hz:g} s are too short; {hop_s:g} s (hop_s) are the least")
+    length_s, least_s = len(samples) / rate_hz, max(LEAST_RECORD_S, hop_s)
+    if length_s < least_s * (1.0 - 1e-9):
+        raise BadInputError(f"samples: {length_s:g} s are too short to state modes; {least_s:g} s are the least")
+    hops = int(length_s / hop_s + 1e-9)
     return hops * hop_s

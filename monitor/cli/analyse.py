@@ -102,7 +102,8 @@ def calibrate(
     save_baseline(baseline, out)
     nominal_hz = settings.model().modes().frequencies_hz
     for k, f, std in zip(baseline.model_mode, baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True):
-        lines.append(f"mode {k + 1}: {f:.4f} ± {2 * std:.4f} Hz; structure file {nominal_hz[k]:.4f} Hz")
+        size = interval({"value": float(f), "std": float(std)}, 1.0, "Hz")
+        lines.append(f"mode {k + 1}: {size}; structure file {nominal_hz[k]:.4f} Hz")
     relative_std = baseline.covariance.diagonal() ** 0.5
     stiffness = baseline.model.structure.stiffness_n_per_m
     for name, k, drawn, std in zip(
@@ -134,6 +135,7 @@ def calibrate(
 def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path, as_json: bool) -> None:
     """Learn the healthy modes of a structure without a model, and tell them."""
     from monitor.damage import law_lines, save_modal_baseline
+    from monitor.model import interval
     from monitor.runs import calibrate_modes
 
     baseline = calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
@@ -144,7 +146,8 @@ def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path,
     )
     for k, (f, std, damping, shape) in enumerate(rows, 1):
         moves = ", ".join(f"{c} {x:+.2f}" for c, x in zip(baseline.channels, shape, strict=True))
-        lines.append(f"mode {k}: {f:.4f} ± {2 * std:.4f} Hz, damping {100 * damping:.2g} %; {moves}")
+        size = interval({"value": float(f), "std": float(std)}, 1.0, "Hz")
+        lines.append(f"mode {k}: {size}, damping {100 * damping:.2g} %; {moves}")
     lines += law_lines(baseline.law, "the squares of the frequencies")
     lines.append(f"baseline in {out}: the modes of this structure, with which later ones are compared")
     content = {

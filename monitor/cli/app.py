@@ -39,6 +39,7 @@ from monitor.cli import (
 from monitor.cli.common import leave_unread
 from monitor.core import (
     BadConfigurationError,
+    BadInputError,
     MissingInputError,
     NoResourcesError,
     UserError,
@@ -128,6 +129,15 @@ def call() -> None:
         remedy = "; run this as its owner or as root" if isinstance(error, PermissionError) else ""
         print(f"error: {place}{error.strerror or error}{remedy}", file=sys.stderr)
         raise SystemExit(MissingInputError.exit_code) from None
+    except (ArithmeticError, ValueError) as error:
+        if not isinstance(error, ArithmeticError) and type(error).__name__ != "LinAlgError":
+            raise
+        print(
+            f"error: the numbers of these recordings cannot be solved ({error}): look at units, levels and channels with "
+            "'look'",
+            file=sys.stderr,
+        )
+        raise SystemExit(BadInputError.exit_code) from None
     except MemoryError as error:
         print(f"error: too little memory: {error}", file=sys.stderr)
         raise SystemExit(NoResourcesError.exit_code) from None

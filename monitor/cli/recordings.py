@@ -147,7 +147,7 @@ def import_(
     names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())
     text = [f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz from {start_text} in {out}: {names}"]
     for one in taken:
-        origin = "stated in the file" if one.stated else "taken"
+        origin = "by the column's name" if one.by_name else "stated in the file" if one.stated else "taken"
         level = f"mean {one.mean:.4g}, RMS about it {one.rms:.4g} {UNIT_OF[one.topic]}"
         text.append(f"  {one.name}: {one.source}, unit {one.unit} ({origin}), {level}")
     content = {

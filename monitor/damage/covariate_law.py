@@ -24,7 +24,6 @@ from itertools import combinations
 from typing import Annotated
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from monitor.core import Array
 from monitor.damage.common_change import CommonChange, Expected
@@ -307,13 +306,13 @@ def _fit(
     information, seen = scaled.T @ scaled / (overlap * scatter), scaled.T @ y / (overlap * scatter)
     evidence, freedom, w = 0.0, 0.0, len(y)
     slopes, posterior = np.zeros((ratio.size, std.size)), np.zeros((ratio.size, std.size, std.size))
+    # Rounding leaves eigenvalues below 0, and quantities without noise, as of two equal channels, have a ratio without bound.
+    size, turn = np.linalg.eigh(information)
+    size = np.maximum(size, 0.0)
     for i, r in enumerate(ratio):
-        root = np.sqrt(r)
-        factor = cho_factor(np.eye(std.size) + r * information)
-        covariance = r * cho_solve(factor, np.eye(std.size))
+        covariance = (turn * (r / (1.0 + r * size))) @ turn.T
         slope = covariance @ seen[:, i]
-        evidence += 0.5 * float(seen[:, i] @ slope) - float(np.log(factor[0].diagonal()).sum())
-        used = float(np.einsum("kl,lk->", covariance, information)) if root else 0.0
-        freedom += w - overlap * (1.0 + used)
+        evidence += 0.5 * float(seen[:, i] @ slope - np.log1p(r * size).sum())
+        freedom += w - overlap * (1.0 + float((r * size / (1.0 + r * size)).sum()))
         slopes[i], posterior[i] = std * slope, covariance * np.outer(std, std)
     return evidence, slopes, posterior, basis, y - x @ slopes.T, freedom

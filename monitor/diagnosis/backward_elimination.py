@@ -173,6 +173,8 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
     # The slopes by all else hardly depend on the mode.  Steps that need no new slopes cost next to nothing.
     others = np.delete(np.arange(fit.x.size), fit.coordinates_of(i))
     without = maximize_posterior(posterior, x, rest, iterations=FAR, frozen=fit.slopes.by(others))
+    if not np.isfinite(without.log_posterior):  # no structure is near without the mode
+        return True, []
     gain = score_candidate(posterior, without, fit, i).log_evidence
     (peak,) = find_excess_peaks(posterior, without, 1)
     for find_starts in (likely_causes, effects_at_peak):  # those of all places only where one of the former comes near

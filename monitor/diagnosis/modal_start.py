@@ -178,6 +178,8 @@ def _scaled_to_power(posterior: Posterior, start: ModalStart) -> tuple[Array, tu
         at = int(np.abs(hz - effect.extra_modes(posterior.context)[0].frequency_hz).argmin())
         measured, base = power(posterior.observed.spectra, at), power(without, at)
         own = power(posterior.scatter(x, (effect,)), at) - base
+        if not own > 0.0:
+            continue  # it moves no channel by more than rounding
         factor = np.sqrt(max(measured - base, _LEAST_POWER * measured) / own)
         scaled.append(effect.at(np.r_[effect.coordinates[:2], factor * effect.coordinates[2:]]))
     return x, tuple(scaled)

@@ -12,7 +12,15 @@ import numpy as np
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY, first_guess, fit_exact_slopes
-from monitor.inference import MapEstimate, Posterior, Prediction, join_coordinates, maximize_posterior, tone_log_odds
+from monitor.inference import (
+    MapEstimate,
+    Posterior,
+    Prediction,
+    join_coordinates,
+    maximize_posterior,
+    tone_log_odds,
+    unfitted,
+)
 from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, inverse, locations
 
 _log = logging.getLogger(__name__)
@@ -138,8 +146,10 @@ def find_excess_peaks(
     c = posterior.observed.spectra.shape[-1]
     shape = (posterior.n_classes, posterior.observed.band.n_bins, c * c)
     diagonal = np.cumsum([1, *(2 * np.arange(1, c) + 1)]) - 1
-    of_fits = (f.residual.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)) for f in (null_fit, *others))
-    excess = np.min(list(of_fits), axis=0)
+    residuals = [f.residual for f in (null_fit, *others) if f.residual.size]  # a fit without a likelihood has none
+    if not residuals:
+        return []
+    excess = np.min([r.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)) for r in residuals], axis=0)
     prediction, band = posterior.predict(null_fit.x, null_fit.effects), posterior.observed.band
     spectra = np.tensordot(posterior.observed.counts, prediction.data - prediction.spectra, axes=1)
     power = np.einsum("faa->f", spectra).real
@@ -412,7 +422,29 @@ def fit_candidate(
         Evidence below which a candidate does not matter, so that its fit is not repeated from the prior, nats.
     rough : Candidate, optional
         A rough fit of the same effect.
+
+    Returns
+    -------
+    Candidate
+        Without evidence (minus infinity) where the fit leads to a structure that cannot be computed.
     """
+    try:
+        return _fit_candidate(posterior, null_fit, effect, min_log_evidence, rough, quick=quick)
+    except np.linalg.LinAlgError:
+        fit = unfitted(posterior, null_fit.x, (*null_fit.effects, effect))
+        return Candidate(effect, fit, -np.inf, -np.inf)
+
+
+def _fit_candidate(
+    posterior: Posterior,
+    null_fit: MapEstimate,
+    effect: Effect,
+    min_log_evidence: float,
+    rough: Candidate | None,
+    *,
+    quick: bool,
+) -> Candidate:
+    """As `fit_candidate`; raises LinAlgError where something cannot be computed."""
     driven = posterior.observed.drive is not None
     # Driven motion is so informative that a cause changes the other slopes at once.
     frozen = null_fit.slopes if quick and not driven else None
@@ -512,9 +544,12 @@ def score_candidate(posterior: Posterior, null_fit: MapEstimate, fitted: MapEsti
 def with_tone_evidence(posterior: Posterior, candidate: Candidate) -> Candidate:
     """Add to a machine's evidence what its steady amplitude tells, which a random motion of the same spectrum has not."""
     lines = candidate.effect.lines()
-    if not lines or posterior.observed.drive is not None:
+    if not lines or posterior.observed.drive is not None or not np.isfinite(candidate.log_evidence):
         return candidate
-    odds = sum(tone_log_odds(posterior, candidate.fit, line) for line in lines)
+    try:
+        odds = sum(tone_log_odds(posterior, candidate.fit, line) for line in lines)
+    except np.linalg.LinAlgError:  # the fit has led to no structure
+        odds = -np.inf
     return replace(candidate, log_evidence=candidate.log_evidence + odds)
 
 

@@ -86,6 +86,8 @@ def is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
     An oscillator must move within the band and must not be damped at once, since a heavy mass that hardly moves acts as a damper.
     """
     effect = candidate.effect
+    if not np.isfinite(candidate.fit.log_posterior):
+        return False
     if not (effect.is_plausible(posterior.observed.band.hz) and is_credible(posterior, candidate.fit)):
         return False
     std = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[posterior.layout.effects], 0.0))

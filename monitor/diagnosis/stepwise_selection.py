@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from monitor.core import parallel_map
+from monitor.core import BadInputError, parallel_map
 from monitor.diagnosis.ambiguity import predict_the_same, probabilities, tied_candidates
 from monitor.diagnosis.backward_elimination import (
     eliminate_backward,
@@ -189,6 +189,10 @@ def _first_stage(
 ) -> SearchState:
     """Fit the model without causes."""
     posterior, fit, moments = fit_initial_model(observed, prior, context)
+    if not np.isfinite(fit.log_posterior):
+        raise BadInputError(
+            "no structure near the structure file's can be fitted to the spectra: look at units and channels with 'look'"
+        )
     return SearchState(posterior, fit, fit, (), moments, settings.margin)
 
 

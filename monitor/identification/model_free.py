@@ -18,10 +18,12 @@ from monitor.identification.ssi import poles as all_poles
 from monitor.identification.stabilization import (
     BAND,
     ORDERS_PER_MODE,
+    WITHOUT_INTERVAL,
     SelectionSettings,
     deviations_of,
     distinct,
     group_poles,
+    has_intervals,
     mark_stable,
     normalize,
     replace_split_modes,
@@ -83,7 +85,8 @@ def identify_modes(
         return refined
     found, rows = estimates[0], _starts(poles, clusters)[0]
     found = replace(found, deviations=_deviations(window, realisation, poles, rows))
-    return replace_split_modes(window, realisation, poles, rows, found, select)
+    found = replace_split_modes(window, realisation, poles, rows, found, select)
+    return found if has_intervals(found) else Skipped(WITHOUT_INTERVAL)
 
 
 def _clusters(poles: PoleTable, stable: Array, select: SelectionSettings) -> list[list[int]]:

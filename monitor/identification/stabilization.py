@@ -24,6 +24,12 @@ from monitor.model import Modes
 BAND = 0.45
 """Share of the sampling rate up to which modes are looked for. [ratio; the lowpass: 0.4 of the rate, and a little
 more]"""
+LEAST_RECORD_S = 20.0
+"""Shortest stretch of data from which modes are stated. [s; convention: fewer blocks tell no interval]"""
+LEAST_PERIODS = 10.0
+"""Fewest periods of a mode in the data with which it is stated. [count; convention]"""
+WITHOUT_INTERVAL = "the scatter of a mode cannot be told from so few blocks of data, and so no interval: record longer"
+"""Why modes without an interval are not stated. [text; definition]"""
 ORDERS_PER_MODE = 6
 """Least largest order for each mode looked for. [count; a mode needs two, and must be stable in half of the orders that
 have room]"""
@@ -180,7 +186,14 @@ def identify(
         return Skipped("; ".join(why for _, why in missing))
     found = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
     estimate = _estimate(window, realisation, poles, stable, chosen, found, refiner, ssi, select)
+    if not has_intervals(estimate):
+        return Skipped(WITHOUT_INTERVAL)
     return replace(estimate, others=others, missing=missing)
+
+
+def has_intervals(estimate: ModalEstimate) -> bool:
+    """Test that no mode is stated without scatter: a single block, or samples without noise, show none, which is no certainty."""
+    return not len(estimate.deviations) or bool((estimate.frequencies_std_hz > 0.0).all())
 
 
 def mark_stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Array:

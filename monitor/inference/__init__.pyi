@@ -8,7 +8,7 @@ from .forward_model import Prediction
 from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments, simulate_moments, tone_log_odds
 from .input_response import Between, Drive
 from .linearization import linearize
-from .map_estimate import MapEstimate, maximize_posterior
+from .map_estimate import MapEstimate, maximize_posterior, unfitted
 from .observed_spectra import ObservedSpectra, class_temperature, classify, information_weight
 from .parameter_layout import ParameterLayout
 from .posterior import FORCE_STD, Posterior, join_coordinates, with_coordinates
@@ -56,5 +56,6 @@ __all__ = [
     "simulate_spectra",
     "spectra_by_force",
     "tone_log_odds",
+    "unfitted",
     "with_coordinates",
 ]

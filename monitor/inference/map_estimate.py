@@ -95,7 +95,37 @@ def maximize_posterior(
         Slopes of the first n parameters that are not computed again: faster, for a ranking, or where these do not move.
     keep_slopes : bool
         Whether the fit has its slopes, from which another search can start.
+
+    Returns
+    -------
+    MapEstimate
+        That of `unfitted` where the fit begins at no structure, or cannot be computed.
     """
+    try:
+        return _maximize(posterior, x, effects, iterations, tolerance, frozen, keep_slopes=keep_slopes)
+    except (np.linalg.LinAlgError, ZeroDivisionError):
+        return unfitted(posterior, x, effects)
+
+
+def unfitted(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> MapEstimate:
+    """Return an estimate without likelihood (minus infinity) and slopes at the nuisances of `x` and the effects' coordinates."""
+    x = np.concatenate([x[posterior.layout.nuisances], *[e.coordinates for e in effects]])
+    none = _no_slopes(x.size)
+    slopes, rows = none.slopes, none.residual
+    return MapEstimate(x, effects, -np.inf, 0.0, none.normal, False, slopes, rows, rows, slopes.information)
+
+
+def _maximize(
+    posterior: Posterior,
+    x: Array,
+    effects: tuple[Effect, ...],
+    iterations: int,
+    tolerance: float,
+    frozen: Slopes | None,
+    *,
+    keep_slopes: bool,
+) -> MapEstimate:
+    """As `maximize_posterior`; raises LinAlgError where something cannot be computed."""
     start = _evaluate(posterior, x, effects)
     stays_stable = posterior.is_stable(start.x, effects)
 

@@ -28,6 +28,7 @@ from monitor.signals import (
     sensor_drift,
     taper,
     transform,
+    window_quality,
 )
 
 Runs = Sequence[tuple[int, Array]]
@@ -233,6 +234,12 @@ def gather(
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered, peaks = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
     periodograms = np.abs(transforms[:, : last + 1]) ** 2 / gain[:, None]
+    still = window_quality.still((2.0 * design.step_hz * periodograms[:, first:].mean(axis=0).sum(axis=0)).tolist())
+    if still:
+        raise BadInputError(
+            f"{', '.join(f'channel {front_end.channels[c]}' for c in still)}: does not move in the band; a diagnosis takes "
+            "channels that move: take what was not measured out of the structure file"
+        )
     # What shakes the structure is known where inputs were measured, and has to be found in the response elsewhere.
     shown = transforms[:, first : last + 1] if drive is None else drive.measured(whole)
     judged = find_judged_band(np.asarray(shown / np.sqrt(whole.gain)[:, None], dtype=complex), whole.hz)
@@ -375,6 +382,7 @@ class _Stream:
 
     def _begin_run(self, piece: alignment.Piece) -> None:
         """Begin a run of samples without a gap."""
+        self.front_end.check_rate(piece.rate_hz)
         self.conditioner = self.front_end.conditioner(piece.rate_hz)
         self._state = self.conditioner.start(self.peak.size)
         self._rest = np.zeros((0, self.peak.size))

@@ -84,6 +84,7 @@ def calibrate(
     if reasons:
         on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
     kept = with_common_modes(good, config.selection.required_modes)
+    progress.require_periods([r.modes for r in kept if r.modes is not None], paths)
     warn_of_missing_modes(good, kept, on_warning)
     good = kept
     recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)

@@ -30,6 +30,7 @@ from monitor.core import (
     write_atomically,
 )
 from monitor.identification import (
+    LEAST_RECORD_S,
     RefinementSettings,
     SelectionSettings,
     SingleMode,
@@ -38,7 +39,7 @@ from monitor.identification import (
     identify_modes,
 )
 from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, utc, write_look
-from monitor.runs.importers import ImportedChannel, import_files
+from monitor.runs.importers import ImportedChannel, doubt_unit, import_files
 from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
 from monitor.runs.recordings import OnProgress, OnWarning
@@ -134,7 +135,11 @@ def look(
                 on_warning(one)
         units = {
             f"unit {one.unit} "
-            + ("as its file states" if one.stated else "as --unit says" if unit else "as none is stated")
+            + (
+                ("as the columns' names say" if one.by_name else "as its file states")
+                if one.stated
+                else ("as --unit says" if unit else "as none is stated")
+            )
             for one in channels
         }
         note = f"taken from {_names(paths)}: {info.sample_rate_hz:g} Hz, {'; '.join(sorted(units))}"
@@ -144,7 +149,9 @@ def look(
             found = _look([recording], (note,), on_warning, on_progress)
         except BadInputError as error:
             raise BadInputError(str(error).replace(str(recording), _names(paths))) from error
-        return replace(found, files=tuple(map(str, paths)))
+        taken_for_granted = unit is None and not all(one.stated for one in channels)
+        doubts = (doubt_unit(channels), *found.doubts) if taken_for_granted else found.doubts
+        return replace(found, files=tuple(map(str, paths)), doubts=doubts)
 
 
 def _are_recordings(paths: Sequence[Path]) -> bool:
@@ -176,6 +183,11 @@ def _look(
         raise BadInputError(
             f"{_names(paths)}: the longest stretch without a gap has {len(longest.values)} samples, too few to look at; "
             f"record at least {2 * SsiSettings().block_rows * _LEAST_BLOCKS}"
+        )
+    if len(longest.values) / rate_hz < LEAST_RECORD_S * (1.0 - 1e-9):
+        raise BadInputError(
+            f"{_names(paths)}: the longest stretch without a gap is {len(longest.values) / rate_hz:.4g} s, too short to state "
+            f"modes; record at least {LEAST_RECORD_S:g} s"
         )
     duration_s = (runs[-1].t_ns - runs[0].t_ns) * 1e-9 + len(runs[-1].values) / rate_hz
     transforms, design, middles_s = _transforms(runs, rate_hz)

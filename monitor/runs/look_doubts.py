@@ -11,14 +11,13 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.publish import G_M_S2, LookedMode
+from monitor.runs.importers import GRAVITY_TOLERANCE
 from monitor.signals import FALSE_RATE, channel_relations, mains_hum, sensor_drift, sensor_health
 
 _STRONGEST_G = 2.0
 """RMS from which the unit is asked; no structure that is monitored moves so. [g; judgement: strong earthquakes give 0.3]"""
 _WEAKEST_M_S2 = 1e-7
 """RMS below which the unit is asked. [m/s^2; below the noise of the best accelerometers in any band above 1 Hz]"""
-_GRAVITY_TOLERANCE = 0.03
-"""Distance of a mean from 1, relative, within which it may be gravity. [1; judgement: a sensor's offset and its tilt]"""
 _LEAST_UNFOLDED = 0.5
 """Density just below half the rate, over that of the upper half of the band, from which no lowpass is seen. [1; judgement]"""
 _MOST_FOLDED = 0.1
@@ -133,10 +132,10 @@ def _of_level(facts: Facts) -> Iterator[str]:
     still = [k for k, rms in enumerate(facts.rms) if rms == 0.0]
     if still:
         yield f"{_names(facts, still)}: constant, the sensor may be dead"
-    unity = [k for k, mean in enumerate(facts.mean) if abs(abs(mean) - 1.0) < _GRAVITY_TOLERANCE]
+    unity = [k for k, mean in enumerate(facts.mean) if abs(abs(mean) - 1.0) < GRAVITY_TOLERANCE]
     if unity:
         yield f"{_names(facts, unity)}: the mean is {facts.mean[unity[0]]:.3g} m/s²: if that is gravity, the unit is g"
-    down = [k for k, mean in enumerate(facts.mean) if abs(abs(mean) / G_M_S2 - 1.0) < _GRAVITY_TOLERANCE]
+    down = [k for k, mean in enumerate(facts.mean) if abs(abs(mean) / G_M_S2 - 1.0) < GRAVITY_TOLERANCE]
     if down:
         yield f"{_names(facts, down)}: the mean is gravity: this axis is vertical"
 

@@ -54,7 +54,7 @@ def calibrate_modes(
         because = f", the last because: {skipped[-1]}" if skipped else "; record for longer"
         raise BadInputError(f"{file_names(paths)}: no mode is found again and again{because}")
     second = Pipeline(config, reference=reference)
-    results, span_ns = _windows(paths, config, second, lambda _: None, on_progress)
+    results, progress = _windows(paths, config, second, lambda _: None, on_progress)
     reasons = [why for r in results if (why := why_not_learned(r))]
     good = [r for r in results if not why_not_learned(r)]
     if not good:
@@ -62,14 +62,16 @@ def calibrate_modes(
     if reasons:
         on_warning(f"{len(reasons)} of {len(results)} windows were left out, the last: {reasons[-1]}")
     kept = with_common_modes(good, config.selection.required_modes)
+    progress.require_periods([r.modes for r in kept if r.modes is not None], paths)
     warn_of_missing_modes(good, kept, on_warning)
+    assert progress.first is not None
     baseline = learn_modal_baseline(
         config.channels,
         modal_origin(config),
         [r.modes for r in kept if r.modes is not None],
         np.array([r.rms_m_s2 for r in kept]),
         tuple({"file": p.name, "sha256": sha256(p)} for p in paths),
-        span_ns,
+        (progress.first.t_ns, second.state.align.t_next_ns()),
         [r.covariates for r in kept if r.modes is not None],
         covariate_units(config),
         config.compensation,
@@ -94,12 +96,11 @@ def common_modes(state: tracking.TrackState, most: int) -> Modes | None:
 
 def _windows(
     paths: list[Path], config: Configuration, pipeline: Pipeline, on_warning: OnWarning, on_progress: OnProgress
-) -> tuple[list[WindowResult], tuple[int, int]]:
-    """Push recordings through a pipeline; return its windows, and the first sample's time and the data's end, UTC."""
+) -> tuple[list[WindowResult], Progress]:
+    """Push recordings through a pipeline; return its windows, and how far it came."""
     progress, results = Progress(on_progress), list[WindowResult]()
     for block in read_blocks(paths, config, on_warning):
         progress.add(block)
         results += [r for r in push_block(pipeline, block, paths) if isinstance(r, WindowResult)]
     progress.require_window(pipeline, len(results), paths)
-    assert progress.first is not None
-    return results, (progress.first.t_ns, pipeline.state.align.t_next_ns())
+    return results, progress

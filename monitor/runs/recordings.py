@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from math import inf
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import read_recordings, recording_info
 from monitor.config import Configuration
-from monitor.core import BadInputError, MissingInputError
+from monitor.core import BadInputError, MissingInputError, ModalEstimate
+from monitor.identification import LEAST_PERIODS, LEAST_RECORD_S
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import between_recordings, recorded_stretches
 
@@ -176,6 +178,22 @@ class Progress:
             f"{file_names(paths)}: {usable:.1f} s of usable data without a gap{lost}, but one window takes {window_s:g} s; "
             "record longer or set a shorter window_s under [processing]"
         )
+
+    def require_periods(self, windows: Sequence[ModalEstimate], paths: list[Path]) -> None:
+        """Refuse to learn modes from recordings that are too short to state them.
+
+        Raises
+        ------
+        BadInputError
+            If there are less than `LEAST_RECORD_S` of data, or `LEAST_PERIODS` of a mode.
+        """
+        lowest_hz = min((float(modes.frequencies_hz.min(initial=inf)) for modes in windows), default=inf)
+        least_s = max(LEAST_RECORD_S, LEAST_PERIODS / lowest_hz)
+        if self.data_s < least_s * (1.0 - 1e-9):
+            raise BadInputError(
+                f"{file_names(paths)}: {self.data_s:.3g} s of data are too short to state modes from "
+                f"{lowest_hz:.3g} Hz on; {least_s:.3g} s are the least"
+            )
 
 
 def file_names(paths: list[Path]) -> str:

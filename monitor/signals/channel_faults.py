@@ -142,7 +142,7 @@ def _highpassed(run: Array) -> Array:
 
 def _groups(runs: Sequence[Array]) -> list[list[int]]:
     """List for each channel itself and its neighbours, those with the largest correlation."""
-    power = np.asarray(sum(run.T @ run for run in runs), dtype=float)
+    power = np.sum([np.einsum("ni,nj->ij", run, run, dtype=float) for run in runs], axis=0)
     scale = np.sqrt(np.maximum(np.diag(power), np.finfo(float).tiny))
     correlation = np.abs(power / np.outer(scale, scale))
     moves = np.flatnonzero(np.diag(power) > 0.0)

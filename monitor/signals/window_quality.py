@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -19,8 +20,11 @@ class QualitySettings(Settings):
 
 def still_channels(sums: LagSums) -> tuple[int, ...]:
     """List the channels (0 = first) that do not move in a window."""
-    variance = (sums.total[0].diagonal() / sums.counts.sum()).tolist()
-    # A constant channel has a variance of rounding errors only.
+    return still((sums.total[0].diagonal() / sums.counts.sum()).tolist())
+
+
+def still(variance: Sequence[float]) -> tuple[int, ...]:
+    """List the channels (0 = first) whose variance, (m/s^2)^2, is that of rounding errors only, as a constant channel's."""
     least = max(1e-20, 1e-10 * max(variance))
     return tuple(channel for channel, v in enumerate(variance) if not v > least)
 

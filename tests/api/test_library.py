@@ -85,12 +85,24 @@ def test_noise_has_no_modes_and_says_so(frame: shm.Structure) -> None:
         shm.update(none, frame)
 
 
+def test_no_mode_is_stated_of_less_than_20_s_or_ten_periods_and_none_without_an_interval() -> None:
+    slow = shm.structure(masses_kg=[1000.0, 1000.0], stiffness_n_per_m=[9e3, 9e3])  # 0.295 and 0.773 Hz
+    samples = shm.simulate(slow, duration_s=60.0, rate_hz=20.0, noise=0.01, seed=0).samples
+    found = shm.identify(samples[:400], 20.0, slow)
+    assert found.model_mode == (2,)
+    assert any("6.4 periods in 20 s, 10 are the least" in why for why in found.missing)
+    for n in (200, 300, 399):
+        for structure in (None, slow):
+            with pytest.raises(shm.UserError, match="too short to state modes; 20 s are the least"):
+                shm.identify(samples[:n], 20.0, structure)
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         (lambda x: x[:, :2], "3 (a1, a2, a3)"),
         (lambda x: np.where(np.arange(len(x))[:, None] == 7, np.nan, x), "the first is row 7"),
-        (lambda x: x[:900], "4.5 s are too short; 5 s"),
+        (lambda x: x[:900], "4.5 s are too short to state modes; 20 s"),
         (lambda x: x[None], "a column for each channel"),
     ],
 )

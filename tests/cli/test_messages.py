@@ -152,3 +152,27 @@ def test_a_recording_in_which_no_window_lies_is_named(
     assert "long.mcap" not in done.stderr
     done = main("replay", "short.mcap", "other.mcap", "--structure", "s.toml", "--out", "none", cwd=tmp_path)
     assert done.returncode == 65 and "10.0 s of usable data" in done.stderr and "one window takes 20 s" in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["shear_frame", "modal"])
+def test_calibrate_and_compare_state_no_modes_of_less_than_20_s_as_look_does(
+    folder: Path, main: Cli, frame_text: str, kind: str
+) -> None:
+    text = frame_text.replace("window_s = 20.0", "window_s = 5.0").replace("hop_s = 5.0", "hop_s = 2.5")
+    (folder / "f.toml").write_text(text)
+    simulated = ("simulate", "--structure", "f.toml", "--duration", "15", "--rate", "200", "--out", "s.mcap")
+    assert main(*simulated, cwd=folder).returncode == 0
+    if kind == "modal":
+        sensors = text[text.index("[[sensors]]") :]
+        (folder / "f.toml").write_text('[structure]\nkind = "modal"\n' + sensors.replace("floor", "# floor"))
+    for command in (
+        ("calibrate", "s.mcap", "--structure", "f.toml", "--out", "b.json"),
+        ("look", "s.mcap"),
+        ("compare", "s.mcap", "s.mcap"),
+    ):
+        done = main(*command, cwd=folder)
+        assert done.returncode == 65
+        assert done.stderr.count("\n") == 1
+        assert "too short to state modes" in done.stderr
+        assert "20 s" in done.stderr
+    assert not (folder / "b.json").exists()

@@ -10,6 +10,7 @@ import contextlib
 import copy
 import functools
 import hashlib
+import importlib
 import io
 import json
 import logging
@@ -19,6 +20,8 @@ import shutil
 import socket
 import struct
 import tempfile
+import warnings
+import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -57,6 +60,7 @@ from monitor.config import configuration
 from monitor.core import BadInputError, UserError
 from monitor.damage import alarm, load_baseline, save_baseline
 from monitor.runs import Session, importers, ledger
+from monitor.runs.importers import seismic
 from monitor.service import Request, serialization
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.outbox import Outbox
@@ -82,6 +86,8 @@ class Target:
     """Of the messages of a whole run; what is slow gets fewer."""
     longest: int = 20_000
     """Bytes; a stream of frames takes a time that grows with them."""
+    least: int = 40
+    """Of the messages of the tests; what is fast gets more."""
 
 
 MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
@@ -432,7 +438,9 @@ def _toml_seeds() -> list[bytes]:
     return [STRUCTURE.encode(), *((ROOT / "deploy" / f"{name}.toml").read_bytes() for name in names)]
 
 
-def _imported(suffix: str, seeds: Callable[[], list[bytes]], share: float = 0.01, **options: Any) -> Target:
+def _imported(
+    suffix: str, seeds: Callable[[], list[bytes]], share: float = 0.01, least: int = 300, **options: Any
+) -> Target:
     """A file that `import` reads."""
 
     def run(data: bytes) -> None:
@@ -442,7 +450,7 @@ def _imported(suffix: str, seeds: Callable[[], list[bytes]], share: float = 0.01
         out.unlink(missing_ok=True)
         assert not out.with_name("out.mcap.part").exists()
 
-    return Target(run, seeds, share, 20_000 if share > 0.01 else 4000)
+    return Target(run, seeds, share, 20_000 if share > 0.01 else 4000, least)
 
 
 def _csv_seeds() -> list[bytes]:
@@ -468,6 +476,68 @@ def _npz_seeds() -> list[bytes]:
             save(file, **arrays)
             made.append(file.getvalue())
     return made
+
+
+def _npz_array(data: bytes) -> None:
+    """An array in a sound archive, whose checksum would hide it otherwise."""
+    for deflated in (False, True):
+        file = io.BytesIO()
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED if deflated else zipfile.ZIP_STORED) as archive:
+            archive.writestr("samples.npy", data)
+        TARGETS["npz"].run(file.getvalue())
+
+
+def _npz_array_seeds() -> list[bytes]:
+    arrays = (np.sin(np.arange(90.0).reshape(30, 3)), np.arange(9, dtype=np.int16), np.array(["a1", "a2"]))
+    made = []
+    for array in arrays:
+        file = io.BytesIO()
+        np.save(file, array)
+        made.append(file.getvalue())
+    return made
+
+
+def _seismic(kind: str) -> Callable[[bytes], None]:
+    """What ObsPy makes of a file, which it does in a process of its own, and what becomes of it."""
+
+    def run(data: bytes) -> None:
+        path = _file("a.mseed", data)
+        try:
+            with patch("sys.unraisablehook"):  # ObsPy's own callback cannot decode what libmseed says of damage
+                traces = seismic.read(path, 1 << 26, kind)
+        except Exception:  # noqa: BLE001 - as that process does
+            return
+        with contextlib.suppress(UserError):
+            seismic.join(path, *traces, 1 << 26, lambda _: None)
+
+    return run
+
+
+@functools.cache
+def _obspy() -> Any:
+    """ObsPy, which calls what newer Pythons call outdated."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return importlib.import_module("obspy")
+
+
+def _miniseed_seeds() -> list[bytes]:
+    obspy = _obspy()
+    counts, made = np.random.default_rng(0).integers(-1000, 1000, (300, 2)).astype(np.int32), []
+    header = {"network": "XX", "station": "ROOF", "sampling_rate": 100.0}
+    traces = [obspy.Trace(counts[:, k].copy(), {**header, "channel": f"HN{k}"}) for k in range(2)]
+    text = np.frombuffer(b"clock locked\n" * 4, "S1").copy()
+    for encoding in ("STEIM2", "STEIM1", "INT32"):
+        file = io.BytesIO()
+        obspy.Stream(traces).write(file, format="MSEED", encoding=encoding, reclen=256)
+        made.append(file.getvalue())
+    file = io.BytesIO()
+    obspy.Stream([obspy.Trace(text, {**header, "channel": "LOG", "sampling_rate": 0.0})]).write(file, format="MSEED")
+    return [*made, made[0] + file.getvalue()]
+
+
+def _knet_seeds() -> list[bytes]:
+    return [(Path(_obspy().__file__).parent / "io" / "nied" / "tests" / "data" / "test.knet").read_bytes()[:3000]]
 
 
 def _written(suffix: str, write: Callable[[Path], object]) -> Callable[[], list[bytes]]:
@@ -628,7 +698,10 @@ TARGETS: dict[str, Target] = {
     "toml": Target(_toml, _toml_seeds, 0.03),
     "csv": _imported(".csv", _csv_seeds, 0.03),
     "npz": _imported(".npz", _npz_seeds, 0.02),
-    "mat": _imported(".mat", _written(".mat", _write_mat), rate_hz=100.0),
+    "npz_array": Target(_npz_array, _npz_array_seeds, 0.01, 4000, 300),
+    "mat": _imported(".mat", _written(".mat", _write_mat), share=0.001, least=6, rate_hz=100.0),  # each takes a process
+    "miniseed": Target(_seismic("MiniSEED"), _miniseed_seeds, 0.01, 4000, 300),
+    "knet": Target(_seismic("K-NET"), _knet_seeds, 0.01, 4000, 300),
     "uff": _imported(".uff", _written(".uff", _write_uff), rate_hz=100.0),
     **{kind: _imported(f".{kind}", _written(f".{kind}", _write_log), **DBC) for kind in ("asc", "blf", "trc")},
     "checkpoint": Target(_checkpoint, _checkpoint_seeds, 0.03),

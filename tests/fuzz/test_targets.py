@@ -52,7 +52,7 @@ def test_mutations_of_what_is_right(name: str) -> None:
     seeds = target.seeds()
     for data in (*seeds, b"", b"\n", b"{}", b"[]"):
         target.run(data)
-    for _ in range(max(40, round(3000 * target.share))):
+    for _ in range(max(target.least, round(3000 * target.share))):
         target.run(mutated(draw.choice(seeds), seeds, draw))
 
 
@@ -60,7 +60,13 @@ def test_mutations_of_what_is_right(name: str) -> None:
 def test_anything_at_all(name: str) -> None:
     target = TARGETS[name]
 
-    @settings(max_examples=25, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=min(25, target.least),
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
     @given(st.one_of(st.binary(max_size=3000), st.text(max_size=500).map(str.encode)))
     def run(data: bytes) -> None:
         target.run(data)

@@ -231,7 +231,7 @@ def test_whatever_the_bytes_only_our_errors_escape(tmp_path: Path, kind: str) ->
             "uff": lambda p: uff(p, BOTH[:40])}[kind]  # fmt: skip
     path = make(tmp_path / f"a.{kind}")
     whole, chance, outcomes = path.read_bytes(), random.Random(5), set()
-    for _ in range(4 if kind == "h5" else 60):  # each HDF5 takes a process
+    for _ in range(300 if kind == "uff" else 4):  # each of the others takes a process
         data = bytearray(whole)
         for _ in range(chance.randrange(1, 4)):
             at = chance.randrange(len(data) - 20)
@@ -250,20 +250,21 @@ def test_whatever_the_bytes_only_our_errors_escape(tmp_path: Path, kind: str) ->
 
 
 @pytest.mark.system
+@pytest.mark.parametrize("kind", ["h5", "mat"])
 @pytest.mark.parametrize(
     ("program", "says"),
     [("import time; time.sleep(600)", "did not end within 1 s"), ("import os; os.abort()", r"failed \(exit code -6\)")],
 )
 def test_a_file_at_which_the_library_hangs_or_crashes_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, says: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, program: str, says: str
 ) -> None:
-    """As damaged files do it with HDF5 1.14 (one bit in an attribute's heap)."""
-    path = hdf5(tmp_path / "a.h5", a=X)
+    """As damaged files do it with HDF5 1.14 (one bit in an attribute's heap) and with SciPy's reader of MAT."""
+    path = hdf5(tmp_path / "a.h5", a=X) if kind == "h5" else mat(tmp_path / "a.mat", a=X)
     stand_in = tmp_path / "python"
     stand_in.write_text(f"#!{sys.executable}\n{program}\n")
     stand_in.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(stand_in))
-    limit = {"hdf5_s": 1.0} if "sleep" in program else {}
+    limit = {"reader_s": 1.0} if "sleep" in program else {}
     with pytest.raises(BadInputError, match=says):
         load(path, **limit)
 
@@ -302,6 +303,55 @@ def test_an_import_says_start_rate_unit_and_level(tmp_path: Path, main: Cli) -> 
     told = json.loads(done.stdout)
     assert told["start_ns"] == 0 and [(c["unit"], c["stated"]) for c in told["taken"]] == [("g", True)] * 2
     assert told["taken"][1]["rms"] == pytest.approx(9.80665 * X.std(), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("head", "units"),
+    [
+        ("time_ms,ax_g,ay_g", ("g", "g")),
+        ("t_us,acc_x_mg,acc_y_mg", ("mg", "mg")),
+        ("Time(s),ax (mg),ay [g]", ("mg", "g")),
+        ("t [ms],Accel x [in g],Accel y in g", ("g", "g")),
+        ("time in ms,a1_m_s2,a2 m/s^2", ("m/s^2", "m/s^2")),
+        ("elapsed_s,top_mps2,low_gal", ("m/s^2", "gal")),
+    ],
+)
+def test_units_inside_names_are_those_of_the_columns_and_are_said(
+    tmp_path: Path, main: Cli, head: str, units: tuple[str, str]
+) -> None:
+    ticks = 1000 if "ms" in head.split(",")[0] else 1_000_000 if "us" in head.split(",")[0] else 1
+    rows = "".join(f"{ticks * k / 100:g},{x},{-x}\n" for k, x in enumerate(X.round(4)))
+    (tmp_path / "log.csv").write_text(f"{head}\n{rows}")
+    done = main("import", "log.csv", "--out", "o.mcap", "--start", "2026-01-02T03:04:05", cwd=tmp_path)
+    assert done.stderr == ""
+    first, *channels = done.stdout.splitlines()
+    assert first.startswith("2.50 s at 100 Hz")
+    for line, unit, name in zip(channels, units, head.split(",")[1:], strict=True):
+        where = "stated in the file" if name.endswith(("]", ")")) else "by the column's name"
+        assert f"unit {unit} ({where})" in line
+
+
+def test_a_letter_that_numbers_channels_is_no_unit(tmp_path: Path) -> None:
+    path = table(tmp_path / "log.csv", "t,ch_f,ch_g")
+    _, _, warnings, taken = load(path, ask_unit=None)
+    assert [one.stated for one in taken] == [False, False]
+    assert any("no unit is stated of log.csv:ch_f, log.csv:ch_g" in text for text in warnings)
+
+
+def test_arrays_state_units_in_their_names(tmp_path: Path) -> None:
+    info, values, _, taken = load(mat(tmp_path / "m.mat", acc_x_mg=X, acc_y_mg=-X, time_ms=10.0 * np.arange(250)))
+    assert (info.sample_rate_hz, [one.unit for one in taken]) == (100.0, ["mg", "mg"])
+    np.testing.assert_allclose(values[:, 0], 9.80665e-3 * X, rtol=1e-6, atol=1e-9)
+
+
+def test_a_unit_taken_for_granted_is_told_with_the_level_that_it_means(tmp_path: Path, main: Cli) -> None:
+    table(tmp_path / "log.csv")
+    rows = "".join(f"{k / 100:.2f},{0.1 * x:.6f},{0.1 * x + 1.0:.6f}\n" for k, x in enumerate(X))
+    (tmp_path / "log.csv").write_text("t,a1,a2\n" + rows)
+    done = main("import", "log.csv", "--out", "o.mcap", cwd=tmp_path)
+    assert "taken as m/s^2 (see --unit): the RMS is then up to 0.0" in done.stderr
+    assert "; if they are g, 0." in done.stderr
+    assert ", which is gravity in g" in done.stderr
 
 
 @pytest.mark.system

@@ -55,6 +55,31 @@ def test_what_lies_between_records_is_missing(tmp_path: Path, counts: np.ndarray
     assert any("missing" in text for text in told)
 
 
+def test_records_of_text_are_left_out_and_counted(tmp_path: Path, counts: np.ndarray) -> None:
+    obspy = pytest.importorskip("obspy")
+    log = {"network": "XX", "station": "ROOF", "channel": "LOG", "sampling_rate": 0.0}
+    text, told = np.frombuffer(b"clock locked\n", "S1").copy(), list[str]()
+    stream = obspy.Stream([obspy.Trace(text, {**log, "starttime": obspy.UTCDateTime(T0) + k}) for k in range(2)])
+    stream.write(str(tmp_path / "log.mseed"), format="MSEED")
+    file = miniseed(tmp_path / "a.mseed", counts)
+    file.write_bytes(file.read_bytes() + (tmp_path / "log.mseed").read_bytes())
+    info = import_files([file], tmp_path / "r.mcap", scale=1e-3, on_warning=told.append)
+    assert info.channels["/acceleration"] == ("XX.ROOF..HNX", "XX.ROOF..HNY")
+    assert any("XX.ROOF..LOG: 2 records of text are left out" in text for text in told)
+    with pytest.raises(BadInputError, match=r"log\.mseed: holds no samples"):
+        import_files([tmp_path / "log.mseed"], tmp_path / "r.mcap", scale=1e-3)
+
+
+def test_readings_that_fail_the_check_of_their_record_are_told(tmp_path: Path, counts: np.ndarray) -> None:
+    pytest.importorskip("obspy")
+    file, told = miniseed(tmp_path / "a.mseed", counts[:100]), list[str]()
+    raw = bytearray(file.read_bytes())
+    raw[71] ^= 1  # the last value that the first record should reach
+    file.write_bytes(raw)
+    import_files([file], tmp_path / "r.mcap", scale=1e-3, on_warning=told.append)
+    assert any("Data integrity check" in text for text in told)
+
+
 def test_counts_alone_are_refused_with_the_mend(tmp_path: Path, counts: np.ndarray) -> None:
     file = miniseed(tmp_path / "a.mseed", counts)
     with pytest.raises(BadInputError, match=r"a\.mseed: MiniSEED holds counts; give --scale"):
@@ -101,7 +126,7 @@ def test_k_net_is_read_by_its_own_scale(tmp_path: Path) -> None:
 def test_a_damaged_file_is_named(tmp_path: Path, raw: bytes) -> None:
     pytest.importorskip("obspy")
     (tmp_path / "a.x").write_bytes(raw)
-    with pytest.raises(BadInputError, match=r"a\.x: (cannot be read as|holds no samples)"):
+    with pytest.raises(BadInputError, match=r"a\.x: (cannot be used as|holds no samples)"):
         import_files([tmp_path / "a.x"], tmp_path / "r.mcap", scale=None if raw.startswith(b"O") else 1.0)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -49,7 +50,7 @@ def table(path: Path, values: np.ndarray, unit: str = "") -> Path:
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> LookedRecording:
-    return look.look([table(tmp_path_factory.mktemp("look") / "frame.csv", samples())])
+    return look.look([table(tmp_path_factory.mktemp("look") / "frame.csv", samples())], unit="m/s^2")
 
 
 def doubts(folder: Path, values: np.ndarray, unit: str = "") -> str:
@@ -186,6 +187,26 @@ def test_what_cannot_be_looked_at_is_refused_with_the_mend(tmp_path: Path) -> No
     (tmp_path / "bare.csv").write_text("a1,a2\n" + "0.1,0.2\n" * 3000)
     with pytest.raises(BadInputError, match="--rate"):
         look.look([tmp_path / "bare.csv"])
+
+
+def test_a_record_of_less_than_20_s_is_refused_and_a_longer_one_states_no_interval_of_zero(tmp_path: Path) -> None:
+    whole = samples()
+    with pytest.raises(BadInputError, match=r"is 19 s, too short to state modes; record at least 20 s"):
+        look.look([table(tmp_path / "short.csv", whole[: round(19 * RATE_HZ)])])
+    text = look.in_words(look.look([table(tmp_path / "long.csv", whole[: round(21 * RATE_HZ)])]))
+    assert not re.search(r"± 0\.?0*(\s|$)", text)
+
+
+def test_a_unit_taken_for_granted_is_doubted_with_what_the_level_would_be(tmp_path: Path) -> None:
+    offset = np.array([0.0, 0.0, 1.0])
+    said = doubts(tmp_path, samples(level=0.02) + offset)
+    assert "no unit is stated of d.csv:a1, d.csv:a2, d.csv:a3; taken as m/s^2" in said
+    assert "if they are g, 0." in said
+    assert "the mean of a3 is 1, which is gravity in g" in said
+    for unit, gravity in (("mg", 1000.0), ("m/s^2", 9.81)):
+        assert f"which is gravity in {unit}" in doubts(tmp_path, samples(level=0.02 * gravity) + gravity * offset)
+    assert "no unit" not in doubts(tmp_path, samples(level=0.02), " [g]")
+    assert "no unit" not in doubts(tmp_path, samples(level=0.02), "_g")
 
 
 def test_equal_structures_do_not_differ_and_a_softer_story_does(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, UNIT_OF, Re
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError, MissingInputError, WrongUsageError
-from monitor.runs.importers import can_log, clocks, csv_table, hdf5, mat, npz, seismic, uff, xsens_dot
+from monitor.runs.importers import can_log, clocks, csv_table, hdf5, mat, npz, own_process, seismic, uff, xsens_dot
 from monitor.runs.importers.table import (
     UNITS,
     Array,
@@ -26,9 +26,14 @@ from monitor.runs.importers.table import (
     meant_instead,
     sample_numbers,
     unit_factor,
+    units_in_names,
 )
 
-__all__ = ["ImportedChannel", "acceleration_unit", "import_files"]
+__all__ = ["ImportedChannel", "acceleration_unit", "doubt_unit", "import_files"]
+GRAVITY_TOLERANCE = 0.03
+"""Distance of a mean from 1, relative, within which it may be gravity. [1; judgement: a sensor's offset and its tilt]"""
+_GRAVITY_UNITS = ("m/s^2", "g", "mg", "gal")
+"""Units of which a constant part of the size of gravity tells. [names; as of --unit]"""
 _UNPACKED_BYTES = 1 << 28
 """Most that any archive may unpack to, however small it is. [bytes; as a chunk of an MCAP file, `drivers.mcap_records`]"""
 _UNPACKED_RATIO = 16
@@ -58,6 +63,8 @@ class ImportedChannel:
     """Unit of the column."""
     stated: bool
     """Whether the file states the unit."""
+    by_name: bool
+    """Whether it does so in the column's name."""
     mean: float
     """Mean of the finite readings, in the unit of the topic."""
     rms: float
@@ -83,7 +90,7 @@ def import_files(
     on_warning: OnWarning = lambda _: None,
     on_channel: Callable[[ImportedChannel], None] = lambda _: None,
     unpacked_bytes: int = _UNPACKED_BYTES,
-    hdf5_s: float = hdf5.LEAST_S,
+    reader_s: float = own_process.LEAST_S,
 ) -> RecordingInfo:
     """Write the readings of `files` as one recording, and return the content of the recording.
 
@@ -126,8 +133,8 @@ def import_files(
         Told of each channel that was written; not of those of a CAN log.
     unpacked_bytes
         Most that any archive may unpack to, however small it is.
-    hdf5_s
-        Longest time in which a small HDF5 file is read, s.
+    reader_s
+        Longest time in which a small file is read by a process of its own (HDF5, MAT, MiniSEED, K-NET), s.
 
     Raises
     ------
@@ -170,7 +177,7 @@ def import_files(
             raw = _read(path)
             counts = counts or seismic.holds_counts(raw)
             most = _most_unpacked(raw, unpacked_bytes)
-            tables.append(_to_table(path, raw, most, on_warning, scale, inventory, hdf5_s))
+            tables.append(_to_table(path, raw, most, on_warning, scale, inventory, reader_s))
         if (scale is not None or inventory is not None) and not counts:
             raise BadInputError(
                 f"{', '.join(map(str, files))}: --scale and --inventory are for MiniSEED, and none is here; "
@@ -194,7 +201,13 @@ def import_files(
         # The time of the last sample must fit 64-bit nanoseconds, which a damaged counter violates.
         if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
             raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
-        unit = _unit(chosen, base, unit, ask_unit, on_warning)
+        bare = _without_unit(chosen, base)
+        if unit is not None and not bare:
+            on_warning(
+                f"--unit {unit} is not used: the files state the unit of every column, or --scale and --inventory do"
+            )
+        is_taken = bool(bare) and unit is None and ask_unit is None
+        unit = unit or (ask_unit(bare) if bare and ask_unit is not None else "m/s^2")
         samples = np.column_stack([table.acceleration(column, unit) for table, column in chosen.values()])
         _warn_of_missing(samples, numbers, rate, on_warning)
         streams = {ACCELERATION: (tuple(chosen), samples)}
@@ -213,12 +226,15 @@ def import_files(
         _write(out, streams, rate, numbers, start_ns)
         grounds = {} if base is None else {"ground": base}
         topics = ((ACCELERATION, chosen), (GROUND, grounds), (FORCE, pushed), (ROTATION_RATE, turning))
-        for topic, columns_of in topics:
-            for at, (name, (table, column)) in enumerate(columns_of.items()):
-                readings = streams[topic][1][:, at]
-                stated = table.unit(column)
-                taken = stated or ("N" if topic == FORCE else unit)
-                on_channel(_channel(topic, name, f"{table.path.name}:{column}", taken, bool(stated), readings))
+        taken = [
+            _channel(topic, name, column, streams[topic][1][:, at], unit)
+            for topic, columns_of in topics
+            for at, (name, column) in enumerate(columns_of.items())
+        ]
+        for one in taken:
+            on_channel(one)
+        if is_taken:
+            on_warning(doubt_unit(taken))
         return recording_info(out)
     except OSError as error:
         raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
@@ -226,34 +242,48 @@ def import_files(
         raise BadInputError(str(error)) from error
 
 
-def _channel(topic: str, name: str, source: str, unit: str, stated: bool, readings: Array) -> ImportedChannel:
+def _channel(topic: str, name: str, place: _Column, readings: Array, unit: str) -> ImportedChannel:
+    """Form what is told of a channel; `unit` is that of a column of acceleration whose file states none."""
+    table, column = place
+    stated = table.unit(column)
     finite = readings[np.isfinite(readings)]
     with np.errstate(over="ignore", invalid="ignore"):
         level = (float(finite.mean()), float(finite.std())) if len(finite) else (0.0, 0.0)
     mean, rms = (value if np.isfinite(value) else 0.0 for value in level)
-    return ImportedChannel(topic, name, source, unit, stated, mean, rms)
+    taken = stated or ("N" if topic == FORCE else unit)
+    by_name = bool(stated) and units_in_names([column]) == [stated]
+    return ImportedChannel(topic, name, f"{table.path.name}:{column}", taken, bool(stated), by_name, mean, rms)
 
 
-def _unit(
-    chosen: dict[str, _Column],
-    base: _Column | None,
-    unit: str | None,
-    ask_unit: Callable[[Sequence[str]], str] | None,
-    on_warning: OnWarning,
-) -> str:
-    """Return the unit of the columns whose file states none."""
-    columns = [*chosen.values(), *([] if base is None else [base])]
-    bare = [f"{table.path.name}:{column}" for table, column in columns if not table.unit(column)]
-    if unit is not None and not bare:
-        on_warning(
-            f"--unit {unit} is not used: the files state the unit of every column, or --scale and --inventory do"
+def doubt_unit(channels: Sequence[ImportedChannel]) -> str:
+    """Say what it means that the columns whose file states no unit are taken as m/s^2, and what unit gravity shows.
+
+    Examples
+    --------
+    >>> text = doubt_unit([ImportedChannel("/acceleration", "a1", "a.csv:a1", "m/s^2", False, False, 0.999, 0.02)])
+    >>> text.partition(" (see --unit): ")[2]
+    'the RMS is then up to 0.02 m/s^2 (0.00204 g); if they are g, 0.196 m/s^2; the mean of a1 is 0.999, which is gravity in g'
+    """
+    bare = [one for one in channels if not one.stated and one.topic in (ACCELERATION, GROUND)]
+    rms = max(one.rms for one in bare)
+    text = (
+        f"no unit is stated of {', '.join(one.source for one in bare)}; taken as m/s^2 (see --unit): the RMS is then up to "
+        f"{rms:.3g} m/s^2 ({rms / UNITS['g']:.3g} g{', more than gravity' if rms > UNITS['g'] else ''}); "
+        f"if they are g, {rms * UNITS['g']:.3g} m/s^2"
+    )
+    for one in bare:
+        shown = next(
+            (u for u in _GRAVITY_UNITS if abs(abs(one.mean) * UNITS[u] / UNITS["g"] - 1.0) < GRAVITY_TOLERANCE), None
         )
-    if unit is not None or not bare:
-        return unit or "m/s^2"
-    if ask_unit is not None:
-        return ask_unit(bare)
-    on_warning(f"no unit is stated of {', '.join(bare)}; taken as m/s^2 (see --unit)")
-    return "m/s^2"
+        if shown is not None:
+            return f"{text}; the mean of {one.name} is {one.mean:.4g}, which is gravity in {shown}"
+    return text
+
+
+def _without_unit(chosen: dict[str, _Column], base: _Column | None) -> list[str]:
+    """List the columns whose file states no unit."""
+    columns = [*chosen.values(), *([] if base is None else [base])]
+    return [f"{table.path.name}:{column}" for table, column in columns if not table.unit(column)]
 
 
 def _warn_of_missing(samples: Array, numbers: Ticks, rate_hz: float, on_warning: OnWarning) -> None:
@@ -282,7 +312,7 @@ def _to_table(
     on_warning: OnWarning,
     scale: float | None,
     inventory: Path | None,
-    hdf5_s: float,
+    reader_s: float,
 ) -> Table:
     """Detect the format of a file by its content, and convert it to a table."""
     if raw.startswith(b"LOGG"):
@@ -290,12 +320,12 @@ def _to_table(
     if raw.startswith(MAGIC):
         raise BadInputError(f"{path}: is an MCAP recording already; use it as it is")
     if seismic.is_seismic(raw):
-        return _require_samples(seismic.to_table(path, raw, most, scale, inventory))
+        return _require_samples(seismic.to_table(path, raw, most, scale, inventory, on_warning, reader_s))
     demand_room = partial(_demand_room, path, most=most)
     if hdf5.is_hdf5(raw):
-        return _require_samples(hdf5.to_table(path, raw, most, on_warning, least_s=hdf5_s))
+        return _require_samples(hdf5.to_table(path, most, on_warning, reader_s))
     if raw.startswith(mat.MAGIC) or path.suffix.casefold() == ".mat":
-        return _require_samples(mat.to_table(path, raw, most, demand_room, on_warning))
+        return _require_samples(mat.to_table(path, most, on_warning, reader_s))
     if uff.is_uff(raw):
         demand_room(len(raw) + _LINE_BYTES * raw.count(b"\n"))
         return _require_samples(uff.to_table(path, raw, on_warning))

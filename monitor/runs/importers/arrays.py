@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.runs.importers.table import Array, OnWarning, Table
+from monitor.core import BadInputError
+from monitor.runs.importers.table import TICKS, Array, OnWarning, Table, tick_in_name, units_in_names
 
 AnyArray = NDArray[np.generic]
 VALUE_BYTES = 8
@@ -16,37 +17,52 @@ VALUE_BYTES = 8
 _RATE = ("rate_hz", "fs", "sample_rate_hz", "sample_rate", "samplerate")
 _STEP = ("dt",)
 _TIME = ("t", "time")
-_RESERVED = {"samples", "channels", "unit", *_RATE, *_STEP, *_TIME}
+_RESERVED = {"samples", "channels", "unit", *_RATE, *_STEP}
 
 
 def build_table(
-    path: Path, arrays: Mapping[str, AnyArray], on_warning: OnWarning, units: Mapping[str, str] | None = None
+    path: Path, kind: str, arrays: Mapping[str, AnyArray], on_warning: OnWarning, units: Mapping[str, str]
 ) -> Table:
     """Build a table of arrays.
 
     The readings are `samples` (n, channels), else all vectors and matrices of the same length n, which is that of the time, or
     the longest that there is; the longer side of a matrix is its time, and its columns get the names NAME_1, NAME_2 .. .
-    Besides may stand `rate_hz`, `fs` or `dt`, `t` or `time` (s), `channels` (names) and `unit`, in any case.
+    Besides may stand `rate_hz`, `fs` or `dt`, `t` or `time` (s, or as the name says: `t_ms`), `channels` (names) and `unit`, in
+    any case.
 
     Parameters
     ----------
-    path : Path
-        File, for messages.
+    path, kind : Path, str
+        File and the name of its format, for messages.
     arrays : mapping
         Name -> array; a name may be a path of groups with slashes.
     on_warning : callable
         Shows a warning to the user.
-    units : mapping, optional
+    units : mapping
         Name -> unit that the file states for this array.
 
     Raises
     ------
-    ValueError
+    BadInputError
         If there are no readings, or the arrays do not fit each other.
     """
+    try:
+        return _build(path, arrays, on_warning, units)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise BadInputError(f"{path}: cannot be used as {kind}: {error}") from error
+
+
+def _build(path: Path, arrays: Mapping[str, AnyArray], on_warning: OnWarning, stated: Mapping[str, str]) -> Table:
+    """Build a table of arrays; raise ValueError, TypeError or OverflowError if they do not fit each other."""
     told = {name.rpartition("/")[2].casefold(): array for name, array in arrays.items()}
-    clock = next((_vector(told[name]) for name in _TIME if name in told), None)
-    stated = dict(units or {})
+    clock = next(
+        (
+            _vector(array) * 1e-9 * (tick_in_name(name)[1] or TICKS["s"])
+            for name, array in told.items()
+            if _is_time(name)
+        ),
+        None,
+    )
     if "samples" in told:
         values = np.asarray(told["samples"], dtype=np.float64)
         values = values[:, None] if values.ndim == 1 else values
@@ -67,13 +83,18 @@ def build_table(
     return Table(
         path=path,
         columns=columns,
-        units=tuple(unit or whole for unit in column_units),
+        units=tuple(unit or whole or named for unit, named in zip(column_units, units_in_names(columns), strict=True)),
         values=values,
         default=columns,
         time_ns=time_ns,
         start_ns=int(time_ns[0]) if time_ns is not None and len(time_ns) and time_ns[0] > 10**18 else None,
         rate_hz=_rate_hz(told),
     )
+
+
+def _is_time(name: str) -> bool:
+    """Test whether an array is that of the times, by its own name in lower case."""
+    return tick_in_name(name)[0] in _TIME
 
 
 def _rate_hz(told: Mapping[str, AnyArray]) -> float | None:
@@ -106,7 +127,8 @@ def _readings(
     found: dict[str, Array] = {}
     for name, array in arrays.items():
         numbers = np.issubdtype(array.dtype, np.number) and not np.issubdtype(array.dtype, np.complexfloating)
-        if not numbers or name.rpartition("/")[2].casefold() in _RESERVED or array.ndim not in (1, 2) or array.size < 2:
+        own = name.rpartition("/")[2].casefold()
+        if not numbers or own in _RESERVED or _is_time(own) or array.ndim not in (1, 2) or array.size < 2:
             continue
         column = array[:, None] if array.ndim == 1 else array
         found[name] = np.asarray(column if column.shape[0] >= column.shape[1] else column.T, dtype=np.float64)

@@ -13,7 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from monitor.core import BadInputError, utc_ns
-from monitor.runs.importers.table import Array, OnWarning, Table, Ticks, rotation_factor, unit_factor
+from monitor.runs.importers.table import (
+    TICKS,
+    Array,
+    OnWarning,
+    Table,
+    Ticks,
+    rotation_factor,
+    tick_in_name,
+    unit_factor,
+    units_in_names,
+)
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([ T_]\d{1,2}:\d{2}.*)?")
@@ -21,11 +31,10 @@ _DATE_FORMATS = ("ISO", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%m/%d/%Y %H:%
 _ZONE = re.compile(r"\b(utc|gmt)\b|(z|[+-]\d{2}:?\d{2})$", re.IGNORECASE)
 """Zone of a time, in its heading or behind it. [pattern; ISO 8601]"""
 _HEADER = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
-_TIME = re.compile(r"(t(_[mun]?s)?|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
+_TIME = re.compile(r"(t|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
 _COUNTER = re.compile(r"(|#|index|sample|samples|counter|packetcounter|nr\.?|no\.?|n)", re.IGNORECASE)
 _CHUNK_CELLS = 1 << 15
 """Cells of the rows that are converted to numbers together. [count; cost: they take 3 MB]"""
-_TICKS = {"s": 10**9, "sec": 10**9, "ms": 10**6, "us": 1000, "µs": 1000, "ns": 1, "min": 60 * 10**9}
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +147,7 @@ def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
     if head is not None and (len(rows[head]) == width or rows[head][width:] == [""]):
         header = rows[head][:width]
         header[0] = header[0].lstrip("#% ") or header[0]  # comment mark of numpy.savetxt
-        if any(map(_NUMBER.fullmatch, header)) and not any(map(_TIME.fullmatch, header)):
+        if any(map(_NUMBER.fullmatch, header)) and not any(_TIME.fullmatch(tick_in_name(name)[0]) for name in header):
             bad = next((cell for cell in header if not _NUMBER.fullmatch(cell)), header[0])
             raise BadInputError(f"{path}: line {head + 1}: {bad[:40]!r} is no number")
     preamble, body = tuple(lines[:first]), lines[first:]
@@ -165,8 +174,11 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     parts = [_HEADER.fullmatch(name) for name in cells.header]
     names = [part[1] if part else "" for part in parts] or [f"column{at + 1}" for at in range(width)]
     units = [(part[2] or "") if part else "" for part in parts] or [""] * width
+    units = [
+        unit.strip(" -").removeprefix("in ") or named for unit, named in zip(units, units_in_names(names), strict=True)
+    ]
     dated = [at for at in range(width) if _DATE.fullmatch(first_row[at])]
-    clock = next(iter(dated or [at for at in range(width) if _TIME.fullmatch(names[at])]), None)
+    clock = next(iter(dated or [at for at in range(width) if _TIME.fullmatch(tick_in_name(names[at])[0])]), None)
     time_ns = start_ns = None
     start_text = ""
     if clock in dated and clock is not None:
@@ -220,13 +232,12 @@ def _is_data(row: list[str]) -> bool:
 
 def _tick_column(cells: Cells, column: int, name: str, unit: str) -> Ticks:
     """Convert a column of numbers in a unit of time to ns, shape (n_rows,)."""
-    suffix = name.rpartition("_")[2]
     if name.casefold() == "sampletimefine":
-        tick = 1000
+        tick = TICKS["us"]
     else:
-        tick = _TICKS.get(unit.strip(" -") or suffix.casefold(), 0 if unit.strip(" -") else 10**9)
+        tick = TICKS.get(unit.casefold(), 0) if unit else tick_in_name(name)[1] or TICKS["s"]
     if not tick:
-        raise BadInputError(f"{cells.path}: unknown unit {unit!r} of column {name!r}; known: {', '.join(_TICKS)}")
+        raise BadInputError(f"{cells.path}: unknown unit {unit!r} of column {name!r}; known: {', '.join(TICKS)}")
     seconds = cells.numbers(column)
     if not np.isfinite(seconds).all() or np.abs(seconds).max() > 4e18 / tick:
         bad = int(np.argmax(~np.isfinite(seconds)))

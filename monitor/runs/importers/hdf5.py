@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import os
-import resource
-import subprocess
 import sys
-import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from monitor.core import BadInputError, import_extra
+from monitor.core import import_extra
 from monitor.runs.importers.arrays import VALUE_BYTES, AnyArray, build_table
+from monitor.runs.importers.own_process import demand_room, hand_over, read_apart
 from monitor.runs.importers.table import OnWarning, Table
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -30,12 +25,6 @@ _DEFLATE, _SHUFFLE, _CHECKSUM, _LZF = 1, 2, 3, 32000
 _LZF_RATIO = 132
 """Most that LZF unpacks a byte to. [ratio; definition: two bytes stand for at most 264]"""
 _WORDS = ("unit", "units", "channels")
-_UNITS = "/units of the arrays"
-"""Name of what the process tells besides the arrays; no dataset's name begins with a slash."""
-LEAST_S, _BYTES_PER_S = 120.0, 1e6
-"""Longest time of reading, and bytes of the file for each second more. [s, bytes; judgement]"""
-_PROGRAM_BYTES = 4 << 30
-"""Addresses of the process besides the arrays. [bytes; measured: libraries take some 2 GB]"""
 
 
 def is_hdf5(raw: bytes) -> bool:
@@ -43,19 +32,18 @@ def is_hdf5(raw: bytes) -> bool:
     return any(raw.startswith(MAGIC, at) for at in _USER_BLOCKS)
 
 
-def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning, *, least_s: float = LEAST_S) -> Table:
+def to_table(path: Path, most_bytes: int, on_warning: OnWarning, least_s: float) -> Table:
     """Convert the datasets of a file to a table of at most `most_bytes`.
 
     A dataset's attribute `unit` or `units` is its unit; attributes `rate_hz`, `fs` or `dt` of the file are read too.  What lies
-    in other files (external links and storage, virtual datasets) is never read.  The library runs in a process of its own,
-    because a damaged file may make it wait for ever, crash, or take all memory.
+    in other files (external links and storage, virtual datasets) is never read.
 
     Parameters
     ----------
-    path, raw, most_bytes, on_warning
-        As of `mat.to_table`.
-    least_s : float
-        Longest time of reading a small file, s.
+    path, most_bytes, least_s
+        As of `own_process.read_apart`.
+    on_warning : callable
+        Shows a warning to the user.
 
     Raises
     ------
@@ -65,46 +53,13 @@ def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning, *, 
         The library h5py is not installed.
     """
     import_extra("h5py", f"{path}: HDF5 (MAT 7.3)")
-    with TemporaryDirectory() as folder:
-        out = Path(folder, "arrays.npz")
-        command = [sys.executable, "-m", __name__, str(path), str(out), str(most_bytes)]
-        paths = os.pathsep.join(sys.path)
-        limit_s = least_s + len(raw) / _BYTES_PER_S
-        try:
-            done = subprocess.run(
-                command,
-                capture_output=True,
-                text=True,
-                timeout=limit_s,
-                check=False,
-                env={**os.environ, "PYTHONPATH": paths},
-            )
-        except subprocess.TimeoutExpired:
-            raise BadInputError(f"{path}: damaged HDF5: its reading did not end within {limit_s:.0f} s") from None
-        if done.returncode == BadInputError.exit_code:
-            raise BadInputError(f"{path}: {done.stderr.strip()}")
-        if done.returncode:
-            raise BadInputError(f"{path}: damaged HDF5: its reading failed (exit code {done.returncode})")
-        try:
-            with np.load(out, allow_pickle=False) as archive:
-                arrays: dict[str, AnyArray] = {name: archive[name] for name in archive.files if name != _UNITS}
-                units = json.loads(str(archive[_UNITS]))
-            return build_table(path, arrays, on_warning, units)
-        except (ValueError, TypeError) as error:
-            raise BadInputError(f"{path}: cannot be used as HDF5: {error}") from error
+    arrays, units = read_apart(__name__, "HDF5", path, most_bytes, least_s)
+    return build_table(path, "HDF5", arrays, on_warning, units)
 
 
 def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, str]]:
     """Read the arrays of a file and their units; raise ValueError if they would take more than `most_bytes`."""
     h5py = import_extra("h5py", "HDF5")
-
-    def demand_room(size: int) -> None:
-        if size > most_bytes:
-            raise ValueError(
-                f"would unpack to {size >> 20} MiB or more; at most {most_bytes >> 20} MiB are read: "
-                "cut it into several files"
-            )
-
     with h5py.File(path, "r") as file:
         arrays: dict[str, AnyArray] = {name: np.asarray(value) for name, value in file.attrs.items()}
         units, held = dict[str, str](), 0
@@ -113,8 +68,8 @@ def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, st
             units[name] = told.decode() if isinstance(told, bytes) else str(told)
             if dataset.dtype.kind in "iufb":
                 held += max(VALUE_BYTES, dataset.dtype.itemsize) * dataset.size
-                demand_room(held)
-                _demand_honest_chunks(name, dataset, demand_room)
+                demand_room(held, most_bytes)
+                _demand_honest_chunks(name, dataset, most_bytes)
                 arrays[name] = _words(dataset) if _is_text(dataset) else np.asarray(dataset[()])
             elif name.rpartition("/")[2].casefold() in _WORDS and dataset.size < _MOST_OBJECTS:
                 words = dataset.asstr()[()] if h5py.check_string_dtype(dataset.dtype) else np.empty(0)
@@ -158,7 +113,7 @@ def _words(dataset: Any) -> AnyArray:
     return np.array("".join(chr(code) for code in np.asarray(dataset[()]).ravel()[:80]))
 
 
-def _demand_honest_chunks(name: str, dataset: Any, demand_room: Callable[[int], None]) -> None:
+def _demand_honest_chunks(name: str, dataset: Any, most_bytes: int) -> None:
     """Raise ValueError if a packed chunk unpacks to more than it holds, all of which the library would keep."""
     if dataset.chunks is None:
         return
@@ -168,33 +123,16 @@ def _demand_honest_chunks(name: str, dataset: Any, demand_room: Callable[[int], 
     if strange:
         raise ValueError(f"dataset {name} is packed by filter {strange[0]}; pack it by gzip, or not at all")
     size = int(np.prod(dataset.chunks, dtype=object)) * dataset.dtype.itemsize
-    demand_room(size)
+    demand_room(size, most_bytes)
     for k in range(dataset.id.get_num_chunks()):
         stored = dataset.id.get_chunk_info(k)
         if _LZF in filters:
-            demand_room(_LZF_RATIO * stored.size)
+            demand_room(_LZF_RATIO * stored.size, most_bytes)
         if _DEFLATE in filters and not stored.filter_mask:
             data = dataset.id.read_direct_chunk(stored.chunk_offset)[1]
             if len(zlib.decompressobj().decompress(data, size + 1)) > size:
                 raise ValueError(f"a chunk of dataset {name} unpacks to more than its {size} bytes")
 
 
-def main(path: str, out: str, most_bytes: str) -> int:
-    """Read a file and write its arrays as NPZ (the process that `to_table` starts); return the exit code."""
-    room = 4 * int(most_bytes) + _PROGRAM_BYTES
-    resource.setrlimit(resource.RLIMIT_AS, (room, room))
-    try:
-        arrays, units = read(Path(path), int(most_bytes))
-    except Exception as error:  # noqa: BLE001 - h5py raises whatever a damaged file makes the HDF5 library say
-        print(f"cannot be used as HDF5: {error}", file=sys.stderr)
-        return BadInputError.exit_code
-    content: dict[str, Any] = {**arrays, _UNITS: np.array(json.dumps(units))}
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:  # not np.savez: a dataset may be called `file`
-        for name, array in content.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(hand_over(read, *sys.argv[1:]))

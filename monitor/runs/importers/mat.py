@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import io
 import struct
+import sys
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from monitor.core import BadInputError
 from monitor.runs.importers.arrays import VALUE_BYTES, AnyArray, build_table
+from monitor.runs.importers.own_process import demand_room, hand_over, read_apart
 from monitor.runs.importers.table import OnWarning, Table
 
 MAGIC = b"MATLAB 5.0 MAT-file"
@@ -24,21 +24,13 @@ _WORDS = ("unit", "channels")
 """Variables that may hold words."""
 
 
-def to_table(
-    path: Path, raw: bytes, most_bytes: int, demand_room: Callable[[int], None], on_warning: OnWarning
-) -> Table:
+def to_table(path: Path, most_bytes: int, on_warning: OnWarning, least_s: float) -> Table:
     """Convert the variables of a file to a table of at most `most_bytes`; structures, functions and objects are never read.
 
     Parameters
     ----------
-    path : Path
-        File, for messages.
-    raw : bytes
-        Its content.
-    most_bytes : int
-        Most that the file may unpack to.
-    demand_room : callable
-        Raises BadInputError for more bytes than that.
+    path, most_bytes, least_s
+        As of `own_process.read_apart`.
     on_warning : callable
         Shows a warning to the user.
 
@@ -47,25 +39,27 @@ def to_table(
     BadInputError
         If the file is damaged, would unpack to too much, or its variables do not fit each other.
     """
+    arrays, units = read_apart(__name__, "MAT", path, most_bytes, least_s)
+    return build_table(path, "MAT", arrays, on_warning, units)
+
+
+def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, str]]:
+    """Read the arrays of a file; raise ValueError if they would take more than `most_bytes`, or if there are none."""
     from scipy.io import loadmat, whosmat
 
+    raw = path.read_bytes()
     if raw.startswith(MAGIC):
-        _count_unpacked(path, raw, demand_room)
-    try:
-        listed = [one for one in whosmat(io.BytesIO(raw)) if not one[0].startswith("__")]
-        sizes = {name: int(np.prod(shape, dtype=object)) for name, shape, kind in listed if kind in _NUMBERS}
-        demand_room(VALUE_BYTES * sum(sizes.values()))
-        words = [name for name, _, kind in listed if kind in ("char", "cell") and name.casefold() in _WORDS]
-        content = loadmat(io.BytesIO(raw), variable_names=[*sizes, *words]) if sizes else {}
-        arrays = {name: _plain(np.asarray(content[name])) for name in (*sizes, *words) if name in content}
-        if not arrays:
-            held = ", ".join(f"{name} ({kind})" for name, _, kind in listed) or "nothing"
-            raise ValueError(f"it holds no array of numbers but {held}; save the arrays as variables of their own")
-        return build_table(path, arrays, on_warning)
-    except BadInputError:
-        raise
-    except Exception as error:
-        raise BadInputError(f"{path}: cannot be used as MAT: {error}") from error
+        _count_unpacked(raw, most_bytes)
+    listed = [one for one in whosmat(io.BytesIO(raw)) if not one[0].startswith("__")]
+    sizes = {name: int(np.prod(shape, dtype=object)) for name, shape, kind in listed if kind in _NUMBERS}
+    demand_room(VALUE_BYTES * sum(sizes.values()), most_bytes)
+    words = [name for name, _, kind in listed if kind in ("char", "cell") and name.casefold() in _WORDS]
+    content = loadmat(io.BytesIO(raw), variable_names=[*sizes, *words]) if sizes else {}
+    arrays = {name: _plain(np.asarray(content[name])) for name in (*sizes, *words) if name in content}
+    if not arrays:
+        held = ", ".join(f"{name} ({kind})" for name, _, kind in listed) or "nothing"
+        raise ValueError(f"it holds no array of numbers but {held}; save the arrays as variables of their own")
+    return arrays, {}
 
 
 def _plain(array: AnyArray) -> AnyArray:
@@ -75,19 +69,20 @@ def _plain(array: AnyArray) -> AnyArray:
     return np.array([str(word).strip() for word in array.ravel()]) if array.dtype.kind == "U" else array
 
 
-def _count_unpacked(path: Path, raw: bytes, demand_room: Callable[[int], None]) -> None:
-    """Unpack the elements piece by piece without keeping them, and raise BadInputError if they are too much or damaged."""
+def _count_unpacked(raw: bytes, most_bytes: int) -> None:
+    """Unpack the elements piece by piece without keeping them, and raise ValueError if they are too much."""
     order = "<" if raw[126:128] == b"IM" else ">"
     at, counted = 128, 0
     while at + 8 <= len(raw):
         kind, size = struct.unpack_from(order + "II", raw, at)
         if kind == _COMPRESSED:
             unpack, data = zlib.decompressobj(), raw[at + 8 : at + 8 + size]
-            try:
-                while data and not unpack.eof:
-                    counted += len(unpack.decompress(data, _PIECE_BYTES))
-                    data = unpack.unconsumed_tail
-                    demand_room(counted)
-            except zlib.error as error:
-                raise BadInputError(f"{path}: damaged MAT file: {error}") from error
+            while data and not unpack.eof:
+                counted += len(unpack.decompress(data, _PIECE_BYTES))
+                data = unpack.unconsumed_tail
+                demand_room(counted, most_bytes)
         at += 8 + size
+
+
+if __name__ == "__main__":
+    sys.exit(hand_over(read, *sys.argv[1:]))

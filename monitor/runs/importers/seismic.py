@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import io
+import json
 import re
+import sys
+import warnings
+from collections import Counter
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from monitor.core import BadInputError, MissingInputError, import_extra
-from monitor.runs.importers.table import Array, Table
+from monitor.runs.importers.arrays import VALUE_BYTES
+from monitor.runs.importers.own_process import Arrays, demand_room, hand_over, read_apart
+from monitor.runs.importers.table import Array, OnWarning, Table
 
 _MINISEED = re.compile(rb"[0-9 ]{6}[DRQM][ \0]|MS\x03")
 """Begin of a file: sequence number and quality of the first record, or that of version 3. [text; FDSN]"""
@@ -19,8 +26,8 @@ _NIED = b"Origin Time"
 _UNIT = "m/s^2"
 _SEED_UNIT = "M/S**2"
 """Unit of an accelerometer in StationXML. [text; FDSN]"""
-_VALUE_BYTES = 8
-"""Size of a reading in a table. [bytes; definition: float64]"""
+_NOTES = "notes"
+"""Name under which the process that reads tells what is doubtful of the whole file."""
 
 
 def is_seismic(raw: bytes) -> bool:
@@ -33,7 +40,15 @@ def holds_counts(raw: bytes) -> bool:
     return _MINISEED.match(raw) is not None
 
 
-def to_table(path: Path, raw: bytes, most_bytes: int, scale: float | None, inventory: Path | None) -> Table:
+def to_table(
+    path: Path,
+    raw: bytes,
+    most_bytes: int,
+    scale: float | None,
+    inventory: Path | None,
+    on_warning: OnWarning,
+    least_s: float,
+) -> Table:
     """Convert the traces of a file to a table of at most `most_bytes`, whose columns are named NETWORK.STATION.LOCATION.CHANNEL.
 
     K-NET and KiK-net state their scale, and take no other.  What is missing between records of MiniSEED is NaN.
@@ -44,6 +59,8 @@ def to_table(path: Path, raw: bytes, most_bytes: int, scale: float | None, inven
         m/s^2 of a count of MiniSEED.
     inventory : Path, optional
         StationXML with the sensitivity of each channel, taken as flat.
+    least_s : float
+        As of `own_process.read_apart`.
 
     Raises
     ------
@@ -57,42 +74,66 @@ def to_table(path: Path, raw: bytes, most_bytes: int, scale: float | None, inven
         raise BadInputError(
             f"{path}: MiniSEED holds counts; give --scale M/S^2-A-COUNT or --inventory STATION.xml, one of them"
         )
-    try:
-        stream = obspy.read(io.BytesIO(raw), format="KNET" if is_nied else "MSEED", apply_calib=is_nied)
-    except Exception as error:
-        raise BadInputError(f"{path}: cannot be read as {'K-NET' if is_nied else 'MiniSEED'}: {error}") from error
-    stations = None if inventory is None else _inventory(obspy, inventory)
-    columns, values, t_ns, rate_hz = _joined(path, stream, most_bytes)
+    kind = "K-NET" if is_nied else "MiniSEED"
+    columns, values, t_ns, rate_hz = join(
+        path, *read_apart(__name__, kind, path, most_bytes, least_s, kind), most_bytes, on_warning
+    )
     if not is_nied:
-        factors = [scale or _sensitivity(inventory, stations, name, stream[0].stats.starttime) for name in columns]
-        values = values * np.array(factors)
+        stations = None if inventory is None else _inventory(obspy, inventory)
+        time = obspy.UTCDateTime(ns=t_ns)
+        values = values * np.array([scale or _sensitivity(inventory, stations, name, time) for name in columns])
     clock = t_ns + np.rint(np.arange(len(values)) * (1e9 / rate_hz)).astype(np.int64)
     return Table(path, columns, (_UNIT,) * len(columns), values, columns, clock, None, t_ns, rate_hz)
 
 
-def _joined(path: Path, stream: Any, most_bytes: int) -> tuple[tuple[str, ...], Array, int, float]:
-    """Put the traces of a stream on one clock: names, values of shape (n, c), time of the first in ns, rate in Hz."""
-    stream = [trace for trace in stream if trace.stats.npts]
+def read(path: Path, most_bytes: int, kind: str) -> tuple[Arrays, dict[str, str]]:
+    """Read the traces of a file; of each are told name, rate in Hz and time in ns, and under `_NOTES` what is doubtful."""
+    import obspy
+
+    is_nied = kind == "K-NET"
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        stream = obspy.read(io.BytesIO(path.read_bytes()), format="KNET" if is_nied else "MSEED", apply_calib=is_nied)
+    failed = Counter(str(one.message).partition(",")[0] for one in caught if "MSEED" in one.category.__name__)
+    notes = [f"{what}: {count} records" for what, count in failed.items()]
+    traces = [trace for trace in stream if trace.stats.npts and trace.data.dtype.kind in "iuf"]
+    texts = Counter(trace.id for trace in stream if trace.data.dtype.kind not in "iuf")
+    notes += [f"{name}: {count} records of text are left out" for name, count in texts.items()]
+    told = {
+        str(k): json.dumps([trace.id, float(trace.stats.sampling_rate), int(trace.stats.starttime.ns)])
+        for k, trace in enumerate(traces)
+    }
+    demand_room(VALUE_BYTES * sum(trace.stats.npts for trace in traces), most_bytes)
+    return {str(k): trace.data for k, trace in enumerate(traces)}, {**told, _NOTES: json.dumps(notes)}
+
+
+def join(
+    path: Path, arrays: Arrays, told: dict[str, str], most_bytes: int, on_warning: OnWarning
+) -> tuple[tuple[str, ...], Array, int, float]:
+    """Put traces as `read` tells them on one clock: names, values of shape (n, c), time of the first in ns, rate in Hz."""
+    for note in json.loads(told[_NOTES]):
+        on_warning(f"{path}: {note}")
+    stream = [(*json.loads(told[k]), data) for k, data in arrays.items()]
     if not stream:
         raise BadInputError(f"{path}: holds no samples")
-    names = tuple(dict.fromkeys(trace.id for trace in stream))
-    rates = {float(trace.stats.sampling_rate) for trace in stream}
+    names = tuple(dict.fromkeys(name for name, *_ in stream))
+    rates = {rate for _, rate, *_ in stream}
     if len(rates) != 1:
-        text = ", ".join(f"{trace.id} {trace.stats.sampling_rate:g} Hz" for trace in stream[:20])
+        text = ", ".join(f"{name} {rate:g} Hz" for name, rate, *_ in stream[:20])
         raise BadInputError(f"{path}: channels of several rates ({text}); cut it into a file a rate")
     (rate_hz,) = rates
-    first_ns = min(int(trace.stats.starttime.ns) for trace in stream)
-    last_ns = max(int(trace.stats.endtime.ns) for trace in stream)
-    n = round((last_ns - first_ns) * 1e-9 * rate_hz) + 1
-    if not rate_hz > 0.0 or n * len(names) * _VALUE_BYTES > most_bytes:
+    if not 0.0 < rate_hz < inf:
+        raise BadInputError(f"{path}: states {rate_hz:g} Hz, which is no rate")
+    first_ns = min(begin_ns for _, _, begin_ns, _ in stream)
+    begins = [round((begin_ns - first_ns) * 1e-9 * rate_hz) for _, _, begin_ns, _ in stream]
+    n = max(begin + len(data) for begin, (*_, data) in zip(begins, stream, strict=True))
+    if n * len(names) * VALUE_BYTES > most_bytes:
         raise BadInputError(
             f"{path}: {n} samples from the first record to the last are too many; cut it into several files"
         )
     values = np.full((n, len(names)), np.nan)
-    for trace in stream:
-        at = round((int(trace.stats.starttime.ns) - first_ns) * 1e-9 * rate_hz)
-        data = np.asarray(trace.data, dtype=np.float64)
-        values[at : at + data.size, names.index(trace.id)] = data[: n - at]
+    for begin, (name, _, _, data) in zip(begins, stream, strict=True):
+        values[begin : begin + len(data), names.index(name)] = data
     held = np.flatnonzero(np.isfinite(values).all(axis=1))
     if not held.size:
         raise BadInputError(f"{path}: its channels have no time in common")
@@ -123,3 +164,7 @@ def _sensitivity(path: Path | None, stations: Any, name: str, time: Any) -> floa
             f"{path}: {name} measures {unit}, which is no acceleration; import its accelerometers alone"
         )
     return 1.0 / value
+
+
+if __name__ == "__main__":
+    sys.exit(hand_over(read, *sys.argv[1:]))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from math import radians
@@ -22,6 +24,24 @@ FORCE_UNITS = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605}
 ROTATION_UNITS = {"rad/s": 1.0, "rad/sec": 1.0, "mrad/s": 1e-3, "deg/s": radians(1.0), "°/s": radians(1.0)}
 ROTATION_UNITS |= {"deg/sec": radians(1.0), "dps": radians(1.0), "mdeg/s": radians(1e-3)}
 UNITS |= {"mg": 9.80665e-3, "gal": 1e-2, "cm/s^2": 1e-2, "cm/s2": 1e-2, "mm/s^2": 1e-3, "mm/s2": 1e-3}
+TICKS = {
+    "s": 10**9,
+    "sec": 10**9,
+    "ms": 10**6,
+    "msec": 10**6,
+    "us": 1000,
+    "\u03bcs": 1000,
+    "usec": 1000,
+    "ns": 1,
+    "min": 60 * 10**9,
+}
+_SPELT = {"m_s2": "m/s^2", "m_s_2": "m/s^2", "ms2": "m/s^2", "mps2": "m/s^2", "cm_s2": "cm/s^2", "mm_s2": "mm/s^2"}
+_SPELT |= {"rad_s": "rad/s", "mrad_s": "mrad/s", "deg_s": "deg/s", "kn": "kN", "lbf": "lbf"}
+"""How names write units in which a stroke or a power is no letter; no N alone, which is north."""
+_BEHIND = r"(.+?)[\s_/:.,-]+(?:in[\s_]+)?({})"
+"""A name, and a unit behind it. [pattern]"""
+_UNIT_BEHIND = re.compile(_BEHIND.format("|".join(map(re.escape, (*UNITS, *ROTATION_UNITS, *_SPELT)))), re.IGNORECASE)
+_TICK_BEHIND = re.compile(_BEHIND.format("|".join(TICKS)), re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -131,6 +151,38 @@ def meant_instead(name: str, known: Iterable[str]) -> str:
     """
     near = get_close_matches(name, list(known), 1)
     return f", did you mean {near[0]!r}?" if near else ""
+
+
+def units_in_names(names: Sequence[str]) -> list[str]:
+    """Return the unit that each column's name ends with; empty where it ends with none.
+
+    A single letter is no unit where another column's name differs in that letter alone.
+
+    Examples
+    --------
+    >>> units_in_names(["ax_g", "acc_y_mg", "Accel in g", "roof", "a_m_s2"]), units_in_names(["ch_f", "ch_g"])
+    (['g', 'mg', 'g', '', 'm/s^2'], ['', ''])
+    """
+    found = [_UNIT_BEHIND.fullmatch(name.strip()) for name in names]
+    shared = Counter(name.strip()[:-1] for name in names)
+    return [
+        ""
+        if match is None or (len(match[2]) == 1 and shared[match[0][:-1]] > 1)
+        else _SPELT.get(match[2].casefold(), match[2])
+        for match in found
+    ]
+
+
+def tick_in_name(name: str) -> tuple[str, int | None]:
+    """Split a name of a time into what stands before its unit, and the unit, ns; None where it ends with none.
+
+    Examples
+    --------
+    >>> tick_in_name("time_ms"), tick_in_name("t in us"), tick_in_name("timestamp")
+    (('time', 1000000), ('t', 1000), ('timestamp', None))
+    """
+    match = _TICK_BEHIND.fullmatch(name.strip().casefold())
+    return (name, None) if match is None else (match[1], TICKS[match[2]])
 
 
 def unit_factor(unit: str) -> float | None:
