@@ -946,11 +946,11 @@ def test_a_replay_that_judged_nothing_says_so_and_why(site: Site, tmp_path: Path
     values = np.zeros_like(site.values(25))
     done = site.main("replay", site.write("dead.mcap", values), "--structure", site.quick, "--out", tmp_path / "o")
     assert done.returncode == 0
-    assert "channel a2 does not move" in done.stdout
+    assert "no reading changes: the logger is dead, or nothing moves by the channels' resolution" in done.stdout
     assert "no alarm" not in done.stdout
     summary = summary_of(tmp_path / "o")
-    why = "; ".join(f"channel a{i} does not move" for i in (1, 2, 3))
-    assert summary["skip_reasons"] == {why: summary["windows"]}
+    (why,) = summary["skip_reasons"]
+    assert why.startswith("no reading changes") and summary["skip_reasons"][why] == summary["windows"]
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan])

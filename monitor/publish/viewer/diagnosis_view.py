@@ -90,9 +90,9 @@ def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
         name = rr.escape_entity_path_part(channel)
         series = (("measured", _MEASURED, c.measured), ("before", _BEFORE, c.before), ("after", _AFTER, c.after))
         for what, colour, values in series:
-            line(f"/spectra/{name}/{what}", what, colour, c.hz, 10.0 * np.log10(values[i]))
+            line(f"/spectra/{name}/{what}", what, colour, c.hz, 10.0 * np.log10(np.maximum(values[i], 1e-300)))
         for what, colour, ratio in (("before", _BEFORE, c.ratio_before), ("after", _AFTER, c.ratio_after)):
-            line(f"/ratios/{name}/{what}", what, colour, c.ratio_hz, 10.0 * np.log10(ratio[i]))
+            line(f"/ratios/{name}/{what}", what, colour, c.ratio_hz, 10.0 * np.log10(np.maximum(ratio[i], 1e-300)))
     for what, colour, z in (("before", _BEFORE, c.z_before), ("after", _AFTER, c.z_after)):
         line(f"/worst/{what}", what, colour, c.band_hz, np.abs(z).max(axis=(1, 2)))
     line("/worst/limit", "misfit from here", GREY, c.band_hz, np.full(c.band_hz.size, c.limit))

@@ -142,9 +142,8 @@ def _welch_power(values: Array, rate_hz: float) -> tuple[Array, Array]:
     # Single precision is enough for a picture.
     segments = np.lib.stride_tricks.sliding_window_view(values.astype(np.float32), n, axis=0)[:: n // 2]
     spectra = np.fft.rfft((segments - segments.mean(axis=-1, keepdims=True)) * taper(n).astype(np.float32))
-    return np.asarray(np.arange(n // 2 + 1) * (rate_hz / n), dtype=float), np.asarray(
-        (spectra.real**2 + spectra.imag**2).mean(axis=0).T * (2.0 / rate_hz)
-    )
+    power = (spectra.real**2 + spectra.imag**2).mean(axis=0, dtype=float).T * (2.0 / rate_hz)
+    return np.asarray(np.arange(n // 2 + 1) * (rate_hz / n), dtype=float), np.asarray(power)
 
 
 def _scale_to_lane(hz: Array, power: Array, top_db: float, lane: int) -> Array:
