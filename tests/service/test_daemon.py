@@ -490,11 +490,11 @@ def test_a_state_is_no_present_one_once_data_are_late_by_two_hops_or_half_a_minu
         """The clock runs while the source is silent, then data come again."""
         *most, last = cut(record, RATE)
         yield from most
-        step_s = patience_s - 2.0
+        step_s, rounds = patience_s - 2.0, 5000  # of the clock's readings: first until all that waits is taken
         while not said[-1][1].headline.startswith("No data") and seconds[0] < 1e3:
-            seconds[0], step_s = seconds[0] + step_s, 1.0
             before = reads[0]
-            until(lambda before=before: reads[0] > before + 300, "the loop has gone round several times")
+            until(lambda before=before, n=rounds: reads[0] > before + n, "the loop has gone round several times")
+            seconds[0], step_s, rounds = seconds[0] + step_s, 1.0, 300
             yield None
         late_s, late = said[-1]
         assert patience_s <= late_s <= patience_s + 3.0
