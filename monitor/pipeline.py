@@ -11,6 +11,7 @@ import numpy as np
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from monitor.config import Configuration
 from monitor.core import (
+    CLOCK,
     GAP,
     Array,
     BadInputError,
@@ -436,7 +437,7 @@ class Pipeline:
         """Return the result of a window without damage index: the alarm is unchanged."""
         stated, stamped = rates_hz = self._rates_hz()
         if skipped.reason == GAP and self.state.align.is_at_odds:
-            skipped = Skipped(f"the clock and the stated rate are at odds ({stamped:.5g} Hz and {stated:g} Hz)")
+            skipped = Skipped(f"{CLOCK} ({stamped:.5g} Hz and {stated:g} Hz)")
         alarms, verdict = self.judge.hold(self.state.alarm, t_end_ns)
         self.state = replace(self.state, alarm=alarms)
         covariates = self._covariates(t_end_ns)

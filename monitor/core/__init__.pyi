@@ -19,6 +19,7 @@ from .optimization import levenberg_marquardt
 from .parallel import parallel_map
 from .parse import parse_address, parse_json, utc, utc_ns
 from .results import (
+    CLOCK,
     GAP,
     STILL,
     STRONG_MOTION,
@@ -45,6 +46,7 @@ from .results import (
 from .settings import Settings, read_settings, settings_problems
 
 __all__ = [
+    "CLOCK",
     "GAP",
     "STILL",
     "STRONG_MOTION",

@@ -51,6 +51,7 @@ class AlarmCondition(StrEnum):
 
 GAP = "gap in the data"
 STILL = "no reading changes"
+CLOCK = "the clock and the stated rate are at odds"
 STRONG_MOTION = "strong motion, which is told as an event or was a short disturbance of all floors"
 
 

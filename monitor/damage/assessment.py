@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import (
+    CLOCK,
     STILL,
     STRONG_MOTION,
     WHOLE,
@@ -630,6 +631,8 @@ def _clock(course: Course, known: Known, clocks: Sequence[tuple[str, float, floa
     widened = 0.0 if judged is None else clock_error(judged.rates_hz, known.clock_ratio, modal=modal)
     seen = [] if judged is None else [loss for loss in judged.detectable or () if loss is not None]
     least = max(seen) - widened if seen else known.seen_from
+    if last is not None and (last.skipped or "").startswith(CLOCK):  # it lets no window be judged
+        least = 0.0
     stated, stamped = (1.0, known.clock_ratio) if last is None or last.rates_hz is None else last.rates_hz
     found = [("by their timestamps", stamped / stated, 0.0)]
     found += [(f"by the clock of this machine ({node})", ratio, std) for node, ratio, std in clocks]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.base import UNIT_OF, SampleBlock
-from monitor.core import Array, BadInputError, Gap
+from monitor.core import CLOCK, Array, BadInputError, Gap
 from monitor.signals.stream_clock import StreamClock
 
 _MAX_CLOCK_OFFSET_S = 1.0
@@ -195,7 +195,7 @@ def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) ->
         state = replace(state, dropped=state.dropped + known, late=state.late + known)
         return _place(state, block, values[known:], offset + known)
     if follows:
-        reason = f"the clock and the stated rate are at odds: {offset_ns * 1e-9:+.3f} s in {state.n_run / rate:.0f} s"
+        reason = f"{CLOCK}: {offset_ns * 1e-9:+.3f} s in {state.n_run / rate:.0f} s"
     elif sequence > state.next_sequence and jump_s > 0:
         reason = f"{sequence - state.next_sequence} samples missing"
     else:

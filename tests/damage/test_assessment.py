@@ -247,7 +247,7 @@ def test_a_rate_that_the_driver_measures_is_a_doubt_unless_it_is_unsure_or_data_
 
 
 def test_a_clock_that_lets_no_window_be_judged_is_a_doubt() -> None:
-    odds = replace(WELL, skipped="the clock and the stated rate are at odds (90 Hz and 100 Hz)", rates_hz=(100.0, 90.0))
+    odds = replace(WELL, skipped="the clock and the stated rate are at odds (98 Hz and 100 Hz)", rates_hz=(100.0, 98.0))
     assert said(*[odds] * 50).state is State.DOUBTFUL
 
 
