@@ -4,25 +4,30 @@
 
 Frames of two to six floors, three to nine minutes in blocks of any length, by day or in a night whose motion ends near the
 resolution of the sensors; a clock some parts in a million off, stamps with jitter, gaps of up to two seconds, and a restart after
-which the last 200 s of blocks come again.  What is said is compared with the same record without gaps and restart.
+which the last 200 s of blocks come again.  The same record goes through the daemon, whose clock follows the data.
 """
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import tomlkit
 
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import Configuration
 from monitor.core import WindowResult
+from monitor.damage import Assessment, Baseline, save_baseline
 from monitor.model import simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.runs import Session
+from monitor.service import Daemon, outlets
 from tests.support.campaign import each, words
 from tests.support.learned import baseline_of, configured
+from tests.support.site import SITE, Scripted
 
 T0_NS = 1_767_225_600_000_000_000
 SAYINGS = ("no reading", "logger", "timestamps", "at odds", "no data", "saturated", "possibly")
@@ -90,6 +95,44 @@ def said(results: list[Result], session: Session) -> Iterator[str]:
     yield from session.present.doubts
 
 
+class States(outlets.Outlet):
+    """Keeps every state that the daemon publishes."""
+
+    def __init__(self) -> None:
+        self.said: set[str] = set()
+
+    def state(self, assessment: Assessment) -> None:
+        self.said |= {assessment.headline, *assessment.doubts}
+
+
+def live(one: Record, baseline: Baseline | None) -> set[str]:
+    """Push a record through the daemon, whose clock is at the latest block's time, and return all that its states say."""
+    now_s, told = [0.0], States()
+
+    def come() -> Iterator[SampleBlock]:
+        for block in one.blocks:
+            now_s[0] = (block.t_ns - T0_NS) * 1e-9
+            yield block
+
+    with tempfile.TemporaryDirectory() as folder:
+        site, tables = (
+            Path(folder) / "site.toml",
+            one.site.model_dump(include={"processing", "selection"}, exclude_unset=True),
+        )
+        structure = one.site.structure.model_dump(include={"kind", "masses_kg", "stiffness_n_per_m", "damping_ratio"})
+        tables |= {
+            "structure": structure,
+            "sensors": [s.model_dump(include={"channel", "floor"}) for s in one.site.sensors],
+        }
+        site.write_text(SITE + tomlkit.dumps(tables))
+        if baseline is not None:
+            save_baseline(baseline, site.with_name("healthy.json"))
+            site.write_text(site.read_text().replace('name = "bench"', 'name = "bench"\nbaseline = "healthy.json"'))
+        Daemon(site, Scripted(come()), [told], clock=lambda: now_s[0], tick_s=0.001).run()
+    assert told.said
+    return told.said
+
+
 def trial(seed: int) -> tuple[str, list[str]]:
     """Tell what the record is, and what was said that should not have been."""
     one = record(seed)
@@ -107,6 +150,7 @@ def trial(seed: int) -> tuple[str, list[str]]:
     more = [r for b in one.blocks[first:] for r in again.push(b)]
     spoken += said(more, again)
     repeated = windows & {r.index for r in more if isinstance(r, WindowResult)}
+    spoken += live(one, baseline)
     wrong = sorted({text for text in spoken if any(word in text.lower() for word in SAYINGS)})
     wrong += [f"windows {sorted(repeated)} came twice"] if repeated else []
     what = f"seed {seed}: {len(one.site.channels)} floors, {one.rate_hz:g} Hz, {'quiet' if one.quiet else 'day'}, {one.gaps} gaps"
