@@ -10,14 +10,14 @@ which the last 200 s of blocks come again.  The same record goes through the dae
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import tomlkit
 
-from drivers.base import ACCELERATION, SampleBlock
+from drivers.base import ACCELERATION, SampleBlock, Source
 from monitor.config import Configuration
 from monitor.core import WindowResult
 from monitor.damage import Assessment, Baseline, save_baseline
@@ -95,6 +95,14 @@ def said(results: list[Result], session: Session) -> Iterator[str]:
     yield from session.present.doubts
 
 
+def learned(one: Record) -> Baseline | None:
+    """Learn the baseline of a record's own windows with all modes; None where it has none."""
+    pipeline, n = Pipeline(one.site), len(one.site.channels)
+    windows = [r for b in one.blocks for r in pipeline.push(b) if isinstance(r, WindowResult)]
+    usable = [r for r in windows if r.modes is not None and len(r.modes.model_mode) == n]
+    return baseline_of(one.site, usable) if usable else None
+
+
 class States(outlets.Outlet):
     """Keeps every state that the daemon publishes."""
 
@@ -105,7 +113,9 @@ class States(outlets.Outlet):
         self.said |= {assessment.headline, *assessment.doubts}
 
 
-def live(one: Record, baseline: Baseline | None) -> set[str]:
+def live(
+    one: Record, baseline: Baseline | None, source: Callable[[Iterator[SampleBlock]], Source] = Scripted
+) -> set[str]:
     """Push a record through the daemon, whose clock is at the latest block's time, and return all that its states say."""
     now_s, told = [0.0], States()
 
@@ -128,7 +138,7 @@ def live(one: Record, baseline: Baseline | None) -> set[str]:
         if baseline is not None:
             save_baseline(baseline, site.with_name("healthy.json"))
             site.write_text(site.read_text().replace('name = "bench"', 'name = "bench"\nbaseline = "healthy.json"'))
-        Daemon(site, Scripted(come()), [told], clock=lambda: now_s[0], tick_s=0.001).run()
+        Daemon(site, source(come()), [told], clock=lambda: now_s[0], tick_s=0.001).run()
     assert told.said
     return told.said
 
@@ -136,10 +146,7 @@ def live(one: Record, baseline: Baseline | None) -> set[str]:
 def trial(seed: int) -> tuple[str, list[str]]:
     """Tell what the record is, and what was said that should not have been."""
     one = record(seed)
-    healthy = Pipeline(one.site)
-    learned = [r for b in one.blocks for r in healthy.push(b) if isinstance(r, WindowResult)]
-    usable = [r for r in learned if r.modes is not None and len(r.modes.model_mode) == len(one.site.channels)]
-    baseline = baseline_of(one.site, usable) if usable else None
+    baseline = learned(one)
     session = Session(one.site, baseline, (), None, Path())
     results = [r for b in one.blocks[: one.restart] for r in session.push(b)]
     spoken = list(said(results, session))
