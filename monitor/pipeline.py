@@ -336,12 +336,13 @@ class Pipeline:
         """Process one complete window: identification, comparison with the reference, alarm."""
         c = self.config
         begin_ns = item.t_end_ns - round(item.window_s * 1e9)
-        # Neither tells which channels are well.
-        untold = stillness.check(self.state.still, begin_ns, item.t_end_ns) or stage.skipped(
-            self.state.events, item.t_end_ns, item.window_s, c.events
-        )
-        if untold is not None:
-            return self._skip(item.index, item.t_end_ns, item.window_s, untold, item.rms_m_s2)
+        # Neither tells which channels are well, nor a dead logger the level of motion.
+        still = stillness.check(self.state.still, begin_ns, item.t_end_ns)
+        if still is not None:
+            return self._skip(item.index, item.t_end_ns, item.window_s, still)
+        strong = stage.skipped(self.state.events, item.t_end_ns, item.window_s, c.events)
+        if strong is not None:
+            return self._skip(item.index, item.t_end_ns, item.window_s, strong, item.rms_m_s2)
         in_use, left_out = self._choose_channels(item)
         if not in_use:
             # The level of motion is not known either.

@@ -392,7 +392,7 @@ class WindowResult:
     alarm: Alarm
     skipped: Skipped | None
     rms_m_s2: float | None = None
-    """Response level, m/s^2, mean over channels; None for a window with a gap."""
+    """Response level, m/s^2, mean over channels; None for a window with a gap, or in which no reading changed for a while."""
     temperature: Temperature | None = None
     """Temperature of the window; None without a temperature channel, or where the newest reading is too old."""
     mode_tracks: tuple[int, ...] = ()

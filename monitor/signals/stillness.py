@@ -130,7 +130,7 @@ def check(state: StillState, begin_ns: int, end_ns: int) -> Skipped | None:
     least = log(FALSE_RATE_A_SPAN / n) / log(max(s.chance for s in inside))
     if last.lasting > least:
         notes = [f"since {utc(last.t_end_ns - last.lasting / last.rate_hz * 1e9)} UTC"]
-        notes += [f"it is {last.resolution:.2g} m/s^2"] if isfinite(last.resolution) else []
+        notes += [f"resolution {last.resolution:.2g} m/s^2"] if isfinite(last.resolution) else []
         words = f"{STILL}: the logger is dead, or nothing moves by the channels' resolution"
         return Skipped(f"{words} ({'; '.join(notes)})")
     longest = max(inside, key=lambda s: s.hold / s.rate_hz)

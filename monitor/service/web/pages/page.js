@@ -147,7 +147,7 @@ function showState() {
     ["Data until", status.t_ns || status.latest ? `${utc(status.t_ns || status.latest.t_end_ns, true)} UTC` : "no data yet"],
     ["Last data", known(status.data_age_s) ? `${span(status.data_age_s)} ago` : "none in this run"],
     ["Windows", known(status.windows) ? `${status.windows}, ${status.skipped} not judged` : "–"],
-    ["Latest window", status.latest ? (status.latest.skipped ? `not judged: ${status.latest.skipped}` : "judged") : "none yet"],
+    ["Latest window", status.latest ? (status.latest.skipped ? `not judged: ${status.latest.skipped.split(/[:;(]/)[0].trim()}` : "judged") : "none yet"],
     ["Monitor", known(status.uptime_s) ? `${status.monitor}, up ${span(status.uptime_s)}` : status.monitor],
     ["Disk free", known(status.disk_free_bytes) ? `${(status.disk_free_bytes / 2 ** 30).toFixed(0)} GiB` : "–"],
     ["Parts that fail", status.troubles.length ? status.troubles.join("; ") : "none", status.troubles.length > 0],
