@@ -21,7 +21,7 @@ from monitor.damage import alarm
 from monitor.identification import SelectionSettings
 from monitor.model import MatrixStructure, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline, Result
-from monitor.publish import Summary, to_json, window_line
+from monitor.publish import Summary, facts_of_line, to_json, window_line
 from monitor.runs import calibrate, cut_into_blocks
 from tests.support import results
 from tests.support.learned import baseline_of, configured, learned, results_of
@@ -550,7 +550,7 @@ def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_it
             if window.skipped is not None:
                 assert words is not None and words in window.skipped.reason
                 assert "mode 3 (5.67 Hz by the model)" in window.skipped.reason
-                summary.window(window, misfit=5.0)
+                summary.window(window, facts_of_line(window_line(window)), misfit=5.0)
     content = summary.content(1.0, drawn.frequencies_hz.tolist())
     assert content["skipped"] == content["windows"] == 2
     assert content["model_modes"] == [1, 2, 4, 5]

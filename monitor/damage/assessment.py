@@ -14,19 +14,13 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
-import numpy as np
-
 from monitor.core import (
     CLOCK,
     STILL,
     STRONG_MOTION,
     WHOLE,
-    AlarmCondition,
-    DamageReading,
     Level,
-    ModalReading,
     Skipped,
-    WindowResult,
     utc,
 )
 from monitor.damage.detectable_loss import WITHIN_S, clock_error
@@ -230,103 +224,6 @@ class Assessment:
     def content(self) -> dict[str, Any]:
         """The keys of summary.json."""
         return {"state": self.state.value, "headline": self.headline, "doubts": list(self.doubts)}
-
-
-def facts_of(result: WindowResult) -> WindowFacts:
-    """Collect what the state needs of a window's result."""
-    alarm, damage = result.alarm, result.damage
-    if result.modal is not None:
-        return _of_modes(result, result.modal)
-    shelved = tuple(j for j, condition in alarm.conditions.items() if condition is AlarmCondition.SHELVED)
-    losses = {} if damage is None else {story: _reading(damage, story) for story in alarm.active}
-    detectable = None
-    if result.detectable_loss is not None:
-        detectable = tuple(float(v) if np.isfinite(v) else None for v in result.detectable_loss)
-    return WindowFacts(
-        result.t_end_ns,
-        result.window_s,
-        None if result.skipped is None else result.skipped.reason,
-        dict(alarm.active),
-        losses,
-        shelved,
-        detectable,
-        None if result.stiffness is None else result.stiffness.misfit,
-        result.rms_m_s2,
-        () if damage is None else tuple(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True)),
-        tuple((gone.channel, gone.reason) for gone in result.left_out),
-        rates_hz=result.rates_hz,
-    )
-
-
-def _of_modes(result: WindowResult, modal: ModalReading) -> WindowFacts:
-    """Collect what the state needs of a window of modes alone."""
-    shape, shape_std = modal.largest_shape_change()
-    sizes = np.concatenate([np.expm1(modal.ln_frequency), shape])
-    stds = np.concatenate([modal.ln_frequency_std, shape_std])
-    return modal_facts(
-        result.t_end_ns,
-        result.window_s,
-        dict(result.alarm.active),
-        [(s, d) if np.isfinite(s) else (None, None) for s, d in zip(sizes.tolist(), stds.tolist(), strict=True)],
-        tuple(j for j, condition in result.alarm.conditions.items() if condition is AlarmCondition.SHELVED),
-        None if result.detectable_loss is None else result.detectable_loss.tolist(),
-        result.rms_m_s2,
-        tuple((gone.channel, gone.reason) for gone in result.left_out),
-        result.rates_hz,
-    )
-
-
-def modal_facts(
-    t_end_ns: int,
-    window_s: float,
-    active: dict[int, Level],
-    sizes: Sequence[tuple[float | None, float | None]],
-    shelved: tuple[int, ...],
-    detectable: Sequence[float | None] | None,
-    rms_m_s2: float | None,
-    left_out: tuple[tuple[str, str], ...],
-    rates_hz: tuple[float, float] | None,
-) -> WindowFacts:
-    """Make the facts of a judged window of modes alone.
-
-    Parameters
-    ----------
-    sizes : sequence
-        Change of each mode's frequency, then of each shape, with its standard deviation; None where it was not seen.
-    detectable : sequence of float or None
-        Smallest change of each frequency that would have been seen.
-    """
-    n_modes = len(sizes) // 2
-    frequencies = [(size, std) for size, std in sizes[:n_modes] if size is not None and std is not None]
-    losses: dict[int, tuple[float, float, float | None]] = {}
-    for part in active:
-        size, std = (
-            min(frequencies, key=lambda s: abs(s[0]), default=(None, None)) if part == WHOLE else sizes[part - 1]
-        )
-        if size is not None and std is not None:
-            losses[part] = size, std, None
-    seen = [None if v is None or not np.isfinite(v) else float(v) for v in detectable or ()]
-    return WindowFacts(
-        t_end_ns,
-        window_s,
-        None,
-        active,
-        losses,
-        shelved,
-        None if detectable is None else tuple(seen),
-        None,
-        rms_m_s2,
-        tuple(frequencies),
-        left_out,
-        modal=True,
-        rates_hz=rates_hz,
-    )
-
-
-def _reading(damage: DamageReading, story: int) -> tuple[float, float, float | None]:
-    """Return a story's damage index, its standard deviation and the stiffness lost in N/m; `WHOLE`: of what lost least."""
-    j = int(damage.ddi.argmin()) if story == WHOLE else story - 1
-    return float(damage.ddi[j]), float(damage.ddi_std[j]), float(damage.loss_n_per_m[j])
 
 
 def follow(course: Course, window: WindowFacts, misfit: float) -> Course:

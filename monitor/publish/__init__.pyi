@@ -15,11 +15,10 @@ from .results.lines import (
     read_line,
     replay_text,
     to_json,
-    window_line,
 )
 from .results.recorded_time import between_recordings, reaches_between, recorded_stretches
-from .results.schema import LINE_SCHEMA
 from .results.summary import Quality, Summary, episode_content
+from .results.window_fields import KEPT, LINE_SCHEMA, SHOWN, Kind, window_line
 from .viewer.diagnosis_view import write_view
 from .viewer.event_motion import write_motion
 from .viewer.output import Output
@@ -29,9 +28,12 @@ from .viewer.scene import make_modal_scene, make_scene, utc
 __all__ = [
     "EVENTS",
     "G_M_S2",
+    "KEPT",
     "LINE_SCHEMA",
+    "SHOWN",
     "WINDOWS_SCHEMA",
     "EventPage",
+    "Kind",
     "LinesFile",
     "LookedBand",
     "LookedMode",

@@ -33,7 +33,16 @@ from monitor.damage import (
 )
 from monitor.events import Event, EventAlarm
 from monitor.pipeline import Pipeline, PipelineState, Result
-from monitor.publish import Publisher, Quality, Summary, event_line, reaches_between, to_json, window_line
+from monitor.publish import (
+    Publisher,
+    Quality,
+    Summary,
+    event_line,
+    facts_of_line,
+    reaches_between,
+    to_json,
+    window_line,
+)
 from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.online_diagnosis import FINDING_KEYS, BlockStore, OnlineDiagnosis, OnlineDiagnosisState
 from monitor.signals import Health, HealthState, sensor_health
@@ -332,9 +341,10 @@ class Session:
             for publisher in self._publishers:
                 publisher.event(result, line)
         else:
-            self._count(result)
+            content = window_line(result)
+            self._count(result, facts_of_line(content))
             self._publish_state()
-            line = to_json(window_line(result))
+            line = to_json(content)
             for publisher in self._publishers:
                 publisher.window(result, line)
             self.online_diagnosis.window(result)
@@ -349,7 +359,7 @@ class Session:
         found |= {c.channel: "gives no numbers" for c in health.channels if c.lost == 1.0}
         self._aside_faults = tuple((name, found[name].partition(" (")[0]) for name in names if name in found)
 
-    def _count(self, result: WindowResult) -> None:
+    def _count(self, result: WindowResult, facts: WindowFacts) -> None:
         """Count a window in the summary, unless it was not due."""
         window_s, misfit = self.config.processing.window_s, self.config.watch.misfit
         if result.skipped is not None and reaches_between(result.t_end_ns, window_s, self._between):
@@ -357,4 +367,4 @@ class Session:
             return
         for index in sorted(i for i in self.stated if i < result.index):  # their samples were lost with that run
             self._summary.course = follow(self._summary.course, self.stated.pop(index), misfit)
-        self._summary.window(result, misfit, self.stated.pop(result.index, None))
+        self._summary.window(result, facts, misfit, self.stated.pop(result.index, None))

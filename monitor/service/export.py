@@ -9,16 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from monitor.core import WrongUsageError, demand_place, finish, parse_json, partial, require_extra
+from monitor.publish import KEPT, Kind
 from monitor.service import line_protocol, universal_file
 from monitor.service.run_tables import MODES, open_table
 
 _BATCH = 20_000
 _TIME = {"windows": "t_end_ns", "alarms": "t_first_ns", MODES: "t_end_ns"}
 """Table -> column of the time by which its rows are ordered; other tables use `t_ns`."""
-_LISTS = (
-    *("frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "ddi", "ddi_std", "loss_n_per_m"),
-    *("frequency_change", "frequency_change_std"),
-)
+_LISTS = tuple(field.key for field in KEPT if field.kind is Kind.NUMBERS)
 _SHAPES = ("shape_re", "shape_im")
 _LISTS_OF = {"windows": _LISTS, MODES: _SHAPES}
 """Table -> columns that hold lists."""

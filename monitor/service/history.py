@@ -20,6 +20,7 @@ from typing import Any
 from monitor.config import StateSettings
 from monitor.core import Busy
 from monitor.core import set_aside as rename_aside
+from monitor.publish import KEPT, Kind
 from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
@@ -28,12 +29,10 @@ VERSION = 1
 """Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES`."""
 UPGRADES: Mapping[int, str] = {}
 """Version -> SQL that upgrades a database of that version to the next version."""
+_SQL = {Kind.INTEGER: "INTEGER NOT NULL", Kind.LENGTH: "REAL", Kind.NUMBER: "REAL"}
+"""Kind of a window's field -> type of its column; all else is text, lists as JSON. [none; definition]"""
 _SCHEMA = """
-CREATE TABLE windows (
-    id INTEGER PRIMARY KEY, t_end_ns INTEGER NOT NULL, window INTEGER NOT NULL, window_s REAL, level TEXT, skipped TEXT,
-    temperature_degc REAL, misfit REAL, frequencies_hz TEXT, frequencies_std_hz TEXT, damping_ratio TEXT, damping_std TEXT,
-    ddi TEXT, ddi_std TEXT, loss_n_per_m TEXT, state TEXT, frequency_change TEXT, frequency_change_std TEXT,
-    UNIQUE (t_end_ns, window));
+CREATE TABLE windows (id INTEGER PRIMARY KEY, {windows}, level TEXT, state TEXT, UNIQUE (t_end_ns, window));
 CREATE TABLE alarms (
     id INTEGER PRIMARY KEY, story INTEGER NOT NULL, t_first_ns INTEGER NOT NULL, t_last_ns INTEGER, level TEXT,
     ddi REAL, ddi_std REAL, loss_n_per_m REAL, change REAL, change_std REAL, UNIQUE (story, t_first_ns));
@@ -48,7 +47,7 @@ CREATE TABLE health (
     id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL UNIQUE, rate_hz REAL, samples INTEGER, availability REAL, gaps INTEGER,
     lost_s REAL, overlaps INTEGER, channels TEXT);
 CREATE TABLE thinned (name TEXT PRIMARY KEY, id INTEGER NOT NULL);
-"""
+""".format(windows=", ".join(f"{field.key} {_SQL.get(field.kind, 'TEXT')}" for field in KEPT))
 TABLES = ("windows", "alarms", "requests", "findings", "gaps", "health")
 _UPDATED = {"alarms": "(story, t_first_ns)", "findings": "(t_ns, from_ns)"}
 """Table whose rows are updated -> columns that identify a row; rows of the other tables never change."""
@@ -280,13 +279,8 @@ def make_tables(database: sqlite3.Connection, version: int = VERSION, upgrades: 
 
 def window_row(line: Mapping[str, Any]) -> Row:
     """Return the row of a window, given as its line of results.jsonl, and with `state` the structure's."""
-    names = ("t_end_ns", "window", "window_s", "skipped", "temperature_degc", "misfit", "state")
-    lists = (
-        *("frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "ddi", "ddi_std", "loss_n_per_m"),
-        *("frequency_change", "frequency_change_std"),
-    )
-    row = {name: line.get(name) for name in names} | {name: _text(line.get(name)) for name in lists}
-    return row | {"level": line["alarm"]["level"]}
+    row = {f.key: _text(line.get(f.key)) if f.kind is Kind.NUMBERS else line.get(f.key) for f in KEPT}
+    return row | {"level": line["alarm"]["level"], "state": line.get("state")}
 
 
 def alarm_row(episode: Mapping[str, Any]) -> Row:

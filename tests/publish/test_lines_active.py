@@ -17,8 +17,3 @@ LINE = {
 
 def test_a_story_below_the_highest_level_stays_announced() -> None:
     assert facts_of_line(LINE).active == {1: Level.ALARM, 3: Level.WARNING}
-
-
-def test_a_line_of_before_tells_the_stories_of_the_highest_level() -> None:
-    old = LINE | {"alarm": {"level": "alarm", "stories": [1], "reason": ""}}
-    assert facts_of_line(old).active == {1: Level.ALARM}

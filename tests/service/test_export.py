@@ -50,7 +50,7 @@ def window(k: int, **more: Any) -> dict[str, Any]:
             for f in (7.5, 8.5)
         ],
         "ddi": [0.1, None],
-        "alarm": {"level": "normal", "stories": [], "reason": "x"},
+        "alarm": {"level": "normal", "stories": [], "reason": "x", "active": {}},
         "skipped": None,
     } | more
 

@@ -33,7 +33,7 @@ from tests.support.waiting import until
 
 SECOND = 1_000_000_000
 PAGES = Path(snapshots.__file__).parent / "pages"
-ALARM = {"level": "normal", "stories": [], "reason": "no significant loss", "shelved": []}
+ALARM = {"level": "normal", "stories": [], "reason": "no significant loss", "active": {}, "shelved": []}
 CHANNEL = {"channel": "a1", "rms_m_s2": 1.0, "peak_m_s2": 3.0, "spikes": 0, "clipped": 0.0, "noise_floor": 1e-4}
 HEALTH: dict[str, Any] = {
     "t_ns": T0_NS,
@@ -53,7 +53,7 @@ SUMMARY: dict[str, Any] = {
     "windows": 3,
     "skipped": 1,
     "alarms": [{"level": "alarm", "story": 2, "t_first_ns": T0_NS, "t_last_ns": None, "ddi": 0.1, "ddi_std": 0.01}],
-    "alarm": {"level": "alarm", "stories": [2]},
+    "alarm": {"level": "alarm", "stories": [2], "active": {"2": "alarm"}},
     "known": {"names": ["story 1", "story 2"], "has_baseline": True, "alarm_loss": 0.1, "channels": ["a1", "a2"]},
     "findings": [FINDING],
     "quality": {"availability": 1.0, "gaps": 0},

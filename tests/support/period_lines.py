@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ def line_of(k: int) -> dict[str, object]:
     line = dict.fromkeys(
         ("frequencies_hz", "frequencies_std_hz", "ddi", "ddi_std", "temperature_degc", "misfit", "mode_tracks"), None
     )
-    alarm = {"level": "normal", "stories": [], "reason": "no significant loss"}
+    alarm: dict[str, Any] = {"level": "normal", "stories": [], "reason": "no significant loss", "active": {}}
     out = {"window": k, "t_end_ns": T0 + (k + 1) * HOP, **line, "skipped": None, "alarm": alarm}
     if k in SKIPPED:
         return {**out, "skipped": f"channel a3 was stuck (for {k} s)"}
@@ -32,7 +33,8 @@ def line_of(k: int) -> dict[str, object]:
     f = np.array([2.5, 7.25, 11.5]) * (1 - 0.001 * warmth)
     ddi = np.array([0.0, 0.08 if k in ALARM else 0.0, 0.0]) + 0.003 * np.sin(k * np.arange(1.0, 4.0))
     if k in ALARM:
-        alarm |= {"level": "warning" if k < ALARM[-1] else "alarm", "stories": [2], "reason": "story 2 lost 8 %"}
+        level = "warning" if k < ALARM[-1] else "alarm"
+        alarm |= {"level": level, "stories": [2], "reason": "story 2 lost 8 %", "active": {"2": level}}
     figures = {"frequencies_hz": f.tolist(), "frequencies_std_hz": [0.002] * 3, "mode_tracks": [0, 1, 2]}
     figures |= {"ddi": ddi.tolist(), "ddi_std": [0.002] * 3, "temperature_degc": warmth, "misfit": 1.0}
     return {**out, **figures}

@@ -7,6 +7,8 @@ from typing import Any
 
 import pyarrow as pa
 
+from monitor.publish.results.window_fields import FIELDS, Field, Kind
+
 _MANY = pa.list_(pa.float64())
 _NUMBERS = pa.list_(pa.int64())
 _OTHER_MODE = pa.struct(
@@ -19,54 +21,41 @@ _OTHER_MODE = pa.struct(
     ]
 )
 
-WINDOWS_SCHEMA = pa.schema(
-    [
-        ("stream", pa.string()),
-        ("window", pa.int64()),
-        ("t_end_ns", pa.int64()),
-        ("t_end", pa.timestamp("ns", tz="UTC")),
-        ("window_s", pa.float64()),
-        ("frequencies_hz", _MANY),
-        ("frequencies_std_hz", _MANY),
-        ("damping_ratio", _MANY),
-        ("damping_std", _MANY),
-        ("mode_shapes", pa.list_(pa.list_(_MANY))),
-        ("order", pa.int64()),
-        ("refined", pa.bool_()),
-        ("stiffness_n_per_m", _MANY),
-        ("stiffness_std", _MANY),
-        ("ddi", _MANY),
-        ("ddi_std", _MANY),
-        ("ddi_sequential", _MANY),
-        ("loss_n_per_m", _MANY),
-        ("unidentified", _NUMBERS),
-        ("detectable_loss", _MANY),
-        ("rms_m_s2", pa.float64()),
-        ("model_modes", _NUMBERS),
-        ("mode_tracks", _NUMBERS),
-        ("other_modes", pa.list_(_OTHER_MODE)),
-        ("misfit", pa.float64()),
-        ("temperature_degc", pa.float64()),
-        ("temperature_effect", _MANY),
-        ("covariates", pa.map_(pa.string(), pa.float64())),
-        ("covariate_effect", pa.map_(pa.string(), _MANY)),
-        ("frequency_change", _MANY),
-        ("frequency_change_std", _MANY),
-        ("shape_change", _MANY),
-        ("shape_change_std", _MANY),
-        ("frequency_effect", pa.map_(pa.string(), _MANY)),
-        ("alarm_level", pa.string()),
-        ("alarm_stories", _NUMBERS),
-        ("alarm_reason", pa.string()),
-        ("alarm_active", pa.map_(pa.string(), pa.string())),
-        ("alarm_shelved", _NUMBERS),
-        ("alarm_changed", pa.list_(pa.string())),
-        ("channels_left_out", pa.list_(pa.string())),
-        ("left_out_reasons", pa.list_(pa.string())),
-        ("rates_hz", _MANY),
-        ("skipped", pa.string()),
-    ]
-)
+_TYPES = {
+    Kind.INTEGER: pa.int64(),
+    Kind.LENGTH: pa.float64(),
+    Kind.NUMBER: pa.float64(),
+    Kind.COUNT: pa.int64(),
+    Kind.FLAG: pa.bool_(),
+    Kind.TEXT: pa.string(),
+    Kind.NUMBERS: _MANY,
+    Kind.INTEGERS: _NUMBERS,
+    Kind.TEXTS: pa.list_(pa.string()),
+    Kind.SHAPES: pa.list_(pa.list_(_MANY)),
+    Kind.MODES: pa.list_(_OTHER_MODE),
+    Kind.BY_NAME: pa.map_(pa.string(), pa.float64()),
+    Kind.LISTS_BY_NAME: pa.map_(pa.string(), _MANY),
+}
+"""Kind of a field -> Arrow type of its column. [none; definition]"""
+_ALARM = [
+    ("alarm_level", pa.string()),
+    ("alarm_stories", _NUMBERS),
+    ("alarm_reason", pa.string()),
+    ("alarm_active", pa.map_(pa.string(), pa.string())),
+    ("alarm_shelved", _NUMBERS),
+    ("alarm_changed", pa.list_(pa.string())),
+]
+_END = ("t_end", pa.timestamp("ns", tz="UTC"))
+
+
+def _columns(field: Field) -> list[tuple[str, pa.DataType]]:
+    """Return the columns of a field: the alarm has six, and the end of a window stands there as a timestamp too."""
+    if field.kind is Kind.ALARM:
+        return _ALARM
+    return [(field.key, _TYPES[field.kind]), *([_END] if field.key == "t_end_ns" else [])]
+
+
+WINDOWS_SCHEMA = pa.schema([("stream", pa.string()), *(column for field in FIELDS for column in _columns(field))])
 """Columns of the table: the keys of a line of results.jsonl, with `alarm` as six columns, the stream's name, and the end of the
 window as a timestamp.
 """
@@ -90,7 +79,7 @@ def windows_table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:
     rows = []
     for line in lines:
         alarm = {f"alarm_{key}": value for key, value in line["alarm"].items()}
-        given = {key: line.get(key) for key in ("covariates", "covariate_effect", "frequency_effect")}
+        given = {f.key: line.get(f.key) for f in FIELDS if f.kind in (Kind.BY_NAME, Kind.LISTS_BY_NAME)}
         given["alarm_active"] = alarm.get("alarm_active")
         maps = {key: None if value is None else list(dict(value).items()) for key, value in given.items()}
         rows.append({**line, **alarm, **maps, "stream": stream, "t_end": line["t_end_ns"]})

@@ -10,23 +10,16 @@ from pathlib import Path
 from types import NoneType
 from typing import Any
 
-import numpy as np
-
 from monitor.core import (
     WHOLE,
     Alarm,
-    AlarmCondition,
-    ComplexArray,
     Level,
-    ModalReading,
-    OtherMode,
-    WindowResult,
     finish,
     parse_json,
     partial,
 )
-from monitor.damage import LEVEL, AlarmState, State, WindowFacts, drift_m, hold, modal_facts, modal_parts
-from monitor.publish.results.schema import LINE_SCHEMA, MODAL_KEYS
+from monitor.damage import AlarmState, State, WindowFacts, hold
+from monitor.publish.results.window_fields import LINE_SCHEMA
 
 _KINDS: dict[str, type] = {
     "array": list,
@@ -37,132 +30,6 @@ _KINDS: dict[str, type] = {
     "string": str,
 }
 """Type of JSON schema -> type of its values, but for integers. [none; definition]"""
-
-
-def _rounded(values: Any) -> Any:
-    """Round numbers of any shape to nine significant digits, which exceeds the precision of the data and keeps lines short."""
-    return _round_nested(np.asarray(values, dtype=float).tolist())
-
-
-def _round_nested(value: Any) -> Any:
-    """Round the numbers of nested lists; a number that is not finite becomes None."""
-    if isinstance(value, list):
-        return [_round_nested(v) for v in value]
-    return float(f"{value:.9g}") if math.isfinite(value) else None
-
-
-def window_line(result: WindowResult) -> dict[str, Any]:
-    """Collect the values of a window's line of results.jsonl.
-
-    Parameters
-    ----------
-    result : WindowResult
-        The estimates of the window, or why there are none.
-
-    Returns
-    -------
-    dict
-        Keys and units as in docs/results.md; None where nothing was estimated.
-
-    Examples
-    --------
-    >>> from monitor.core import Alarm, Level, Skipped
-    >>> alarm = Alarm(Level.NORMAL, (), "no baseline")
-    >>> line = window_line(WindowResult(0, 400_000_000_000, 400.0, None, None, None, alarm, Skipped("too few poles")))
-    >>> line["t_end_ns"], line["alarm"]["level"], line["skipped"], line["ddi"]
-    (400000000000, 'normal', 'too few poles', None)
-    """
-    modes, stiffness, damage, modal = result.modes, result.stiffness, result.damage, result.modal
-    n_modes = 0 if modes is None else len(modes.frequencies_hz)
-    return {
-        "window": result.index,
-        "t_end_ns": result.t_end_ns,
-        "window_s": _rounded(result.window_s),
-        "frequencies_hz": modes and _rounded(modes.frequencies_hz),
-        "frequencies_std_hz": modes and _rounded(modes.frequencies_std_hz),
-        "damping_ratio": modes and _rounded(modes.damping_ratio),
-        "damping_std": modes and _rounded(modes.damping_std),
-        "mode_shapes": modes and [_shape(shape) for shape in modes.shapes],
-        "order": modes and modes.order,
-        "refined": modes and modes.refined,
-        "stiffness_n_per_m": stiffness and _rounded(stiffness.stiffness_n_per_m),
-        "stiffness_std": stiffness and _rounded(np.sqrt(np.diag(stiffness.covariance))),
-        "ddi": damage and _rounded(damage.ddi),
-        "ddi_std": damage and _rounded(damage.ddi_std),
-        "ddi_sequential": damage and _rounded(damage.ddi_sequential),
-        "loss_n_per_m": damage and _rounded(damage.loss_n_per_m),
-        "unidentified": damage and list(damage.unidentified),
-        "detectable_loss": None if result.detectable_loss is None else _rounded(result.detectable_loss),
-        "rms_m_s2": None if result.rms_m_s2 is None else _rounded(result.rms_m_s2),
-        "model_modes": modes and [int(k) + 1 for k in modes.model_mode],
-        "mode_tracks": list(result.mode_tracks[:n_modes]),
-        "other_modes": modes and _other_modes(modes.others, result.mode_tracks[n_modes:]),
-        "misfit": stiffness and _rounded(stiffness.misfit),
-        "temperature_degc": result.temperature and _rounded(result.temperature.lagged_degc[0]),
-        "temperature_effect": None
-        if damage is None or damage.temperature_effect is None
-        else _rounded(damage.temperature_effect),
-        "covariates": {name: _rounded(_as_shown(name, values[0])) for name, values in result.covariates.items()},
-        "covariate_effect": damage and {name: _rounded(part) for name, part in damage.covariate_effect.items()},
-        **_modal_changes(modal),
-        "alarm": {
-            "level": result.alarm.level.value,
-            "stories": list(result.alarm.stories),
-            "reason": result.alarm.reason,
-            "active": {str(j): level.value for j, level in result.alarm.active.items()},
-            "shelved": [j for j, c in result.alarm.conditions.items() if c is AlarmCondition.SHELVED],
-            "changed": [] if modal is None else _changed(modal, result.alarm),
-        },
-        "channels_left_out": [gone.channel for gone in result.left_out],
-        "left_out_reasons": [gone.reason for gone in result.left_out],
-        "rates_hz": result.rates_hz and _rounded(result.rates_hz),
-        "skipped": result.skipped and result.skipped.reason,
-    }
-
-
-def _modal_changes(modal: ModalReading | None) -> dict[str, Any]:
-    """Collect the changes of the modes since the baseline; None where they are not what is judged."""
-    if modal is None:
-        return dict.fromkeys(MODAL_KEYS)
-    shape, shape_std = modal.largest_shape_change()
-    return {
-        "frequency_change": _rounded(np.expm1(modal.ln_frequency)),
-        "frequency_change_std": _rounded(modal.ln_frequency_std),
-        "shape_change": _rounded(shape),
-        "shape_change_std": _rounded(shape_std),
-        "frequency_effect": {name: _rounded(np.expm1(part)) for name, part in modal.covariate_effect.items()},
-    }
-
-
-def _changed(modal: ModalReading, alarm: Alarm) -> list[str]:
-    """Name the modes and shapes at the announced level; none where all modes changed alike, or nothing did."""
-    parts = modal_parts(modal.ln_frequency.size)
-    return [parts[j - 1] for j, level in alarm.active.items() if j != WHOLE and level is alarm.level]
-
-
-def _as_shown(name: str, value: float) -> float:
-    """Return a covariate's value as it is published: the level as RMS drift in m."""
-    return drift_m(value) if name == LEVEL else value
-
-
-def _shape(shape: ComplexArray) -> list[list[float] | None]:
-    """Write a mode's shape, a pair of real and imaginary part for each channel; None for a channel that is left out."""
-    pairs = _rounded(np.stack([shape.real, shape.imag], axis=-1))
-    return [pair if np.isfinite(value) else None for pair, value in zip(pairs, shape, strict=True)]
-
-
-def _other_modes(others: Sequence[OtherMode], tracks: Sequence[int]) -> list[dict[str, Any]]:
-    """Collect the values of the modes that the model has no counterpart for."""
-    return [
-        {
-            "frequency_hz": _rounded(mode.frequency_hz),
-            "frequency_std_hz": _rounded(mode.frequency_std_hz),
-            "damping_ratio": _rounded(mode.damping_ratio),
-            "mode_shape": _shape(mode.shape),
-            "track": track,
-        }
-        for mode, track in zip(others, tracks, strict=True)
-    ]
 
 
 def alarm_line(alarm: Alarm) -> dict[str, Any]:
@@ -276,66 +143,45 @@ def _is_of(value: Any, kind: str) -> bool:
 
 def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
     """Collect what the state needs of a window from its line of results.jsonl."""
-    level = Level(line["alarm"]["level"])
-    if line.get("frequency_change") is not None:
-        return _modal_facts(line, level)
-    active = _active(line["alarm"], level, line["alarm"]["stories"])
-    losses = {} if line["ddi"] is None else {story: _reading(line, story) for story in active}
-    detectable = line.get("detectable_loss")
+    is_modal = line.get("frequency_change") is not None
+    detectable, (stated, stamped) = line.get("detectable_loss"), line.get("rates_hz") or (None, None)
+    active = {int(j): Level(level) for j, level in line["alarm"].get("active", {}).items()}
+    sizes = _sizes(line, is_modal=is_modal)
+    stories = sizes[: len(sizes) // 2] if is_modal else sizes
     return WindowFacts(
-        line["t_end_ns"],
-        line.get("window_s") or 0.0,
-        line["skipped"],
-        active,
-        losses,
-        tuple(line["alarm"].get("shelved", ())),
-        None if detectable is None else tuple(detectable),
-        line.get("misfit"),
-        line.get("rms_m_s2"),
-        () if line["ddi"] is None else tuple(zip(line["ddi"], line["ddi_std"], strict=True)),
-        tuple(zip(line.get("channels_left_out") or (), line.get("left_out_reasons") or (), strict=False)),
-        rates_hz=_rates_hz(line),
+        t_end_ns=line["t_end_ns"],
+        window_s=line.get("window_s") or 0.0,
+        skipped=line["skipped"],
+        active=active,
+        losses={part: reading for part in active if (reading := _reading(sizes, part, is_modal=is_modal)) is not None},
+        shelved=tuple(line["alarm"].get("shelved", ())),
+        detectable=None if detectable is None else tuple(detectable),
+        misfit=line.get("misfit"),
+        rms_m_s2=line.get("rms_m_s2"),
+        changes=tuple((size, std) for size, std, _ in stories if size is not None),
+        left_out=tuple(zip(line.get("channels_left_out") or (), line.get("left_out_reasons") or (), strict=False)),
+        modal=is_modal,
+        rates_hz=None if stated is None or stamped is None else (float(stated), float(stamped)),
     )
 
 
-def _rates_hz(line: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Return the stated rate and that by the timestamps, where a line has both."""
-    stated, stamped = line.get("rates_hz") or (None, None)
-    return None if stated is None or stamped is None else (float(stated), float(stamped))
+def _sizes(line: Mapping[str, Any], *, is_modal: bool) -> list[tuple[Any, Any, Any]]:
+    """List each story's loss, its deviation and the stiffness lost; of modes alone each frequency's change, then each shape's."""
+    if is_modal:
+        changes = [*line["frequency_change"], *line["shape_change"]]
+        stds = [*line["frequency_change_std"], *line["shape_change_std"]]
+        return [(None, None, None) if None in pair else (*pair, None) for pair in zip(changes, stds, strict=True)]
+    losses = line["ddi"] or []
+    return list(zip(losses, line["ddi_std"] or [], line.get("loss_n_per_m") or [None] * len(losses), strict=True))
 
 
-def _modal_facts(line: Mapping[str, Any], level: Level) -> WindowFacts:
-    """Collect what the state needs of a window of modes alone."""
-    frequency, shape = line["frequency_change"], line["shape_change"]
-    sizes = zip([*frequency, *shape], [*line["frequency_change_std"], *line["shape_change_std"]], strict=True)
-    parts, known = modal_parts(len(frequency)), list(sizes)
-    changed = [parts.index(part) + 1 for part in line["alarm"]["changed"]]
-    active = _active(line["alarm"], level, changed)
-    return modal_facts(
-        line["t_end_ns"],
-        line.get("window_s") or 0.0,
-        active,
-        [(None, None) if size is None else (size, std) for size, std in known],
-        tuple(line["alarm"].get("shelved", ())),
-        line.get("detectable_loss"),
-        line.get("rms_m_s2"),
-        tuple(zip(line.get("channels_left_out") or (), line.get("left_out_reasons") or (), strict=False)),
-        _rates_hz(line),
-    )
-
-
-def _active(alarm: Mapping[str, Any], level: Level, announced: list[int]) -> dict[int, Level]:
-    """Return the level of each announced story or part; older lines, without `active`, tell those of the highest level alone."""
-    if "active" in alarm:
-        return {int(j): Level(own) for j, own in alarm["active"].items()}
-    return {} if level is Level.NORMAL else dict.fromkeys(announced or [WHOLE], level)
-
-
-def _reading(line: Mapping[str, Any], story: int) -> tuple[float, float, float | None]:
-    """Return a story's damage index, its standard deviation and the stiffness lost in N/m; `WHOLE`: of what lost least."""
-    j = int(np.argmin(line["ddi"])) if story == WHOLE else story - 1
-    lost = line.get("loss_n_per_m")
-    return float(line["ddi"][j]), float(line["ddi_std"][j]), None if lost is None else float(lost[j])
+def _reading(
+    sizes: Sequence[tuple[Any, Any, Any]], part: int, *, is_modal: bool
+) -> tuple[float, float, float | None] | None:
+    """Return what an alarm says of a part; `WHOLE`: of what changed least; None where it was not seen."""
+    among = sizes[: len(sizes) // 2] if is_modal else sizes
+    known = [one for one in (among if part == WHOLE else sizes[part - 1 : part]) if one[0] is not None]
+    return min(known, key=lambda one: abs(one[0]) if is_modal else one[0], default=None)
 
 
 def replay_text(summary: Mapping[str, Any]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import WHOLE, Gap, ModalEstimate, WindowResult
-from monitor.damage import Course, Loss, WindowFacts, facts_of, follow
+from monitor.damage import Course, Loss, WindowFacts, follow
 from monitor.signals import Health
 
 _SAME_MODE = 0.02
@@ -47,20 +47,23 @@ class Summary:
         """Count a gap."""
         self.gaps += 1
 
-    def window(self, result: WindowResult, misfit: float, stated: WindowFacts | None = None) -> None:
+    def window(
+        self, result: WindowResult, facts: WindowFacts, misfit: float, stated: WindowFacts | None = None
+    ) -> None:
         """Count a window.
 
         Parameters
         ----------
         result : WindowResult
             Result of the window.
+        facts : WindowFacts
+            What the state needs of its line (`facts_of_line`).
         misfit : float
             Goodness of fit from which stiffness explains too little.
         stated : WindowFacts, optional
             What an earlier run wrote of this window; it counts where it says otherwise of whether the window was judged, as
             when samples of the window were lost with that run.
         """
-        facts = facts_of(result)
         if stated is not None and stated.skipped != facts.skipped:
             facts = stated
         self.course = follow(self.course, facts, misfit)

@@ -6,25 +6,13 @@ from typing import Any
 
 from monitor import __version__
 from monitor.damage import State
-from monitor.service.web.snapshots import DEFAULT_LIMIT, FINDING_KEYS, MOST_IN_ANSWER, WINDOW_KEYS
+from monitor.publish import SHOWN
+from monitor.service.web.snapshots import DEFAULT_LIMIT, FINDING_KEYS, MOST_IN_ANSWER
 
 _NUMBER: dict[str, Any] = {"type": ["number", "null"]}
 _INTEGER: dict[str, Any] = {"type": ["integer", "null"]}
 _TEXT: dict[str, Any] = {"type": ["string", "null"]}
 _OBJECT: dict[str, Any] = {"type": ["object", "null"]}
-_NUMBERS: dict[str, Any] = {"type": ["array", "null"], "items": _NUMBER}
-_TEXTS: dict[str, Any] = {"type": ["array", "null"], "items": {"type": "string"}}
-_KINDS: dict[str, Any] = {
-    "t_end_ns": {"type": "integer"},
-    "window_s": _NUMBER,
-    "misfit": _NUMBER,
-    "temperature_degc": _NUMBER,
-    "rms_m_s2": _NUMBER,
-    "channels_left_out": _TEXTS,
-    "left_out_reasons": _TEXTS,
-    "skipped": _TEXT,
-}
-"""Key of a window -> its schema, where it is not a list of numbers. [none; definition]"""
 
 
 def describe(api: str) -> dict[str, Any]:
@@ -87,7 +75,7 @@ def _range_parameters() -> list[dict[str, Any]]:
 
 
 def _schemas() -> dict[str, Any]:
-    window = {key: {**_KINDS.get(key, _NUMBERS), "description": words} for key, words in WINDOW_KEYS.items()}
+    window = {field.key: {**field.kind.schema, "description": field.meaning} for field in SHOWN}
     window |= {
         "level": _TEXT,
         "stories": {"type": "array", "items": {"type": "integer"}},

@@ -22,7 +22,7 @@ from typing import Any
 from monitor import __version__
 from monitor.core import BadInputError, parse_json
 from monitor.damage import Assessment, State, outdated
-from monitor.publish import EVENTS, closed_files, read_line, read_lines
+from monitor.publish import EVENTS, SHOWN, closed_files, read_line, read_lines
 from monitor.service.status import troubles_of
 
 DEFAULT_LIMIT = 500
@@ -34,31 +34,8 @@ _DIGITS = 6
 _SILENT_S = 60.0
 """Age of the latest health line beyond which a daemon counts as silent; one is written at least every 10 s."""
 
-WINDOW_KEYS: dict[str, str] = {
-    "t_end_ns": "End of the window, UTC, ns since 1970.",
-    "window_s": "Length of the data in the window, s.",
-    "frequencies_hz": "Natural frequencies, Hz.",
-    "frequencies_std_hz": "Their standard deviations, Hz.",
-    "damping_ratio": "Damping ratios.",
-    "damping_std": "Their standard deviations.",
-    "model_modes": "Which mode of the model, or without one of the baseline, each frequency is; 1 = lowest.",
-    "stiffness_n_per_m": "Stiffness of each story, N/m; null without a model.",
-    "stiffness_std": "Its standard deviation, N/m.",
-    "ddi": "Damage index of each story: relative stiffness lost since the baseline; null without a model.",
-    "ddi_std": "Its standard deviation, the baseline's own uncertainty included.",
-    "frequency_change": "Without a model: relative change of each mode's frequency since the baseline.",
-    "frequency_change_std": "Its standard deviation.",
-    "shape_change": "Without a model: largest change of each mode's shape since the baseline.",
-    "shape_change_std": "Its standard deviation.",
-    "detectable_loss": "Smallest loss of each story that would have been seen; null where none would.",
-    "misfit": "Goodness of fit of the change since the baseline; 1 is expected.",
-    "temperature_degc": "Temperature, degC.",
-    "rms_m_s2": "Level of motion, m/s^2.",
-    "channels_left_out": "Channels of which no use was made.",
-    "left_out_reasons": "What was wrong with each of them.",
-    "skipped": "Why nothing was estimated; null where something was.",
-}
-"""Key of a window -> what it means; besides there are `level`, `stories` and `changed` of the alarm. [none; definition]"""
+_WINDOW_KEYS = tuple(field.key for field in SHOWN)
+"""Keys of a window; besides there are `level`, `stories` and `changed` of the alarm. [none; definition]"""
 FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
 """Keys of a finding. [none; definition]"""
 _BULKY = ("floors", "ground", "spectrum")
@@ -324,7 +301,7 @@ def _tail(path: Path, most_bytes: int) -> list[bytes]:
 def _window(line: Mapping[str, Any]) -> dict[str, Any]:
     """Take from a line of results.jsonl what the page shows, with `_DIGITS` significant digits; a skipped window is short."""
     alarm = line.get("alarm") or {}
-    kept = {key: line.get(key) for key in WINDOW_KEYS}
+    kept = {key: line.get(key) for key in _WINDOW_KEYS}
     if line["skipped"]:
         kept = {key: value for key, value in kept.items() if value not in (None, [])}
     return {

@@ -1,0 +1,444 @@
+"""The fields of a window's line: the one place that names them.
+
+From this table follow the line of results.jsonl and its JSON schema, the Arrow columns, the history's columns, what the web page
+and its description show of a window, and the table of docs/results.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from monitor.core import WHOLE, Alarm, AlarmCondition, ComplexArray, ModalReading, OtherMode, WindowResult
+from monitor.damage import LEVEL, drift_m, modal_parts
+
+_NUMBER: dict[str, Any] = {"type": ["number", "null"]}
+_NUMBERS: dict[str, Any] = {"type": ["array", "null"], "items": _NUMBER}
+_INTEGERS: dict[str, Any] = {"type": ["array", "null"], "items": {"type": "integer"}}
+_TEXTS: dict[str, Any] = {"type": ["array", "null"], "items": {"type": "string"}}
+
+
+class Kind(Enum):
+    """Kind of a field's values."""
+
+    INTEGER = "an integer"
+    LENGTH = "a number"
+    NUMBER = "a number or null"
+    COUNT = "an integer or null"
+    FLAG = "true, false or null"
+    TEXT = "text or null"
+    NUMBERS = "numbers"
+    INTEGERS = "integers"
+    TEXTS = "texts"
+    SHAPES = "for each mode, a pair of real and imaginary part for each channel"
+    MODES = "modes"
+    BY_NAME = "numbers by name"
+    LISTS_BY_NAME = "lists of numbers by name"
+    ALARM = "an alarm"
+
+    @property
+    def schema(self) -> dict[str, Any]:
+        """JSON schema of the values."""
+        return _SCHEMAS[self]
+
+
+_SCHEMAS: dict[Kind, dict[str, Any]] = {
+    Kind.INTEGER: {"type": "integer"},
+    Kind.LENGTH: {"type": "number"},
+    Kind.NUMBER: _NUMBER,
+    Kind.COUNT: {"type": ["integer", "null"]},
+    Kind.FLAG: {"type": ["boolean", "null"]},
+    Kind.TEXT: {"type": ["string", "null"]},
+    Kind.NUMBERS: _NUMBERS,
+    Kind.INTEGERS: _INTEGERS,
+    Kind.TEXTS: _TEXTS,
+    Kind.SHAPES: {"type": ["array", "null"], "items": {"type": "array", "items": {"type": ["array", "null"]}}},
+    Kind.MODES: {"type": ["array", "null"], "items": {"type": "object"}},
+    Kind.BY_NAME: {"type": "object", "additionalProperties": _NUMBER},
+    Kind.LISTS_BY_NAME: {"type": ["object", "null"], "additionalProperties": _NUMBERS},
+    Kind.ALARM: {
+        "type": "object",
+        "properties": {
+            "level": {"type": "string"},
+            "stories": _INTEGERS,
+            "reason": {"type": "string"},
+            "active": {"type": "object", "additionalProperties": {"type": "string"}},
+            "shelved": _INTEGERS,
+            "changed": _TEXTS,
+        },
+    },
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field."""
+
+    key: str
+    kind: Kind
+    of: Callable[[WindowResult], Any]
+    """Its value, as JSON, of a window's result."""
+    meaning: str
+    """With its unit, for people."""
+    kept: bool = False
+    """Whether the history has a column for it."""
+    shown: bool = False
+    """Whether the web page has it."""
+
+
+def _rounded(values: Any) -> Any:
+    """Round numbers of any shape to nine significant digits, which exceeds the precision of the data and keeps lines short."""
+    return _round_nested(np.asarray(values, dtype=float).tolist())
+
+
+def _round_nested(value: Any) -> Any:
+    """Round the numbers of nested lists; a number that is not finite becomes None."""
+    if isinstance(value, list):
+        return [_round_nested(v) for v in value]
+    return float(f"{value:.9g}") if math.isfinite(value) else None
+
+
+def _numbers_of(part: str, name: str) -> Callable[[WindowResult], Any]:
+    """Return what reads numbers of a part of the result, such as `modes`; None without the part or the numbers."""
+
+    def read(result: WindowResult) -> Any:
+        value = getattr(result, part)
+        value = None if value is None else getattr(value, name)
+        return None if value is None else _rounded(value)
+
+    return read
+
+
+def _own(name: str) -> Callable[[WindowResult], Any]:
+    """Return what reads numbers of the result itself; None where they are."""
+
+    def read(result: WindowResult) -> Any:
+        value = getattr(result, name)
+        return None if value is None else _rounded(value)
+
+    return read
+
+
+def _shape(shape: ComplexArray) -> list[list[float] | None]:
+    """Write a mode's shape, a pair of real and imaginary part for each channel; None for a channel that is left out."""
+    pairs = _rounded(np.stack([shape.real, shape.imag], axis=-1))
+    return [pair if np.isfinite(value) else None for pair, value in zip(pairs, shape, strict=True)]
+
+
+def _other_modes(others: Sequence[OtherMode], tracks: Sequence[int]) -> list[dict[str, Any]]:
+    """Collect the values of the modes that the model has no counterpart for."""
+    return [
+        {
+            "frequency_hz": _rounded(mode.frequency_hz),
+            "frequency_std_hz": _rounded(mode.frequency_std_hz),
+            "damping_ratio": _rounded(mode.damping_ratio),
+            "mode_shape": _shape(mode.shape),
+            "track": track,
+        }
+        for mode, track in zip(others, tracks, strict=True)
+    ]
+
+
+def _n_modes(result: WindowResult) -> int:
+    return 0 if result.modes is None else len(result.modes.frequencies_hz)
+
+
+def _as_shown(name: str, value: float) -> float:
+    """Return a covariate's value as it is published: the level as RMS drift in m."""
+    return drift_m(value) if name == LEVEL else value
+
+
+def _of_shape(which: int) -> Callable[[WindowResult], Any]:
+    """Return what reads the largest change of each mode's shape (0), or its deviation (1)."""
+    return lambda result: result.modal and _rounded(result.modal.largest_shape_change()[which])
+
+
+def _alarm(result: WindowResult) -> dict[str, Any]:
+    """Collect the values of the alarm."""
+    alarm = result.alarm
+    return {
+        "level": alarm.level.value,
+        "stories": list(alarm.stories),
+        "reason": alarm.reason,
+        "active": {str(j): level.value for j, level in alarm.active.items()},
+        "shelved": [j for j, c in alarm.conditions.items() if c is AlarmCondition.SHELVED],
+        "changed": [] if result.modal is None else _changed(result.modal, alarm),
+    }
+
+
+def _changed(modal: ModalReading, alarm: Alarm) -> list[str]:
+    """Name the modes and shapes at the announced level; none where all modes changed alike, or nothing did."""
+    parts = modal_parts(modal.ln_frequency.size)
+    return [parts[j - 1] for j, level in alarm.active.items() if j != WHOLE and level is alarm.level]
+
+
+FIELDS = (
+    Field("window", Kind.INTEGER, lambda r: r.index, "Number of the window since the stream began.", kept=True),
+    Field(
+        "t_end_ns", Kind.INTEGER, lambda r: r.t_end_ns, "End of the window, UTC, ns since 1970.", kept=True, shown=True
+    ),
+    Field("window_s", Kind.LENGTH, _own("window_s"), "Length of the data in the window, s.", kept=True, shown=True),
+    Field(
+        "frequencies_hz",
+        Kind.NUMBERS,
+        _numbers_of("modes", "frequencies_hz"),
+        "Natural frequencies, Hz.",
+        kept=True,
+        shown=True,
+    ),
+    Field(
+        "frequencies_std_hz",
+        Kind.NUMBERS,
+        _numbers_of("modes", "frequencies_std_hz"),
+        "Their standard deviations, Hz.",
+        kept=True,
+        shown=True,
+    ),
+    Field(
+        "damping_ratio", Kind.NUMBERS, _numbers_of("modes", "damping_ratio"), "Damping ratios.", kept=True, shown=True
+    ),
+    Field(
+        "damping_std",
+        Kind.NUMBERS,
+        _numbers_of("modes", "damping_std"),
+        "Their standard deviations.",
+        kept=True,
+        shown=True,
+    ),
+    Field(
+        "mode_shapes",
+        Kind.SHAPES,
+        lambda r: r.modes and [_shape(shape) for shape in r.modes.shapes],
+        "Mode shapes: a pair of real and imaginary part for each channel, null for one that is left out.",
+    ),
+    Field(
+        "order", Kind.COUNT, lambda r: r.modes and r.modes.order, "Order of the state space from which the modes are."
+    ),
+    Field(
+        "refined",
+        Kind.FLAG,
+        lambda r: r.modes and r.modes.refined,
+        "Whether the modes were refined by maximum likelihood.",
+    ),
+    Field(
+        "stiffness_n_per_m",
+        Kind.NUMBERS,
+        _numbers_of("stiffness", "stiffness_n_per_m"),
+        "Stiffness of each story of the updated model, N/m; story 1 is the top one; null without a model.",
+        shown=True,
+    ),
+    Field(
+        "stiffness_std",
+        Kind.NUMBERS,
+        lambda r: r.stiffness and _rounded(np.sqrt(np.diag(r.stiffness.covariance))),
+        "Its standard deviation, N/m.",
+        shown=True,
+    ),
+    Field(
+        "ddi",
+        Kind.NUMBERS,
+        _numbers_of("damage", "ddi"),
+        "Damage detection index of each story: relative stiffness lost since the baseline (0.12 = 12 %); null without a model.",
+        kept=True,
+        shown=True,
+    ),
+    Field(
+        "ddi_std",
+        Kind.NUMBERS,
+        _numbers_of("damage", "ddi_std"),
+        "Its standard deviation, the baseline's own uncertainty included.",
+        kept=True,
+        shown=True,
+    ),
+    Field(
+        "ddi_sequential",
+        Kind.NUMBERS,
+        _numbers_of("damage", "ddi_sequential"),
+        "The same read from the stiffness matrices, story after story, as in the paper.",
+    ),
+    Field(
+        "loss_n_per_m",
+        Kind.NUMBERS,
+        _numbers_of("damage", "loss_n_per_m"),
+        "Stiffness lost in each story, N/m.",
+        kept=True,
+    ),
+    Field(
+        "unidentified",
+        Kind.INTEGERS,
+        lambda r: r.damage and list(r.damage.unidentified),
+        "Stories of which the modes say next to nothing.",
+    ),
+    Field(
+        "detectable_loss",
+        Kind.NUMBERS,
+        _own("detectable_loss"),
+        "Smallest sudden loss of each story that would be seen (90 % to reach `warning` within an hour), with what the clock "
+        "leaves open; null where none would, or without a baseline.",
+        shown=True,
+    ),
+    Field("rms_m_s2", Kind.NUMBER, _own("rms_m_s2"), "Level of motion, mean over channels, m/s^2.", shown=True),
+    Field(
+        "model_modes",
+        Kind.INTEGERS,
+        lambda r: r.modes and [int(k) + 1 for k in r.modes.model_mode],
+        "Which mode of the model, or without one of the baseline, each frequency is; 1 = lowest.",
+        shown=True,
+    ),
+    Field(
+        "mode_tracks",
+        Kind.INTEGERS,
+        lambda r: list(r.mode_tracks[: _n_modes(r)]),
+        "Which mode each one is over time; -1: not seen often enough yet.",
+    ),
+    Field(
+        "other_modes",
+        Kind.MODES,
+        lambda r: r.modes and _other_modes(r.modes.others, r.mode_tracks[_n_modes(r) :]),
+        "Modes in the data that the model has no counterpart for (torsion, another direction): frequency, deviation, damping "
+        "ratio, shape, track.",
+    ),
+    Field(
+        "misfit",
+        Kind.NUMBER,
+        _numbers_of("stiffness", "misfit"),
+        "Goodness of fit of the change since the baseline: near 1 when a change of stiffness explains what is seen, large when "
+        "something else does.",
+        kept=True,
+        shown=True,
+    ),
+    Field(
+        "temperature_degc",
+        Kind.NUMBER,
+        lambda r: r.temperature and _rounded(r.temperature.lagged_degc[0]),
+        "Temperature of the window, degC.",
+        kept=True,
+        shown=True,
+    ),
+    Field(
+        "temperature_effect",
+        Kind.NUMBERS,
+        _numbers_of("damage", "temperature_effect"),
+        "Change of ln stiffness of each story that the temperature explains and that was taken out.",
+    ),
+    Field(
+        "covariates",
+        Kind.BY_NAME,
+        lambda r: {name: _rounded(_as_shown(name, values[0])) for name, values in r.covariates.items()},
+        "Value of each covariate (`level`: RMS story drift, m).",
+    ),
+    Field(
+        "covariate_effect",
+        Kind.LISTS_BY_NAME,
+        lambda r: r.damage and {name: _rounded(part) for name, part in r.damage.covariate_effect.items()},
+        "Change of ln stiffness of each story that each covariate explains and that was taken out; `unmeasured`: what all "
+        "stories do together without a known cause ([temperature](temperature.md)).",
+    ),
+    Field(
+        "frequency_change",
+        Kind.NUMBERS,
+        lambda r: r.modal and _rounded(np.expm1(r.modal.ln_frequency)),
+        "Without a model: relative change of each mode's frequency since the baseline.",
+        kept=True,
+        shown=True,
+    ),
+    Field(
+        "frequency_change_std",
+        Kind.NUMBERS,
+        _numbers_of("modal", "ln_frequency_std"),
+        "Its standard deviation.",
+        kept=True,
+        shown=True,
+    ),
+    Field(
+        "shape_change",
+        Kind.NUMBERS,
+        _of_shape(0),
+        "Without a model: largest change of each mode's shape since the baseline.",
+        shown=True,
+    ),
+    Field("shape_change_std", Kind.NUMBERS, _of_shape(1), "Its standard deviation.", shown=True),
+    Field(
+        "frequency_effect",
+        Kind.LISTS_BY_NAME,
+        lambda r: r.modal and {name: _rounded(np.expm1(part)) for name, part in r.modal.covariate_effect.items()},
+        "Without a model: relative change of each frequency that each covariate explains and that was taken out.",
+    ),
+    Field(
+        "alarm",
+        Kind.ALARM,
+        _alarm,
+        "`normal`, `advisory` (significant, not confirmed), `warning` (confirmed), `alarm` (confirmed, 10 % or more), the "
+        "stories and the reason; `active` has the level of each story (0: the structure as a whole) or, without a model, of each "
+        "mode and shape.",
+    ),
+    Field(
+        "channels_left_out",
+        Kind.TEXTS,
+        lambda r: [gone.channel for gone in r.left_out],
+        "Channels of which no use was made.",
+        shown=True,
+    ),
+    Field(
+        "left_out_reasons",
+        Kind.TEXTS,
+        lambda r: [gone.reason for gone in r.left_out],
+        "What was wrong with each of them.",
+        shown=True,
+    ),
+    Field(
+        "rates_hz",
+        Kind.NUMBERS,
+        _own("rates_hz"),
+        "Rate that the source states, and its rate by the timestamps of the last hour, Hz.",
+    ),
+    Field(
+        "skipped",
+        Kind.TEXT,
+        lambda r: r.skipped and r.skipped.reason,
+        "Why the damage index of this window is not judged, or null; modes that were found are there all the same.",
+        kept=True,
+        shown=True,
+    ),
+)
+"""In the order of the line. [none; definition]"""
+KEPT = tuple(field for field in FIELDS if field.kept)
+"""Fields that the history keeps. [none; definition]"""
+SHOWN = tuple(field for field in FIELDS if field.shown)
+"""Fields that the web page shows. [none; definition]"""
+LINE_SCHEMA: dict[str, Any] = {
+    "title": "shm.Window",
+    "type": "object",
+    "properties": {field.key: field.kind.schema for field in FIELDS},
+    "required": ["t_end_ns", "alarm", "skipped"],
+}
+"""JSON schema of a line. [none; definition]"""
+
+
+def window_line(result: WindowResult) -> dict[str, Any]:
+    """Collect the values of a window's line of results.jsonl.
+
+    Parameters
+    ----------
+    result : WindowResult
+        The estimates of the window, or why there are none.
+
+    Returns
+    -------
+    dict
+        Keys and units as in docs/results.md; None where nothing was estimated.
+
+    Examples
+    --------
+    >>> from monitor.core import Alarm, Level, Skipped
+    >>> alarm = Alarm(Level.NORMAL, (), "no baseline")
+    >>> line = window_line(WindowResult(0, 400_000_000_000, 400.0, None, None, None, alarm, Skipped("too few poles")))
+    >>> line["t_end_ns"], line["alarm"]["level"], line["skipped"], line["ddi"]
+    (400000000000, 'normal', 'too few poles', None)
+    """
+    return {field.key: field.of(result) for field in FIELDS}
