@@ -135,11 +135,10 @@ def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, No
     c, n = x.shape
     out: list[tuple[float, float] | tuple[None, None]] = [(None, None)] * c
     n_fft = 2 * n  # a line between two bins would not be one
-    spectra = np.fft.rfft(_sine_tapers(n)[:, None] * (x - x.mean(axis=1, keepdims=True)), n_fft, axis=2)
     mains, bins, begins, width = _harmonics(rate_hz, n_fft, n)
     if not mains.size:
         return out
-    chance = _chance_of_line(spectra[:, :, bins]) * c * width
+    chance = _chance_of_line(_sine_spectra(x, bins)) * c * width
     has = np.minimum.reduceat(chance, begins, axis=1) < FALSE_RATE_A_SPAN
     ends = np.append(begins[1:], bins.size)
     for k in np.flatnonzero((has.sum(axis=0) == 1) | has.all(axis=0)).tolist() if c > 1 else ():
@@ -175,19 +174,32 @@ def _chance_of_line(spectra: ComplexArray) -> Array:
     """Compute the probability that noise makes such lines (Thomson's F-test), shape (n_tapers, c, n_bins) to (c, n_bins)."""
     order = np.arange(1, _TAPERS + 1)
     sums = np.where(order % 2 == 1, 1.0 / order, 0.0)  # of the sine tapers' samples, up to a common factor
-    line = np.tensordot(sums, spectra, axes=1) / (sums @ sums)
+    line = (sums[:, None, None] * spectra).sum(axis=0) / (sums @ sums)
     rest = (np.abs(spectra - sums[:, None, None] * line) ** 2).sum(axis=0)
     ratio = np.abs(line) ** 2 * (sums @ sums) / np.maximum(rest, np.finfo(float).tiny)
     return np.asarray((1.0 + ratio) ** (1.0 - _TAPERS))
 
 
-@lru_cache(maxsize=8)
-def _sine_tapers(n: int) -> Array:
-    """Return the sine tapers of unit energy, shape (n_tapers, n).
+def _sine_spectra(x: Array, bins: NDArray[np.intp]) -> ComplexArray:
+    """Compute the spectra of each channel, shape (c, n), under the sine tapers, shape (n_tapers, c, n_bins).
+
+    A sine is the difference of two exponentials, so the tapered spectrum is that of two bins of the plain one: one transform
+    serves all tapers.  They are those of n - 1 samples, whose period is 2 n.
 
     References
     ----------
     K. S. Riedel, A. Sidorenko, Minimum bias multiple taper spectral estimation, IEEE Trans. Signal Processing 43 (1995) 188-195.
     """
+    n = x.shape[1]
+    plain = np.fft.rfft(x[:, :-1] - x[:, :-1].mean(axis=1, keepdims=True), 2 * n, axis=1)
     order = np.arange(1, _TAPERS + 1)[:, None]
-    return np.asarray(np.sqrt(2.0 / (n + 1)) * np.sin(np.pi * order * np.arange(1, n + 1) / (n + 1)))
+    turn = np.exp(1j * np.pi / n * order)
+
+    def at(k: NDArray[np.intp]) -> ComplexArray:
+        """Return the spectrum at bins below 0 and beyond the Nyquist frequency too, shape (n_tapers, c, n_bins)."""
+        folded = np.abs((k + n) % (2 * n) - n)
+        values = plain[:, folded].transpose(1, 0, 2)
+        return np.where(((k % (2 * n)) > n)[:, None], values.conj(), values)
+
+    difference = turn[:, None] * at(bins - order) - turn.conj()[:, None] * at(bins + order)
+    return np.asarray(difference * (np.sqrt(2.0 / n) / 2j))
