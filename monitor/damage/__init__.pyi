@@ -21,7 +21,7 @@ from .common_change import UNMEASURED, Expected
 from .covariate_law import CovariateLaw
 from .covariates import LEVEL, CovariateSettings, LearnedRange, common_words, law_lines, learned_ranges
 from .detectable_loss import clock_error
-from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
+from .feature_change import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
 from .judge import AnyBaseline, Judge, Memory, View
 from .level import drift_m, level_db
 from .modal_alarm import modal_parts
