@@ -46,11 +46,10 @@ from monitor.model import Modes
 from monitor.signals import (
     BesideState,
     Conditioner,
-    ConditionState,
+    FilterRun,
     Health,
     HealthState,
     KnownBlocks,
-    LostState,
     StillState,
     WatchState,
     WindowGrid,
@@ -58,7 +57,7 @@ from monitor.signals import (
     alignment,
     beside,
     channel_watch,
-    lost_samples,
+    conditioned,
     repeats,
     sensor_health,
     stillness,
@@ -81,10 +80,13 @@ class Run:
     t0_ns: int
     """UTC of grid index 0, the stream's first sample, by the clock as it is set now.  Kept over gaps."""
     grid: WindowGrid
-    conditioner: Conditioner
-    condition: ConditionState
+    filters: FilterRun
     window: WindowState
-    lost: LostState
+
+    @property
+    def conditioner(self) -> Conditioner:
+        """The filters' design."""
+        return self.filters.conditioner
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -209,17 +211,19 @@ class Pipeline:
             if piece.gap is not None:
                 results.append(piece.gap)
             if run is None or piece.gap is not None:
-                run = self._begin(piece, run)
+                self.front_end.check_rate(piece.rate_hz)
+            filters, part = conditioned.step(None if run is None else run.filters, piece, self.front_end)
+            values, lost = part.values, part.lost
+            if run is None or part.begins:
+                run = self._begin(piece, filters, run)
             elif piece.shift_ns:
                 run = replace(run, t0_ns=run.t0_ns + piece.shift_ns)
             results += self._check_sensors(piece, align_state.dropped)
-            lost_state, finite, lost = lost_samples.step(run.lost, piece, run.conditioner, run.condition)
-            condition, values = run.conditioner.step_block(run.condition, finite)
             first = run.window.start + run.window.n
             t_ns = run.t0_ns + round(first / run.grid.rate_hz * 1e9)
             results.append(Samples(t_ns, run.grid.rate_hz, values if lost is None else np.where(lost, np.nan, values)))
             window_state, windows = window.step(run.grid, run.window, values, run.t0_ns, lost)
-            run = replace(run, condition=condition, window=window_state, lost=lost_state)
+            run = replace(run, filters=filters, window=window_state)
             self.state = replace(self.state, run=run)
             for item in windows:
                 end_ns = item.t_end_ns if isinstance(item, Window) else item[1]
@@ -258,11 +262,9 @@ class Pipeline:
             found = stage.keep_ground(found, piece, state.conditioner, self.config.events)
         self.state = replace(self.state, ground=state, events=found)
 
-    def _begin(self, piece: alignment.Piece, previous: Run | None) -> Run:
-        """Begin a new run of samples: filters start at rest, windows stay on the stream's grid."""
-        n_channels = len(self.front_end.channels)
-        self.front_end.check_rate(piece.rate_hz)
-        conditioner = self.front_end.conditioner(piece.rate_hz)
+    def _begin(self, piece: alignment.Piece, filters: FilterRun, previous: Run | None) -> Run:
+        """Begin a new run of samples: windows stay on the stream's grid."""
+        conditioner = filters.conditioner
         rate_hz = conditioner.rate_hz
         if previous is not None and rate_hz == previous.grid.rate_hz:
             grid = previous.grid
@@ -277,8 +279,8 @@ class Pipeline:
             if (end - index) / rate_hz >= _SET_BACK_S:  # the grid continues, and its times follow the clock
                 t0_ns = piece.t_ns - round(end / rate_hz * 1e9)
             index = max(index, end)
-        begun = window.start(grid, n_channels, index=index, previous=last)
-        return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun, lost_samples.start(n_channels))
+        begun = window.start(grid, len(self.front_end.channels), index=index, previous=last)
+        return Run(t0_ns, grid, filters, begun)
 
     def _check_sensors(self, piece: alignment.Piece, dropped: int) -> list[Health]:
         """Update the health of the sensors, and return that of the spans that are complete."""

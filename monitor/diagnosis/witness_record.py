@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.base import ACCELERATION, GROUND, ROTATION_RATE, SampleBlock
 from monitor.core import Array, BadInputError, ComplexArray
-from monitor.signals import Conditioner, ConditionState, FrontEnd, SegmentDesign, alignment, transform
+from monitor.signals import Conditioner, FilterRun, FrontEnd, SegmentDesign, alignment, conditioned, transform
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ class _Stream:
         self.channels = channels
         self._front_end = replace(front_end, channels=channels)
         self._align = alignment.start()
-        self._state: ConditionState
+        self._filters: FilterRun | None = None
         self.design: Conditioner | None = None
         """Conditioner of the latest run."""
         self._runs: list[tuple[int, list[Array]]] = []
@@ -157,17 +157,16 @@ class _Stream:
         """Condition a block's samples."""
         self._align, pieces = self._front_end.align(self._align, block)
         for piece in pieces:
-            if self.design is None or piece.gap is not None:
-                design = self._front_end.conditioner(piece.rate_hz)
+            self._filters, part = conditioned.step(self._filters, piece, self._front_end)
+            if part.begins:
                 if piece.rate_hz != self.rate_hz:
                     self._runs.clear()  # samples of another rate do not go together with those that follow
-                self.design, self._state = design, design.start(len(self.channels))
+                self.design = part.conditioner
                 self._runs.append((piece.t_ns, []))
             if self._first is None and len(piece.values):
                 self._first = piece.values[0]
             self.moves |= (piece.values != self._first).any(axis=0)
-            self._state, values = self.design.step_block(self._state, piece.values)
-            self._runs[-1][1].append(values.astype(np.float32))
+            self._runs[-1][1].append(part.values.astype(np.float32))
 
     def runs(self) -> list[tuple[int, Array]]:
         """Join the samples of every run, with the time of the run's first sample, UTC ns."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.base import SampleBlock
 from monitor.core import Array
-from monitor.signals import Conditioner, ConditionState, FrontEnd, alignment
+from monitor.signals import Conditioner, FilterRun, FrontEnd, alignment, conditioned
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -27,11 +27,13 @@ class GroundState:
     """State between blocks."""
 
     align: alignment.AlignState = field(default_factory=alignment.start)
-    t0_ns: int = 0
-    """UTC of the first sample since a gap."""
-    conditioner: Conditioner | None = None
+    filters: FilterRun | None = None
     """Filter of the samples; None before the first."""
-    condition: ConditionState | None = None
+
+    @property
+    def conditioner(self) -> Conditioner | None:
+        """The filter's design."""
+        return None if self.filters is None else self.filters.conditioner
 
 
 def step(state: GroundState, block: SampleBlock, front_end: FrontEnd) -> tuple[GroundState, list[Ground]]:
@@ -48,14 +50,11 @@ def step(state: GroundState, block: SampleBlock, front_end: FrontEnd) -> tuple[G
         If the unit is not that of the topic, or the rate is absurd.
     """
     align, pieces = alignment.step(state.align, block, block.channels[:1])
-    t0_ns, before, condition, out = state.t0_ns, state.conditioner, state.condition, []
+    filters, out = state.filters, []
     for piece in pieces:
-        conditioner: Conditioner = front_end.conditioner(piece.rate_hz)
-        if condition is None or piece.gap is not None or before is None or piece.rate_hz != before.rate_in_hz:
-            before, t0_ns, condition = conditioner, piece.t_ns, conditioner.start(1)
-        t0_ns += piece.shift_ns
-        at_ns = t0_ns + round((condition.n_out / conditioner.rate_hz - conditioner.delay_s) * 1e9)
-        condition, values = conditioner.step_block(condition, piece.values)
-        if values.size:
-            out.append(Ground(at_ns, conditioner.rate_hz, np.ascontiguousarray(values[:, 0])))
-    return GroundState(align, t0_ns, before, condition), out
+        filters, part = conditioned.step(filters, piece, front_end)
+        rate_hz = part.conditioner.rate_hz
+        if part.values.size:
+            at_ns = part.t0_ns + round((part.first / rate_hz - part.conditioner.delay_s) * 1e9)
+            out.append(Ground(at_ns, rate_hz, np.ascontiguousarray(part.values[:, 0])))
+    return GroundState(align, filters), out

@@ -16,7 +16,7 @@ from monitor.events.motion import integrated
 from monitor.events.recognition import STEP_S
 from monitor.events.record import Record, make_record
 from monitor.events.site import Site
-from monitor.signals import Conditioner, ConditionState, FrontEnd, LostState, alignment, lost_samples
+from monitor.signals import Conditioner, FrontEnd, alignment, conditioned
 
 _STRETCH_PERIODS = 10.0
 """Periods of the first mode in a stretch of which its frequency and damping are told. [count; judgement: a few, of which the
@@ -109,8 +109,6 @@ class _Run:
 
     t_ns: int
     conditioner: Conditioner
-    condition: ConditionState
-    lost: LostState
     values: list[Array] = field(default_factory=list)
     n: int = 0
     """Samples before conditioning."""
@@ -155,7 +153,7 @@ def _conditioned(
     blocks: Iterable[SampleBlock], front_end: FrontEnd
 ) -> tuple[list[_Run], tuple[Sequence[Ground], Conditioner | None]]:
     """Condition the samples of floors and ground as the pipeline does."""
-    align, runs = alignment.start(), list[_Run]()
+    align, filters, runs = alignment.start(), None, list[_Run]()
     base, moved = GroundState(), list[Ground]()
     for block in blocks:
         if block.topic == GROUND:
@@ -165,16 +163,12 @@ def _conditioned(
             continue
         align, pieces = front_end.align(align, block, keep_partial=True)
         for piece in pieces:
-            if not runs or piece.gap is not None:
-                conditioner, n = front_end.conditioner(piece.rate_hz), len(front_end.channels)
-                runs.append(
-                    _Run(piece.t_ns, conditioner, conditioner.start(n), lost_samples.start(n), n_lost=np.zeros(n))
-                )
+            filters, part = conditioned.step(filters, piece, front_end)
+            if part.begins:
+                runs.append(_Run(part.t0_ns, part.conditioner, n_lost=np.zeros(len(front_end.channels))))
             run = runs[-1]
-            run.t_ns += piece.shift_ns
-            run.lost, finite, _ = lost_samples.step(run.lost, piece, run.conditioner, run.condition)
-            run.condition, values = run.conditioner.step_block(run.condition, finite)
-            run.values.append(values)
+            run.t_ns = part.t0_ns
+            run.values.append(part.values)
             run.n += len(piece.values)
             run.n_lost = run.n_lost + (0 if piece.lost is None else piece.lost.sum(axis=0))
     return runs, (moved, base.conditioner)

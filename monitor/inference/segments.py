@@ -18,12 +18,13 @@ from monitor.inference.input_response import Drive, Input
 from monitor.inference.judged_band import JudgedBand, find_judged_band
 from monitor.signals import (
     Conditioner,
-    ConditionState,
     Drift,
+    FilterRun,
     FrontEnd,
     SegmentDesign,
     alignment,
     channel_faults,
+    conditioned,
     mains_hum,
     sensor_drift,
     taper,
@@ -319,8 +320,7 @@ class _Stream:
         self._n = 0
         self._lost = np.zeros(len(front_end.channels), dtype=np.int64)
         """Number of samples of each channel that are not finite."""
-        self._rest: Array | None = None
-        self._state: ConditionState
+        self._filters: FilterRun | None = None
         self._run_ns = 0
         self._done = 0
         self.design: SegmentDesign | None = None
@@ -350,9 +350,12 @@ class _Stream:
             self._lost += (~np.isfinite(alignment.select(block, self.front_end.channels))).sum(axis=0)
         self._n += len(block.samples)
         for piece in pieces:
-            if self._rest is None or piece.gap is not None:
-                self._begin_run(piece)
-            self._state, values = self.conditioner.step_block(self._state, piece.values)
+            if self._filters is None or piece.gap is not None:
+                self.front_end.check_rate(piece.rate_hz)
+            self._filters, part = conditioned.step(self._filters, piece, self.front_end)
+            if part.begins:
+                self._begin_run(piece, part.conditioner)
+            values = part.values
             # The floors' samples only tell faults of a sensor, for which half the memory is enough.
             self.runs[-1][1].append(values if self._is_input else values.astype(np.float32))
             if self._is_input:
@@ -380,12 +383,9 @@ class _Stream:
         self.peak = np.maximum(self.peak, top)
         self.piled += (magnitude >= self.peak * (1.0 - _CLIPPED_TOLERANCE)).sum(axis=0)
 
-    def _begin_run(self, piece: alignment.Piece) -> None:
+    def _begin_run(self, piece: alignment.Piece, conditioner: Conditioner) -> None:
         """Begin a run of samples without a gap."""
-        self.front_end.check_rate(piece.rate_hz)
-        self.conditioner = self.front_end.conditioner(piece.rate_hz)
-        self._state = self.conditioner.start(self.peak.size)
-        self._rest = np.zeros((0, self.peak.size))
+        self.conditioner, self._rest = conditioner, np.zeros((0, self.peak.size))
         if self.design is None:
             self.design = self._design_segments()
             self.t0_ns = piece.t_ns
@@ -447,7 +447,6 @@ class _Stream:
 
     def _cut_segments(self, values: Array) -> None:
         """Cut and transform the segments that new conditioned samples complete, shape (n_samples, c)."""
-        assert self._rest is not None
         assert self.design is not None
         n = self.design.n
         rest = np.concatenate([self._rest, values])

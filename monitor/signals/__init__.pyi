@@ -4,7 +4,7 @@ from . import (
     channel_faults,
     channel_relations,
     channel_watch,
-    lost_samples,
+    conditioned,
     mains_hum,
     repeats,
     sensor_drift,
@@ -17,11 +17,11 @@ from . import (
 from .beside import BesideState
 from .channel_faults import FALSE_RATE
 from .channel_watch import WatchState
+from .conditioned import FilterRun
 from .front_end import FrontEnd
-from .lost_samples import LostState
 from .neighbours import NORMAL_MAD
 from .repeats import KnownBlocks
-from .resampling import Conditioner, ConditionState
+from .resampling import Conditioner
 from .sensor_drift import Drift
 from .sensor_health import Health, HealthSettings, HealthState
 from .settings import ProcessingSettings
@@ -46,15 +46,14 @@ __all__ = [
     "LEAKAGE_OFFSETS",
     "NORMAL_MAD",
     "BesideState",
-    "ConditionState",
     "Conditioner",
     "Drift",
+    "FilterRun",
     "FrontEnd",
     "Health",
     "HealthSettings",
     "HealthState",
     "KnownBlocks",
-    "LostState",
     "ProcessingSettings",
     "QualitySettings",
     "SegmentDesign",
@@ -69,9 +68,9 @@ __all__ = [
     "channel_faults",
     "channel_relations",
     "channel_watch",
+    "conditioned",
     "hann_amplitude",
     "leakage",
-    "lost_samples",
     "mains_hum",
     "overlap_correlation",
     "repeats",

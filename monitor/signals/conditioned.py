@@ -1,0 +1,72 @@
+"""A stream's samples through the filters, piece by piece: a run of filters begins at each gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core import Array
+from monitor.signals import lost_samples
+from monitor.signals.alignment import Piece
+from monitor.signals.front_end import FrontEnd
+from monitor.signals.lost_samples import LostState
+from monitor.signals.resampling import Conditioner, ConditionState
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FilterRun:
+    """State of the filters for the samples since the last gap."""
+
+    t0_ns: int
+    """UTC of the run's first sample, by the clock as it is set now."""
+    conditioner: Conditioner
+    condition: ConditionState
+    lost: LostState
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Conditioned:
+    """What the filters make of one piece."""
+
+    begins: bool
+    """Whether a run begins with it."""
+    t0_ns: int
+    """UTC of the run's first sample."""
+    conditioner: Conditioner
+    first: int
+    """Number of the run's conditioned samples before these."""
+    values: Array
+    """Shape (n_samples, c), in the unit of the topic."""
+    lost: NDArray[np.bool_] | None
+    """Shape (n_samples, c): values that are made up, as a sample was lost; None where none is."""
+
+
+def step(run: FilterRun | None, piece: Piece, front_end: FrontEnd) -> tuple[FilterRun, Conditioned]:
+    """Condition a piece, in a new run where there is none or the piece comes after a gap.
+
+    Returns
+    -------
+    run : FilterRun
+    part : Conditioned
+
+    Examples
+    --------
+    >>> from monitor.signals import ProcessingSettings
+    >>> front_end = FrontEnd(("a1",), ProcessingSettings(), segment_s=5.0, n_lags=50)
+    >>> run, part = step(None, Piece(0, np.ones((1000, 1)), None, 1000.0), front_end)
+    >>> part.begins, part.values.shape
+    (True, (100, 1))
+    >>> step(run, Piece(10**9, np.ones((1000, 1)), None, 1000.0), front_end)[1].first
+    100
+    """
+    begins = run is None or piece.gap is not None
+    if run is None or begins:
+        conditioner, c = front_end.conditioner(piece.rate_hz), piece.values.shape[1]
+        run = FilterRun(piece.t_ns, conditioner, conditioner.start(c), lost_samples.start(c))
+    t0_ns = run.t0_ns + (0 if begins else piece.shift_ns)
+    held, finite, lost = lost_samples.step(run.lost, piece, run.conditioner, run.condition)
+    condition, values = run.conditioner.step_block(run.condition, finite)
+    part = Conditioned(begins, t0_ns, run.conditioner, run.condition.n_out, values, lost)
+    return FilterRun(t0_ns, run.conditioner, condition, held), part
