@@ -193,7 +193,9 @@ class Pipeline:
                 align = self.state.align
                 self.state = replace(self.state, align=replace(align, dropped=align.dropped + block.n_samples))
             return []
-        self.state = replace(self.state, known={**self.state.known, block.topic: known})
+        known_blocks = {**self.state.known, block.topic: known}
+        if block.topic != ACCELERATION:
+            self.state = replace(self.state, known=known_blocks)
         if block.topic == TEMPERATURE:
             self._store_temperature(block)
         if block.topic == GROUND and self.config.events.enabled:
@@ -204,7 +206,7 @@ class Pipeline:
         align = replace(self.state.align, late=0) if repeats.overlaps(before, block) else self.state.align
         align_state, pieces = self.front_end.align(align, block, keep_partial=True)
         others = beside.step(self.state.beside, block, self.front_end.channels, self.config.health)
-        self.state = replace(self.state, align=align_state, beside=others)
+        self.state = replace(self.state, align=align_state, beside=others, known=known_blocks)
         results: list[Result] = []
         for piece in pieces:
             run = self.state.run

@@ -231,3 +231,50 @@ def extreme_gains(
         std = max(np.sqrt(rest / (counts[at] * predicted[at])), scatter)
         largest, smallest = max(largest, g - stds * std), min(smallest, g + stds * std)
     return largest, smallest
+
+
+@compiled()
+def count_repetitions(
+    last: Array, x: Array, resolution: Array, counts: tuple[int, int, int, int, int, int]
+) -> tuple[Array, tuple[int, int, int, int, int, int]]:
+    """Count samples that repeat the one before in all channels; one that is not finite says nothing.
+
+    Parameters
+    ----------
+    last : ndarray, shape (0, c) or (1, c)
+        The sample before the first.
+    x : ndarray, shape (n_samples, c)
+    resolution : ndarray, shape (c,)
+        Least change of each channel so far.
+    counts : tuple of int
+        Repetitions, those of the longest run in this stretch, those of the present run in it, the present run, the longest run
+        that steps of the resolution ended, and the longest that larger ones ended.
+
+    Returns
+    -------
+    resolution : ndarray, shape (c,)
+    counts : tuple of int
+    """
+    resolution = resolution.copy()
+    repeated, longest, here, run, rest, hold = counts
+    for k in range(x.shape[0]):
+        if k == 0 and last.shape[0] == 0:
+            continue
+        before = last[0] if k == 0 else x[k - 1]
+        moved = large = False
+        for i in range(x.shape[1]):
+            step = abs(x[k, i] - before[i])
+            if step > 0.0:
+                moved = True
+                resolution[i] = min(resolution[i], step)
+                large = large or step > 1.5 * resolution[i]
+        if not moved:
+            repeated, here, run = repeated + 1, here + 1, run + 1
+            longest = max(longest, here)
+        else:
+            if large:
+                hold = max(hold, run)
+            else:
+                rest = max(rest, run)
+            here = run = 0
+    return resolution, (repeated, longest, here, run, rest, hold)

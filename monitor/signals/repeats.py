@@ -53,6 +53,8 @@ def step(state: KnownBlocks, block: SampleBlock) -> KnownBlocks | None:
 
 def overlaps(state: KnownBlocks, block: SampleBlock) -> bool:
     """Say whether a block holds the first sample of a known one, at its time: what it has before and beside it is known too."""
+    if block.t_ns > state.t_ns.max(initial=0):  # as mostly
+        return False
     samples, rate = np.ascontiguousarray(block.samples), block.sample_rate_hz
     rows = np.round((state.t_ns - block.t_ns) * 1e-9 * rate)
     inside = np.flatnonzero((rows >= 0) & (rows < block.n_samples))

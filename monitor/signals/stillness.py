@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from math import isfinite, log
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monitor.core import STILL, Array, Skipped, utc
 from monitor.signals.alignment import Piece
@@ -143,31 +142,26 @@ def check(state: StillState, begin_ns: int, end_ns: int) -> Skipped | None:
 
 def _count(state: StillState, part: Array) -> StillState:
     """Count the repetitions in the next samples of the stretch, shape (n_samples, c)."""
-    joined = np.concatenate([state.last, part])
-    steps = np.abs(np.diff(joined, axis=0))
-    still = np.asarray(~(steps > 0.0).any(axis=1))  # NaN: of a lost sample
-    resolution = np.minimum(state.resolution, np.where(steps > 0.0, steps, np.inf).min(axis=0, initial=np.inf))
-    state = replace(state, last=joined[-1:], resolution=resolution, n=state.n + len(part))
-    if not still.any() and not state.run:
-        return state
-    moved = np.flatnonzero(~still)
-    edges = np.concatenate([[-1], moved, [len(still)]])
-    lengths: NDArray[np.intp] = np.diff(edges) - 1  # of the runs before each moving sample, and after the last
-    within = lengths + np.where(np.arange(lengths.size) == 0, state.here, 0)
-    whole = lengths + np.where(np.arange(lengths.size) == 0, state.run, 0)
-    state = replace(
-        state,
-        repeated=state.repeated + int(lengths.sum()),
-        longest=max(state.longest, int(within.max())),
-        here=int(within[-1]),
-        run=int(whole[-1]),
+    from monitor.signals.kernels import count_repetitions  # compiled code takes a while to load
+
+    before = state.repeated, state.longest, state.here, state.run, state.rest, state.hold
+    resolution, (repeated, longest, here, run, rest, hold) = count_repetitions(
+        state.last, np.ascontiguousarray(part), state.resolution, before
     )
-    ended = whole[:-1]
-    by_resolution = ~(steps[moved] > 1.5 * resolution).any(axis=1)
-    return replace(
-        state,
-        rest=int(ended[by_resolution].max(initial=state.rest)),
-        hold=int(ended[~by_resolution].max(initial=state.hold)),
+    return StillState(
+        part[-1:].copy(),
+        resolution,
+        state.origin_ns,
+        state.rate_hz,
+        state.t_ns,
+        state.n + len(part),
+        repeated,
+        longest,
+        here,
+        run,
+        rest,
+        hold,
+        state.stretches,
     )
 
 
