@@ -91,12 +91,12 @@ def step(state: StillState, piece: Piece, step_s: float, keep_s: float) -> Still
         Time before the samples from which on stretches are kept for `check`, s.
     """
     t_ns, values, rate = piece.t_ns, piece.values, piece.rate_hz
-    kept = tuple(s for s in state.stretches if abs(t_ns - s.t_end_ns) <= keep_s * 1e9)
-    state = replace(state, stretches=kept)
     if piece.gap is not None and state.n:
         state = _close(state, t_ns)
     origin_ns = t_ns if state.origin_ns is None else state.origin_ns
-    state = replace(state, rate_hz=rate, origin_ns=origin_ns)
+    kept = tuple(s for s in state.stretches if abs(t_ns - s.t_end_ns) <= keep_s * 1e9)
+    if (rate, origin_ns, kept) != (state.rate_hz, state.origin_ns, state.stretches):
+        state = replace(state, rate_hz=rate, origin_ns=origin_ns, stretches=kept)
     while len(values):
         begin_ns = t_ns - round(state.n / rate * 1e9)
         since_s = (begin_ns - origin_ns) * 1e-9
