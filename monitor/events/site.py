@@ -80,11 +80,9 @@ class Site:
     def read(cls, content: dict[str, Any]) -> Site:
         """Make a site of its content (`content`)."""
         known = dict(content)
-        for name in ("sensors", "drifts", "stiffness_n_per_m", "masses_kg", "heights_m", "modes_hz", "shapes"):
+        arrays = ("sensors", "drifts", "stiffness_n_per_m", "masses_kg", "heights_m", "modes_hz", "shapes")
+        for name in (*arrays, "floor_shapes", "damping"):
             known[name] = None if known[name] is None else np.array(known[name], dtype=float)
-        for name in ("floor_shapes", "damping"):
-            if name in known:  # recordings of earlier versions have none
-                known[name] = np.array(known[name], dtype=float)
         names = {name: tuple(known[name]) for name in ("channels", "names")}
         return cls(**known | names | {"settings": EventSettings.model_validate(known["settings"])})
 

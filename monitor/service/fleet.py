@@ -192,7 +192,7 @@ def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: 
 def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: float) -> SiteStatus:
     """Read a site's state from the decoded answer of its monitor."""
     result, alarm, health = answer.get("results") or {}, answer.get("alarm") or {}, answer.get("health") or {}
-    age_s = answer.get("silent_s")  # by the monitor's own clock; an earlier version does not say it
+    age_s = answer.get("silent_s")  # by the monitor's own clock
     quiet_s = ((now_ns - int(health["wall_ns"])) * 1e-9 if age_s is None else float(age_s)) if health else None
     if age_s is not None and not float(age_s) >= 0.0:
         raise ValueError("an age that is none")

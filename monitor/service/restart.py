@@ -284,7 +284,7 @@ def lock(path: Path, out: Path) -> int:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, _LOCK_MODE)
-        os.fchmod(handle, _LOCK_MODE)  # earlier versions let everybody read it
+        os.fchmod(handle, _LOCK_MODE)  # whatever the umask
     except OSError as error:
         raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
     deadline = time.monotonic() + _LOCK_WAIT_S

@@ -427,10 +427,9 @@ class SiteStore:
         self._remove_others({_MANIFEST} | _objects(files))
 
     def _note(self) -> _Note:
-        """Return what this folder knows of the manifest; earlier versions wrote the name alone."""
+        """Return what this folder knows of the manifest."""
         try:
-            text = (self._out / _NOTE).read_text(encoding="ascii")
-            return _Note.model_validate_json(text) if text.startswith("{") else _Note(owners=(text,) if text else ())
+            return _Note.model_validate_json((self._out / _NOTE).read_text(encoding="ascii"))
         except (OSError, ValueError):
             return _Note()
 

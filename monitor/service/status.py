@@ -255,7 +255,7 @@ def _age_s(health: dict[str, Any]) -> float | None:
     """
     boot_id, boot_s = boot_time()
     wall_s = (time.time_ns() - health["wall_ns"]) * 1e-9
-    if "boot_s" not in health:  # an earlier version's
+    if "boot_s" not in health:  # this system does not tell
         return wall_s if wall_s >= -_AHEAD_S else None
     age_s = boot_s - health["boot_s"] if health["boot_id"] == boot_id else max(wall_s, boot_s)
     return age_s if age_s >= 0.0 else None

@@ -36,7 +36,13 @@ def line_of(k: int) -> dict[str, object]:
         level = "warning" if k < ALARM[-1] else "alarm"
         alarm |= {"level": level, "stories": [2], "reason": "story 2 lost 8 %", "active": {"2": level}}
     figures = {"frequencies_hz": f.tolist(), "frequencies_std_hz": [0.002] * 3, "mode_tracks": [0, 1, 2]}
-    figures |= {"ddi": ddi.tolist(), "ddi_std": [0.002] * 3, "temperature_degc": warmth, "misfit": 1.0}
+    figures |= {
+        "ddi": ddi.tolist(),
+        "ddi_std": [0.002] * 3,
+        "temperature_degc": warmth,
+        "covariates": {"temperature": warmth},
+        "misfit": 1.0,
+    }
     return {**out, **figures}
 
 

@@ -223,9 +223,7 @@ class PeriodResults:
             f, std = other["frequency_hz"], other["frequency_std_hz"]
             self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
         self.course = course
-        degc = line.get("temperature_degc")
-        before = {} if degc is None else {"temperature": degc}  # lines of older versions have this alone
-        for name, value in line.get("covariates", before).items():
+        for name, value in line.get("covariates", {}).items():
             self.covariates.setdefault(name, Curve(self.grid)).add(at, value)
         if line["skipped"] is not None:
             self.refused[at] += 1

@@ -96,7 +96,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         decisions = [d for d in notes.read_decisions(folder, health, known.n_modes or 0) if start < d.t_ns <= stop]
     with _name_file_in_errors(folder / "findings"):
         findings = notes.read_findings(folder, start, stop)
-    if not known.names:  # a run of an older version
+    if not known.names:  # the summary does not tell
         known = replace(known, names=tuple(f"story {j + 1}" for j in range(len(results.ddi))))
         known = replace(known, has_baseline=not results.no_baseline)
     with _name_file_in_errors(folder / "results.jsonl"):
@@ -109,7 +109,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
 
 
 def _known_of(summary: Mapping[str, Any]) -> Known:
-    """Read from the summary what the state depends on and no window changes; defaults where an older version wrote it."""
+    """Read from the summary what the state depends on and no window changes; defaults where it does not tell."""
     content: dict[str, Any] = {"names": (), "has_baseline": True, "alarm_loss": 0.1, "misfit": 5.0}
     content |= summary.get("known", {})
     return TypeAdapter(Known).validate_python(content)
