@@ -29,8 +29,8 @@ PAGE = Path(__file__).with_suffix(".md")
 _HEAD = """# Settings
 
 Every key of a structure file, a site file and a fleet file. A dash: it must be given where its table is. A key's name ends in
-its unit. `shm-monitor check FILE` refuses unknown keys and says which are wrong. What to change, and when:
-[choosing](choosing.md).
+its unit; the bounds of its value stand in brackets. `shm-monitor check FILE` refuses unknown keys and says which are wrong.
+What to change, and when: [choosing](choosing.md).
 `[topics]` names what it likes: ROS 2 Imu topic = channel, as `"/imu/top" = "a1.x"` ([connect](connect.md)).
 
 (Written by `.venv/bin/python docs/settings.py` from the classes that read the files; a test sees that it is up to date.)
@@ -86,17 +86,40 @@ def shown(value: Any) -> str:
     return f"`{value:g}`" if isinstance(value, float) else f'`"{value}"`'
 
 
+_BOUNDS = {
+    "minimum": "at least {:.10g}",
+    "exclusiveMinimum": "above {:.10g}",
+    "maximum": "at most {:.10g}",
+    "exclusiveMaximum": "below {:.10g}",
+    "minLength": "{} or more characters",
+    "maxLength": "{} or fewer characters",
+    "minItems": "{} or more values",
+    "maxItems": "{} or fewer values",
+}
+
+
+def bounds(schema: Any) -> list[str]:
+    """The bounds of a value, or of those that it holds, by its JSON schema."""
+    if isinstance(schema, list):
+        return [text for part in schema for text in bounds(part)]
+    if not isinstance(schema, dict):
+        return []
+    own = [text.format(schema[key]) for key, text in _BOUNDS.items() if key in schema]
+    return own + [text for part in schema.values() for text in bounds(part)]
+
+
 def page() -> str:
     """The whole of it."""
     parts = [_HEAD]
     for title, cls in tables().items():
-        words, rows = says(cls), []
+        words, rows, schemas = says(cls), [], cls.model_json_schema()["properties"]
         for name, field in cls.model_fields.items():
             if name == "kind" or isinstance(field.default, BaseModel):
                 continue
             required = field.is_required()
             default = "-" if required else shown(field.get_default(call_default_factory=True))
-            choice = ", ".join(f"`{a}`" for a in get_args(field.annotation) if isinstance(a, str))
+            choices = [f"`{a}`" for a in get_args(field.annotation) if isinstance(a, str)]
+            choice = ", ".join(choices or dict.fromkeys(bounds(schemas[name])))
             text = words.get(name, "").replace("``", "`").replace("|", "\\|")
             rows.append(f"| `{name}` | {default} | {' '.join(filter(None, [text, choice and f'({choice})']))} |")
         parts.append(f"## {title}\n| key | default | |\n|---|---|---|\n" + "\n".join(rows) + "\n")

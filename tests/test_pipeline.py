@@ -18,12 +18,14 @@ from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import Configuration, configuration
 from monitor.core import BadInputError, Gap, Samples, UserError, WindowResult
 from monitor.damage import alarm
+from monitor.events import Event
 from monitor.identification import SelectionSettings
 from monitor.model import MatrixStructure, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Summary, facts_of_line, to_json, window_line
 from monitor.runs import calibrate, cut_into_blocks
-from tests.support import results
+from tests.events import shaken
+from tests.support import results, short_quake
 from tests.support.learned import baseline_of, configured, learned, results_of
 from tests.support.results import modal_estimate, window_result
 from tests.support.samples import T0_NS, Cut, write_blocks
@@ -201,6 +203,23 @@ def test_a_gap_is_the_same_gap_in_any_block_sizes(
     assert len(one[2]) == 1
 
 
+def test_events_and_skipped_windows_come_in_the_order_of_the_data_in_any_block_sizes(cut: Cut) -> None:
+    """A gap at 20 s, a quake from 30 to 50 s, and windows of 60 s."""
+    tables = {"processing": {"window_s": 60.0, "hop_s": 5.0}, "events": {"merge_s": 5.0, "post_s": 5.0}}
+    config, floors = shaken.configuration(**tables), short_quake.shaken().floors
+
+    def order(size: int) -> list[str]:
+        blocks = cut(floors[:4000], shaken.RATE, [size]) + cut(floors[4100:], shaken.RATE, [size], first=4100)
+        told = push(Pipeline(config), blocks)
+        return [
+            f"window {r.index}" if isinstance(r, WindowResult) else "event"
+            for r in told
+            if isinstance(r, Event | WindowResult)
+        ]
+
+    assert order(len(floors)) == order(50) == ["event", "event", *(f"window {k}" for k in range(4))]
+
+
 def test_windows_around_a_gap_are_skipped_with_their_data_length(
     site: Configuration, record: np.ndarray, cut: Cut
 ) -> None:
@@ -286,6 +305,23 @@ def test_a_changed_rate_starts_over_on_the_same_grid(site: Configuration, record
     assert good[0].t_end_ns == T0_NS + 125 * 10**9
     assert good[0].modes is not None
     np.testing.assert_allclose(good[0].modes.frequencies_hz[:2], site.model().modes().frequencies_hz[:2], rtol=0.02)
+
+
+def test_data_before_a_change_of_the_rate_count_by_their_length(
+    site: Configuration, record: np.ndarray, cut: Cut
+) -> None:
+    pipeline = Pipeline(site)
+    push(pipeline, cut(record[: 42 * 50], 50.0))
+    across = windows(push(pipeline, cut(record, RATE, t0_ns=T0_NS + 42 * 10**9)))[:4]
+    assert [r.t_end_ns - T0_NS for r in across] == [k * 10**9 for k in (45, 50, 55, 60)]
+    assert [r.window_s for r in across] == pytest.approx([20.0] * 4, abs=0.1)
+
+
+def test_conditioned_samples_follow_each_other_in_time(site: Configuration, record: np.ndarray, cut: Cut) -> None:
+    parts = [r for r in push(Pipeline(site), cut(record, RATE)) if isinstance(r, Samples) and len(r.values)]
+    ends = [p.t_ns + round(len(p.values) / p.rate_hz * 1e9) for p in parts]
+    assert len(parts) > 10 and abs(parts[0].t_ns - T0_NS) < 1e9
+    assert [p.t_ns for p in parts[1:]] == pytest.approx(ends[:-1], abs=2, rel=0)
 
 
 def test_a_rate_too_slow_for_the_windows_is_refused_as_if_it_had_never_come(

@@ -514,8 +514,8 @@ def _look_ahead(tied: list[RefittedCandidate], settings: DiagnosisSettings) -> l
     """Rank tied candidates with the best second cause beside each, where each leaves lack of fit; return those still tied."""
     if not find_lack_of_fit(tied[0].posterior, tied[0].candidate.fit, settings):
         return tied
-    evidence = []
-    for p in tied[: settings.tried]:
+    looked_at, evidence = tied[: settings.tried], []
+    for p in looked_at:
         second = run_selection_round(
             _extend_posterior(p.posterior, p.candidate.fit), p.candidate.fit, p.moments, settings, settings.worth
         )
@@ -524,7 +524,7 @@ def _look_ahead(tied: list[RefittedCandidate], settings: DiagnosisSettings) -> l
     best = int(np.argmax(evidence))
     still_tied = [
         p
-        for p, t in zip(tied, evidence, strict=False)
+        for p, t in zip(looked_at, evidence, strict=True)
         if t > evidence[best] - settings.rival
         or predict_the_same(p.posterior, p.candidate.fit, tied[best].candidate.fit)
     ]

@@ -185,7 +185,8 @@ class Reader:
         """Stop reading after the blocks that have already arrived; wait for the source to close for at most `timeout_s`."""
         self._stop.set()
         self.queue.lift()
-        self._thread.join(timeout_s)
+        if self._thread.is_alive():  # else it has ended, or could not be started
+            self._thread.join(timeout_s)
         self.queue.close()
 
     def _work(self) -> None:

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 import shm_monitor as shm
 
 import monitor.api
+from drivers.base import GROUND
 from monitor.config import configuration
 from monitor.core import WindowResult
 from monitor.pipeline import Pipeline
@@ -74,6 +76,14 @@ def test_without_a_structure_the_same_modes_are_found(record: shm.Recording, mod
     np.testing.assert_allclose(np.sqrt(variance) * free.frequencies_hz, free.frequencies_std_hz)
     with pytest.raises(shm.UserError, match="give the structure to identify"):
         shm.update(free, shm.structure(masses_kg=[1.0] * 3, stiffness_n_per_m=[2e3] * 3))
+
+
+def test_no_more_modes_are_looked_for_than_asked(frame: shm.Structure, record: shm.Recording, modes: shm.Modes) -> None:
+    assert len(modes.frequencies_hz) == 3
+    two = shm.identify(record.samples, record.rate_hz, frame, max_modes=2)
+    np.testing.assert_allclose(two.frequencies_hz, modes.frequencies_hz[:2], rtol=0.01)
+    low = shm.identify(record.samples, record.rate_hz, frame, cutoff_hz=20.0)
+    np.testing.assert_allclose(low.frequencies_hz, modes.frequencies_hz[:2], rtol=0.01)
 
 
 def test_noise_has_no_modes_and_says_so(frame: shm.Structure) -> None:
@@ -139,6 +149,9 @@ def test_a_recording_is_laid_out_with_its_gaps(tmp_path: Path, cut: Cut) -> None
     assert np.isnan(found.samples[100:150]).all()
     np.testing.assert_array_equal(found.samples[:100], values[:100])
     np.testing.assert_array_equal(found.samples[150:], values[150:])
+    ground = [replace(b, topic=GROUND, channels=("x", "y", "z")) for b in cut(-values, 100.0, (50,))]
+    write_blocks(tmp_path / "g.mcap", [*cut(values, 100.0, (50,)), *ground])
+    np.testing.assert_array_equal(shm.read(tmp_path / "g.mcap").ground, -values[:, 0])
     with pytest.raises(shm.UserError, match="No such file"):
         shm.read(tmp_path / "nothing.mcap")
     (tmp_path / "words.txt").write_text("neither numbers nor columns\n")

@@ -308,6 +308,24 @@ def test_a_frame_in_other_units_is_told(load: Load, frame_text: str, stiffness: 
     assert_problem(load, re.sub(r"(stiffness_n_per_m = )\[.*?\]", rf"\g<1>{stiffness}", frame_text), words)
 
 
+@pytest.mark.parametrize(
+    ("processing", "selection"), [("cutoff_hz = 10.0", ""), ("cutoff_hz = 40.0", "min_frequency_hz = 20.0")]
+)
+def test_a_frame_of_which_one_mode_lies_in_the_band_is_taken(
+    load: Load, frame_text: str, processing: str, selection: str
+) -> None:
+    text = frame_text.replace("[processing]", f"[processing]\n{processing}")
+    assert load(f"{text}\n[selection]\n{selection}\n").model().modes().frequencies_hz[1] == pytest.approx(
+        16.3, rel=1e-3
+    )
+
+
+def test_two_forces_of_one_channel_are_told(load: Load, frame_text: str) -> None:
+    force = '\n[[inputs]]\nchannel = "f"\nfloor = 1\n'
+    assert load(frame_text + force).inputs[0].channel == "f"
+    assert_problem(load, frame_text + force + force.replace("1", "2"), "'f' stands twice")
+
+
 def test_effects_extend_the_model(load: Load, frame_text: str) -> None:
     bare = load(frame_text).model()
     weak = load(frame_text + effects("stiffness_change", "story 2", "relative = -0.2")).model()

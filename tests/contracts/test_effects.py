@@ -14,6 +14,7 @@ from monitor.model import (
     FORMS,
     Effect,
     EffectError,
+    LawKind,
     MatrixStructure,
     Model,
     Peak,
@@ -135,6 +136,17 @@ def test_starts_are_valid_and_small() -> None:
         assert np.linalg.eigvalsh(system.stiffness).min() > 0 and np.linalg.eigvalsh(system.mass).min() > 0, told
 
 
+@pytest.mark.parametrize("share", [1.0, 3.0])
+def test_a_clipped_channel_starts_at_a_limit_that_it_reaches(share: float) -> None:
+    peaks = share * AT_REST.channel_m_s2
+    for j, channel in enumerate(CONTEXT.channels):
+        found = EFFECTS["sensor_clipping"].starts(
+            f"channel {channel}", CONTEXT, replace(AT_REST, channel_peak_m_s2=peaks)
+        )
+        assert found and all(0.0 < start.values()["limit_m_s2"] <= peaks[j] for start in found)
+        assert all(start == EFFECTS["sensor_clipping"].create(start.location, start.values()) for start in found)
+
+
 def test_every_place_has_a_start() -> None:
     found = {(s.name, s.location) for s in every_start()}
     for name, effect in EFFECTS.items():
@@ -165,6 +177,25 @@ def test_of_no_size_it_changes_not_a_bit(none: Effect) -> None:
     assert factor is None or np.all(factor == 1.0)
     for law in none.laws(STRUCTURE):
         assert force(law, 0.003, 0.1) == 0.0 and force(law, -0.003, -0.1) == 0.0
+
+
+@every
+def test_each_size_alone_takes_its_laws_away(text: str) -> None:
+    effect = parse_effect(text)
+    for p in effect.parameters:
+        if p.absent is not None and effect.laws(STRUCTURE):
+            gone = replace(effect, **{p.name: p.absent})
+            assert all(force(law, 0.003, 0.1) == 0.0 for law in gone.laws(STRUCTURE)), p.name
+
+
+@every
+def test_at_rest_its_laws_have_no_force_and_what_follows_the_velocity_brakes_alike_both_ways(text: str) -> None:
+    for law in parse_effect(text).laws(STRUCTURE):
+        assert force(law, 0.0, 0.0) == 0.0
+        if law.kind in {LawKind.FRICTION, LawKind.QUADRATIC}:
+            for speed in (1e-4, 0.1):
+                forth, back = force(law, 0.003, speed), force(law, 0.003, -speed)
+                assert forth > 0.0 and back == pytest.approx(-forth, rel=1e-9)
 
 
 def force(law: Any, displacement: float, velocity: float) -> float:

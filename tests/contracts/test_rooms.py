@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+from dataclasses import FrozenInstanceError, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from types import FunctionType
@@ -16,6 +17,8 @@ SOURCES = sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.pyi")])
 STUBS = {path.parent.name: path for path in sorted(PACKAGE.glob("*/__init__.pyi"))}
 WITHOUT_STUB = {"cli": {"main"}, "pipeline": None}
 """What else may be imported from: the command line's entry, and the pipeline, which is one module and has no face."""
+
+STAGES = ("core", "signals", "model", "inference", "identification", "events", "diagnosis", "damage")
 
 FOR_USERS = {"api"}
 """Rooms whose face other people's programs use; tests/api/test_library.py uses each of its names."""
@@ -95,6 +98,19 @@ def test_a_face_is_what_its_stub_says(room: str) -> None:
         defined = importlib.import_module(f"{source}.{name}") if source == f"monitor.{room}" else None
         found = getattr(module, name)
         assert found is (defined or getattr(importlib.import_module(source), name))
+
+
+@pytest.mark.parametrize("room", STAGES)
+def test_no_field_of_what_a_stage_shows_others_can_be_set(room: str) -> None:
+    module = importlib.import_module(f"monitor.{room}")
+    shown = [getattr(module, name) for name in exported(room)]
+    kinds = [found for found in shown if isinstance(found, type) and is_dataclass(found) and fields(found)]
+    assert kinds
+    for kind in kinds:
+        if inspect.isabstract(kind):
+            continue
+        with pytest.raises(FrozenInstanceError):
+            setattr(object.__new__(kind), fields(kind)[0].name, None)
 
 
 @pytest.mark.parametrize("room", STUBS)

@@ -1,5 +1,7 @@
 """CAN buses as sources: virtual ones, the socketcan code over a local socket, and whatever frames may bring."""
 
+import contextlib
+import re
 import socket
 import struct
 import sys
@@ -23,7 +25,7 @@ from drivers.base import EndOfStream, SampleBlock, SourceError
 from drivers.can_bus import CanSource
 from drivers.frames import FrameError
 from drivers.registry import source_type
-from drivers.socketcand_server import frame_text
+from drivers.socketcand_server import SocketcandServer, frame_text
 from tests.support.can_group import CHANNELS, DEPLOY, RATE, T0, SilentBus, accel, datagram, row_values, source
 from tests.support.waiting import until
 
@@ -422,11 +424,38 @@ def test_a_drifting_node_that_is_realigned_leaves_holes(tmp_path: Path) -> None:
     assert np.isnan(samples[edges]).any(axis=1).sum() * 2 >= len(edges) > 0  # no change of shift without a hole
 
 
+def test_a_node_whose_frames_come_half_a_second_late_is_waited_for(tmp_path: Path) -> None:
+    messages = sorted(nodes(tmp_path, 0.0), key=lambda m: m.timestamp + 0.5 * (m.arbitration_id == 2))
+    reader, read = two(tmp_path, messages)
+    samples = read()
+    assert len(samples) > 8000 and np.isfinite(samples).all() and counted(reader, "unmatched") == [0]
+
+
 def test_a_dead_node_is_missing_not_invented(tmp_path: Path) -> None:
     reader, read = two(tmp_path, [m for m in nodes(tmp_path, 0.0) if m.arbitration_id == 2 or m.timestamp < T0 + 5])
     samples = read()
     assert np.isnan(samples[:, 1]).any() and np.isfinite(samples[:, 0]).all()
     assert counted(reader, "unmatched") == [np.isnan(samples[:, 1]).sum()]
+
+
+def test_a_frame_that_a_client_of_our_server_sends_reaches_the_others_as_it_is() -> None:
+    server = SocketcandServer("127.0.0.1", 0, settle_s=0.0)
+    address = ("127.0.0.1", server.port)
+    with (
+        contextlib.closing(server),
+        socket.create_connection(address) as one,
+        socket.create_connection(address) as other,
+    ):
+        for client in (one, other):
+            client.settimeout(10.0)
+            client.sendall(b"< rawmode >")
+            heard = b""
+            while not heard.endswith(b"< ok >"):
+                heard += client.recv(100)
+        assert server.wait_for_client(10.0, clients=2)
+        one.sendall(b"< send 1A2 3 0A FF 10 >")
+        heard = other.recv(100)
+    assert re.fullmatch(rb"< frame 1A2 [\d.]+ 0AFF10 >", heard), heard
 
 
 @pytest.fixture

@@ -136,6 +136,14 @@ def test_what_was_under_way_at_the_end_is_still_read(over_zenoh: OverZenoh) -> N
     assert not source.health().connected
 
 
+def test_what_a_publisher_sent_before_it_reached_its_reader_is_fetched(over_zenoh: OverZenoh) -> None:
+    place = f"tcp/127.0.0.1:{free_port()}"
+    publisher = over_zenoh.publisher(mode="peer", connect=(place,))
+    for i in range(20):
+        publisher.send(block(i))
+    assert take(over_zenoh.source(mode="peer", connect=(), listen=(place,)), 20) == list(range(20))
+
+
 def test_without_a_router_the_source_listens_itself(over_zenoh: OverZenoh) -> None:
     place = f"tcp/127.0.0.1:{free_port()}"
     source = over_zenoh.source(mode="peer", connect=(), listen=(place,))

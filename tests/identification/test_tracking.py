@@ -168,6 +168,15 @@ def test_a_sudden_drop_is_followed_by_shape() -> None:
     assert last.frequencies_std_hz[1] < 0.001 * 16.3
 
 
+def test_a_sudden_drop_is_followed_by_the_shape_at_the_channels_that_are_left() -> None:
+    site, left = settled(), SHAPES.copy()
+    left[:, 2] = np.nan
+    seen = site.see(
+        Observed(np.array([5.2, 16.3 * 0.95, 23.0]), STD * np.array([5.2, 16.3, 23.0]), left + 0j, WINDOW_S)
+    )
+    assert seen.observed.tolist() == [0, 1, 2]
+
+
 def test_a_window_across_the_drop_that_shows_both_frequencies_starts_no_second_track() -> None:
     site = Site(hop_s=10.0)
     for _ in range(200):

@@ -22,6 +22,7 @@ from monitor.inference.starting_point import make_posterior
 from monitor.model import prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
 from monitor.runs.diagnose import diagnose_segments
+from tests.support import turning_frame
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -196,6 +197,20 @@ def test_later_diagnoses_compare_where_the_healthy_recording_could_be_judged(end
     assert white.band.n_bins == white.whole.n_bins
     found, _ = diagnose_segments(white, learnt, CONFIG)
     assert found.posterior.observed.band.hz[[0, -1]] == pytest.approx(ended.band.hz[[0, -1]])
+
+
+def test_the_own_forces_of_a_coupled_mode_follow_the_level_of_those_on_the_floors() -> None:
+    at = turning_frame.posterior(np.ones(3))
+    x = np.zeros(at.layout.n_nuisance)
+    x[at.layout.structure] = at.prior.mean
+    sizes = []
+    for ln_power in (0.0, 6.0):
+        x[at.layout.forces] = ln_power
+        acting = draw_forces(at, x, (turning_frame.COUPLED,), seed=1)
+        sizes.append((acting.own.std(), acting.floors.std()))
+    (weak, _), (own, floors) = sizes, np.divide(sizes[1], sizes[0])
+    assert 0.3 < weak[0] / weak[1] < 1.5 and floors > 3.0
+    assert own == pytest.approx(floors, rel=1e-6)
 
 
 def test_simulated_forces_end_where_the_recordings_do(ended: Segments) -> None:

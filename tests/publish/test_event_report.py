@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,6 +58,13 @@ def test_a_revised_event_shows_its_lasting_loss_with_its_interval() -> None:
     event, site, seen = told()
     revised = replace(event, revision=1, loss=np.array([0.0, 0.1234, 0.0]), loss_std=np.full(3, 0.005))
     assert "12.3 ± 1.0" in page(revised, site, seen) and "revised" in page(revised, site, seen)
+
+
+def test_a_drift_stands_with_two_standard_deviations_and_one_that_is_not_known_is_a_dash() -> None:
+    event, site, seen = told()
+    drifts = replace(event, drift_m=np.array([0.0123, np.nan, 0.0045]), drift_std_m=np.array([5e-4, np.nan, 2e-4]))
+    rows = page(drifts, site, seen).partition("largest drift, mm")[2].partition("</table>")[0]
+    assert re.findall(r"<td[^>]*>(\d[^<]* ± [^<]*|–)</td>", rows) == ["12.3 ± 1.0", "–", "4.50 ± 0.40"]
 
 
 def test_without_recording_the_page_keeps_the_numbers_and_says_why_it_has_no_curves() -> None:

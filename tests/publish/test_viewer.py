@@ -601,6 +601,17 @@ def _origins(view: object) -> list[str]:
     return found + [o for part in getattr(view, "contents", []) if not isinstance(part, str) for o in _origins(part)]
 
 
+@pytest.mark.parametrize("names", [(), SCENE.story_names])
+def test_every_part_of_a_page_has_its_share_of_it(names: tuple[str, ...]) -> None:
+    def containers(view: Any) -> list[Any]:
+        parts = [part for part in getattr(view, "contents", []) if not isinstance(part, str)]
+        return [view, *(c for part in parts for c in containers(part))] if parts else []
+
+    pages = [c for page in _tabs(replace(SCENE, story_names=names)) for c in containers(page)]
+    shared = [(c, shares) for c in pages for shares in (c.row_shares, c.column_shares) if shares]
+    assert len(shared) >= 6 and [len(c.contents) for c, _ in shared] == [len(shares) for _, shares in shared]
+
+
 def test_colours_do_not_repeat_within_a_dozen() -> None:
     assert len(set(rerun_scene.SERIES)) == len(rerun_scene.SERIES) == 12
 

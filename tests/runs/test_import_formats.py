@@ -164,6 +164,14 @@ def test_layouts_of_mat(tmp_path: Path, arrays: dict[str, Any], names: tuple[str
     assert all(t.stated for t in taken)
 
 
+def test_times_are_taken_up_to_the_year_2096_and_later_ones_refused(tmp_path: Path) -> None:
+    clock = 4e9 + np.arange(250) / 250.0
+    info, *_ = load(mat(tmp_path / "early.mat", t=clock - 1.0, a=X, unit="g"))
+    assert info.n_samples == 250
+    with pytest.raises(BadInputError, match="times of"):
+        load(mat(tmp_path / "late.mat", t=clock, a=X, unit="g"))
+
+
 @pytest.mark.system
 @LAYOUTS
 def test_layouts_of_hdf5(tmp_path: Path, arrays: dict[str, Any], names: tuple[str, ...], rate_hz: float) -> None:

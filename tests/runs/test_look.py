@@ -216,6 +216,9 @@ def test_equal_structures_do_not_differ_and_a_softer_story_does(tmp_path: Path) 
     assert [test["what"] for test in same["tests"] if test["significant"]] == []
     moved = {test["what"] for test in softer["tests"] if test["significant"]}
     assert {"mode 1: frequency", "mode 3: frequency"} <= moved
+    (first,) = (test for test in softer["tests"] if test["what"] == "mode 1: frequency")
+    assert first["a"] == pytest.approx(MODES.frequencies_hz[0], rel=0.01)
+    assert (first["change"], first["z"]) == (first["b"] - first["a"], first["change"] / first["change_std"])
     text = compare.in_words(softer)
     assert "beyond chance" in text
 

@@ -10,8 +10,11 @@ import pytest
 
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.service import logs
-from monitor.service.host import Line, Place, named_in_the_log
+from monitor.service.host import Host, Line, Place, named_in_the_log
+from monitor.service.site import Site
 from monitor.service.threads import BlockQueue
+from tests.support.samples import Cut
+from tests.support.site import SITE, lines, write
 
 
 def block(seconds: float = 1.0) -> SampleBlock:
@@ -77,3 +80,26 @@ def test_the_log_names_a_site_only_while_its_work_is_done() -> None:
     with pytest.raises(OSError, match="no disk"):
         work(None, place("tower"))  # type: ignore[arg-type]
     assert seen == ["tower"] and logs.site_name.get() is None
+
+
+def test_a_site_that_cannot_begin_to_read_is_started_again_and_the_others_run_on(
+    tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = [tmp_path / name / "site.toml" for name in "ab"]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_text(SITE.replace("bench", path.parent.name) + frame_text)
+        write(path.parent / "rec.mcap", cut(record[:2600], 128.0))
+    begin, failed = Site.start, []
+
+    def start(site: Site) -> None:
+        if site.out.parent.name == "a" and not failed:
+            failed.append(site)
+            raise RuntimeError("can't start new thread")
+        begin(site)
+
+    monkeypatch.setattr(Site, "start", start)
+    host = Host(paths, clock=lambda: 10.0 * time.monotonic(), say=lambda _: None)
+    host.run()
+    assert failed and [(one.is_over, one.failure) for one in host.places] == [(True, "")] * 2
+    assert [len(lines(path.parent / "out")) for path in paths] == [1, 1]

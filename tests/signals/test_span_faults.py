@@ -39,6 +39,13 @@ def test_a_coarse_resolution_is_read_off_the_values(floors: np.ndarray, share: f
         assert [one.held_s for one in span] == [0.0] * 3
 
 
+def test_a_fine_resolution_about_gravity_is_read_beside_the_rounding_of_the_source() -> None:
+    step = 6.2e-6  # 6.5 times the spacing of 32-bit numbers at 9.8 m/s^2
+    levels = np.random.default_rng(0).integers(-200, 200, (SPAN, 1))
+    ((one,),) = told((9.80665 + step * levels).astype(np.float32).astype(float))
+    assert one.resolution_m_s2 == pytest.approx(step, rel=0.1)
+
+
 def test_a_step_of_the_offset_is_sized(floors: np.ndarray) -> None:
     x, step = floors[:SPAN].copy(), 10.0 * float(floors[:, 1].std())
     x[900:, 1] += step

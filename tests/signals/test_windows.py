@@ -75,6 +75,12 @@ def test_lag_sums_are_the_direct_sums_about_the_windows_mean(grid: WindowGrid) -
         assert_direct_sums(grid, item, RECORD[k * grid.hop_n : k * grid.hop_n + grid.window_n])
 
 
+@pytest.mark.parametrize(("max_hz", "n_bins"), [(40.0, 801), (50.0, 1001), (80.0, 1001)])
+def test_segments_hold_no_frequency_beyond_half_the_rate(max_hz: float, n_bins: int) -> None:
+    grid = WindowGrid.design(rate_hz=100.0, window_s=40.0, hop_s=10.0, n_lags=50, max_hz=max_hz)
+    assert (grid.segments.n, grid.segments.n_bins) == (2000, n_bins)
+
+
 def test_a_large_offset_costs_no_more_than_its_rounding() -> None:
     """A channel that leans in gravity: 9.81 m/s^2 under vibrations of 1 mm/s^2."""
     tilted = 1e-3 * RECORD + 9.81

@@ -187,18 +187,6 @@ def test_the_tests_of_the_page_of_faults_are_there() -> None:
         assert set(re.findall(r"`(test_\w+)`", names)) <= there, file
 
 
-def test_the_page_of_settings_is_that_of_the_classes() -> None:
-    made = runpy.run_path(str(ROOT / "docs/settings.py"))["page"]()
-    assert made == (ROOT / "docs/settings.md").read_text(encoding="utf-8"), "run docs/settings.py"
-    for key in (
-        "| `window_s` | `400` |",
-        "| `dbc` | - |",
-        "| `latching` | `false` |",
-        "| `max_payload_bytes` | `1048576` |",
-    ):
-        assert key in made
-
-
 API = ROOT / "docs/api.py"
 
 
