@@ -43,7 +43,7 @@ class Stretch:
     @property
     def chance(self) -> float:
         """Probability that a sample repeats the one before."""
-        return max(self.repeating, self.n ** (-1.0 / self.rest) if self.rest else 0.0)
+        return max(self.repeating, (self.n + 1.0) ** (-1.0 / self.rest) if self.rest else 0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from monitor.config import configuration
-from monitor.core import STILL
+from monitor.core import STILL, Gap
 from monitor.model import Model
 from monitor.pipeline import Pipeline
 from monitor.signals import stillness
@@ -90,6 +90,17 @@ def test_quiet_nights_near_the_resolution_are_real(motion: np.ndarray, level: fl
     offset = np.random.default_rng(2).uniform(-0.5, 0.5, 3)
     quiet = 0.001 * np.round(course[:, None] * motion + offset)
     assert told(quiet) == [None] * 40
+
+
+def test_a_stretch_of_one_sample_that_ends_a_rest_says_nothing() -> None:
+    quiet = np.zeros((600, 2))
+    quiet[::50] = 0.001
+    state = stillness.step(stillness.start(2), Piece(T0_NS, quiet[:540], None, RATE), HOP_S, WINDOW_S)
+    lone = Piece(T0_NS + 6 * 10**9, np.full((1, 2), 0.001), Gap(T0_NS + 5_400_000_000, 0.6, "lost"), RATE)
+    state = stillness.step(state, lone, HOP_S, WINDOW_S)
+    state = stillness.step(state, Piece(T0_NS + 8 * 10**9, quiet[:1], Gap(T0_NS, 1.0, "lost"), RATE), HOP_S, WINDOW_S)
+    assert [s.n for s in state.stretches] == [500, 40, 1]
+    assert stillness.check(state, T0_NS, T0_NS + 60 * 10**9) is None
 
 
 @given(sizes=st.lists(st.integers(1, 700), min_size=1, max_size=6))
