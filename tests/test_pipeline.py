@@ -210,12 +210,8 @@ def test_events_and_skipped_windows_come_in_the_order_of_the_data_in_any_block_s
 
     def order(size: int) -> list[str]:
         blocks = cut(floors[:4000], shaken.RATE, [size]) + cut(floors[4100:], shaken.RATE, [size], first=4100)
-        told = push(Pipeline(config), blocks)
-        return [
-            f"window {r.index}" if isinstance(r, WindowResult) else "event"
-            for r in told
-            if isinstance(r, Event | WindowResult)
-        ]
+        told = [r for r in push(Pipeline(config), blocks) if isinstance(r, Event | WindowResult)]
+        return [f"window {r.index}" if isinstance(r, WindowResult) else "event" for r in told]
 
     assert order(len(floors)) == order(50) == ["event", "event", *(f"window {k}" for k in range(4))]
 

@@ -138,6 +138,8 @@ def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, No
     """
     c, n = x.shape
     out: list[tuple[float, float] | tuple[None, None]] = [(None, None)] * c
+    if n < 2:
+        return out
     n_fft = 2 * n  # a line between two bins would not be one
     mains, bins, begins, width = _harmonics(rate_hz, n_fft, n)
     if not mains.size:

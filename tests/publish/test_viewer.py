@@ -31,7 +31,7 @@ from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.publisher import RerunPublisher
 from monitor.publish.viewer.scene import Scene, loss_colour, make_scene
 from monitor.publish.viewer.spectra import predict_power
-from monitor.publish.viewer.state import StateDrawing, state_markdown
+from monitor.publish.viewer.state import LAMP, StateDrawing, state_markdown
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
 from monitor.signals import Health, sensor_health
 from tests.examples.beam import bridge
@@ -140,6 +140,15 @@ def told(file: Path) -> list[tuple[int, str, object]]:
             elif name.endswith("LineStrips2D:colors"):
                 colours |= zip(times, batch[name].to_pylist(), strict=True)
     return [(t_ns, text, colours[t_ns]) for t_ns, text in texts]
+
+
+def test_the_lamp_is_as_high_as_its_picture(tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+    with viewed(file) as view:
+        view.samples(second(0))
+    lamps = [c.to_record_batch() for c in RrdReader(file).stream() if c.entity_path == "/state/lamp"]
+    radii = [r for batch in lamps for row in batch["LineStrips2D:radii"].to_pylist() for r in row]
+    assert radii and {2.0 * r for r in radii} == {LAMP[1]}
 
 
 def rgba(colour: tuple[int, int, int]) -> int:

@@ -142,9 +142,16 @@ def _is_of(value: Any, kind: str) -> bool:
 
 
 def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
-    """Collect what the state needs of a window from its line of results.jsonl."""
+    """Collect what the state needs of a window from its line of results.jsonl.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        The line is damaged.
+    """
     is_modal = line.get("frequency_change") is not None
     detectable, (stated, stamped) = line.get("detectable_loss"), line.get("rates_hz") or (None, None)
+    Level(line["alarm"]["level"])  # a damaged line may have none
     active = {int(j): Level(level) for j, level in line["alarm"].get("active", {}).items()}
     sizes = _sizes(line, is_modal=is_modal)
     stories = sizes[: len(sizes) // 2] if is_modal else sizes
