@@ -314,7 +314,7 @@ class AddressWorker:
         """Describe a delivery for the process."""
         notice, lines = message.notice, [message.notice.text or message.notice.title]
         if earlier := self._outbox.superseded(message, self.key):
-            titles = Counter(f"{m.notice.title}" for m in earlier)
+            titles = Counter(m.notice.title for m in earlier)
             said = "; ".join(f"{count} x {title}" if count > 1 else title for title, count in titles.items())
             lines.append(f"Not delivered since {earlier[0].when}, and superseded by this: {said}")
         lines.append(f"{message.when}, site {self._site}, message {message.id}")

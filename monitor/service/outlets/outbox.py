@@ -1,7 +1,7 @@
 """Outbox of messages: stored on the disk until every address has received them, by urgency and in bounded number.
 
-The newest message on a story's alarm, an event, the source .. stands for those before it that an address has not received either:
-it is delivered first and tells them in one line.
+The newest message on a story's alarm, an event, the source and so on stands for those before it that an address has not received
+either: it is delivered first and tells them in one line.
 """
 
 from __future__ import annotations
