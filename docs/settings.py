@@ -104,6 +104,10 @@ def bounds(schema: Any) -> list[str]:
         return [text for part in schema for text in bounds(part)]
     if not isinstance(schema, dict):
         return []
+    if "minItems" in schema and schema["minItems"] == schema.get("maxItems"):
+        schema = {
+            key: part for key, part in schema.items() if key not in ("minItems", "maxItems")
+        }  # its default shows how many
     own = [text.format(schema[key]) for key, text in _BOUNDS.items() if key in schema]
     return own + [text for part in schema.values() for text in bounds(part)]
 
