@@ -49,7 +49,8 @@ def test_the_broker_keeps_what_an_absent_reader_has_not_taken(over_mqtt: OverMqt
 
 
 @broker_test
-def test_an_unread_message_is_sent_again_and_one_that_was_read_is_not(over_mqtt: OverMqtt) -> None:
+def test_an_unread_message_is_sent_again_and_of_those_read_no_more_than_were_under_way(over_mqtt: OverMqtt) -> None:
+    """The broker's next message may cross the reader's leaving, which then takes the last acknowledgements with it."""
     source, publisher = over_mqtt.source(in_flight=4), over_mqtt.publisher()
     for i in range(12):
         publisher.send(block(i))
@@ -57,7 +58,10 @@ def test_an_unread_message_is_sent_again_and_one_that_was_read_is_not(over_mqtt:
     publisher.close()
     source.close()
     other = over_mqtt.source()
-    assert take(other, 6) == list(range(6, 12))
+    came = take(other, 6)
+    while came[-1] < 11:
+        came += take(other, 1)
+    assert came == list(range(came[0], 12)) and 6 - 4 <= came[0] <= 6
     assert other.read(0.2) is None
 
 
