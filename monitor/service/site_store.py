@@ -493,8 +493,9 @@ class SiteStore:
             if answer is not None:
                 self._tag, self._present, self._committed_s = answer[1], manifest, self._clock()
                 return
-            found, self._tag = self._read()  # refused: a write of ours may have arrived whose answer did not
-            self._demand_own(found)
+            found, tag = self._read()  # refused: a write of ours may have arrived whose answer did not
+            self._demand_own(found)  # before its tag is taken: by another's the other thread would write over it
+            self._tag = tag
             if found is None and before is not None:
                 self._present = None
                 raise OSError(f"{_MANIFEST} was removed; all files are stored anew")

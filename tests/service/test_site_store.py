@@ -285,6 +285,25 @@ def test_the_lease_is_renewed_while_a_file_hangs_and_its_loss_is_heard(
     assert b.failed is None, "what hung has written nothing beside it"
 
 
+def test_what_the_lease_hears_of_another_s_manifest_lets_no_writer_over_it(
+    machine: Callable[[str], SiteStore], tmp_path: Path, clock: Clock
+) -> None:
+    """The storing thread is between two calls while the lease's hears that the site was taken over."""
+    a, b = machine("a"), machine("b")
+    a.open(wait=False)
+    (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
+    silent(b, clock)
+    b.open(wait=False)
+    a.renew()
+    assert a.is_lost
+    a.is_lost = False  # it had asked before
+    a.push()
+    assert a.is_lost and "taken over" in str(a.failed)
+    b.renew()
+    b.push()
+    assert not b.is_lost and b.failed is None
+
+
 def test_the_lease_has_a_thread_of_its_own(tmp_path: Path, bucket: Bucket) -> None:
     def manifest() -> dict[str, Any]:
         content: dict[str, Any] = json.loads(bucket.objects["tower/manifest.json"])
