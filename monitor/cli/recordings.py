@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +12,7 @@ import typer
 
 from monitor.cli.common import Json, Structure, say, time_ns, warn
 from monitor.cli.emulate import Dbc, OptionalTo, Speed, recording_for
-from monitor.core import spare_inputs
+from monitor.core import spare_inputs, utc
 
 
 def simulate(
@@ -143,7 +142,7 @@ def import_(
         on_warning=warn,
         on_channel=taken.append,
     )
-    start_text = f"{datetime.fromtimestamp(info.t_start_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    start_text = f"{utc(info.t_start_ns, seconds=True)} UTC"
     names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())
     text = [f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz from {start_text} in {out}: {names}"]
     for one in taken:

@@ -30,15 +30,17 @@ def parse_address(text: str, *, any_port: bool = False) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def utc(t_ns: float) -> str:
-    """Write a time, ns since 1970 UTC, to the minute, in ISO 8601 without its zone.
+def utc(t_ns: float, *, seconds: bool = False) -> str:
+    """Write a time, ns since 1970 UTC, to the minute, or to the second, in ISO 8601 without its zone.
 
     Examples
     --------
     >>> utc(61e9)
     '1970-01-01 00:01'
+    >>> utc(61e9, seconds=True)
+    '1970-01-01 00:01:01'
     """
-    return f"{datetime.fromtimestamp(t_ns * 1e-9, UTC):%Y-%m-%d %H:%M}"
+    return f"{datetime.fromtimestamp(t_ns * 1e-9, UTC):%Y-%m-%d %H:%M{':%S' if seconds else ''}}"
 
 
 def utc_ns(text: str) -> int:

@@ -7,7 +7,6 @@ import json
 import os
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -336,7 +335,7 @@ def _recorder(recorder: dict[str, Any], health: dict[str, Any]) -> str:
 
 
 def _utc(t_ns: int) -> str:
-    return f"{datetime.fromtimestamp(t_ns * 1e-9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    return f"{utc(t_ns, seconds=True)} UTC"
 
 
 def _read(path: Path) -> dict[str, Any] | None:

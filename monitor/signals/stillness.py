@@ -148,20 +148,17 @@ def _count(state: StillState, part: Array) -> StillState:
     resolution, (repeated, longest, here, run, rest, hold) = count_repetitions(
         state.last, np.ascontiguousarray(part), state.resolution, before
     )
-    return StillState(
-        part[-1:].copy(),
-        resolution,
-        state.origin_ns,
-        state.rate_hz,
-        state.t_ns,
-        state.n + len(part),
-        repeated,
-        longest,
-        here,
-        run,
-        rest,
-        hold,
-        state.stretches,
+    return replace(
+        state,
+        last=part[-1:].copy(),
+        resolution=resolution,
+        n=state.n + len(part),
+        repeated=repeated,
+        longest=longest,
+        here=here,
+        run=run,
+        rest=rest,
+        hold=hold,
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from monitor.core import write_atomically
-from monitor.events import Event, FloorMotion, Review, Site, compared
+from monitor.events import POSSIBLY, Event, FloorMotion, Review, Site, compared
 from monitor.publish.reports import event_charts as charts
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import utc
@@ -93,7 +93,7 @@ def _head(page: EventPage) -> str:
 def _verdict(event: Event) -> tuple[str, str]:
     """Return the class of the verdict's colour, and the verdict in two words."""
     if event.exceeded:
-        possibly = event.verdict is not None and event.verdict.startswith("possibly exceeded: ")
+        possibly = event.verdict is not None and event.verdict.startswith(POSSIBLY)
         return "alarm", "limit possibly exceeded" if possibly else "limit exceeded"
     return ("normal", "within limits") if event.verdict is not None else ("", "no limit judged")
 

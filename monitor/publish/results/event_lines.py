@@ -109,16 +109,15 @@ def event_text(event: Event) -> str:
     """
     parts = [event.verdict or "no limit was judged"]
     known = [f for f in event.floors if math.isfinite(f.peak_m_s2)]
+    least = "at least " if event.saturated else ""
     if known:
         strongest = max(known, key=lambda f: f.peak_m_s2)
-        least = "at least " if event.saturated else ""
         parts.append(f"largest acceleration {least}{strongest.peak_m_s2:.2g} m/s^2 at {strongest.channel}")
     if event.ground is not None:
         parts.append(f"ground {event.ground.peak_m_s2:.2g} m/s^2")
     if np.isfinite(event.drift_m).any():
         j = int(np.nanargmax(event.drift_m))
         drift = with_interval(1e3 * event.drift_m[j], 2e3 * event.drift_std_m[j])
-        least = "at least " if event.saturated else ""
         parts.append(f"largest drift {least}{drift} mm in story {j + 1}")
     if np.isfinite(event.loss).any():
         j = int(np.nanargmax(event.loss / event.loss_std))

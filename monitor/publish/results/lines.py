@@ -19,7 +19,7 @@ from monitor.core import (
     partial,
 )
 from monitor.damage import AlarmState, State, WindowFacts, hold
-from monitor.publish.results.window_fields import LINE_SCHEMA
+from monitor.publish.results.window_fields import LINE_SCHEMA, announced
 
 _KINDS: dict[str, type] = {
     "array": list,
@@ -35,10 +35,7 @@ _KINDS: dict[str, type] = {
 def alarm_line(alarm: Alarm) -> dict[str, Any]:
     """Collect the values of an alarm for JSON; story ``0`` is the structure as a whole."""
     return {
-        "level": alarm.level.value,
-        "stories": list(alarm.stories),
-        "reason": alarm.reason,
-        "active": {str(story): level.value for story, level in alarm.active.items()},
+        **announced(alarm),
         "conditions": {str(story): condition.value for story, condition in alarm.conditions.items()},
     }
 

@@ -103,22 +103,13 @@ def _round_nested(value: Any) -> Any:
     return float(f"{value:.9g}") if math.isfinite(value) else None
 
 
-def _numbers_of(part: str, name: str) -> Callable[[WindowResult], Any]:
-    """Return what reads numbers of a part of the result, such as `modes`; None without the part or the numbers."""
+def _numbers(*names: str) -> Callable[[WindowResult], Any]:
+    """Return what reads numbers of the result, or of a part of it such as `modes`; None without the part or the numbers."""
 
     def read(result: WindowResult) -> Any:
-        value = getattr(result, part)
-        value = None if value is None else getattr(value, name)
-        return None if value is None else _rounded(value)
-
-    return read
-
-
-def _own(name: str) -> Callable[[WindowResult], Any]:
-    """Return what reads numbers of the result itself; None where they are."""
-
-    def read(result: WindowResult) -> Any:
-        value = getattr(result, name)
+        value: Any = result
+        for name in names:
+            value = None if value is None else getattr(value, name)
         return None if value is None else _rounded(value)
 
     return read
@@ -158,14 +149,21 @@ def _of_shape(which: int) -> Callable[[WindowResult], Any]:
     return lambda result: result.modal and _rounded(result.modal.largest_shape_change()[which])
 
 
-def _alarm(result: WindowResult) -> dict[str, Any]:
-    """Collect the values of the alarm."""
-    alarm = result.alarm
+def announced(alarm: Alarm) -> dict[str, Any]:
+    """Collect what an alarm announces, for JSON; story ``0`` is the structure as a whole."""
     return {
         "level": alarm.level.value,
         "stories": list(alarm.stories),
         "reason": alarm.reason,
-        "active": {str(j): level.value for j, level in alarm.active.items()},
+        "active": {str(story): level.value for story, level in alarm.active.items()},
+    }
+
+
+def _alarm(result: WindowResult) -> dict[str, Any]:
+    """Collect the values of the alarm."""
+    alarm = result.alarm
+    return {
+        **announced(alarm),
         "shelved": [j for j, c in alarm.conditions.items() if c is AlarmCondition.SHELVED],
         "changed": [] if result.modal is None else _changed(result.modal, alarm),
     }
@@ -181,36 +179,36 @@ def _changed(modal: ModalReading, alarm: Alarm) -> list[str]:
 FIELDS = (
     Field("window", Kind.INTEGER, lambda r: r.index, "Number of the window since the stream began.", kept=True),
     Field("t_end_ns", Kind.INTEGER, lambda r: r.t_end_ns, "End of the window, UTC, ns since 1970.", kept=True, shown=True),
-    Field("window_s", Kind.LENGTH, _own("window_s"), "Length of the data in the window, s.", kept=True, shown=True),
-    Field("frequencies_hz", Kind.NUMBERS, _numbers_of("modes", "frequencies_hz"),
+    Field("window_s", Kind.LENGTH, _numbers("window_s"), "Length of the data in the window, s.", kept=True, shown=True),
+    Field("frequencies_hz", Kind.NUMBERS, _numbers("modes", "frequencies_hz"),
           "Natural frequencies, Hz.", kept=True, shown=True),
-    Field("frequencies_std_hz", Kind.NUMBERS, _numbers_of("modes", "frequencies_std_hz"),
+    Field("frequencies_std_hz", Kind.NUMBERS, _numbers("modes", "frequencies_std_hz"),
           "Their standard deviations, Hz.", kept=True, shown=True),
-    Field("damping_ratio", Kind.NUMBERS, _numbers_of("modes", "damping_ratio"), "Damping ratios.", kept=True, shown=True),
-    Field("damping_std", Kind.NUMBERS, _numbers_of("modes", "damping_std"),
+    Field("damping_ratio", Kind.NUMBERS, _numbers("modes", "damping_ratio"), "Damping ratios.", kept=True, shown=True),
+    Field("damping_std", Kind.NUMBERS, _numbers("modes", "damping_std"),
           "Their standard deviations.", kept=True, shown=True),
     Field("mode_shapes", Kind.SHAPES, lambda r: r.modes and [_shape(shape) for shape in r.modes.shapes],
           "Mode shapes: a pair of real and imaginary part for each channel, null for one that is left out."),
     Field("order", Kind.COUNT, lambda r: r.modes and r.modes.order, "Order of the state space from which the modes are."),
     Field("refined", Kind.FLAG, lambda r: r.modes and r.modes.refined, "Whether the modes were refined by maximum likelihood."),
-    Field("stiffness_n_per_m", Kind.NUMBERS, _numbers_of("stiffness", "stiffness_n_per_m"),
+    Field("stiffness_n_per_m", Kind.NUMBERS, _numbers("stiffness", "stiffness_n_per_m"),
           "Stiffness of each story of the updated model, N/m; story 1 is the top one; null without a model.", shown=True),
     Field("stiffness_std", Kind.NUMBERS, lambda r: r.stiffness and _rounded(np.sqrt(np.diag(r.stiffness.covariance))),
           "Its standard deviation, N/m.", shown=True),
-    Field("ddi", Kind.NUMBERS, _numbers_of("damage", "ddi"),
+    Field("ddi", Kind.NUMBERS, _numbers("damage", "ddi"),
           "Damage detection index of each story: relative stiffness lost since the baseline (0.12 = 12 %); null "
           "without a model.", kept=True, shown=True),
-    Field("ddi_std", Kind.NUMBERS, _numbers_of("damage", "ddi_std"),
+    Field("ddi_std", Kind.NUMBERS, _numbers("damage", "ddi_std"),
           "Its standard deviation, the baseline's own uncertainty included.", kept=True, shown=True),
-    Field("ddi_sequential", Kind.NUMBERS, _numbers_of("damage", "ddi_sequential"),
+    Field("ddi_sequential", Kind.NUMBERS, _numbers("damage", "ddi_sequential"),
           "The same read from the stiffness matrices, story after story, as in the paper."),
-    Field("loss_n_per_m", Kind.NUMBERS, _numbers_of("damage", "loss_n_per_m"), "Stiffness lost in each story, N/m.", kept=True),
+    Field("loss_n_per_m", Kind.NUMBERS, _numbers("damage", "loss_n_per_m"), "Stiffness lost in each story, N/m.", kept=True),
     Field("unidentified", Kind.INTEGERS, lambda r: r.damage and list(r.damage.unidentified),
           "Stories of which the modes say next to nothing."),
-    Field("detectable_loss", Kind.NUMBERS, _own("detectable_loss"),
+    Field("detectable_loss", Kind.NUMBERS, _numbers("detectable_loss"),
           "Smallest sudden loss of each story that would be seen (90 % to reach `warning` within an hour), with "
           "what the clock leaves open; null where none would, or without a baseline.", shown=True),
-    Field("rms_m_s2", Kind.NUMBER, _own("rms_m_s2"), "Level of motion, mean over channels, m/s^2.", shown=True),
+    Field("rms_m_s2", Kind.NUMBER, _numbers("rms_m_s2"), "Level of motion, mean over channels, m/s^2.", shown=True),
     Field("model_modes", Kind.INTEGERS, lambda r: r.modes and [int(k) + 1 for k in r.modes.model_mode],
           "Which mode of the model, or without one of the baseline, each frequency is; 1 = lowest.", shown=True),
     Field("mode_tracks", Kind.INTEGERS, lambda r: list(r.mode_tracks[: _n_modes(r)]),
@@ -218,12 +216,12 @@ FIELDS = (
     Field("other_modes", Kind.MODES, lambda r: r.modes and _other_modes(r.modes.others, r.mode_tracks[_n_modes(r) :]),
           "Modes in the data that the model has no counterpart for (torsion, another direction): frequency, "
           "deviation, damping ratio, shape, track."),
-    Field("misfit", Kind.NUMBER, _numbers_of("stiffness", "misfit"),
+    Field("misfit", Kind.NUMBER, _numbers("stiffness", "misfit"),
           "Goodness of fit of the change since the baseline: near 1 when a change of stiffness explains what is "
           "seen, large when something else does.", kept=True, shown=True),
     Field("temperature_degc", Kind.NUMBER, lambda r: r.temperature and _rounded(r.temperature.lagged_degc[0]),
           "Temperature of the window, degC.", kept=True, shown=True),
-    Field("temperature_effect", Kind.NUMBERS, _numbers_of("damage", "temperature_effect"),
+    Field("temperature_effect", Kind.NUMBERS, _numbers("damage", "temperature_effect"),
           "Change of ln stiffness of each story that the temperature explains and that was taken out."),
     Field("covariates", Kind.BY_NAME,
           lambda r: {name: _rounded(_as_shown(name, values[0])) for name, values in r.covariates.items()},
@@ -234,7 +232,7 @@ FIELDS = (
           "what all stories do together without a known cause ([temperature](temperature.md))."),
     Field("frequency_change", Kind.NUMBERS, lambda r: r.modal and _rounded(np.expm1(r.modal.ln_frequency)),
           "Without a model: relative change of each mode's frequency since the baseline.", kept=True, shown=True),
-    Field("frequency_change_std", Kind.NUMBERS, _numbers_of("modal", "ln_frequency_std"),
+    Field("frequency_change_std", Kind.NUMBERS, _numbers("modal", "ln_frequency_std"),
           "Its standard deviation.", kept=True, shown=True),
     Field("shape_change", Kind.NUMBERS, _of_shape(0),
           "Without a model: largest change of each mode's shape since the baseline.", shown=True),
@@ -250,7 +248,7 @@ FIELDS = (
           "Channels of which no use was made.", shown=True),
     Field("left_out_reasons", Kind.TEXTS, lambda r: [gone.reason for gone in r.left_out],
           "What was wrong with each of them.", shown=True),
-    Field("rates_hz", Kind.NUMBERS, _own("rates_hz"),
+    Field("rates_hz", Kind.NUMBERS, _numbers("rates_hz"),
           "Rate that the source states, and its rate by the timestamps of the last hour, Hz."),
     Field("skipped", Kind.TEXT, lambda r: r.skipped and r.skipped.reason,
           "Why the damage index of this window is not judged, or null; modes that were found are there all the "

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
-
 import numpy as np
 import rerun as rr
 
+from monitor.core import utc
 from monitor.damage import Assessment, State
 from monitor.publish.viewer.rows import Rows, Strips
 from monitor.publish.viewer.scene import AMBER, GREEN, GREY, RED, Colour
@@ -122,7 +121,7 @@ def event_text(t_ns: int, text: str) -> str:
     >>> event_text(1_700_000_000_000_000_000, "results again")
     '2023-11-14 22:13:20 UTC  results again'
     """
-    return f"{datetime.fromtimestamp(t_ns * 1e-9, UTC):%Y-%m-%d %H:%M:%S} UTC  {text}"
+    return f"{utc(t_ns, seconds=True)} UTC  {text}"
 
 
 def state_markdown(assessment: Assessment) -> str:
