@@ -15,6 +15,7 @@ representations to compute orthogonal eigenvectors of symmetric tridiagonal matr
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,31 +42,17 @@ rounding]"""
 
 
 def upper_poles(
-    a: Array, c: Array, orders: Sequence[int], region: Region = EVERYWHERE, *, sweeps: int = _MAX_SWEEPS
+    a: Annotated[Array, "n n"],
+    c: Annotated[Array, "l n"],
+    orders: Sequence[int],
+    region: Region = EVERYWHERE,
+    *,
+    sweeps: int = _MAX_SWEEPS,
 ) -> Poles:
-    """Compute the eigenvalues above the real axis and within a region, of the leading part of `a` for every order.
+    """Compute the eigenvalues above the real axis and within a region, of the leading part of `a` for every (increasing) order.
 
-    Parameters
-    ----------
-    a : ndarray, shape (n, n)
-    c : ndarray, shape (l, n)
-    orders : sequence of int
-        Increasing, none above n.
-    region : tuple of float
-        See `Region`.
-    sweeps : int
-        Most iterations for one eigenvalue; LAPACK computes all poles where they do not suffice.
-
-    Returns
-    -------
-    space : ndarray, shape (m,)
-        Index of the order of each eigenvalue in `orders`.
-    value : ndarray, shape (m,)
-        Eigenvalues.
-    logarithm : ndarray, shape (m,)
-        Logarithms of the eigenvalues.
-    shape : ndarray, shape (m, l)
-        `c` times the eigenvectors, scaled to unit norm.
+    Returned are the index of the order of each eigenvalue in `orders`, the eigenvalues, their logarithms, and `c` times the
+    eigenvectors, scaled to unit norm.  LAPACK computes all poles where `sweeps` iterations for one do not suffice.
     """
     sizes = np.asarray(orders, dtype=np.intp)
     space, value, logarithm, shape, sound = _upper_poles(
@@ -131,8 +118,8 @@ def _upper_poles(
 
 
 @compiled(part=True, error_model="numpy", fastmath={"contract", "reassoc"})
-def _reduce(h: Array, c: Array) -> None:
-    """Reduce `h`, shape (n, n), to Hessenberg form by reflections, and transform `c`, shape (l, n), alike, in place."""
+def _reduce(h: Annotated[Array, "n n"], c: Annotated[Array, "l n"]) -> None:
+    """Reduce `h` to Hessenberg form by reflections, and transform `c` alike, in place."""
     n = h.shape[0]
     workspace = np.empty((3, n))
     for k in range(n - 2):
@@ -180,8 +167,8 @@ def _reflect(row: Array, v: Array, twice: float) -> None:
 
 
 @compiled(part=True, error_model="numpy", fastmath={"contract"})
-def _eigenvalues(hessenberg: Array, most_sweeps: int) -> ComplexArray:
-    """Compute all eigenvalues of a Hessenberg matrix, shape (n,); NaN if the iteration does not converge."""
+def _eigenvalues(hessenberg: Annotated[Array, "n n"], most_sweeps: int) -> Annotated[ComplexArray, "n"]:
+    """Compute all eigenvalues of a Hessenberg matrix; NaN if the iteration does not converge."""
     n = hessenberg.shape[0]
     h, values = np.zeros((n + 1, n + 1)), np.empty(n, dtype=np.complex128)  # room for a reflection of three at the end
     h[:n, :n] = hessenberg
@@ -305,24 +292,14 @@ def _inverse(pivot: complex, least: float) -> complex:
 
 
 @compiled(error_model="numpy")
-def tridiagonal_vectors(diagonal: Array, off_diagonal: Array, values: Array) -> Array:
-    """Compute unit eigenvectors of a symmetric tridiagonal matrix for known eigenvalues.
+def tridiagonal_vectors(
+    diagonal: Annotated[Array, "n"], off_diagonal: Array, values: Annotated[Array, "m"]
+) -> Annotated[Array, "m n"]:
+    """Compute unit eigenvectors, as rows, of a symmetric tridiagonal matrix for known eigenvalues in order.
 
     Each vector follows from the factorizations of the shifted matrix from the top and from the bottom (twisted factorization),
     joined at the row of the smallest pivot.  Its error is rounding over the distance to the next eigenvalue.  Its components
     along the vectors of close eigenvalues are therefore removed.
-
-    Parameters
-    ----------
-    diagonal : ndarray, shape (n,)
-    off_diagonal : ndarray, shape (n - 1,)
-    values : ndarray, shape (m,)
-        Eigenvalues, in order.
-
-    Returns
-    -------
-    ndarray, shape (m, n)
-        Eigenvectors as rows.
     """
     n, near = diagonal.size, _CLUSTER_DISTANCE * np.abs(values).max()
     out, down, up = np.empty((values.size, n)), np.empty(n), np.empty(n)

@@ -7,6 +7,7 @@ damped sinusoids.  The covariance follows from the linearized least-squares fit 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -16,23 +17,8 @@ _SETTLING_S = 0.3
 """Time after a blow during which the lowpass still rings. [s; impulse response of the lowpass]"""
 
 
-def with_decay_deviations(modes: ModalEstimate, values: Array, rate_hz: float) -> ModalEstimate:
-    """Compute the deviations of modes that were identified from a free decay.
-
-    Parameters
-    ----------
-    modes : ModalEstimate
-        m modes of c channels, each shape with one component exactly 1.
-    values : ndarray, shape (n_samples, c), m/s^2
-        The conditioned decay.
-    rate_hz : float
-        Sampling rate, Hz.
-
-    Returns
-    -------
-    ModalEstimate
-        The same modes with deviations.
-    """
+def with_decay_deviations(modes: ModalEstimate, values: Annotated[Array, "samples c"], rate_hz: float) -> ModalEstimate:
+    """Compute the deviations of modes (each shape with one component exactly 1) from the conditioned free decay they are of."""
     skip = round(_SETTLING_S * rate_hz)
     y = values[skip:]
     t = np.arange(skip, values.shape[0]) / rate_hz

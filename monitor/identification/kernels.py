@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,20 +14,12 @@ IMPOSSIBLE = 1e3
 
 
 @compiled()
-def scatter(products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]) -> Array:
+def scatter(
+    products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: Annotated[NDArray[np.intp], "r"]
+) -> Annotated[Array, "lags r c blocks"]:
     """Compute the deviation of each block's lagged products, about the window's mean, from those of the mean block.
 
-    Parameters
-    ----------
-    products, shifted, mean, counts
-        As in `LagSums`.
-    past : ndarray, shape (r,)
-        Channels of the first factors.
-
-    Returns
-    -------
-    ndarray, shape (2 i - 1, r, c, n_blocks)
-        For lags from 1 on.
+    The products are as in `LagSums`; `past` are the channels of the first factors.  The lags are from 1 on.
     """
     n_blocks, n_lags, c, _ = products.shape
     out, share = np.empty((n_lags - 1, past.size, c, n_blocks)), counts / counts.sum()
@@ -44,20 +38,12 @@ def scatter(products: Array, shifted: Array, mean: Array, counts: NDArray[np.int
 
 
 @compiled()
-def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
+def displaced(
+    lag_sum: Annotated[Array, "lags c c"], head: Annotated[Array, "k c"], tail: Annotated[Array, "k c"]
+) -> Array:
     """Compute the Gram matrix of the block Hankel matrix from its first block row, the lag sums.
 
     A block equals the previous block on its diagonal, minus the product at the window's head, plus the product at its tail.
-
-    Parameters
-    ----------
-    lag_sum : ndarray, shape (n_lags, c, c)
-    head, tail : ndarray, shape (n_lags - 1, c)
-        First and last samples of the window.
-
-    Returns
-    -------
-    ndarray, shape (n_lags c, n_lags c)
     """
     lags, c, _ = lag_sum.shape
     out = np.empty((lags * c, lags * c))
@@ -75,7 +61,7 @@ def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
 
 @compiled(part=True)
 def _mac(a: ComplexArray, b: ComplexArray) -> float:
-    """Compute the modal assurance criterion of two shapes of unit norm, shape (c,)."""
+    """Compute the modal assurance criterion of two shapes of unit norm."""
     total = 0j
     for i in range(a.size):
         total += np.conj(a[i]) * b[i]
@@ -84,25 +70,16 @@ def _mac(a: ComplexArray, b: ComplexArray) -> float:
 
 @compiled()
 def recurring(
-    space: NDArray[np.intp], frequency: Array, shape: ComplexArray, most_change: float, least_likeness: float
-) -> Array:
-    """Mark each pole with 1 if the next lower order has a matching pole, else 0.
+    space: Annotated[NDArray[np.intp], "poles"],
+    frequency: Annotated[Array, "poles"],
+    shape: Annotated[ComplexArray, "poles c"],
+    most_change: float,
+    least_likeness: float,
+) -> Annotated[Array, "poles"]:
+    """Mark each pole with 1 if the next lower order has a matching pole, with a shape of unit norm, else 0.
 
-    Parameters
-    ----------
-    space : ndarray, shape (n_poles,)
-        Number of the order, increasing.
-    frequency : ndarray, shape (n_poles,), Hz
-    shape : ndarray, shape (n_poles, c)
-        Shapes of unit norm.
-    most_change : float
-        Largest relative change of frequency between matching poles.
-    least_likeness : float
-        Least modal assurance criterion between matching poles.
-
-    Returns
-    -------
-    ndarray, shape (n_poles,)
+    `space` is the number of the pole's order, increasing; `most_change` the largest relative change of frequency between matching
+    poles, and `least_likeness` the least modal assurance criterion.
     """
     found = np.zeros(frequency.size)
     for p in range(frequency.size):
@@ -127,12 +104,7 @@ def grouped(
 ) -> NDArray[np.intp]:
     """Group the poles into modes, with at most one pole from each order, and at least `enough` poles in all.
 
-    Parameters are as in `recurring`.
-
-    Returns
-    -------
-    ndarray of int, shape (n_poles,)
-        Number of the mode of each pole, -1 for none.
+    The result is the number of the mode of each pole, -1 for none.  Parameters are as in `recurring`.
     """
     n = frequency.size
     near = np.zeros((n, n), dtype=np.bool_)
@@ -167,38 +139,20 @@ def grouped(
 
 @compiled()
 def unlikeness(
-    group: NDArray[np.intp],
-    frequency: Array,
-    shape: ComplexArray,
+    group: Annotated[NDArray[np.intp], "poles"],
+    frequency: Annotated[Array, "poles"],
+    shape: Annotated[ComplexArray, "poles c"],
     n_orders: int,
-    model_ln_f: Array,
-    model_shape: Array,
+    model_ln_f: Annotated[Array, "k"],
+    model_shape: Annotated[Array, "k c"],
     most_distance: float,
     least_likeness: float,
-) -> Array:
+) -> Annotated[Array, "k modes"]:
     """Compute the cost of matching each of the model's modes to each identified mode; IMPOSSIBLE beyond the bounds.
 
     The cost has terms for frequency (the median over orders), for shape, and for the share of orders in which the mode was
-    found.  That share is a better criterion than the closeness to the structure file's frequency.
-
-    Parameters
-    ----------
-    group : ndarray, shape (n_poles,)
-        Number of each pole's mode, -1 for none.
-    frequency : ndarray, shape (n_poles,), Hz
-    shape : ndarray, shape (n_poles, c)
-        Shapes of unit norm.
-    model_ln_f : ndarray, shape (k,)
-        Logarithms of the model's frequencies in Hz.
-    model_shape : ndarray, shape (k, c)
-    most_distance : float
-        Largest distance in ln f.
-    least_likeness : float
-        Least modal assurance criterion.
-
-    Returns
-    -------
-    ndarray, shape (k, n_modes)
+    found.  That share is a better criterion than the closeness to the structure file's frequency.  `group` is the number of each
+    pole's mode, -1 for none; `most_distance` is in ln f, and `least_likeness` a modal assurance criterion.
     """
     n_modes = group.max() + 1 if group.size else 0
     out = np.full((model_ln_f.size, n_modes), IMPOSSIBLE)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
@@ -43,19 +44,14 @@ def identify_modes(
 ) -> ModalEstimate | Skipped:
     """Identify the modes of a window without a model.
 
+    They are in the order of frequency, with their deviations; `model_mode` numbers them from 0.  Skipped where there is none.
+
     Parameters
     ----------
-    window : Window
-        Lag sums, and segments for the refinement, of c channels.
     past : tuple of int
         Numbers of the reference channels (0 = first); all when empty.
     cutoff_hz : float, optional
         Cutoff of the lowpass of the samples, Hz; modes beyond it are left out.
-
-    Returns
-    -------
-    ModalEstimate or Skipped
-        Modes by frequency, with their deviations; `model_mode` numbers them from 0.  Skipped where there is none.
     """
     n_channels = window.sums.head.shape[1]
     max_order = max(ssi.max_order, ORDERS_PER_MODE * select.max_modes)
@@ -116,8 +112,10 @@ def _certain(
     return [cluster for cluster in clusters if min(square[row] for row in cluster) <= select.stable_frequency**2]
 
 
-def _deviations(window: Window, realisation: Realisation, poles: PoleTable, rows: list[int]) -> Array:
-    """Compute the deviations of poles of any orders, shape (n_blocks, len(rows), 2 + 2 c)."""
+def _deviations(
+    window: Window, realisation: Realisation, poles: PoleTable, rows: list[int]
+) -> Annotated[Array, "blocks rows 2+2c"]:
+    """Compute the deviations of poles of any orders."""
     out = np.zeros((len(window.sums.products), len(rows), 2 + 2 * window.sums.head.shape[1]))
     for space in np.unique(poles.space[rows]):
         alike = np.flatnonzero(poles.space[rows] == space)

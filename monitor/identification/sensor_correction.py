@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from monitor.core import Array, ComplexArray, ModalEstimate
 from monitor.model import Condition, Context, Effect
 
 
-def response(effects: Sequence[Effect], hz: float, context: Context) -> ComplexArray:
-    """Compute the frequency response of the linear sensor effects at `hz`, shape (c, c): true channels to measured ones."""
+def response(effects: Sequence[Effect], hz: float, context: Context) -> Annotated[ComplexArray, "c c"]:
+    """Compute the frequency response of the linear sensor effects at `hz`: true channels to measured ones."""
     n, c = context.structure.n_stories, len(context.channels)
     anywhere = Condition(np.ones(n), np.ones(n), np.ones(context.structure.n_dofs), np.ones(c))
     out = np.eye(c, dtype=complex)
@@ -23,8 +24,8 @@ def response(effects: Sequence[Effect], hz: float, context: Context) -> ComplexA
     return out
 
 
-def seen_by_sensors(effects: Sequence[Effect], context: Context) -> Array:
-    """Apply the sensor effects at 0 Hz to the sensor matrix, shape (c, n): measured shapes are matched by the result."""
+def seen_by_sensors(effects: Sequence[Effect], context: Context) -> Annotated[Array, "c n"]:
+    """Apply the sensor effects at 0 Hz to the sensor matrix: measured shapes are matched by the result."""
     return np.asarray(response(effects, 0.0, context).real @ context.sensors)
 
 
@@ -42,10 +43,7 @@ def correct_modes(
 ) -> ModalEstimate:
     """Remove the sensor effects and the clock error from identified modes; the largest component of each shape is 1 again.
 
-    Parameters
-    ----------
-    rows, true_channels : tuple of int, optional
-        Channels that the shapes hold, and those that they hold without the effects (`true_channels`); by default all.
+    The shapes hold the channels `rows`, and without the effects `true_channels`; by default all.
     """
     clock = float(np.prod([e.clock_factor for e in effects]))
     shapes, deviations = modes.shapes.copy(), modes.deviations.copy()
@@ -79,8 +77,8 @@ def correct_modes(
     )
 
 
-def _propagate(rows: Array, back: ComplexArray, true: ComplexArray, largest: int) -> Array:
-    """Propagate deviations of a shape, (n_rows, 2 c), real then imaginary parts, through `back` and the normalization."""
+def _propagate(rows: Annotated[Array, "rows 2c"], back: ComplexArray, true: ComplexArray, largest: int) -> Array:
+    """Propagate deviations of a shape, real then imaginary parts, through `back` and the normalization."""
     c = true.size
     moved = (rows[:, :c] + 1j * rows[:, c:]) @ back.T
     moved = (moved - moved[:, [largest]] * (true / true[largest])) / true[largest]

@@ -50,21 +50,9 @@ class SingleMode:
 def fit_single_modes(
     segments: Sequence[ComplexArray], bin_hz: float, modes: ModalEstimate
 ) -> tuple[SingleMode | Skipped, ...]:
-    """Fit each mode's peak in the spectral matrix by itself.
+    """Fit each mode's peak in the spectral matrix by itself; skipped where there is no peak, or no bell about it.
 
-    Parameters
-    ----------
-    segments : sequence of ndarray, shape (n_bins, c) each
-        Transforms of half-overlapping segments (`Window.segments`).
-    bin_hz : float
-        Spacing of the bins, from 0 Hz.
-    modes : ModalEstimate
-        First opinion: where to look.
-
-    Returns
-    -------
-    tuple of SingleMode or Skipped
-        In the order of `modes`; skipped where there is no peak, or no bell about it.
+    The transforms are of half-overlapping segments (`Window.segments`), the first opinion `modes` says where to look.
     """
     transforms = np.array(segments)
     return tuple(
@@ -76,7 +64,7 @@ def fit_single_modes(
 def _fit(
     transforms: ComplexArray, bin_hz: float, hz: float, damping: float, shape: ComplexArray
 ) -> SingleMode | Skipped:
-    """Fit the peak near a mode of known frequency, damping and shape, (c,)."""
+    """Fit the peak near a mode of known frequency, damping and shape."""
     centre = round(hz / bin_hz)
     bandwidth = 2.0 * damping * hz / bin_hz
     half = max(BELL_PARAMETERS, int(np.ceil(_HALF_BAND * bandwidth)))
@@ -112,35 +100,28 @@ def _fit(
 def fit_bell(power: Array, bins: Array, bin_hz: float, start: Array, n_segments: int) -> tuple[Array, Array] | None:
     """Fit ln f, ln damping, ln of the bell's size and ln noise to a spectrum by Fisher scoring.
 
+    The result is ln f and ln damping, and their standard deviations; None if the scoring does not converge.
+
     Parameters
     ----------
-    power : ndarray, shape (k,)
+    power : ndarray
         Mean power of half-overlapping segments with a Hann taper, in any unit.
-    bins : ndarray, shape (k,)
+    bins : ndarray
         Numbers of the bins.
-    bin_hz : float
-        Spacing of the bins.
-    start : ndarray, shape (2,)
+    start : ndarray
         Logarithms of frequency, in Hz, and damping ratio from which the search begins.
-    n_segments : int
-        Number of segments.
-
-    Returns
-    -------
-    tuple of ndarray, shape (2,) each, or None
-        ln f and ln damping, and their standard deviations; None if the scoring does not converge.
     """
     nodes = (bins[:, None] + LEAKAGE_OFFSETS / 2.0) * bin_hz
 
     def log_model(x: Array) -> Array:
-        """Compute the logarithm of the spectrum, blurred by the taper, shape (k,)."""
+        """Compute the logarithm of the spectrum, blurred by the taper."""
         f, damping, size, noise = np.exp(x)
         ratio = (nodes / f) ** 2
         bell = ratio**2 / ((1.0 - ratio) ** 2 + 4.0 * damping**2 * ratio)
         return np.asarray(np.log((size * bell + noise) @ leakage()))
 
     def slopes(x: Array) -> Array:
-        """Compute the derivatives of `log_model`, shape (4, k)."""
+        """Compute the derivatives of `log_model`."""
         step = np.cbrt(np.finfo(float).eps)  # least sum of rounding and curvature
         moved = [log_model(x + h) - log_model(x - h) for h in step * np.eye(BELL_PARAMETERS)]
         return np.asarray(np.array(moved) / (2.0 * step))

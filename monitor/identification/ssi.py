@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,14 +69,16 @@ class SsiSettings(Settings):
 class Realisation:
     """Observability matrix for all orders, from the Gram matrix."""
 
-    observability: Array
-    """O_i for the largest order, shape (l i, n_max); order n uses its first n columns (eq. 8).  The basis of the states is
-    arbitrary.  It is chosen so that the columns without the last block row are orthonormal, which solves eq. 12 for every order
-    at once."""
-    right: Array
-    """Z with O_i = Y_f Y_p^T Z to first order, shape (r i, n_max); it propagates errors of the lag sums to O_i."""
+    observability: Annotated[Array, "li n_max"]
+    """O_i for the largest order; order n uses its first n columns (eq. 8).
+
+    The basis of the states is arbitrary.  It is chosen so that the columns without the last block row are orthonormal, which
+    solves eq. 12 for every order at once.
+    """
+    right: Annotated[Array, "ri n_max"]
+    """Z with O_i = Y_f Y_p^T Z to first order; it propagates errors of the lag sums to O_i."""
     singular_values: Array
-    """Shape (at least n_max,)."""
+    """At least n_max."""
     past: tuple[int, ...]
     """Numbers of the channels that make up the past."""
     n_channels: int
@@ -89,12 +91,12 @@ class StateSpace:
     """State-space matrices A and C of one order, with eigenvalues and eigenvectors of A (eq. 14)."""
 
     order: int
-    poles: ComplexArray
-    """Discrete-time eigenvalues, shape (n,)."""
-    right: ComplexArray
-    """Right eigenvectors, shape (n, n)."""
-    shapes: ComplexArray
-    """C times the eigenvectors, shape (l, n) (eq. 16)."""
+    poles: Annotated[ComplexArray, "n"]
+    """Discrete-time eigenvalues."""
+    right: Annotated[ComplexArray, "n n"]
+    """Right eigenvectors."""
+    shapes: Annotated[ComplexArray, "l n"]
+    """C times the eigenvectors (eq. 16)."""
     a: Array
     c: Array
 
@@ -105,20 +107,20 @@ class PoleTable:
 
     orders: tuple[int, ...]
     """All orders identified, with or without poles in the table."""
-    space: Indices
-    """Shape (n_poles,): index of the pole's order in `orders`."""
-    value: ComplexArray
-    """Shape (n_poles,): discrete-time eigenvalue."""
-    frequency: Array
-    """Shape (n_poles,), Hz."""
-    damping: Array
-    """Shape (n_poles,): damping ratio."""
-    shape: ComplexArray
-    """Shape (n_poles, l): mode shape of unit norm."""
+    space: Annotated[Indices, "poles"]
+    """Index of the pole's order in `orders`."""
+    value: Annotated[ComplexArray, "poles"]
+    """Discrete-time eigenvalue."""
+    frequency: Annotated[Array, "poles"]
+    """Hz."""
+    damping: Annotated[Array, "poles"]
+    """Damping ratio."""
+    shape: Annotated[ComplexArray, "poles l"]
+    """Mode shape of unit norm."""
 
 
 def gram(sums: LagSums) -> Array:
-    """Compute the Gram matrix of the block Hankel matrix of eq. 3 with all l channels, shape (2 i l, 2 i l), not normalized."""
+    """Compute the Gram matrix of the block Hankel matrix of eq. 3 with all l channels, 2 i l rows, not normalized."""
     from monitor.identification.kernels import displaced  # compiled code takes a while to load
 
     return displaced(sums.total, sums.head, sums.tail)
@@ -129,16 +131,8 @@ def realise(
 ) -> Realisation:
     """Factorize the weighted projection of the future on the past (eqs 5-8, 17).
 
-    Parameters
-    ----------
-    sums : LagSums
-        Lag sums of l channels at 2 i lags.
-    past : tuple of int, length r
-        Numbers of the reference channels.
-    max_order : int
-        Largest order wanted; it is lowered where the matrices have fewer rows.
-    cutoff : float
-        Cutoff of the lowpass of the samples, cycles per sample.
+    `past` are the numbers of the reference channels, `cutoff` the cutoff of the lowpass of the samples in cycles per sample.  The
+    largest order is lowered where the matrices have fewer rows.
     """
     i, l = settings.block_rows, sums.head.shape[1]  # noqa: E741 - the paper's letters
     past_rows, future = _past_rows(i, l, past), slice(i * l, 2 * i * l)
@@ -172,7 +166,7 @@ def realise(
 
 @lru_cache(maxsize=8)
 def _past_rows(i: int, l: int, past: tuple[int, ...]) -> Indices:  # noqa: E741
-    """Return the rows of the Hankel matrix's upper half that belong to the reference channels, shape (r i,)."""
+    """Return the rows of the Hankel matrix's upper half that belong to the reference channels."""
     return np.asarray((np.arange(i)[:, None] * l + np.asarray(past)[None, :]).ravel())
 
 
@@ -192,7 +186,7 @@ def _orthonormalize(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa:
 
 @lru_cache(maxsize=8)
 def _upper(n: int) -> Array:
-    """Return the mask of the upper triangle with diagonal, shape (n, n): 1 there, else 0."""
+    """Return the mask of the upper triangle with diagonal: 1 there, else 0."""
     return np.triu(np.ones((n, n)))
 
 
@@ -224,18 +218,9 @@ def poles(
     band_hz: tuple[float, float] = (0.0, np.inf),
     damping: tuple[float, float] = (-np.inf, np.inf),
 ) -> PoleTable:
-    """Compute the poles of every order within bounds of frequency and damping ratio.
+    """Compute the poles of every order within bounds of frequency (Hz) and damping ratio.
 
     Orders above the number of states of the data are left out.
-
-    Parameters
-    ----------
-    rate_hz : float
-        Sampling rate, Hz.
-    band_hz : tuple of float
-        Lowest and highest frequency, Hz.
-    damping : tuple of float
-        Least and largest damping ratio.
     """
     from monitor.identification.eigen import upper_poles  # compiled code takes a while to load
 
@@ -259,8 +244,8 @@ def state_space(realisation: Realisation, order: int) -> StateSpace:
     return StateSpace(order, values.astype(complex), vectors.astype(complex), c @ vectors, a, c)
 
 
-def _matrices(realisation: Realisation, order: int) -> tuple[Array, Array]:
-    """Compute A, shape (n, n), and C, shape (l, n), of one order.
+def _matrices(realisation: Realisation, order: int) -> tuple[Annotated[Array, "n n"], Annotated[Array, "l n"]]:
+    """Compute A and C of one order.
 
     By algorithm 2 A and C of a lower order are the leading parts of those of a higher one.  Algorithm 1 is used where its
     products are in the realisation.
@@ -284,8 +269,8 @@ def continuous(logarithm: ComplexArray, rate_hz: float) -> tuple[Array, Array]:
     return size * (rate_hz / (2.0 * np.pi)), -logarithm.real / size
 
 
-def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Array:
-    """Form the block Toeplitz matrix of lag covariances, shape (l i, r i): block (a, b) is R(i + a - b)."""
+def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Annotated[Array, "li ri"]:
+    """Form the block Toeplitz matrix of lag covariances: block (a, b) is R(i + a - b)."""
     lag_sum = sums.total[:, list(past)]
     lag = i + np.arange(i)[:, None] - np.arange(i)[None, :]
     blocks = lag_sum[lag]  # (a, b, past channel, future channel)
@@ -310,7 +295,7 @@ def _weight(gram: Array, n_channels: int, cutoff: float) -> Array:
 
 @lru_cache(maxsize=8)
 def _out_of_band_covariance(i: int, cutoff: float) -> Array:
-    """Compute the covariance of i samples of white noise beyond the cutoff, of power `_OUT_OF_BAND_NOISE`, shape (i, i)."""
+    """Compute the covariance of i samples of white noise beyond the cutoff, of power `_OUT_OF_BAND_NOISE`."""
     lag = np.abs(np.arange(i)[:, None] - np.arange(i))
     within = 2.0 * cutoff * np.sinc(2.0 * cutoff * lag)
     return np.asarray(_OUT_OF_BAND_NOISE * ((lag == 0) - within) / (1.0 - 2.0 * cutoff))
@@ -350,8 +335,10 @@ def _state_products(full: Array, past_rows: Indices, i: int, l: int) -> tuple[Ar
     )
 
 
-def _algorithm_1(states: tuple[Array, Array, Array], o: Array, l: int) -> tuple[Array, Array]:  # noqa: E741
-    """Solve eq. 11 for A, shape (n, n), and C, shape (l, n), by least squares from the state sequences."""
+def _algorithm_1(
+    states: tuple[Array, Array, Array], o: Array, l: int
+) -> tuple[Annotated[Array, "n n"], Annotated[Array, "l n"]]:
+    """Solve eq. 11 for A and C by least squares from the state sequences."""
     inverse, inverse_minus = np.linalg.pinv(o), np.linalg.pinv(o[:-l])
     now_now = inverse @ states[0] @ inverse.T
     next_now = inverse_minus @ states[1] @ inverse.T

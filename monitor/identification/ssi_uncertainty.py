@@ -14,6 +14,8 @@ multi-order uncertainty computation for stochastic subspace identification, MSSP
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
@@ -26,24 +28,12 @@ def mode_deviations(
     realisation: Realisation,
     space: StateSpace,
     chosen: list[int],
-    shapes: ComplexArray,
+    shapes: Annotated[ComplexArray, "m c"],
     rate_hz: float,
-) -> Array:
-    """Compute the influence of every block on the chosen modes.
+) -> Annotated[Array, "blocks m 2+2c"]:
+    """Compute the influence of every block on ln f, damping ratio, real and imaginary part of the shape of the chosen modes.
 
-    Parameters
-    ----------
-    chosen : list of int, length m
-        Indices of the modes' poles in `space`.
-    shapes : ndarray, shape (m, c)
-        The normalized shapes, one component exactly 1.
-    rate_hz : float
-        Sampling rate, Hz.
-
-    Returns
-    -------
-    ndarray, shape (n_blocks, m, 2 + 2 c)
-        Influence on ln f, damping ratio, real and imaginary part of the shape.
+    `chosen` are the indices of the modes' poles in `space`, `shapes` the normalized shapes, one component exactly 1.
     """
     l, observability = realisation.n_channels, realisation.observability[:, : space.order]  # noqa: E741 - the paper's letters
     pole, modes = space.poles[chosen][:, None], np.arange(len(chosen))
@@ -65,8 +55,10 @@ def mode_deviations(
     return np.ascontiguousarray(influence.transpose(2, 0, 1))
 
 
-def _observability_influence(sums: LagSums, realisation: Realisation, states: ComplexArray) -> ComplexArray:
-    """Compute dO of every block times m state vectors, shape (m, l i, n_blocks) for states of shape (n, m)."""
+def _observability_influence(
+    sums: LagSums, realisation: Realisation, states: Annotated[ComplexArray, "n m"]
+) -> Annotated[ComplexArray, "m li blocks"]:
+    """Compute dO of every block times m state vectors."""
     from monitor.identification.kernels import scatter  # compiled code takes a while to load
 
     past, n_blocks, m = np.array(realisation.past), len(sums.products), states.shape[1]

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import ceil, log
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,11 +85,6 @@ def advice(
     """Advise on settings if the lags do not span the lowest mode's period, else return None.
 
     With shorter lags the lowest mode is identified late and with a large uncertainty.
-
-    Parameters
-    ----------
-    rate_hz, cutoff_hz : float
-        Sampling rate and cutoff of the lowpass, Hz.
     """
     span_s, lowest = 2 * ssi.block_rows / rate_hz, float(reference.frequencies_hz[0])
     wanted = expected_modes(reference, cutoff_hz, select)
@@ -108,7 +104,7 @@ def identify(
     window: Window,
     past: tuple[int, ...],
     reference: Modes,
-    sensors: Array,
+    sensors: Annotated[Array, "c n"],
     ssi: SsiSettings,
     select: SelectionSettings,
     wanted: tuple[int, ...] | None = None,
@@ -120,15 +116,16 @@ def identify(
 ) -> ModalEstimate | Skipped:
     """Identify the modes of a window: poles of all orders, stabilisation, and match to the model's modes.
 
+    The estimate may lack modes of the model, even all; it says why, and which modes are in the data beside those of the model.
+    Skipped where there is no stable pole at all.
+
     Parameters
     ----------
-    window : Window
-        Lag sums of c channels.
     past : tuple of int
         Numbers of the reference channels.
     reference : Modes
         The model's modes, or those of an earlier time, to which the identified modes are matched.
-    sensors : ndarray, shape (c, n)
+    sensors : ndarray
         Sensor matrix: channels by the model's floors.
     wanted : tuple of int, optional
         The model's modes to identify (0 = lowest), in the order of the estimate; by default those in the band.
@@ -142,12 +139,6 @@ def identify(
     measured : bool
         Whether the reference was measured on the structure.  Modes that then lie at one another's places are exchanged, as few
         channels do where they see both modes alike, and are no reading.
-
-    Returns
-    -------
-    ModalEstimate or Skipped
-        The estimate may lack modes of the model, even all; it says why, and which modes are in the data beside those of the
-        model.  Skipped where there is no stable pole at all.
     """
     if wanted is None:
         wanted = expected_modes(reference, BAND * window.rate_hz, select)
@@ -196,8 +187,8 @@ def has_intervals(estimate: ModalEstimate) -> bool:
     return not len(estimate.deviations) or bool((estimate.frequencies_std_hz > 0.0).all())
 
 
-def mark_stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Array:
-    """Mark with 1 each pole that recurs from the next lower order, shape (n_poles,), else 0.
+def mark_stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Annotated[Array, "poles"]:
+    """Mark with 1 each pole that recurs from the next lower order, else 0.
 
     If the orders cover all states of the data (`complete`), all poles of the last order are stable.
     """
@@ -209,8 +200,10 @@ def mark_stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> 
     return stable
 
 
-def group_poles(poles: PoleTable, stable: Array, select: SelectionSettings, in_band: int) -> NDArray[np.intp]:
-    """Group the stable poles of all orders into modes, shape (n_poles,): the number of each pole's mode, -1 for none.
+def group_poles(
+    poles: PoleTable, stable: Array, select: SelectionSettings, in_band: int
+) -> Annotated[NDArray[np.intp], "poles"]:
+    """Group the stable poles of all orders into modes: the number of each pole's mode, -1 for none.
 
     A mode must be stable in the share `min_stable_share` of the orders with room for `in_band` modes.  At least a third of all
     orders count as such.
@@ -235,8 +228,8 @@ def group_poles(poles: PoleTable, stable: Array, select: SelectionSettings, in_b
 def _match(
     poles: PoleTable,
     stable: Array,
-    frequencies: Array,
-    shapes: Array,
+    frequencies: Annotated[Array, "k"],
+    shapes: Annotated[Array, "k c"],
     select: SelectionSettings,
     in_band: int,
     *,
@@ -244,13 +237,8 @@ def _match(
 ) -> tuple[list[list[int] | None], list[list[int]]]:
     """Find for each of the model's modes the stable poles of its counterpart, None where there is none, and the other modes'.
 
-    Parameters
-    ----------
-    frequencies : ndarray, shape (k,), Hz
-    shapes : ndarray, shape (k, c)
-        Frequencies and shapes of the model's modes.
-    in_places : bool
-        Put modes that lie at one another's places each at its own, or leave them out where their shapes do not allow it.
+    With `in_places` modes that lie at one another's places are put each at its own, or left out where their shapes do not
+    allow it.
     """
     from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
 
@@ -290,17 +278,8 @@ def _moves(
     """Find the modes each of which was found where the reference has the next, farther away than one mode scatters.
 
     They end in a ring, as no change of stiffness makes, or at a place of which no mode was found.  Where the last one was found
-    at its own place, a mode has moved past another.
-
-    Parameters
-    ----------
-    matched : dict
-        Mode of the data for each of the reference's.
-
-    Returns
-    -------
-    list of (dict, bool)
-        The mode of the reference at whose place each was found, and whether they are a ring.
+    at its own place, a mode has moved past another.  `matched` holds the mode of the data for each of the reference's.  Each
+    result is the mode of the reference at whose place each was found, and whether they are a ring.
     """
     known = np.log(frequencies)
     places = {i: int(np.abs(known - np.log(np.median(pole_hz[group == j]))).argmin()) for i, j in matched.items()}
@@ -334,7 +313,7 @@ def distinct(
 def _why_missing(
     mode: int, frequency_hz: float, shape: Array, others: tuple[OtherMode, ...], select: SelectionSettings, known: str
 ) -> str:
-    """State why a mode of the model, of shape (c,), has no counterpart beside `others`."""
+    """State why a mode of the model has no counterpart beside `others`."""
     says = f"mode {mode + 1} ({frequency_hz:.3g} Hz {known}): "
     nearest = min(others, key=lambda other: abs(log(other.frequency_hz / frequency_hz)), default=None)
     if nearest is None or abs(log(nearest.frequency_hz / frequency_hz)) > log(select.max_frequency_ratio):
@@ -418,8 +397,8 @@ def _estimate(
     return replace_split_modes(window, realisation, poles, rows, estimate, select)
 
 
-def normalize(shapes: ComplexArray) -> ComplexArray:
-    """Scale shapes, shape (m, c), so that the largest component of each is exactly 1."""
+def normalize(shapes: Annotated[ComplexArray, "m c"]) -> ComplexArray:
+    """Scale shapes so that the largest component of each is exactly 1."""
     every, largest = np.arange(len(shapes)), np.abs(shapes).argmax(axis=1)
     scaled = shapes / shapes[every, largest][:, None]
     scaled[every, largest] = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
@@ -21,13 +21,13 @@ class SubArray:
     """Channels (0 = first), as measured."""
     past: tuple[int, ...]
     """Reference channels, as places in `channels`: those that are left, or else all."""
-    shown: Array
-    """Shape (c, n): what the channels show of the floors' motion, with the stated sensor effects; shapes are matched by it."""
+    shown: Annotated[Array, "c n"]
+    """What the channels show of the floors' motion, with the stated sensor effects; shapes are matched by it."""
     places: tuple[int, ...]
     """Channels whose motion the shapes hold once the sensor effects are removed: others than `channels` where cables are
     swapped."""
-    sensors: Array
-    """Shape (c, n): sensor matrix of `places`."""
+    sensors: Annotated[Array, "c n"]
+    """Sensor matrix of `places`."""
     n_channels: int
     """Number of all channels."""
     effects: tuple[Effect, ...] = ()
@@ -50,18 +50,9 @@ class SubArray:
         effects: tuple[Effect, ...],
         context: Context,
     ) -> Self:
-        """Select some channels of a structure.
+        """Select some channels (0 = first) of a structure.
 
-        Parameters
-        ----------
-        channels : tuple of int
-            Channels to select (0 = first).
-        past : sequence of int
-            Reference channels of the whole structure.
-        sensors : ndarray, shape (all channels, n)
-            Sensor matrix of the whole structure.
-        effects : tuple of Effect
-            Sensor effects that the structure file states.
+        `past` and `sensors` are those of the whole structure, `effects` those of sensors that the structure file states.
         """
         places = sensor_correction.true_channels(effects, context, channels) if effects else channels
         left = tuple(k for k, channel in enumerate(channels) if channel in past)

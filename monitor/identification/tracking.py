@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import log, sqrt
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,12 +64,10 @@ class Status(StrEnum):
 class Observed:
     """Modes observed in one window, in any order; m may be 0."""
 
-    frequencies_hz: Array
-    """Shape (m,)."""
-    frequencies_std_hz: Array
-    """Shape (m,)."""
-    shapes: ComplexArray
-    """Shape (m, c), of any scale and phase; c = 0 where only frequencies are known.  A channel that is left out is NaN."""
+    frequencies_hz: Annotated[Array, "m"]
+    frequencies_std_hz: Annotated[Array, "m"]
+    shapes: Annotated[ComplexArray, "m c"]
+    """Of any scale and phase; c = 0 where only frequencies are known.  A channel that is left out is NaN."""
     window_s: float
     """Length of the window, s; the weight of an overlapping window is its share of new data."""
 
@@ -89,7 +88,7 @@ class Track:
     noise: float
     """Estimated ratio of the observations' variance to their stated variance."""
     shape: ComplexArray
-    """Shape (c,): running average, unit norm; empty while unknown, NaN at channels that were left out ever since."""
+    """Running average, unit norm; empty while unknown, NaN at channels that were left out ever since."""
     hits: float
     """Number of looks with an observation of the track."""
     misses: float
@@ -121,16 +120,15 @@ class TrackState:
 class TrackedModes:
     """Identities of the m observed modes, and the k confirmed or lost tracks, after one look."""
 
-    observed: NDArray[np.int64]
-    """Shape (m,): number of the track of each observed mode, -1 for none."""
-    numbers: NDArray[np.int64]
-    """Shape (k,): numbers of the tracks, increasing."""
-    frequencies_hz: Array
-    """Shape (k,): smoothed frequencies."""
-    frequencies_std_hz: Array
-    """Shape (k,): standard deviations of the smoothed frequencies, which grow without observations."""
+    observed: Annotated[NDArray[np.int64], "m"]
+    """Number of the track of each observed mode, -1 for none."""
+    numbers: Annotated[NDArray[np.int64], "k"]
+    """Numbers of the tracks, increasing."""
+    frequencies_hz: Annotated[Array, "k"]
+    """Smoothed frequencies."""
+    frequencies_std_hz: Annotated[Array, "k"]
+    """Standard deviations of the smoothed frequencies, which grow without observations."""
     status: tuple[Status, ...]
-    """Status of each of the k tracks."""
     births: tuple[int, ...]
     """Tracks confirmed by this look."""
     deaths: tuple[int, ...]
@@ -160,7 +158,7 @@ def observed(modes: ModalEstimate | None, window_s: float) -> Observed:
 
 
 def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) -> tuple[TrackState, TrackedModes]:
-    r"""Assign the modes of one window to the tracks, and update the tracks.
+    r"""Assign the modes of one window, which ends at `t_ns` (UTC), to the tracks, and update the tracks.
 
     Observations are assigned to confirmed tracks first, then to tentative ones, each time by the assignment of largest
     likelihood of frequency (a local level in :math:`\ln f`) and shape [1]_.  An observation that is left starts a new track,
@@ -169,15 +167,8 @@ def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) 
     observation does not belong to another track.
 
     Windows that overlap share their data.  A window of which a share w is new counts as w looks, with the variance
-    multiplied by 1 / w, so that overlapping windows of one window's length of new data weigh as one window.
-
-    Parameters
-    ----------
-    seen : Observed
-        The m observed modes.
-    t_ns : int
-        UTC of the window's end.  If it is not later than the last look, the clock was set back; the time since the last look
-        is then taken to be the length of a window.
+    multiplied by 1 / w, so that overlapping windows of one window's length of new data weigh as one window.  Where the window's
+    end is not later than the last look, the clock was set back; the time since is then taken to be the length of a window.
 
     References
     ----------
@@ -270,8 +261,8 @@ def _assign(tracks: Sequence[Track], fresh: Sequence[Track], settings: TrackSett
     return [(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if gain[i, j] > 0]
 
 
-def _mac(tracks: Sequence[Track], fresh: Sequence[Track]) -> Array:
-    """Compute the modal assurance criterion of tracks and observations, shape (k, m); NaN where a shape is unknown."""
+def _mac(tracks: Sequence[Track], fresh: Sequence[Track]) -> Annotated[Array, "k m"]:
+    """Compute the modal assurance criterion of tracks and observations; NaN where a shape is unknown."""
     mac = np.full((len(tracks), len(fresh)), np.nan)
     known = [i for i, t in enumerate(tracks) if t.shape.size == fresh[0].shape.size > 0]
     if not known:
@@ -284,7 +275,7 @@ def _mac(tracks: Sequence[Track], fresh: Sequence[Track]) -> Array:
 
 
 def _partial_mac(mac: Array, known: Sequence[int], a: ComplexArray, b: ComplexArray) -> Array:
-    """Fill in the criterion of shapes, (k, c) and (m, c), by the channels that both have; one channel alone tells nothing."""
+    """Fill in the criterion of shapes by the channels that both have; one channel alone tells nothing."""
     for i, track in zip(known, a, strict=True):
         for j, seen in enumerate(b):
             common = np.isfinite(track) & np.isfinite(seen)
@@ -337,7 +328,7 @@ def _update_track(track: Track, seen: Track, weight: float, settings: TrackSetti
 
 
 def _averaged(shape: ComplexArray, seen: ComplexArray, share: float) -> ComplexArray:
-    """Average a track's shape with an observed one, of weight `share`; both (c,), channels that are left out are NaN."""
+    """Average a track's shape with an observed one, of weight `share`; channels that are left out are NaN."""
     here, there = np.isfinite(shape), np.isfinite(seen)
     if here.all() and there.all():
         shape = (1.0 - share) * shape + rect(share, phase(np.vdot(seen, shape))) * seen

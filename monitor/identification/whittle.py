@@ -18,6 +18,7 @@ heteroskedasticity-consistent covariance matrix estimators with improved finite 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -63,20 +64,10 @@ class RefinementSettings(Settings):
 
 
 def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -> ModalEstimate:
-    """Refine a subspace estimate by maximum likelihood.
+    """Refine a subspace estimate, the starting point, by maximum likelihood, with deviations.
 
-    Parameters
-    ----------
-    window : Window
-        Window with the transforms of its segments, shape (n_bins, c) each.
-    modes : ModalEstimate
-        Subspace estimate, the starting point.
-
-    Returns
-    -------
-    ModalEstimate
-        The maximum-likelihood estimate with its deviations.  The subspace estimate itself is returned where there are too few
-        segments, where so many channels would make the scoring too slow, or where the scoring does not converge near the start.
+    The subspace estimate itself is returned where there are too few segments, where so many channels would make the scoring too
+    slow, or where the scoring does not converge near the start.
     """
     from monitor.identification.whittle_kernels import inverses  # compiled code takes a while to load
 
@@ -123,19 +114,18 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
     return modes
 
 
-def _score_weights(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[ComplexArray, Array]:
-    """Compute the weights of a packed spectrum in its score, shape (parameters, pairs, pools), and a segment's information.
-
-    The Fisher information has the shape (parameters, parameters).
-    """
+def _score_weights(
+    layout: Layout, inverse: ComplexArray, model: Spectrum
+) -> tuple[Annotated[ComplexArray, "parameters pairs pools"], Annotated[Array, "parameters parameters"]]:
+    """Compute the weights of a packed spectrum in its score, and a segment's Fisher information."""
     weights = packed(layout, inverse @ model.u, inverse @ model.v) * layout.counts
     return weights, product(weights, packed(layout, model.u[None], model.v))
 
 
-def starting_point(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
+def starting_point(layout: Layout, modes: ModalEstimate, mean: Annotated[ComplexArray, "pairs pools"]) -> Point:
     """Compute the starting point: modes from the subspace estimate, forces and noise by weighted least squares.
 
-    The spectrum is linear in forces and noise.  `mean` is the mean packed cross-spectrum, shape (pairs, pools).
+    The spectrum is linear in forces and noise.  `mean` is the mean packed cross-spectrum.
     """
     from monitor.identification.whittle_kernels import inverses  # compiled code takes a while to load
 
@@ -170,14 +160,14 @@ def starting_point(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> 
     return replace(p, forces=forces, noise=p.noise * np.clip(x[n_pairs:], 1e-2, 1e2))
 
 
-def _levels(layout: Layout, inverse: ComplexArray, data: ComplexArray) -> Array:
-    """Estimate the excitation level of each segment by maximum likelihood, shape (segments,), relative to the model's."""
+def _levels(layout: Layout, inverse: ComplexArray, data: ComplexArray) -> Annotated[Array, "segments"]:
+    """Estimate the excitation level of each segment by maximum likelihood, relative to the model's."""
     weight = upper(inverse) * layout.counts
     return np.asarray(product(data, weight[None])[:, 0] / (inverse.shape[-1] * layout.sizes.sum()))
 
 
 def take_step(layout: Layout, p: Point, step: Array) -> Point:
-    """Add a scoring step, shape (parameters,), to a point, with bounds so that the scoring cannot diverge from a bad start."""
+    """Add a scoring step to a point, with bounds so that the scoring cannot diverge from a bad start."""
     m, n_free = len(layout.gauges), len(layout.free)
     shapes, forces = p.shapes.copy(), p.forces.copy()
     for (i, j), value in zip(layout.free, step[2 * m :], strict=False):
@@ -197,24 +187,15 @@ def take_step(layout: Layout, p: Point, step: Array) -> Point:
     )
 
 
-def shrunk_uncertainty(influence: Array, covariance: Array) -> tuple[Array, Array]:
+def shrunk_uncertainty(
+    influence: Annotated[Array, "segments n"], covariance: Annotated[Array, "n n"]
+) -> tuple[Annotated[Array, "segments n"], Annotated[Array, "n n"]]:
     """Compute rows of influence whose squares sum to the shrunk covariance, and a factor of the model's covariance.
 
-    In coordinates where the model's covariance is the identity, the covariance of the segments' scatter is shrunk towards a
-    multiple of the identity.  The shrinkage is the ratio of its sampling error to its departure from that multiple (Ledoit and
-    Wolf).  A covariance estimated from some 40 segments alone would give the damage index the long tails of Student's t.
-
-    Parameters
-    ----------
-    influence : ndarray, shape (segments, n)
-        Influence of each segment on the estimate, mean zero.
-    covariance : ndarray, shape (n, n)
-        Covariance of the estimate by the information matrix, correct up to a factor.
-
-    Returns
-    -------
-    rows : ndarray, shape (segments, n)
-    factor : ndarray, shape (n, n)
+    In coordinates where the model's covariance, by the information matrix and correct up to a factor, is the identity, the
+    covariance of the segments' scatter is shrunk towards a multiple of the identity.  The shrinkage is the ratio of its sampling
+    error to its departure from that multiple (Ledoit and Wolf).  A covariance estimated from some 40 segments alone would give
+    the damage index the long tails of Student's t.
     """
     n_segments = len(influence)
     factor = np.linalg.cholesky(covariance)
@@ -232,18 +213,11 @@ def shrunk_uncertainty(influence: Array, covariance: Array) -> tuple[Array, Arra
     return np.asarray(white @ (vectors * turn) @ vectors.T @ factor.T), np.asarray(factor.T)
 
 
-def _leverage(rows: Array, n_fitted: float) -> Array:
-    """Compute the leverage correction of the deviations of ln damping, shape (m,) (HC3 of MacKinnon and White).
+def _leverage(rows: Annotated[Array, "segments m"], n_fitted: float) -> Annotated[Array, "m"]:
+    """Compute the leverage correction of the deviations of ln damping (HC3 of MacKinnon and White).
 
-    One over the variance of ln damping is the number of independent data under the mode's peak.  `n_fitted` parameters are
+    One over the variance of ln damping is the number of independent data under the mode's peak.  `n_fitted` parameters a mode are
     fitted to these data, which to second order increases the error.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (segments, m)
-        Deviations of ln damping.
-    n_fitted : float
-        Number of fitted parameters for each mode.
     """
     return np.asarray(1.0 / (1.0 - np.minimum(0.5, n_fitted * (rows**2).sum(axis=0))))
 
@@ -254,8 +228,8 @@ def _estimate(
     """Form the estimate of a fit: frequencies, damping and real shapes; imaginary parts stay the subspace estimate's."""
     m, c = modes.shapes.shape
 
-    def spread(rows: Array) -> Array:
-        """Arrange rows by modal parameter, shape (n, n_modal), as deviations, shape (n, m, 2 + 2 c)."""
+    def spread(rows: Annotated[Array, "n modal"]) -> Annotated[Array, "n m 2+2c"]:
+        """Arrange rows by modal parameter as deviations."""
         out = np.zeros((rows.shape[0], m, 2 + 2 * c))
         out[:, :, 0] = rows[:, :m]
         out[:, :, 1] = rows[:, m : 2 * m] * np.exp(p.ln_damping)

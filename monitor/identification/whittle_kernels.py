@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,18 +11,13 @@ from monitor.core import Array, ComplexArray, compiled
 
 
 @compiled()
-def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.intp], out: ComplexArray) -> None:
-    """Average the cross-spectra of one segment over pools of bins, packed.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n_bins, c)
-        Fourier transform of the segment.
-    first, sizes : ndarray of int, shape (pools,)
-        First bin and number of bins of each pool.
-    out : ndarray, shape (pairs, pools)
-        Receives the result.
-    """
+def pool_products(
+    x: Annotated[ComplexArray, "bins c"],
+    first: Annotated[NDArray[np.intp], "pools"],
+    sizes: Annotated[NDArray[np.intp], "pools"],
+    out: Annotated[ComplexArray, "pairs pools"],
+) -> None:
+    """Average the cross-spectra of one segment over pools of bins, given by first bin and size, packed into `out`."""
     c = x.shape[1]
     for p in range(first.size):
         begin, size = first[p], sizes[p]
@@ -35,17 +32,10 @@ def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.in
 
 
 @compiled()
-def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
-    """Compute the upper triangles of ``u v^H + v u^H`` of every column.
-
-    Parameters
-    ----------
-    u, v : ndarray, shape (pools or 1, c, columns) and (pools, c, columns)
-
-    Returns
-    -------
-    ndarray, shape (columns, pairs, pools)
-    """
+def pack_columns(
+    u: Array | ComplexArray, v: Annotated[ComplexArray, "pools c columns"]
+) -> Annotated[ComplexArray, "columns pairs pools"]:
+    """Compute the upper triangles of ``u v^H + v u^H`` of every column; u may be the same for all pools."""
     pools, c, columns = v.shape
     out = np.empty((columns, c * (c + 1) // 2, pools), dtype=np.complex128)
     for p in range(pools):
@@ -60,26 +50,13 @@ def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def modal_products(w: Array, weights: Array, omega: Array, damping: Array, colour: Array) -> ComplexArray:
+def modal_products(
+    w: Annotated[Array, "pools taps"], weights: Annotated[Array, "taps"], omega: Array, damping: Array, colour: Array
+) -> Annotated[ComplexArray, "pools 5 m m"]:
     """Compute the products of modal transfer functions g of acceleration, and of their derivatives, with every conjugate g.
 
-    g includes the amplitude of the forces' spectrum.
-
-    Parameters
-    ----------
-    w : ndarray, shape (pools, taps)
-        Angular frequencies, rad/s.
-    weights : ndarray, shape (taps,)
-        Weights of the sum over taps.
-    omega, damping : ndarray, shape (m,)
-        Modal frequencies, rad/s, and damping ratios.
-    colour : ndarray, shape (2,)
-        Tilt and curvature of the forces' amplitude.
-
-    Returns
-    -------
-    ndarray, shape (pools, 5, m, m)
-        Products of g itself, then of its derivatives by ln omega, ln damping, tilt and curvature.
+    g includes the amplitude of the forces' spectrum, whose tilt and curvature are `colour`.  The five are of g itself, then of
+    its derivatives by ln omega, ln damping, tilt and curvature.  Frequencies are in rad/s; the sum over taps has `weights`.
     """
     (pools, taps), m = w.shape, omega.size
     out, each, middle = np.zeros((pools, 5, m, m), dtype=np.complex128), np.empty((5, m), dtype=np.complex128), w.mean()
@@ -104,8 +81,8 @@ def modal_products(w: Array, weights: Array, omega: Array, damping: Array, colou
 
 
 @compiled(error_model="numpy")
-def inverses(matrices: ComplexArray) -> ComplexArray:
-    """Invert Hermitian matrices, shape (n, c, c); the inverse is not finite where a pivot vanishes."""
+def inverses(matrices: Annotated[ComplexArray, "n c c"]) -> ComplexArray:
+    """Invert Hermitian matrices; the inverse is not finite where a pivot vanishes."""
     n, c, _ = matrices.shape
     a, out = matrices.copy(), np.zeros((n, c, c), dtype=np.complex128)
     for k in range(n):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,34 +30,34 @@ _POOL_WIDTH = 0.3
 class Point:
     """Parameters of the modal model at one point of the fit: m modes, c channels."""
 
-    ln_f: Array
-    """Shape (m,): ln(f / Hz)."""
-    ln_damping: Array
-    """Shape (m,): ln of the damping ratio."""
-    shapes: Array
-    """Shape (c, m), real, 1 at each mode's gauge."""
-    forces: Array
-    """Q, shape (m, m), symmetric."""
-    noise: Array
-    """Shape (c,): two-sided power spectral density of the noise, (m/s^2)^2/Hz."""
-    colour: Array
-    """Shape (2,), tilt and curvature: forces have amplitude ``exp(tilt x + curvature x^2)``, x = ln f about mid-band."""
+    ln_f: Annotated[Array, "m"]
+    """ln(f / Hz)."""
+    ln_damping: Annotated[Array, "m"]
+    """ln of the damping ratio."""
+    shapes: Annotated[Array, "c m"]
+    """Real, 1 at each mode's gauge."""
+    forces: Annotated[Array, "m m"]
+    """Q, symmetric."""
+    noise: Annotated[Array, "c"]
+    """Two-sided power spectral density of the noise, (m/s^2)^2/Hz."""
+    colour: Annotated[Array, "2"]
+    """Tilt and curvature: forces have amplitude ``exp(tilt x + curvature x^2)``, x = ln f about mid-band."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Layout:
     """Bins of the fit, pools of bins, and numbering of the parameters."""
 
-    first: NDArray[np.intp]
-    """Shape (pools,): first bin of each pool."""
-    sizes: NDArray[np.intp]
-    """Shape (pools,): number of bins in each pool."""
+    first: Annotated[NDArray[np.intp], "pools"]
+    """First bin of each pool."""
+    sizes: Annotated[NDArray[np.intp], "pools"]
+    """Number of bins in each pool."""
     columns: NDArray[np.intp]
     """First column of each parameter in `Spectrum`."""
-    nodes_hz: Array
-    """Shape (pools, taps): frequencies over which the true spectrum is averaged with the weights `leakage` for a pool."""
-    counts: Array
-    """Shape (pairs, pools): multiplicity of each entry of a packed matrix in a sum of traces over all bins."""
+    nodes_hz: Annotated[Array, "pools taps"]
+    """Frequencies over which the true spectrum is averaged with the weights `leakage` for a pool."""
+    counts: Annotated[Array, "pairs pools"]
+    """Multiplicity of each entry of a packed matrix in a sum of traces over all bins."""
     gauges: tuple[int, ...]
     """Channel at which each mode's shape is 1."""
     free: tuple[tuple[int, int], ...]
@@ -78,12 +79,9 @@ class Spectrum:
     parameters is ln f, ln damping, free shape components, Q's upper triangle, ln noise, tilt, curvature.
     """
 
-    value: ComplexArray
-    """Shape (pools, c, c)."""
-    u: Array
-    """Shape (c, columns)."""
-    v: ComplexArray
-    """Shape (pools, c, columns)."""
+    value: Annotated[ComplexArray, "pools c c"]
+    u: Annotated[Array, "c columns"]
+    v: Annotated[ComplexArray, "pools c columns"]
 
 
 def layout_of(
@@ -91,14 +89,7 @@ def layout_of(
 ) -> Layout:
     """Select the bins within `half_band` half-power bandwidths of the modes, and divide them into pools.
 
-    Parameters
-    ----------
-    n_bins : int
-        Number of bins of the data, from 0 Hz up.
-    bin_hz : float
-        Spacing of the bins, Hz.
-    pool_width : float
-        Widest pool over its distance from the nearest mode; 0 leaves each bin alone.
+    `pool_width` is the widest pool over its distance from the nearest mode; 0 leaves each bin alone.
     """
     number = np.arange(n_bins)
     centre = np.round(modes.frequencies_hz / bin_hz)
@@ -129,17 +120,10 @@ def layout_of(
     return Layout(bins[first], sizes, columns, nodes * bin_hz, counts, gauges, free, pairs)
 
 
-def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> ComplexArray:
-    """Compute each segment's cross-spectra, averaged over pools and packed.
-
-    Parameters
-    ----------
-    segments : tuple of ndarray, shape (n_bins, c), m/s^2/sqrt(Hz)
-
-    Returns
-    -------
-    ndarray, shape (segments, pairs, pools), (m/s^2)^2/Hz
-    """
+def cross_spectra(
+    layout: Layout, segments: tuple[ComplexArray, ...]
+) -> Annotated[ComplexArray, "segments pairs pools"]:
+    """Compute each segment's cross-spectra, averaged over pools and packed, (m/s^2)^2/Hz."""
     from monitor.identification.whittle_kernels import pool_products  # compiled code takes a while to load
 
     sums = np.empty((len(segments), len(layout.counts), len(layout.first)), dtype=complex)
@@ -179,41 +163,34 @@ def predict(layout: Layout, p: Point) -> Spectrum:
 
 @cache
 def triangle(c: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows and columns of the entries of a packed matrix of size c, shape (pairs,) each."""
+    """Return the rows and columns of the entries of a packed matrix of size c."""
     return np.triu_indices(c)
 
 
-def upper(matrices: ComplexArray) -> ComplexArray:
-    """Pack Hermitian matrices, shape (pools, c, c) to (pairs, pools)."""
+def upper(matrices: Annotated[ComplexArray, "pools c c"]) -> Annotated[ComplexArray, "pairs pools"]:
+    """Pack Hermitian matrices."""
     i, j = triangle(matrices.shape[-1])
     return matrices[:, i, j].T
 
 
-def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
-    """Pack ``u v^H + v u^H``, summed over each parameter's columns.
-
-    Parameters
-    ----------
-    u, v : ndarray, shape (pools or 1, c, columns) and (pools, c, columns)
-
-    Returns
-    -------
-    ndarray, shape (parameters, pairs, pools)
-    """
+def packed(
+    layout: Layout, u: Array | ComplexArray, v: ComplexArray
+) -> Annotated[ComplexArray, "parameters pairs pools"]:
+    """Pack ``u v^H + v u^H``, summed over each parameter's columns, see `pack_columns`."""
     each = packed_columns(u, v)
     tilt, curvature = layout.columns[-2:]  # the only parameters with several columns
     each[tilt], each[tilt + 1] = each[tilt:curvature].sum(axis=0), each[curvature:].sum(axis=0)
     return each[: tilt + 2]
 
 
-def packed_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
-    """Pack ``u v^H + v u^H`` column by column, shape (columns, pairs, pools); shapes of u and v as in `packed`."""
+def packed_columns(u: Array | ComplexArray, v: ComplexArray) -> Annotated[ComplexArray, "columns pairs pools"]:
+    """Pack ``u v^H + v u^H`` column by column, see `pack_columns`."""
     from monitor.identification.whittle_kernels import pack_columns  # compiled code takes a while to load
 
     return pack_columns(u, v)
 
 
 def product(a: ComplexArray, b: ComplexArray) -> Array:
-    """Compute the real parts of the inner products of `a[i]` with `b[j]` over all further axes, shape (n_a, n_b)."""
+    """Compute the real parts of the inner products of `a[i]` with `b[j]` over all further axes."""
     flat_a, flat_b = (np.ascontiguousarray(x).reshape(len(x), -1).view(float) for x in (a, b))
     return np.asarray(flat_a @ flat_b.T)

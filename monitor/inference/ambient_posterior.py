@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import (
@@ -29,10 +31,7 @@ class AmbientPosterior(Posterior):
     """Posterior of an output-only recording.  The level of a class multiplies the forces on all floors."""
 
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
-        """See `ForwardModel.linear_spectra`.
-
-        Where no effect depends on the class, the spectra of one class are computed and scaled to the others.
-        """
+        """Predict the linearized spectra; where no effect depends on the class, those of one class, scaled to the others."""
         base, context, layout = self.system(x, effects), self.context_at(x), self.layout
         noise, band = self.noise(x), self.observed.band
         if any(e.conditional for e in effects):
@@ -48,16 +47,13 @@ class AmbientPosterior(Posterior):
         return np.stack([self._scale_to_level(unit, level[k], noise, effects) + lines for k in classes])
 
     def _scale_to_level(
-        self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]
+        self,
+        unit: Annotated[ComplexArray, "bins c c"],
+        level: float,
+        noise: Annotated[Array, "c"],
+        effects: Sequence[Effect],
     ) -> ComplexArray:
-        """Scale spectra to a class of another level; the noise does not scale with the level.
-
-        Parameters
-        ----------
-        unit : ndarray, shape (n_bins, c, c)
-            Spectra at level one, without the channels' noise.
-        noise : ndarray, shape (c,), (m/s^2)^2/Hz
-        """
+        """Scale spectra without the channels' noise at level one to another level; the noise does not scale with the level."""
         extra = sum((e.noise_variance(self.context, self.conditions[0]) for e in effects), np.zeros(noise.size))
         extra = np.asarray(extra) / self.context.rate_hz
         diagonal = np.arange(noise.size)
@@ -68,29 +64,29 @@ class AmbientPosterior(Posterior):
         out[:, diagonal, diagonal] += (noise + extra) * gain
         return out
 
+    @override
     def forces(self, x: Array) -> Array:
-        """See `ForwardModel.forces`."""
         layout = self.layout
         return np.asarray(np.exp(x[layout.levels])[:, None] * np.exp(x[layout.forces]))
 
+    @override
     def relative_levels(self, x: Array) -> Array:
-        """See `ForwardModel.relative_levels`."""
         levels = x[self.layout.levels]
         return np.asarray(np.exp(levels - levels[self.n_classes // 2]))
 
     def force_prior(self, x: Array) -> tuple[Array, Array]:
-        """See `Posterior.force_prior`.  The prior mean of every floor's force is the mean over floors."""
+        """The prior mean of every floor's force is the mean over floors."""
         own = x[self.layout.forces]
         return np.full(own.size, own.mean()), difference_operator(own.size)
 
+    @override
     def linearized(self, x: Array, effects: tuple[Effect, ...], prediction: Prediction) -> tuple[Slopes, Array, Array]:
-        """See `Posterior.linearized`."""
         shared, scale, own, order = self._slope_parts(x, effects, prediction.spectra, 0)
         slopes = SpectralSlopes.at(shared, scale, own, order, prediction.spectra, self.root_information())
         return slopes, self.whitened(prediction.spectra, prediction.spectra[None][:0], prediction.data)[1], np.zeros(0)
 
+    @override
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:
-        """See `Posterior.slopes`."""
         shared, scale, own, order = self._slope_parts(x, effects, spectra, first)
         of_class = np.concatenate([scale.T[:, :, None, None] * shared[:, None], own])
         return unpacked(of_class[order])
@@ -98,14 +94,9 @@ class AmbientPosterior(Posterior):
     def _slope_parts(
         self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int
     ) -> tuple[Array, Array, Array, NDArray[np.intp]]:
-        """Differentiate the (smoothed) spectra by the coordinates from `first` on.
+        """Differentiate the (smoothed) spectra by the coordinates from `first` on: the first parts of `SpectralSlopes`.
 
         Most slopes are computed in the middle class and scaled by level, since they only weight the residual.
-
-        Returns
-        -------
-        shared, scale, own, order : ndarray
-            See `SpectralSlopes`.
         """
         layout, noise, shape = self.layout, self.noise(x), (self.context.sensors.shape[0] ** 2, spectra.shape[1])
         begin = first if first >= layout.n_nuisance else min(first, layout.forces.start)
@@ -151,8 +142,10 @@ class AmbientPosterior(Posterior):
             if not (e.repeatable or (alike and e.scales_with_level))
         ]
 
-    def _slopes_of_middle(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> Array:
-        """Differentiate the (smoothed) spectra of the middle class, shape (n_wanted, c * c, bins)."""
+    def _slopes_of_middle(
+        self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]
+    ) -> Annotated[Array, "wanted c*c bins"]:
+        """Differentiate the (smoothed) spectra of the middle class."""
         middle = self.n_classes // 2
         by_mode = self.slopes_by_mode(x, effects, wanted)
         systemic = self._systemic(x, effects, [i for i in wanted if i not in by_mode])
@@ -174,13 +167,10 @@ class AmbientPosterior(Posterior):
                 d[:] = packed((self.complete(linear + h * unpacked(d), x, effects, [middle])[0] - complete) / h)
         return out if self.smoothing is None else out @ self.smoothing.T
 
-    def slopes_by_mode(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> dict[int, ComplexArray]:
-        """Differentiate the linearized spectra of the middle class by those wanted coordinates that only change extra modes.
-
-        Returns
-        -------
-        dict of int to ndarray, shape (n_bins, c, c)
-        """
+    def slopes_by_mode(
+        self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]
+    ) -> dict[int, Annotated[ComplexArray, "bins c c"]]:
+        """Differentiate the linearized spectra of the middle class by those wanted coordinates that only change extra modes."""
         owners, everything = self.owners(effects), self.effects(x, effects)
         context, band, middle = self.context_at(x), self.observed.band, self.n_classes // 2
         force = float(self.forces(x)[middle].mean())
@@ -204,13 +194,10 @@ class AmbientPosterior(Posterior):
             return []  # the ground's share depends on the whole system
         return [i for i in wanted if i not in owners or everything[owners[i]].acts_on_system_alone]
 
-    def _slopes_by_system(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> Array:
-        """Differentiate the linearized spectra of the middle class by coordinates that change the system, see `_systemic`.
-
-        Returns
-        -------
-        ndarray, shape (n_wanted, c * c, n_bins)
-        """
+    def _slopes_by_system(
+        self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]
+    ) -> Annotated[Array, "wanted c*c bins"]:
+        """Differentiate the linearized spectra of the middle class by coordinates that change the system, see `_systemic`."""
         band, middle, owners = self.observed.band, self.n_classes // 2, self.owners(effects)
         everything, condition = self.effects(x, effects), self.conditions[middle]
         has_lines = any(e.lines() for e in everything)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.ambient_posterior import AmbientPosterior
 from monitor.inference.linearization import forced_motion
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior
-from monitor.inference.wishart import definite, grown_by
+from monitor.inference.wishart import Spectra, definite, grown_by
 from monitor.model import EFFECTS, Effect
 
 _SMOOTHING_WIDTH = 0.006
@@ -32,29 +33,31 @@ class CorrectedPosterior(AmbientPosterior):
 
     laws: tuple[tuple[str, str], ...] = ()
     """Names and places of the simulated effects, without the persistent ones."""
-    centre: Array = field(default_factory=lambda: np.zeros(0))
-    """Coordinates of these effects at the simulation, shape (p,)."""
-    base: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
-    """Lower Cholesky factors of the linearized spectra at the centre, shape (classes, n_bins, c, c)."""
-    relative: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
-    """Correction and its slopes by the coordinates, relative to the linearized spectra, shape (1 + p, classes, n_bins, c, c)."""
-    by_motion: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
-    """Slopes of the correction for a change of the motion instead of the law, shape (p, classes, n_bins, c, c)."""
-    spurious_information: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Spurious information on the coordinates from the random error of their slopes, shape (p, p)."""
+    centre: Annotated[Array, "p"] = field(default_factory=lambda: np.zeros(0))
+    """Coordinates of these effects at the simulation."""
+    base: Spectra = field(default_factory=lambda: np.zeros(0, dtype=complex))
+    """Lower Cholesky factors of the linearized spectra at the centre."""
+    relative: Annotated[ComplexArray, "1+p classes bins c c"] = field(
+        default_factory=lambda: np.zeros(0, dtype=complex)
+    )
+    """Correction and its slopes by the coordinates, relative to the linearized spectra."""
+    by_motion: Annotated[ComplexArray, "p classes bins c c"] = field(default_factory=lambda: np.zeros(0, dtype=complex))
+    """Slopes of the correction for a change of the motion instead of the law."""
+    spurious_information: Annotated[Array, "p p"] = field(default_factory=lambda: np.zeros((0, 0)))
+    """Spurious information on the coordinates from the random error of their slopes."""
     simulations: int = 0
     """Number of simulations of which the slopes are the mean."""
     lost: float = 0.0
     """Loss of log likelihood by the random error of the simulations, nats."""
     simulation_std: Array = field(default_factory=lambda: np.zeros(0))
     """Standard deviation of all effects' coordinates beyond that of their fit; empty where a single simulation was made."""
-    motion: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """RMS motion of the linearized model at the centre along each law whose action depends on its size, shape (classes, n), m."""
+    motion: Annotated[Array, "classes laws"] = field(default_factory=lambda: np.zeros((0, 0)))
+    """RMS motion of the linearized model at the centre along each law whose action depends on its size, m."""
     ln_mass: float = 0.0
     """Mean logarithm of the masses at the centre."""
 
     def part(self, evidence: ObservedSpectra, classes: NDArray[np.intp]) -> CorrectedPosterior:
-        """See `Posterior.part`.  The correction depends on the law, not on the measured data."""
+        """Return the posterior for other segments; the correction depends on the law, not on the measured data."""
         return replace(
             Posterior.part(self, evidence, classes),
             offset=None if self.offset is None else self.offset[classes],
@@ -67,17 +70,17 @@ class CorrectedPosterior(AmbientPosterior):
     def complete(
         self, linear: ComplexArray, x: Array, effects: Sequence[Effect], classes: Sequence[int]
     ) -> ComplexArray:
-        """See `ForwardModel.complete`.
+        """Add the correction, relative to the spectra, so that it follows peaks that move or grow.
 
-        The correction is relative to the spectra, and so follows peaks that move or grow.  Where the motion grows, a law acts as
-        one of another size.  Where all masses and stiffnesses grow, a law acts as one that is smaller in proportion.
+        Where the motion grows, a law acts as one of another size.  Where all masses and stiffnesses grow, it acts as one that is
+        smaller in proportion.
         """
         plain, relative = self._with_model_error(linear, effects, classes), self.beyond(x, effects)
         # Too long a step gives NaN, since spectra that are not positive definite have no likelihood.
         return self.add_drift(plain if relative is None else grown_by(plain, relative[list(classes)]))
 
+    @override
     def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
-        """See `Posterior.beyond`."""
         if not self._applies_to(effects):
             return None
         corrected = [e for e in effects if (e.name, e.location) in self.laws]
@@ -102,10 +105,7 @@ class CorrectedPosterior(AmbientPosterior):
         return np.array([grown if p.weighty else 1.0 for e in laws for p in e.parameters])
 
     def _different_in_classes(self, x: Array, effects: tuple[Effect, ...]) -> list[int]:
-        """See `AmbientPosterior._different_in_classes`.
-
-        Every class has slopes of its own, since a strongly nonlinear law has peaks at other frequencies in each class.
-        """
+        """List all coordinates: a strongly nonlinear law has peaks at other frequencies in each class."""
         by_class = AmbientPosterior._different_in_classes(self, x, effects)
         if not self._applies_to(effects):
             return by_class
@@ -120,13 +120,7 @@ class CorrectedPosterior(AmbientPosterior):
         return self.offset is not None and set(self.laws) <= {(e.name, e.location) for e in effects}
 
     def mirrored(self, law: Effect) -> CorrectedPosterior:
-        """Return the posterior for a law with left and right exchanged, whose spectra are the same.
-
-        Parameters
-        ----------
-        law : Effect
-            The law with its new signs.
-        """
+        """Return the posterior for a law with left and right exchanged (its new signs in `law`), whose spectra are the same."""
         centre, relative, grown, first = self.centre.copy(), self.relative.copy(), self.by_motion.copy(), 0
         for name, place in self.laws:
             n = len(EFFECTS[name].parameters)
@@ -139,8 +133,8 @@ class CorrectedPosterior(AmbientPosterior):
         return replace(self, centre=centre, relative=relative, by_motion=grown)
 
     @property
-    def slopes_by_size(self) -> ComplexArray:
-        """Slopes of the correction by the coordinates, shape (p, classes, n_bins, c, c)."""
+    def slopes_by_size(self) -> Annotated[ComplexArray, "p classes bins c c"]:
+        """Slopes of the correction by the coordinates."""
         return _congruence(self.base, self.by_motion)
 
     def spread(self, offsets: ComplexArray) -> ComplexArray:
@@ -154,13 +148,8 @@ def _dependent_on_motion(laws: Sequence[Effect]) -> list[Effect]:
     return [e for e in laws if e.amplitude_powers]
 
 
-def _apparent_size_factor(effect: Effect, growth: Array) -> Array:
-    """Compute the factor on a law's parameters that acts as the growth of the motion along it, shape (classes,), does.
-
-    Returns
-    -------
-    ndarray, shape (classes, p)
-    """
+def _apparent_size_factor(effect: Effect, growth: Annotated[Array, "classes"]) -> Annotated[Array, "classes p"]:
+    """Compute the factor on a law's parameters that acts as the growth of the motion along it does."""
     return np.asarray(growth[:, None] ** np.array(effect.amplitude_powers or (0.0,) * len(effect.parameters)))
 
 
@@ -176,8 +165,8 @@ def _smooth_over_frequency(relative: ComplexArray, hz: Array) -> ComplexArray:
     return np.asarray(np.moveaxis(np.tensordot(near, relative, axes=(1, -3)), 0, -3))
 
 
-def bound_corrections(relative: ComplexArray) -> ComplexArray:
-    """Bound relative corrections so that the corrected spectra stay positive definite, shape (classes, n_bins, c, c)."""
+def bound_corrections(relative: Spectra) -> Spectra:
+    """Bound relative corrections so that the corrected spectra stay positive definite."""
     deep = ~definite(relative - _MIN_CORRECTION * np.eye(relative.shape[-1])) & np.isfinite(relative).all(axis=(-2, -1))
     values, vectors = np.linalg.eigh(relative[deep])
     out = relative.copy()
@@ -185,39 +174,26 @@ def bound_corrections(relative: ComplexArray) -> ComplexArray:
     return out
 
 
-def relative_to(spectra: ComplexArray, offset: ComplexArray, hz: Array) -> ComplexArray:
-    """Smooth a simulated offset over frequency and express it relative to the spectra, which reduces its random error.
-
-    Parameters
-    ----------
-    spectra : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
-        Linearized spectra S = L L^H.
-    offset : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
-    hz : ndarray, shape (n_bins,), Hz
-
-    Returns
-    -------
-    ndarray, shape (classes, n_bins, c, c)
-        ``L^-1 offset L^-H``, smoothed and bounded.
-    """
+def relative_to(spectra: Spectra, offset: Spectra, hz: Array) -> Spectra:
+    """Compute ``L^-1 offset L^-H`` with ``S = L L^H``, smoothed over frequency, which reduces its random error, and bounded."""
     inverse = np.linalg.inv(np.linalg.cholesky(spectra))
     return bound_corrections(_smooth_over_frequency(_congruence(inverse, offset), hz))
 
 
 def correct_posterior(
-    posterior: Posterior, x: Array, effects: tuple[Effect, ...], offset: ComplexArray, slopes: ComplexArray
+    posterior: Posterior,
+    x: Array,
+    effects: tuple[Effect, ...],
+    offset: Spectra,
+    slopes: Annotated[ComplexArray, "p classes bins c c"],
 ) -> CorrectedPosterior:
-    """Correct a posterior by an offset that was simulated at given parameters, smoothed relative to the spectra.
+    """Correct a posterior by an offset that was simulated at given parameters and effects, smoothed relative to the spectra.
 
     Parameters
     ----------
-    x : ndarray, shape (n,)
-        Parameters of the simulation.
-    effects : tuple of Effect
-        Extra effects of the simulation.
-    offset : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
+    offset : ndarray
         Exact less linearized spectra.
-    slopes : ndarray, shape (p, classes, n_bins, c, c) or (0, ...)
+    slopes : ndarray
         Slopes of the offset by the coordinates of the nonlinear effects; none where they are not known.
     """
     plain = {f.name: getattr(posterior, f.name) for f in fields(Posterior)}

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.judged_band import JudgedBand
 from monitor.model import Condition, Context, Effect, ExtraMode, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
+
+Transforms = Annotated[ComplexArray, "segments bins c"]
+"""Tapered transforms of the channels in every segment, m/s^2/sqrt(Hz)."""
 
 _TAPS = leakage()
 _MIN_GROUND_SHARE = 1e-9
@@ -46,8 +49,8 @@ class Band:
     n_bins: int
     bin_hz: float
     """Spacing of the bins, the reciprocal of the segments' length, Hz."""
-    gain: Array
-    """Power gain of the anti-alias filter at the bins, shape (n_bins,)."""
+    gain: Annotated[Array, "bins"]
+    """Power gain of the anti-alias filter at the bins."""
     forces_hz: tuple[float, float] = (0.0, np.inf)
     """Frequencies at which the recording shows that the forces begin and end, Hz."""
 
@@ -58,17 +61,17 @@ class Band:
         return Band(self.first + chosen.start, n_bins, self.bin_hz, self.gain[chosen], judged.forces_hz)
 
     def forced(self, hz: Array) -> NDArray[np.bool_]:
-        """Select the frequencies, shape (n_hz,), Hz, at which forces act."""
+        """Select the frequencies (Hz) at which forces act."""
         return np.asarray((hz >= self.forces_hz[0]) & (hz <= self.forces_hz[1]))
 
     @property
-    def hz(self) -> Array:
-        """Frequencies of the bins, shape (n_bins,), Hz."""
+    def hz(self) -> Annotated[Array, "bins"]:
+        """Frequencies of the bins, Hz."""
         return np.asarray((self.first + np.arange(self.n_bins)) * self.bin_hz)
 
     @property
-    def fine_hz(self) -> Array:
-        """Grid of half-bin spacing that extends beyond the band by the width of the taper's kernel, shape (n_fine,), Hz."""
+    def fine_hz(self) -> Annotated[Array, "fine"]:
+        """Grid of half-bin spacing that extends beyond the band by the width of the taper's kernel, Hz."""
         low, high = LEAKAGE_OFFSETS[0], 2 * (self.n_bins - 1) + LEAKAGE_OFFSETS[-1]
         return np.asarray((2 * self.first + np.arange(low, high + 1)) * (0.5 * self.bin_hz))
 
@@ -77,26 +80,20 @@ class Band:
 class Excitation:
     """Excitation of the structure and noise of its sensors, as two-sided power densities."""
 
-    force: Array
-    """White forces on the floors, shape (n,), N^2/Hz."""
-    noise: Array
-    """White noise of the channels, shape (c,), (m/s^2)^2/Hz."""
+    force: Annotated[Array, "n"]
+    """White forces on the floors, N^2/Hz."""
+    noise: Annotated[Array, "c"]
+    """White noise of the channels, (m/s^2)^2/Hz."""
     ground_noise: float = 0.0
     """White noise of a measured ground motion, which the prediction treats as motion, (m/s^2)^2/Hz."""
 
 
-def modally_damped(mass: Array, stiffness: Array, ratios: Array) -> System:
-    """Make the linear system with given damping ratios of its modes.
+def modally_damped(
+    mass: Annotated[Array, "n n"], stiffness: Annotated[Array, "n n"], ratios: Annotated[Array, "n"]
+) -> System:
+    """Make the linear system with given damping ratios of its modes (kg, N/m).
 
-    Parameters
-    ----------
-    mass, stiffness : ndarray, shape (n, n), kg and N/m
-    ratios : ndarray, shape (n,)
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the mass matrix is not positive definite, or an entry is not finite.
+    Raises LinAlgError if the mass matrix is not positive definite, or an entry is not finite.
     """
     if not (np.isfinite(mass).all() and np.isfinite(stiffness).all()):
         raise np.linalg.LinAlgError("a mass or a stiffness is not finite")
@@ -181,15 +178,10 @@ def extra_mode_spectra(
     band: Band,
     context: Context,
     condition: Condition,
-) -> ComplexArray:
-    """Compute the part of the segments' cross-spectra that extra modes cause, shape (n_bins, c, c), (m/s^2)^2/Hz.
+) -> Annotated[ComplexArray, "bins c c"]:
+    """Compute the part of the segments' cross-spectra that extra modes cause, two-sided, (m/s^2)^2/Hz.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-        All effects of the model.
-    force : float
-        Mean density of the floors' forces, which is that on every mode, N^2/Hz.
+    `effects` are all of the model; `force` is the mean density of the floors' forces, which is that on every mode, N^2/Hz.
     """
     clock, fine = clock_ratio(effects), band.fine_hz
     answer = recorded(extra_mode_response(modes, clock * fine, context), effects, clock * fine, context, condition)
@@ -204,20 +196,11 @@ def clock_ratio(effects: Sequence[Effect]) -> float:
 
 def seen(
     system: System, effects: Sequence[Effect], hz: Array, clock: float, context: Context, condition: Condition
-) -> ComplexArray:
+) -> Annotated[ComplexArray, "hz c n+1+extra"]:
     """Compute the frequency response of the recorded channels, with the effects of the acquisition.
 
-    Parameters
-    ----------
-    hz : ndarray, shape (n_hz,), Hz
-        Frequencies by the acquisition's clock.
-    clock : float
-        True rate over nominal rate.
-
-    Returns
-    -------
-    ndarray, shape (n_hz, c, n + 1 + n_extra)
-        For forces on the floors, then for a ground acceleration, then for a force on each coupled and each extra mode.
+    Its columns are for forces on the floors, a ground acceleration, then a force on each coupled and each extra mode.
+    `hz` are frequencies by the acquisition's clock; `clock` is its true rate over the nominal rate.
     """
     answer = channel_response(system, clock * hz, context)
     modes = [mode for effect in effects for mode in effect.extra_modes(context)]
@@ -237,17 +220,10 @@ def recorded(
     return answer
 
 
-def channel_response(system: System, hz: Array, context: Context) -> ComplexArray:
+def channel_response(system: System, hz: Array, context: Context) -> Annotated[ComplexArray, "hz c n+1+coupled"]:
     """Compute the frequency response of the true accelerations at the sensors.
 
-    Parameters
-    ----------
-    hz : ndarray, shape (n_hz,), Hz
-
-    Returns
-    -------
-    ndarray, shape (n_hz, c, n + 1 + n_coupled)
-        For forces on the floors, for a ground acceleration, then for a force on each coupled mode of the system.
+    Its columns are for forces on the floors, for a ground acceleration, then for a force on each coupled mode of the system.
     """
     return _Observed.of(system, context).response(hz)
 
@@ -298,21 +274,11 @@ def _floor_response(mass: bytes, damping: bytes, stiffness: bytes, columns: byte
 @lru_cache(maxsize=_N_RESPONSES)
 def _integrated_products(
     observed: _Observed, colour: bytes, rate_hz: float, band_hz: float
-) -> tuple[Array, Array, Array]:
+) -> tuple[Annotated[Array, "c n n"], Annotated[Array, "c n n"], Annotated[Array, "c"]]:
     """Integrate the products of the channels' responses to two forces, and their squared responses to the ground.
 
-    The classes of a recording differ by the density of the forces alone, which weights these products.
-
-    Parameters
-    ----------
-    colour : bytes
-        Factor on the density of the forces at `_integration_hz`.
-
-    Returns
-    -------
-    by_pair, above : ndarray, shape (c, n, n)
-        Over all frequencies, and over those above `band_hz`.
-    by_ground : ndarray, shape (c,)
+    The classes of a recording differ by the density of the forces alone, which weights these products.  The first result is over
+    all frequencies, the second over those above `band_hz`.  `colour` is the factor on the forces' density at `_integration_hz`.
     """
     hz, n = _integration_hz(rate_hz), observed.n
     answer = observed.response(hz).transpose(1, 2, 0)
@@ -329,13 +295,10 @@ def _integration_hz(rate_hz: float) -> Array:
     return np.exp(np.linspace(np.log(_LOWEST_HZ), np.log(0.5 * rate_hz), _LOG_STEPS))
 
 
-def extra_mode_response(modes: Sequence[ExtraMode], hz: Array, context: Context) -> ComplexArray:
-    """Compute the frequency response of the true accelerations to a force on each extra mode, shape (n_hz, c, n_modes).
-
-    Parameters
-    ----------
-    hz : ndarray, shape (n_hz,), Hz
-    """
+def extra_mode_response(
+    modes: Sequence[ExtraMode], hz: Array, context: Context
+) -> Annotated[ComplexArray, "hz c modes"]:
+    """Compute the frequency response of the true accelerations to a force on each extra mode."""
     out = np.empty((hz.size, len(context.channels), len(modes)), dtype=complex)
     for i, mode in enumerate(modes):
         f = mode.frequency_hz
@@ -351,16 +314,10 @@ def force_colour(effects: Sequence[Effect], hz: Array) -> Array:
     return colour
 
 
-def force_root(force: Array, effects: Sequence[Effect]) -> Array:
+def force_root(force: Annotated[Array, "n"], effects: Sequence[Effect]) -> Annotated[Array, "n columns"]:
     """Compute a root of the floors' force densities: the forces as sums of independent sources of density one.
 
-    Parameters
-    ----------
-    force : ndarray, shape (n,), N^2/Hz
-
-    Returns
-    -------
-    ndarray, shape (n, n), or (n, n + 1) where a part of the forces is common to all floors
+    It has one column more than floors where a part of the forces is common to all floors.
     """
     root, common = np.sqrt(force), sum(e.common_force for e in effects)
     if common == 0.0:
@@ -373,7 +330,7 @@ def ground_density(
 ) -> float:
     """Find the density of white ground acceleration that causes `share` of the channels' variance, mean over channels.
 
-    The forces, of density `force`, shape (n,), N^2/Hz, cause the rest of the variance.  The result is in (m/s^2)^2/Hz.
+    The forces, of density `force`, N^2/Hz, cause the rest of the variance.  The result is in (m/s^2)^2/Hz.
     """
     by_force, by_ground, above = variances(system, force, effects, context, condition.band_hz)
     by_force = by_force + (condition.beyond - 1.0) * above
@@ -392,20 +349,11 @@ def ground_density(
 
 
 def variances(
-    system: System, force: Array, effects: Sequence[Effect], context: Context, band_hz: float
-) -> tuple[Array, Array, Array]:
+    system: System, force: Annotated[Array, "n"], effects: Sequence[Effect], context: Context, band_hz: float
+) -> tuple[Annotated[Array, "c"], Annotated[Array, "c"], Annotated[Array, "c"]]:
     """Integrate the variance of every channel up to half the source's rate.
 
-    Parameters
-    ----------
-    force : ndarray, shape (n,), N^2/Hz
-    band_hz : float
-        Frequency above which the third variance is integrated, Hz.
-
-    Returns
-    -------
-    by_force, by_ground, above : ndarray, shape (c,)
-        Variance by the forces, by a white ground acceleration of density one, and by the forces above `band_hz`.
+    The three are by the forces, by a white ground acceleration of density one, and by the forces above `band_hz`.
     """
     root, colour = force_root(force, effects), force_colour(effects, _integration_hz(context.rate_hz))
     observed = _Observed.of(system, context)
@@ -415,20 +363,12 @@ def variances(
 
 
 @compiled(error_model="numpy")
-def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, right: Array) -> ComplexArray:
+def accelerance(
+    mass: Array, damping: Array, stiffness: Array, omega: Array, right: Annotated[Array, "N columns"]
+) -> Annotated[ComplexArray, "omega N columns"]:
     """Compute the accelerance ``-w^2 (K + i w C - w^2 M)^-1 right``, acceleration per force.
 
-    Parameters
-    ----------
-    mass, damping, stiffness : ndarray, shape (N, N), kg, N s/m and N/m
-    omega : ndarray, shape (n_omega,), rad/s
-    right : ndarray, shape (N, columns)
-        Columns of forces.
-
-    Returns
-    -------
-    ndarray, shape (n_omega, N, columns)
-        NaN where a pivot vanishes.  Of a symmetric matrix with a definite imaginary part that happens only without mass.
+    NaN where a pivot vanishes.  Of a symmetric matrix with a definite imaginary part that happens only without mass.
     """
     size, columns = right.shape
     out = np.empty((omega.size, size, columns), dtype=np.complex128)
@@ -475,16 +415,15 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
 
 
 @compiled(error_model="numpy")
-def _at_sensors(floors: ComplexArray, sensors: Array, ground: int, shares: Array) -> ComplexArray:
-    """Compute the sensors' absolute acceleration, shape (n_omega, c, columns).
+def _at_sensors(
+    floors: Annotated[ComplexArray, "omega N columns"],
+    sensors: Annotated[Array, "c N"],
+    ground: int,
+    shares: Annotated[Array, "c"],
+) -> Annotated[ComplexArray, "omega c columns"]:
+    """Compute the sensors' absolute acceleration from that of the degrees of freedom relative to the ground.
 
-    Parameters
-    ----------
-    floors : ndarray, shape (n_omega, N, columns)
-        Accelerations of the degrees of freedom, relative to the ground in column `ground`.
-    sensors : ndarray, shape (c, N)
-    shares : ndarray, shape (c,)
-        Of the ground's own acceleration in every channel.
+    `ground` is the column of the ground, of whose own acceleration every channel has its share.
     """
     n_omega, _, columns = floors.shape
     c, size = sensors.shape
@@ -501,22 +440,12 @@ def _at_sensors(floors: ComplexArray, sensors: Array, ground: int, shares: Array
 
 
 @compiled(error_model="numpy")
-def blurred_products(answer: ComplexArray, density: Array, taps: Array) -> ComplexArray:
-    """Compute ``answer density answer^H`` on the half-bin grid and convolve it with the taper's kernel into bins.
-
-    Parameters
-    ----------
-    answer : ndarray, shape (n_fine, c, columns)
-        Frequency response of the channels.
-    density : ndarray, shape (n_fine, columns)
-        Power density of each column's source.
-    taps : ndarray, shape (n_taps,)
-        Kernel of the taper on the half-bin grid.
-
-    Returns
-    -------
-    ndarray, shape (n_bins, c, c)
-    """
+def blurred_products(
+    answer: Annotated[ComplexArray, "fine c columns"],
+    density: Annotated[Array, "fine columns"],
+    taps: Annotated[Array, "taps"],
+) -> Annotated[ComplexArray, "bins c c"]:
+    """Compute ``answer density answer^H`` on the half-bin grid and convolve it with the taper's kernel into bins."""
     n_fine, c, n = answer.shape
     n_bins = (n_fine - taps.size) // 2 + 1
     fine = np.empty((n_fine, c, c), dtype=np.complex128)

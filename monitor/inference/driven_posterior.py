@@ -8,18 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.inference import input_response
-from monitor.inference.cross_spectra import Excitation, cross_spectra, extended
+from monitor.inference.cross_spectra import Excitation, Transforms, cross_spectra, extended
 from monitor.inference.forward_model import Laws, Prediction
 from monitor.inference.input_response import Between, Drive
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
+from monitor.inference.wishart import Spectra
 from monitor.model import Effect
 
 _WIND_STD = 0.15
@@ -33,8 +35,8 @@ class ExactSlopes:
 
     laws: frozenset[tuple[str, str]]
     """Names and places of the effects."""
-    slopes: ComplexArray
-    """Differences of the slopes by the nuisances, shape (n_nuisance, n_segments, n_bins, c)."""
+    slopes: Annotated[ComplexArray, "nuisances segments bins c"]
+    """Differences of the slopes by the nuisances."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -47,8 +49,8 @@ class DrivenPosterior(Posterior):
 
     exact_slopes: ExactSlopes | None = None
     """Correction of the linearized slopes of the response; None where the linearized slopes are used."""
-    wind: Array | None = None
-    """Logarithms of the forces as estimated from the recording's quiet segments, shape (n,); None while they are not known."""
+    wind: Annotated[Array, "n"] | None = None
+    """Logarithms of the forces as estimated from the recording's quiet segments; None while they are not known."""
 
     @property
     def drive(self) -> Drive:
@@ -57,32 +59,32 @@ class DrivenPosterior(Posterior):
         return self.observed.drive
 
     @property
-    def power(self) -> Array:
-        """The channels' power of which the model's own error is a share, shape (n_bins, c), (m/s^2)^2/Hz."""
+    def power(self) -> Annotated[Array, "bins c"]:
+        """The channels' power of which the model's own error is a share, (m/s^2)^2/Hz."""
         assert self.observed.power is not None
         return self.observed.power
 
+    @override
     def part(self, observed: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
-        """See `Posterior.part`."""
         return replace(Posterior.part(self, observed, classes), exact_slopes=None)
 
     def between_samples(self, between: Between) -> Self:
         """Return the posterior with another assumption on the ground's motion between its samples."""
         return replace(self, observed=replace(self.observed, drive=replace(self.drive, between=between)))
 
+    @override
     def predict(self, x: Array, effects: Sequence[Effect]) -> Prediction:
-        """See `ForwardModel.predict`."""
         spectra, mean = self.smooth(self.scatter(x, effects)), self.mean(x, effects)
         left = self.observed.segments.values - mean
         return Prediction(spectra, self.smooth(input_response.products(left, self.observed.members)), left)
 
+    @override
     def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
-        """See `ForwardModel.spectra`."""
         mean = self.mean(x, effects)
         return np.asarray(self.scatter(x, effects) + input_response.products(mean, self.observed.members))
 
+    @override
     def mean(self, x: Array, effects: Sequence[Effect], *, laws: Laws = "exact") -> ComplexArray:
-        """See `ForwardModel.mean`."""
         drive, band = self.drive, self.observed.band
         effects = (*self.prior.effects(x), *effects)
         base, context = self.system(x, effects), self.context_at(x)
@@ -103,7 +105,7 @@ class DrivenPosterior(Posterior):
         return out
 
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
-        """See `ForwardModel.linear_spectra`.  The common noise is also that of a ground's sensor, and acts as ground motion."""
+        """The common noise is also that of a ground's sensor, and acts as ground motion."""
         base, context, layout = self.system(x, effects), self.context_at(x), self.layout
         forces, level, noise = self.forces(x), np.exp(x[layout.levels]), self.noise(x)
         out = []
@@ -116,28 +118,27 @@ class DrivenPosterior(Posterior):
         return np.stack(out)
 
     def forces(self, x: Array) -> Array:
-        """See `ForwardModel.forces`.
+        """The densities of `x` apply to the prior mean of the masses.
 
-        The densities of `x` apply to the prior mean of the masses.  All masses and forces grow together, since no output shows
-        the common scale of masses and stiffnesses.
+        All masses and forces grow together, since no output shows the common scale of masses and stiffnesses.
         """
         layout = self.layout
         heavier = (x[layout.masses] - self.prior.mean[layout.masses]).mean()
         return np.tile(np.exp(x[layout.forces]) * np.exp(2.0 * heavier), (self.n_classes, 1))
 
     def relative_levels(self, x: Array) -> Array:
-        """See `ForwardModel.relative_levels`.  The forces are the same in all classes."""
+        """The forces are the same in all classes."""
         return np.ones(self.n_classes)
 
+    @override
     def force_prior(self, x: Array) -> tuple[Array, Array]:
-        """See `Posterior.force_prior`."""
         own = x[self.layout.forces]
         if self.wind is not None:
             return self.wind, np.eye(own.size) / _WIND_STD**2
         return own, difference_operator(own.size)
 
+    @override
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:
-        """See `Posterior.slopes`."""
         layout = self.layout
         out = np.zeros((x.size, *spectra.shape), dtype=complex)
         if first >= layout.n_nuisance:
@@ -151,11 +152,10 @@ class DrivenPosterior(Posterior):
             by_level[k] = self.smooth(np.exp(x[layout.levels][k]) * _diagonal(self.power))
         return out[first:]
 
-    def _slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """Differentiate the (smoothed) spectra by nuisance i, shape (classes, bins, c, c).
+    def _slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: Spectra) -> Spectra:
+        """Differentiate the (smoothed) spectra by nuisance i in the middle class, since the slope only weights the residual.
 
-        The slope is computed in the middle class, since it only weights the residual, but for persistent effects that act
-        differently in each class.
+        Slopes by persistent effects that act differently in each class are computed in every class.
         """
         first = self.layout.persistent.start
         owners = [e for e in self.prior.model.effects for _ in e.parameters]
@@ -167,19 +167,16 @@ class DrivenPosterior(Posterior):
         return np.broadcast_to(change / h, spectra.shape)
 
     def mean_slopes(
-        self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray, wanted: Iterable[int]
-    ) -> ComplexArray:
-        """Differentiate the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c).
+        self,
+        x: Array,
+        effects: tuple[Effect, ...],
+        mean: Transforms,
+        wanted: Iterable[int],
+    ) -> Annotated[ComplexArray, "wanted segments bins c"]:
+        """Differentiate the segments' means by the coordinates with the wanted indices; `mean` is the response at `x`.
 
         The slopes by an effect's own coordinates are those of the exact laws.  The slopes by nuisances are those of the
         linearized laws, which are faster, corrected by `exact_slopes` where known.
-
-        Parameters
-        ----------
-        mean : ndarray, shape (n_segments, n_bins, c)
-            The response at `x`.
-        wanted : iterable of int
-            Indices of the coordinates.
         """
         wanted, linear = tuple(wanted), self._linear_mean(x, effects, mean)
         has_own = any(i > self.layout.noise for i in wanted)
@@ -200,8 +197,8 @@ class DrivenPosterior(Posterior):
                 out.append(np.zeros_like(mean))
         return np.array(out, dtype=complex).reshape(-1, *mean.shape)
 
+    @override
     def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
-        """See `Posterior.with_exact_slopes`."""
 
         def added(x: Array) -> ComplexArray:
             mean = self.mean(x, effects, laws="coarse")
@@ -218,11 +215,11 @@ class DrivenPosterior(Posterior):
         return replace(self, exact_slopes=ExactSlopes(_laws(effects), slopes))
 
     def _linear_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
-        """Compute the linearized laws' response, given the exact laws' response `mean`, shape (n_segments, n_bins, c)."""
+        """Compute the linearized laws' response, given the exact laws' response `mean`."""
         return self.mean(x, effects, laws="linearized") if self._has_laws(x, effects) else mean
 
     def _coarse_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
-        """Compute the exact laws' response in long steps, given that in short ones, shape (n_segments, n_bins, c)."""
+        """Compute the exact laws' response in long steps, given that in short ones."""
         return self.mean(x, effects, laws="coarse") if self._has_laws(x, effects) else mean
 
     def _has_laws(self, x: Array, effects: Sequence[Effect]) -> bool:
@@ -235,8 +232,8 @@ class DrivenPosterior(Posterior):
         noise = self.layout.channel_noise
         return [*range(noise.start), *range(noise.stop, self.layout.structure.stop)]
 
+    @override
     def mean_rows(self, prediction: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
-        """See `Posterior.mean_rows`."""
         assert prediction.left is not None
         e = self.observed
         weight = (e.weight * e.counts / [m.size for m in e.members])[:, None] * self.widths()
@@ -245,10 +242,10 @@ class DrivenPosterior(Posterior):
         )
         return rows[:, :-1], rows[:, -1]
 
+    @override
     def slope_rows(
         self, x: Array, effects: tuple[Effect, ...], prediction: Prediction, first: int = 0
     ) -> tuple[Array, Array, Array]:
-        """See `Posterior.slope_rows`."""
         assert prediction.left is not None
         rows, residual, _ = Posterior.slope_rows(self, x, effects, prediction, first)
         mean_slopes = self.mean_slopes(
@@ -263,6 +260,6 @@ def _laws(effects: Sequence[Effect]) -> frozenset[tuple[str, str]]:
     return frozenset((e.name, e.location) for e in effects if e.nonlinear)
 
 
-def _diagonal(power: Array) -> Array:
-    """Put the channels' power, shape (n_bins, c), on the diagonals of matrices, shape (n_bins, c, c)."""
+def _diagonal(power: Annotated[Array, "bins c"]) -> Annotated[Array, "bins c c"]:
+    """Put the channels' power on the diagonals of matrices."""
     return power[:, :, None] * np.eye(power.shape[1])

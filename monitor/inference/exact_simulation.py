@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density
+from monitor.inference.cross_spectra import Band, Transforms, channel_response, extended, ground_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
+from monitor.inference.wishart import Spectra
 from monitor.model import Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
 from monitor.signals import taper
 
@@ -36,15 +38,15 @@ class Forces:
     """Forces, ground motion and noise of one simulation."""
 
     rate_hz: float
-    floors: Array
-    """Forces on the floors, shape (n_samples, n), N."""
-    own: Array
-    """Forces on the coupled modes, shape (n_samples, n_coupled), N."""
-    ground: Array | None
-    """Ground acceleration, shape (n_samples,), m/s^2; None for ground at rest."""
-    noise: Array | None
-    """Noise of the channels, shape (n_samples, c), m/s^2; None where no sensor is nonlinear, since the noise is then the same in
-    the exact and the linearized spectra."""
+    floors: Annotated[Array, "samples n"]
+    """Forces on the floors, N."""
+    own: Annotated[Array, "samples coupled"]
+    """Forces on the coupled modes, N."""
+    ground: Annotated[Array, "samples"] | None
+    """Ground acceleration, m/s^2; None for ground at rest."""
+    noise: Annotated[Array, "samples c"] | None
+    """Noise of the channels, m/s^2; None where no sensor is nonlinear, since the noise is then the same in the exact and the
+    linearized spectra."""
     rng: np.random.Generator
     """Generator of the random numbers that the sensors' effects add."""
 
@@ -53,14 +55,14 @@ class Forces:
 class SimulatedSpectra:
     """Simulation of the exact laws together with the linearized laws under the same forces."""
 
-    controlled: ComplexArray
-    """Exact spectra less the expected linearized spectra, with a control variate, shape (classes, n_bins, c, c)."""
-    free: ComplexArray
-    """Exact spectra less the expected linearized spectra, without a control variate, shape (classes, n_bins, c, c)."""
-    exact: ComplexArray
-    """Transforms of the segments after all sensors under the exact laws, shape (n_segments, n_bins, c)."""
-    linearized: ComplexArray
-    """Transforms of the segments after all sensors under the linearized laws, shape (n_segments, n_bins, c)."""
+    controlled: Spectra
+    """Exact spectra less the expected linearized spectra, with a control variate."""
+    free: Spectra
+    """Exact spectra less the expected linearized spectra, without a control variate."""
+    exact: Transforms
+    """Transforms of the segments after all sensors under the exact laws."""
+    linearized: Transforms
+    """Transforms of the segments after all sensors under the linearized laws."""
 
 
 def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed: int) -> Forces:
@@ -68,15 +70,6 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
 
     The simulation begins with one segment in which the transient of the start from rest decays.  The recording's segments follow
     one after the other.  The forces begin and end at the frequencies at which the recording's do.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-        Parameters of the model and of the excitation.
-    effects : sequence of Effect
-        Extra effects, beside the persistent ones.
-    seed : int
-        Seed of the random numbers.
     """
     e, context = posterior.observed, posterior.context_at(x)
     effects = (*posterior.prior.effects(x), *effects)
@@ -108,8 +101,8 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     return Forces(rate, floors, own, ground, noise, rng)
 
 
-def _limit_band(forces: Array, band: Band, rate_hz: float) -> Array:
-    """Keep the frequencies of forces, shape (n_samples, n), N, at which the recording shows forces."""
+def _limit_band(forces: Annotated[Array, "samples n"], band: Band, rate_hz: float) -> Array:
+    """Keep the frequencies of forces (N) at which the recording shows forces."""
     forced = band.forced(np.asarray(np.fft.rfftfreq(len(forces), 1.0 / rate_hz), dtype=float))
     if forced.all():
         return forces
@@ -127,23 +120,8 @@ def _nonlinear_sensors(effects: Sequence[Effect]) -> list[Effect]:
     return [effect for effect in effects if effect.family == "sensor" and effect.nonlinear]
 
 
-def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], acting: Forces) -> ComplexArray:
-    """Simulate the exact laws under given forces, without the linear sensor effects.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-        Parameters of the model and of the excitation.
-    effects : sequence of Effect
-        Extra effects, beside the persistent ones.
-    acting : Forces
-        Forces of the simulation.
-
-    Returns
-    -------
-    ndarray, shape (n_segments, n_bins, c)
-        Tapered transforms of the segments.
-    """
+def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], acting: Forces) -> Transforms:
+    """Simulate the exact laws under given forces, without the linear sensor effects: the segments' tapered transforms."""
     context, everything = posterior.context_at(x), (*posterior.prior.effects(x), *effects)
     model, finer = posterior.model(x, everything), 1
     if any(law.kind == LawKind.FRICTION for effect in everything for law in effect.laws(model.structure)):
@@ -157,8 +135,10 @@ def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], ac
     return _segment_transforms(_kept_spectrum(channels, posterior), posterior, range(posterior.observed.t_s.size))
 
 
-def _apply_sensor_law(effect: Effect, samples: Array, posterior: Posterior, acting: Forces, context: Context) -> Array:
-    """Apply a sensor's nonlinear law to samples that are scaled to the measured RMS, shape (n_samples, c), m/s^2.
+def _apply_sensor_law(
+    effect: Effect, samples: Annotated[Array, "samples c"], posterior: Posterior, acting: Forces, context: Context
+) -> Array:
+    """Apply a sensor's nonlinear law to samples that are scaled to the measured RMS.
 
     The scaling is needed since the model need not have the measured RMS beyond the band.
     """
@@ -171,11 +151,8 @@ def _apply_sensor_law(effect: Effect, samples: Array, posterior: Posterior, acti
     return np.asarray(effect.measure(samples * gain, acting.rate_hz, context, acting.rng) / gain)
 
 
-def class_means(posterior: Posterior, x: Array, effects: Sequence[Effect], transforms: ComplexArray) -> ComplexArray:
-    """Average the spectra of every class after the linear sensor effects, shape (classes, n_bins, c, c), (m/s^2)^2/Hz.
-
-    `transforms` are those of `simulate_exact`, shape (n_segments, n_bins, c).
-    """
+def class_means(posterior: Posterior, x: Array, effects: Sequence[Effect], transforms: ComplexArray) -> Spectra:
+    """Average the spectra of every class after the linear sensor effects; `transforms` are those of `simulate_exact`."""
     e, everything = posterior.observed, (*posterior.prior.effects(x), *effects)
     linear = [effect for effect in everything if effect not in _nonlinear_sensors(everything)]
     out = [_mean_products(_apply_responses(transforms[m], linear, posterior, k)) for k, m in enumerate(e.members)]
@@ -184,20 +161,11 @@ def class_means(posterior: Posterior, x: Array, effects: Sequence[Effect], trans
 
 def linearization_error(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
-) -> ComplexArray:
-    """Compute the exact less the linearized spectra of every class.
+) -> Spectra:
+    """Compute the exact less the linearized spectra of every class; `transforms` are those of `simulate_exact`.
 
     A law of the structure is linearized at the motion that follows from the simulation's own spectra, as it is for the measured
     spectra.
-
-    Parameters
-    ----------
-    transforms : ndarray, shape (n_segments, n_bins, c)
-        Result of `simulate_exact` under the forces `acting`.
-
-    Returns
-    -------
-    ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
     """
     if _nonlinear_sensors((*posterior.prior.effects(x), *effects)):
         return _compare_sensors(posterior, x, effects, acting, transforms).controlled
@@ -212,12 +180,7 @@ def simulate_spectra(
 
     The control variate is the linearized system under the same forces: its simulated less its expected spectra, times the
     squared regression of the exact response on it, are subtracted.  Both responses share their random error as far as they are
-    alike.  A sensor's law is always compared with the linear sensor under the same forces.
-
-    Parameters
-    ----------
-    transforms : ndarray, shape (n_segments, n_bins, c)
-        Result of `simulate_exact` under the forces `acting`.
+    alike.  A sensor's law is always compared with the linear sensor under the same forces.  `transforms` are of `simulate_exact`.
     """
     e, everything = posterior.observed, (*posterior.prior.effects(x), *effects)
     if _nonlinear_sensors(everything):
@@ -256,15 +219,8 @@ def _compare_sensors(
 
 def _compare_at_simulated_motion(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], transforms: ComplexArray
-) -> tuple[Posterior, ComplexArray, ComplexArray]:
-    """Linearize a posterior at the simulated motion and compute the exact and the expected spectra of every class.
-
-    Returns
-    -------
-    posterior : Posterior
-        The posterior, linearized at the simulated motion.
-    simulated, expected : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
-    """
+) -> tuple[Posterior, Spectra, Spectra]:
+    """Linearize a posterior at the simulated motion and compute the exact and the expected spectra of every class."""
     posterior, everything = posterior.of_model_alone(), (*posterior.prior.effects(x), *effects)
     simulated, diagonal = class_means(posterior, x, effects, transforms), np.arange(len(posterior.context.channels))
     noise = _noise_density(posterior, x, everything)[:, None, :] * posterior.observed.band.gain[:, None]
@@ -274,8 +230,8 @@ def _compare_at_simulated_motion(
     return posterior, simulated, posterior.scatter(x, effects)
 
 
-def _extra_mode_spectra(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> ComplexArray:
-    """Compute the expected spectra of the extra modes, which are not simulated, shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
+def _extra_mode_spectra(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Spectra:
+    """Compute the expected spectra of the extra modes, which are not simulated."""
     without = [effect for effect in effects if not effect.extra_modes(posterior.context)]
     if len(without) == len(effects):
         return np.zeros_like(posterior.observed.spectra)
@@ -284,7 +240,7 @@ def _extra_mode_spectra(posterior: Posterior, x: Array, effects: Sequence[Effect
 
 
 def _noise_density(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
-    """Compute the density of the channels' noise in every class, shape (classes, c), (m/s^2)^2/Hz."""
+    """Compute the density of the channels' noise in every class, (m/s^2)^2/Hz."""
     return np.array(
         [posterior.noise(x) + _added_noise_density(effects, posterior, k) for k in range(posterior.n_classes)]
     )
@@ -292,8 +248,8 @@ def _noise_density(posterior: Posterior, x: Array, effects: Sequence[Effect]) ->
 
 def _linear_transforms(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces
-) -> Iterator[ComplexArray]:
-    """Yield the transforms of every class's segments under its linearized system, shape (n_members, n_bins, c)."""
+) -> Iterator[Annotated[ComplexArray, "members bins c"]]:
+    """Yield the transforms of every class's segments under its linearized system."""
     context, base = posterior.context_at(x), posterior.system(x, effects)
     nonlinear = _nonlinear_sensors(effects)
     hz = np.arange(_kept_frequencies(posterior)) * acting.rate_hz / len(acting.floors)
@@ -317,7 +273,7 @@ def _linear_transforms(
 
 
 def _added_noise_density(effects: Sequence[Effect], posterior: Posterior, k: int) -> Array:
-    """Compute the density of the white noise that effects add to the channels in class k, shape (c,), (m/s^2)^2/Hz."""
+    """Compute the density of the white noise that effects add to the channels in class k, (m/s^2)^2/Hz."""
     context = posterior.context
     variance = sum(
         (f.noise_variance(context, posterior.conditions[k]) for f in effects), np.zeros(len(context.channels))
@@ -325,26 +281,22 @@ def _added_noise_density(effects: Sequence[Effect], posterior: Posterior, k: int
     return np.asarray(variance) / context.rate_hz
 
 
-def _squared_regression(cross: ComplexArray, own: ComplexArray) -> Array:
-    """Compute the squared regression coefficient of one response on another near every bin, shape (n_bins,).
-
-    Parameters
-    ----------
-    cross, own : ndarray, shape (n_bins, c, c)
-        Cross-spectra of the two responses, and spectra of the second.
-    """
+def _squared_regression(
+    cross: Annotated[ComplexArray, "bins c c"], own: Annotated[ComplexArray, "bins c c"]
+) -> Annotated[Array, "bins"]:
+    """Compute the squared regression coefficient, near every bin, of one response on another, whose spectra are `own`."""
     ones = np.ones(2 * _COHERENCE_BINS + 1)
     part, whole = (np.convolve((np.abs(a) ** 2).sum(axis=(1, 2)), ones, "same") for a in (cross, own))
     return np.asarray(part / whole)
 
 
-def _mean_products(transforms: ComplexArray) -> ComplexArray:
-    """Average the segments' cross-products, shape (n_bins, c, c)."""
+def _mean_products(transforms: ComplexArray) -> Annotated[ComplexArray, "bins c c"]:
+    """Average the segments' cross-products."""
     return np.asarray(np.einsum("sfa,sfb->fab", transforms, transforms.conj()) / len(transforms))
 
 
 def _apply_responses(transforms: ComplexArray, effects: Sequence[Effect], posterior: Posterior, k: int) -> ComplexArray:
-    """Apply the effects' frequency responses in class k to transforms, shape (n_members, n_bins, c)."""
+    """Apply the effects' frequency responses in class k to transforms."""
     for effect in effects:
         response = effect.response(posterior.observed.band.hz, posterior.context, posterior.conditions[k])
         if response is not None:
@@ -365,17 +317,16 @@ def _kept_frequencies(posterior: Posterior) -> int:
     return (posterior.observed.t_s.size + 2) * _kept_samples(posterior) // 2 + 1
 
 
-def _kept_spectrum(samples: Array, posterior: Posterior) -> ComplexArray:
-    """Transform whole series and keep the lowest frequencies, shape (n_kept, columns).
-
-    The scaling keeps the amplitude of a series of fewer samples.
-    """
+def _kept_spectrum(samples: Array, posterior: Posterior) -> Annotated[ComplexArray, "kept columns"]:
+    """Transform whole series and keep the lowest frequencies, scaled to keep the amplitude of a series of fewer samples."""
     n = _kept_frequencies(posterior)
     return np.asarray(rfft(np.ascontiguousarray(samples.T))[:, :n].T * (2.0 * (n - 1) / len(samples)))
 
 
-def _segment_transforms(spectrum: ComplexArray, posterior: Posterior, wanted: Iterable[int]) -> ComplexArray:
-    """Cut the wanted segments out of a whole series and transform them with the taper, shape (n_wanted, n_bins, c)."""
+def _segment_transforms(
+    spectrum: ComplexArray, posterior: Posterior, wanted: Iterable[int]
+) -> Annotated[ComplexArray, "wanted bins c"]:
+    """Cut the wanted segments out of a whole series and transform them with the taper."""
     band, half = posterior.observed.band, _kept_samples(posterior)
     samples = irfft(np.ascontiguousarray(spectrum.T), n=(posterior.observed.t_s.size + 2) * half)
     window = taper(2 * half) / np.sqrt(2.0 * half * band.bin_hz)

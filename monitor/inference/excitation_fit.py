@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self, get_args
+from typing import Annotated, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from monitor.inference.posterior import (
     difference_operator,
 )
 from monitor.inference.starting_point import FORCED, guess_levels, make_posterior
-from monitor.inference.wishart import grown_by
+from monitor.inference.wishart import Spectra, grown_by
 from monitor.model import Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
 
 _MIN_GAIN_NATS = 0.01
@@ -46,18 +46,18 @@ _QUIET_SHARE = 1.0 / 3.0
 class ExcitationStart:
     """Excitation of a similar recording, or of a part of the recording, under nearly the same model: the start of a fit."""
 
-    forces: Array
-    """Logarithms of the floors' force densities, shape (n,)."""
-    levels: Array
-    """Logarithms of the classes' levels, shape (classes,)."""
+    forces: Annotated[Array, "n"]
+    """Logarithms of the floors' force densities."""
+    levels: Annotated[Array, "classes"]
+    """Logarithms of the classes' levels."""
     noise: float
     """Logarithm of the noise density."""
-    beyond: ComplexArray | None = None
-    """Exact less linearized spectra, relative to the latter, shape (classes, n_bins, c, c); None if not known."""
+    beyond: Spectra | None = None
+    """Exact less linearized spectra, relative to the latter; None if not known."""
 
     @classmethod
     def at(cls, posterior: Posterior, x: Array, beyond: ComplexArray | None = None) -> Self:
-        """Take the excitation of a vector of nuisances, shape (n_nuisance,)."""
+        """Take the excitation of a vector of nuisances."""
         layout = posterior.layout
         return cls(x[layout.forces], x[layout.levels], float(x[layout.noise]), beyond)
 
@@ -66,17 +66,17 @@ class ExcitationStart:
         return self.select(nearest_classes(self.levels.size, n_classes))
 
     def select(self, classes: NDArray[np.intp]) -> ExcitationStart:
-        """Take the excitation of the given classes, shape (n_classes,)."""
+        """Take the excitation of the given classes."""
         return replace(self, levels=self.levels[classes], beyond=None if self.beyond is None else self.beyond[classes])
 
     @property
     def vector(self) -> Array:
-        """Forces, levels and noise in the order of the parameter vector, shape (n + classes + 1,)."""
+        """Forces, levels and noise in the order of the parameter vector."""
         return np.concatenate([self.forces, self.levels, [self.noise]])
 
 
 def nearest_classes(n: int, wanted: int) -> NDArray[np.intp]:
-    """Choose, out of n classes of rising level, those nearest to a wanted number of classes, shape (wanted,).
+    """Choose, out of n classes of rising level, those nearest to a wanted number of classes.
 
     Examples
     --------
@@ -101,8 +101,6 @@ def fit_excitation(
 
     Parameters
     ----------
-    evidence : ObservedSpectra
-        Spectra of the recording.
     reference_degc : float or None
         Temperature of the stated stiffnesses; None for the recording's mean.
     near : ExcitationStart, optional
@@ -112,7 +110,7 @@ def fit_excitation(
     -------
     posterior : Posterior
         The posterior at the fitted motion.
-    x : ndarray, shape (n_nuisance,)
+    x : ndarray
         The fitted nuisances.
     """
     n, c = context.structure.n_dofs, len(context.channels)
@@ -142,18 +140,8 @@ def fit_excitation(
     return posterior, x
 
 
-def _simulated_correction(posterior: Posterior, x: Array, linear: ComplexArray) -> ComplexArray:
-    """Simulate the difference of the exact from the linearized spectra, relative to the latter.
-
-    Parameters
-    ----------
-    linear : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
-        Linearized spectra.
-
-    Returns
-    -------
-    ndarray, shape (classes, n_bins, c, c)
-    """
+def _simulated_correction(posterior: Posterior, x: Array, linear: Spectra) -> Spectra:
+    """Simulate the difference of the exact from the linearized spectra, relative to the latter."""
 
     loaded()
 
@@ -180,7 +168,7 @@ def _best_between_samples(posterior: DrivenPosterior, known: StructuralPrior) ->
 
 
 def _first_guess(posterior: Posterior) -> Array:
-    """Guess the levels of the forces, shape (n_nuisance,).
+    """Guess the levels of the forces.
 
     With a measured ground one level of all forces is guessed, and the model's own error is taken as the whole power.
     """
@@ -195,9 +183,8 @@ def _first_guess(posterior: Posterior) -> Array:
 def _fit_driven(posterior: DrivenPosterior, x: Array) -> Array:
     """Fit the excitation of a recording with measured ground: one level of all forces, the model's own error, and noise.
 
-    The error has a level in every class; the noise is that of the ground and that of the channels.  The rest of `x`, shape
-    (n_nuisance,), does not change.  The forces explain residuals at the resonances, the error explains residuals at all
-    frequencies.
+    The error has a level in every class; the noise is that of the ground and that of the channels.  The rest of `x` does not
+    change.  The forces explain residuals at the resonances, the error explains residuals at all frequencies.
     """
     layout, k = posterior.layout, posterior.n_classes
     moving = np.zeros((k + 3, x.size))
@@ -215,18 +202,9 @@ def _fit_driven(posterior: DrivenPosterior, x: Array) -> Array:
 
 
 def forces_from_quiet_segments(posterior: DrivenPosterior, x: Array, effects: tuple[Effect, ...]) -> Array:
-    """Estimate the forces beside a measured ground motion from its quietest segments.
+    """Estimate the forces beside a measured ground motion from its quietest segments; nothing else of `x` changes.
 
     Wind acts in quiet segments too, while the error of the model's response grows with the ground's motion.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-        Parameters, of which only the forces change.
-
-    Returns
-    -------
-    ndarray, shape (n,)
     """
     e, forces, levels = posterior.observed, posterior.layout.forces, posterior.layout.levels
     moved = (np.abs(posterior.mean(x, effects)) ** 2 / posterior.power).mean(axis=(1, 2))
@@ -276,8 +254,8 @@ class _Point:
 class _Slopes:
     """The log posterior near an excitation to second order."""
 
-    spectra: ComplexArray
-    """Slopes of the spectra by forces, levels and noise, shape (n + classes + 1, classes, n_bins, c, c)."""
+    spectra: Annotated[ComplexArray, "n+classes+1 classes bins c c"]
+    """Slopes of the spectra by forces, levels and noise."""
     normal: Array
     gradient: Array
 
@@ -292,8 +270,8 @@ class _ExcitationFit:
     effects: tuple[Effect, ...]
     data: ComplexArray
     """Measured spectra about the predicted mean, which no level moves."""
-    precision: Array
-    """Of the excitation's prior, shape (n + classes + 1, n + classes + 1)."""
+    precision: Annotated[Array, "n+classes+1 n+classes+1"]
+    """Of the excitation's prior."""
 
     @classmethod
     def at(cls, posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> Self:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -21,21 +22,12 @@ _MIN_LEVEL_FACTOR = 0.1
 """Least share of a level that one step leaves. [ratio; judgement]"""
 
 
-def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> ComplexArray:
+def spectra_by_force(
+    posterior: Posterior, x: Array, effects: Sequence[Effect]
+) -> Annotated[ComplexArray, "n+1 classes bins c c"]:
     """Split the spectra without noise into the parts of each force and, last, of an unmeasured ground.
 
     The rest, which none of them causes alone, is shared equally by the forces.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n_x,)
-        Parameters of the model and of the excitation.
-    effects : sequence of Effect
-        Extra effects, beside the persistent ones.
-
-    Returns
-    -------
-    ndarray, shape (n + 1, classes, n_bins, c, c), (m/s^2)^2/Hz
     """
     layout, n = posterior.layout, posterior.context.structure.n_dofs
     posterior, noiseless = posterior.without_drift(), _without_noise(posterior, x)
@@ -58,11 +50,8 @@ def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) 
     return parts
 
 
-def ground_levels(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
-    """Estimate the level of an unmeasured ground over that of the forces in every class, relative to the whole recording.
-
-    Parameters and units are those of `spectra_by_force`; the result has shape (classes,).
-    """
+def ground_levels(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Annotated[Array, "classes"]:
+    """Estimate the level of an unmeasured ground over that of the forces in every class, relative to the whole recording."""
     e, linear = posterior.observed, replace(posterior, offset=None)
     *alone, ground = spectra_by_force(linear, x, effects)
     forces = np.sum(alone, axis=0)
@@ -73,17 +62,12 @@ def ground_levels(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> 
     return np.asarray(relative * strength.sum() / (relative @ strength))
 
 
-def fit_levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> Array:
+def fit_levels(
+    parts: Annotated[ComplexArray, "parts bins c c"],
+    noise: Annotated[ComplexArray, "bins c c"],
+    data: Annotated[ComplexArray, "bins c c"],
+) -> Annotated[Array, "parts"]:
     """Fit the factors on the parts of a spectrum that explain the data best, together with the noise, by Fisher scoring.
-
-    Parameters
-    ----------
-    parts : ndarray, shape (n_parts, n_bins, c, c), (m/s^2)^2/Hz
-    noise, data : ndarray, shape (n_bins, c, c), (m/s^2)^2/Hz
-
-    Returns
-    -------
-    ndarray, shape (n_parts,)
 
     Examples
     --------
@@ -105,7 +89,7 @@ def fit_levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> 
 
 
 def _without_noise(posterior: Posterior, x: Array) -> Array:
-    """Return the parameters with no noise, shape (n_x,)."""
+    """Return the parameters with no noise."""
     noiseless = x.copy()
     noiseless[posterior.layout.noise] = _LOG_NOTHING
     return noiseless

@@ -5,16 +5,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.cross_spectra import extended, modally_damped
+from monitor.inference.cross_spectra import Transforms, extended, modally_damped
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.parameter_layout import ParameterLayout
-from monitor.inference.wishart import grown_by
+from monitor.inference.wishart import Spectra, grown_by
 from monitor.model import Condition, Context, Effect, Model, ModelDiscrepancy, StructuralPrior, System
 
 _LINE_BINS = 3.0
@@ -35,12 +35,11 @@ class Prediction:
     it.  `spectra` and `data` are then those of the residuals, so that `data` depend on the parameters.
     """
 
-    spectra: ComplexArray
-    """Predicted spectra, shape (classes, bins, c, c)."""
-    data: ComplexArray
-    """Measured spectra, shape (classes, bins, c, c)."""
-    left: ComplexArray | None = None
-    """Residuals, segments less their means, shape (n_segments, n_bins, c); None without a measured ground motion."""
+    spectra: Spectra
+    data: Spectra
+    """Measured spectra."""
+    left: Transforms | None = None
+    """Residuals, segments less their means; None without a measured ground motion."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -56,14 +55,14 @@ class ForwardModel(ABC):
     context: Context
     conditions: tuple[Condition, ...]
     """Condition of every class."""
-    offset: ComplexArray | None = None
-    """Simulated correction of the linearized spectra, shape (classes, n_bins, c, c); None for no correction."""
+    offset: Spectra | None = None
+    """Simulated correction of the linearized spectra; None for no correction."""
     damped_as_built: bool = False
     """Whether the damping matrix is that of the structure without the extra effects; else the modal ratios do not change."""
-    smoothing: Array | None = None
-    """Matrix that averages bins into coarse ones for a fit from a distant start, shape (n_coarse, n_bins)."""
-    left_out: NDArray[np.bool_] | None = None
-    """Mask of the bins that are not compared, shape (n_bins,)."""
+    smoothing: Annotated[Array, "coarse bins"] | None = None
+    """Matrix that averages bins into coarse ones for a fit from a distant start."""
+    left_out: Annotated[NDArray[np.bool_], "bins"] | None = None
+    """Mask of the bins that are not compared."""
 
     @property
     def n_classes(self) -> int:
@@ -88,8 +87,8 @@ class ForwardModel(ABC):
         """Return the forward model without the drift of the sensors."""
         return self if self.observed.drift is None else replace(self, observed=replace(self.observed, drift=None))
 
-    def widths(self) -> Array:
-        """Compute the number of independent bins in each (coarse) bin, shape (bins,).
+    def widths(self) -> Annotated[Array, "bins"]:
+        """Compute the number of independent bins in each (coarse) bin.
 
         The number is zero about known machines' lines, where a sensor's fault rules the spectrum, and in bins left out.  It is
         smaller where the model error is known.
@@ -111,8 +110,8 @@ class ForwardModel(ABC):
             out[inside] /= 1.0 + error.variance[at] * self.observed.pieces(error.step_hz / band.bin_hz)
         return out
 
-    def data(self) -> ComplexArray:
-        """Return the measured (smoothed) cross-spectra, shape (classes, bins, c, c), (m/s^2)^2/Hz."""
+    def data(self) -> Spectra:
+        """Return the measured (smoothed) cross-spectra."""
         return self.smooth(self.observed.spectra)
 
     def smooth(self, spectra: ComplexArray) -> ComplexArray:
@@ -125,51 +124,30 @@ class ForwardModel(ABC):
         """Predict the (smoothed) spectra of the segments about their means."""
         return Prediction(self.smooth(self.scatter(x, effects)), self.data())
 
-    def mean(self, x: Array, effects: Sequence[Effect], *, laws: Laws = "exact") -> ComplexArray | None:
-        """Predict the segments' means, the response to a measured ground, shape (n_segments, n_bins, c); None without one.
+    def mean(self, x: Array, effects: Sequence[Effect], *, laws: Laws = "exact") -> Transforms | None:
+        """Predict the segments' means, the response to a measured ground; None without one.
 
-        Parameters
-        ----------
-        laws : {"exact", "coarse", "linearized"}
-            How nonlinear laws act: integrated in time; in longer steps, for differences of two means; or replaced by their
-            linearization, which is faster.
+        Nonlinear laws are integrated in time ("exact"); in longer steps, for differences of two means ("coarse"); or replaced by
+        their linearization, which is faster.
         """
         return None
 
-    def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
-        """Predict the cross-spectra of the classes, shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
+    def spectra(self, x: Array, effects: Sequence[Effect]) -> Spectra:
+        """Predict the cross-spectra of the classes."""
         return self.scatter(x, effects)
 
-    def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
-        """Predict the cross-spectra of the segments about their means.
-
-        Parameters
-        ----------
-        classes : sequence of int, optional
-            Indices of the wanted classes; all classes by default.
-
-        Returns
-        -------
-        ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
-        """
+    def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> Spectra:
+        """Predict the cross-spectra of the wanted classes' segments about their means, of all classes by default."""
         wanted = range(self.n_classes) if classes is None else classes
         return self.complete(self.linear_spectra(x, (*self.prior.effects(x), *effects), wanted), x, effects, wanted)
 
-    def complete(
-        self, linear: ComplexArray, x: Array, effects: Sequence[Effect], classes: Sequence[int]
-    ) -> ComplexArray:
-        """Add the simulated correction, the known model error and the sensors' drift to the linearized laws' spectra.
-
-        Parameters
-        ----------
-        linear : ndarray, shape (n_wanted, n_bins, c, c), (m/s^2)^2/Hz
-            Spectra of the wanted classes.
-        """
+    def complete(self, linear: Spectra, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> Spectra:
+        """Add the simulated correction, the known model error and the sensors' drift to linearized spectra of the wanted classes."""
         spectra = linear if self.offset is None else linear + self.offset[list(classes)]
         return self.add_drift(self._with_model_error(spectra, effects, classes))
 
-    def add_drift(self, spectra: ComplexArray) -> ComplexArray:
-        """Add the power of the sensors' drift to spectra, shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
+    def add_drift(self, spectra: Spectra) -> Spectra:
+        """Add the power of the sensors' drift to spectra."""
         if self.observed.drift is None:
             return spectra
         out, channel = spectra.copy(), np.arange(self.observed.drift.shape[1])
@@ -177,27 +155,19 @@ class ForwardModel(ABC):
         return out
 
     @abstractmethod
-    def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
-        """Predict the linearized laws' spectra of the wanted classes, shape (n_wanted, n_bins, c, c), (m/s^2)^2/Hz.
-
-        Parameters
-        ----------
-        effects : sequence of Effect
-            All effects of the model.
-        """
+    def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> Spectra:
+        """Predict the linearized laws' spectra of the wanted classes; `effects` are all effects of the model."""
 
     @abstractmethod
-    def forces(self, x: Array) -> Array:
-        """Return the density of the forces on the floors in every class, shape (classes, n), N^2/Hz."""
+    def forces(self, x: Array) -> Annotated[Array, "classes n"]:
+        """Return the density of the forces on the floors in every class, N^2/Hz."""
 
     @abstractmethod
-    def relative_levels(self, x: Array) -> Array:
-        """Return the factors from a slope of the middle class to that of every class, shape (classes,)."""
+    def relative_levels(self, x: Array) -> Annotated[Array, "classes"]:
+        """Return the factors from a slope of the middle class to that of every class."""
 
-    def _with_model_error(
-        self, spectra: ComplexArray, effects: Sequence[Effect], classes: Sequence[int]
-    ) -> ComplexArray:
-        """Apply the known model error to spectra, shape (classes, n_bins, c, c), but for the noise that extra effects add.
+    def _with_model_error(self, spectra: Spectra, effects: Sequence[Effect], classes: Sequence[int]) -> Spectra:
+        """Apply the known model error to spectra, but for the noise that extra effects add.
 
         The error is that of the healthy structure's spectra, of which this noise is no part.
         """
@@ -225,10 +195,7 @@ class ForwardModel(ABC):
     def is_stable(self, x: Array, effects: Sequence[Effect]) -> bool:
         """Decide if the modes that are coupled to the structure leave it stable; their spectra alone would not tell.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If there is no structure at these parameters.
+        Raises LinAlgError if there is no structure at these parameters.
         """
         everything, condition = (*self.prior.effects(x), *effects), self.conditions[self.n_classes // 2]
         if not any(e.repeatable for e in everything):  # as in most fits: only modes that the model lacks are coupled
@@ -259,7 +226,7 @@ class ForwardModel(ABC):
             modal_damping=np.exp(x[layout.damping]),
         )
 
-    def noise(self, x: Array) -> Array:
-        """Return the noise density of every channel, shape (c,), (m/s^2)^2/Hz."""
+    def noise(self, x: Array) -> Annotated[Array, "c"]:
+        """Return the noise density of every channel, (m/s^2)^2/Hz."""
         layout = self.layout
         return np.asarray(np.exp(x[layout.noise] + x[layout.channel_noise]))

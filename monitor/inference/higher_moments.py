@@ -8,6 +8,7 @@ and kurtosis identify such laws at one level of the forces, where averaged spect
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from scipy.fft import ifft, irfft, next_fast_len
 from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray
+from monitor.inference.cross_spectra import Transforms
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import relative_level
 from monitor.inference.posterior import Posterior
@@ -40,10 +42,10 @@ must not decide]"""
 class Moments:
     """Moments of the third and the fourth order, in excess of those of a normal process."""
 
-    skewness: Array
-    """Skewness of every story's drift in the band, shape (n_stories,)."""
-    kurtosis: Array
-    """Excess kurtosis of every mode in a narrow band, shape (n,): 0 for a normal process, -1.5 for a tone."""
+    skewness: Annotated[Array, "stories"]
+    """Skewness of every story's drift in the band."""
+    kurtosis: Annotated[Array, "n"]
+    """Excess kurtosis of every mode in a narrow band: 0 for a normal process, -1.5 for a tone."""
 
     def __add__(self, other: Moments) -> Moments:
         """Add moments."""
@@ -80,13 +82,8 @@ class MeasuredMoments:
     def log_likelihood(self, expected: Moments, spread: float) -> float:
         """Compute the log likelihood of expected moments, nats.
 
-        Parameters
-        ----------
-        expected : Moments
-            Expected moments, such as simulated ones.
-        spread : float
-            Variance of the difference over that of the measured moments; the variance of the expected moments is `spread - 1`
-            times that of the measured ones.
+        `spread` is the variance of the difference over that of the measured moments; the variance of the expected moments, such
+        as simulated ones, is `spread - 1` times that of the measured ones.
         """
         away = self.mean - expected
         skew = (away.skewness / self.std.skewness) ** 2 / spread + np.log(spread)
@@ -97,15 +94,8 @@ class MeasuredMoments:
         return float(-0.5 * (skew.sum() + tails))
 
 
-def measure_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> MeasuredMoments:
-    """Measure the moments of a recording's segments, with their standard deviations.
-
-    Parameters
-    ----------
-    transforms : ndarray, shape (n_segments, n_bins, c)
-    at : MapEstimate
-        Fit that gives the modes.
-    """
+def measure_moments(transforms: Transforms, posterior: Posterior, at: MapEstimate) -> MeasuredMoments:
+    """Measure the moments of a recording's segments, with their standard deviations, about the modes of the fit `at`."""
     split = _split_by_mode(transforms, posterior, at)
     skew, tails = drift_skewness(split.floors, posterior), [_kurtosis(narrow, split.level) for narrow in split.modes]
     mean, std = (Moments(skew[i], np.array([t[i] for t in tails])) for i in (0, 1))
@@ -122,15 +112,8 @@ def simulate_moments(transforms: ComplexArray, posterior: Posterior, at: MapEsti
 def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
     """Compute the log odds of a tone of steady amplitude against a random motion of the same spectrum, nats.
 
-    The kurtosis at the line's frequency is -1.5 for a tone and 0 for a random motion, however narrow its band.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    at : MapEstimate
-        Fit with the line, which gives the share of the power that is the line's.
-    line : Line
-        The line; only its frequency is used.
+    The kurtosis at the line's frequency is -1.5 for a tone and 0 for a random motion, however narrow its band.  The fit with the
+    line, `at`, gives the share of the power that is the line's.
     """
     band = posterior.observed.band
     near = np.flatnonzero(np.abs(band.hz - line.frequency_hz) <= _TONE_BINS * band.bin_hz)
@@ -160,18 +143,18 @@ def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
 class _Split:
     """Segments split by mode."""
 
-    floors: ComplexArray
-    """Transforms of the floors' accelerations, shape (n_segments, n_bins, n)."""
-    level: Array
-    """Level of every segment, which varies slowly and by which the segment's power is divided, shape (n_segments,)."""
-    modes: tuple[ComplexArray, ...]
-    """Transforms of every mode's coordinate, each of shape (n_segments, bins about the mode)."""
+    floors: Annotated[ComplexArray, "segments bins n"]
+    """Transforms of the floors' accelerations."""
+    level: Annotated[Array, "segments"]
+    """Level of every segment, which varies slowly and by which the segment's power is divided."""
+    modes: tuple[Annotated[ComplexArray, "segments bins"], ...]
+    """Transforms of every mode's coordinate in the bins about it."""
     between: NDArray[np.intp]
     """Bins outside the bands of all modes."""
 
 
 def _split_by_mode(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> _Split:
-    """Split segments into the bands of a fit's modes; `transforms` have the shape (n_segments, n_bins, c)."""
+    """Split segments into the bands of a fit's modes."""
     context, hz = posterior.context, posterior.observed.band.hz
     floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
     model = posterior.model(at.x, (*posterior.prior.effects(at.x), *at.effects))
@@ -192,8 +175,10 @@ def _kurtosis_between_modes(split: _Split, hz: Array) -> float:
     return max(0.0, float(np.dot(found, weight)) / max(sum(weight), 1.0))
 
 
-def drift_skewness(floors: ComplexArray, posterior: Posterior) -> tuple[Array, Array]:
-    """Compute the mean skewness of the drifts over segments, and its standard deviation, shape (n_stories,) each.
+def drift_skewness(
+    floors: Annotated[ComplexArray, "segments bins n"], posterior: Posterior
+) -> tuple[Annotated[Array, "stories"], Annotated[Array, "stories"]]:
+    """Compute the mean skewness of every drift over segments, and its standard deviation.
 
     A drift that no sensor moves with has the skewness 0 with an infinite standard deviation.
 
@@ -212,11 +197,10 @@ def drift_skewness(floors: ComplexArray, posterior: Posterior) -> tuple[Array, A
     return np.where(seen, third.mean(axis=0), 0.0), np.where(seen, std, np.inf)
 
 
-def _kurtosis(narrow: ComplexArray, level: Array) -> tuple[float, float]:
-    """Compute the excess kurtosis in a narrow band over all segments, and its standard deviation.
-
-    `narrow` are the transforms, shape (n_segments, n_bins).  An empty band gives 0 with an infinite standard deviation.
-    """
+def _kurtosis(
+    narrow: Annotated[ComplexArray, "segments bins"], level: Annotated[Array, "segments"]
+) -> tuple[float, float]:
+    """Compute the excess kurtosis in a narrow band, and its standard deviation; 0 and infinity in an empty one."""
     if not narrow.shape[1]:
         return 0.0, np.inf
     length = next_fast_len(4 * narrow.shape[1])  # room for the fourth power

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,8 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray, compiled
-from monitor.inference.cross_spectra import Band, accelerance
+from monitor.inference.cross_spectra import Band, Transforms, accelerance
+from monitor.inference.wishart import Spectra
 from monitor.model import Condition, Context, Effect, System
 from monitor.signals import SegmentDesign, taper
 
@@ -63,7 +64,6 @@ class Input:
     """
 
     name: str
-    """Name of the channel."""
     floor: int | None = None
     """Degree of freedom on which the force acts, counted from 1; None for the ground, whose acceleration moves all floors."""
 
@@ -72,14 +72,14 @@ class Input:
 class Run:
     """Run of the inputs without a gap, in the frequency domain."""
 
-    spectrum: ComplexArray
-    """Unscaled transform of the conditioned samples with zeros after them, m/s^2 or N, shape (n // 2 + 1, k)."""
+    spectrum: Annotated[ComplexArray, "freqs k"]
+    """Unscaled transform of the conditioned samples with zeros after them, m/s^2 or N."""
     n: int
     """Number of samples, zeros included."""
     length: int
     """Number of samples without the zeros."""
-    passed: ComplexArray
-    """Frequency response of the anti-alias filter, shape (n // 2 + 1,)."""
+    passed: Annotated[ComplexArray, "freqs"]
+    """Frequency response of the anti-alias filter."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -89,10 +89,10 @@ class Drive:
     inputs: tuple[Input, ...]
     """The k inputs, in the order of the columns."""
     runs: tuple[Run, ...]
-    run: NDArray[np.intp]
-    """Index of every segment's run, shape (n_segments,)."""
-    first: NDArray[np.intp]
-    """First sample of every segment in its run, shape (n_segments,)."""
+    run: Annotated[NDArray[np.intp], "segments"]
+    """Index of every segment's run."""
+    first: Annotated[NDArray[np.intp], "segments"]
+    """First sample of every segment in its run."""
     design: SegmentDesign
     source_hz: float
     """Rate of the source's samples, Hz."""
@@ -103,8 +103,8 @@ class Drive:
         """Whether the ground's motion is among the inputs."""
         return any(one.floor is None for one in self.inputs)
 
-    def forces(self, system: System) -> Array:
-        """Compute the forces on the degrees of freedom by a unit of each input, shape (N, k), kg or 1."""
+    def forces(self, system: System) -> Annotated[Array, "N k"]:
+        """Compute the forces on the degrees of freedom by a unit of each input, kg or 1."""
         out = np.zeros((system.mass.shape[0], len(self.inputs)))
         for i, one in enumerate(self.inputs):
             if one.floor is None:
@@ -114,12 +114,12 @@ class Drive:
         return out
 
     @property
-    def rides(self) -> Array:
-        """Acceleration of every floor at rest relative to the ground, by a unit of each input, shape (k,)."""
+    def rides(self) -> Annotated[Array, "k"]:
+        """Acceleration of every floor at rest relative to the ground, by a unit of each input."""
         return np.array([float(one.floor is None) for one in self.inputs])
 
     def images(self, hz: Array) -> Iterator[tuple[float, Array | ComplexArray]]:
-        """Yield the aliases of frequencies `hz`, shape (n_hz,): distance in Hz, and factor on the inputs, (n_hz,)."""
+        """Yield the aliases of frequencies: distance in Hz, and factor on the inputs."""
         if self.between == "smooth":
             yield 0.0, np.ones(hz.size)
             return
@@ -135,37 +135,27 @@ class Drive:
         return replace(self, run=self.run[chosen], first=self.first[chosen])
 
     def hz(self, run: Run, band: Band) -> Array:
-        """Return the frequencies of a run's transform up to a little beyond the band, shape (n_hz,), Hz."""
+        """Return the frequencies of a run's transform up to a little beyond the band, Hz."""
         hz = np.arange(run.n // 2 + 1) * (self.design.rate_hz / run.n)
         return np.asarray(hz[: np.searchsorted(hz, 1.1 * band.hz[-1])])
 
-    def measured(self, band: Band) -> ComplexArray:
-        """Transform the inputs themselves in every segment, shape (n_segments, n_bins, k)."""
+    def measured(self, band: Band) -> Annotated[ComplexArray, "segments bins k"]:
+        """Transform the inputs themselves in every segment."""
         k = len(self.inputs)
         out = np.empty((self.run.size, band.n_bins, k), dtype=complex)
         for members, samples in self.moved(np.broadcast_to(np.eye(k), (run.n // 2 + 1, k, k)) for run in self.runs):
             out[members] = _tapered_transforms(self.design, samples)[:, band.first : band.first + band.n_bins]
         return out
 
-    def power(self, band: Band) -> Array:
-        """Compute the power of the inputs in every segment, each over its mean, summed, shape (n_segments,)."""
+    def power(self, band: Band) -> Annotated[Array, "segments"]:
+        """Compute the power of the inputs in every segment, each over its mean, summed."""
         power = (np.abs(self.measured(band)) ** 2).sum(axis=1)
         return np.asarray((power / np.maximum(power.mean(axis=0), np.finfo(float).tiny)).sum(axis=1))
 
-    def moved(self, answers: Iterable[ComplexArray]) -> Iterator[tuple[NDArray[np.intp], Array]]:
-        """Yield the segments of every run and their samples, for given frequency responses to the inputs.
-
-        Parameters
-        ----------
-        answers : iterable of ndarray, shape (n_hz, columns, k)
-            Frequency response of each run.
-
-        Yields
-        ------
-        members : ndarray, shape (n_members,)
-            Indices of the run's segments.
-        samples : ndarray, shape (n_members, n, columns)
-        """
+    def moved(
+        self, answers: Iterable[Annotated[ComplexArray, "hz columns k"]]
+    ) -> Iterator[tuple[Annotated[NDArray[np.intp], "members"], Annotated[Array, "members n columns"]]]:
+        """Yield the indices of every run's segments and their samples, for the runs' frequency responses to the inputs."""
         for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
             moved = np.einsum("fck,fk->cf", answer, run.spectrum[: len(answer)])
             samples = irfft(moved, n=run.n)
@@ -177,17 +167,7 @@ class Drive:
 def joined(streams: Sequence[Sequence[tuple[int, Array]]], rate_hz: float) -> list[tuple[int, Array]]:
     """Join the runs of several inputs in the stretches in which all of them are there.
 
-    Parameters
-    ----------
-    streams : sequence of sequences of (int, ndarray)
-        For every stream of inputs its runs: UTC of the first sample in ns, and conditioned samples, shape (n, columns).
-    rate_hz : float
-        Rate of the conditioned samples.
-
-    Returns
-    -------
-    list of (int, ndarray)
-        Runs with the columns of all streams.
+    A run has the UTC of its first sample in ns, and conditioned samples in columns; a joined one has the columns of all.
     """
     out = list(streams[0])
     for runs in streams[1:]:
@@ -211,25 +191,10 @@ def locate(
     source_hz: float,
     filtered: Callable[[Array], ComplexArray],
 ) -> tuple[Drive, NDArray[np.bool_]] | None:
-    """Locate segments in the runs of the inputs.
+    """Locate segments, by the UTC (ns) of their first samples, in the runs (the same, and conditioned samples) of the inputs.
 
-    Parameters
-    ----------
-    inputs : tuple of Input
-        The k inputs.
-    runs : sequence of (int, ndarray)
-        UTC of the first sample in ns and conditioned samples, m/s^2 or N, shape (n, k), of every run.
-    segments_t_ns : sequence of int
-        UTC of the first sample of every segment, ns.
-    source_hz : float
-        Rate of the source's samples.
-    filtered : callable
-        Frequency response of the conditioning at frequencies in Hz.
-
-    Returns
-    -------
-    (Drive, ndarray of bool, shape (n_segments,)) or None
-        The inputs, and the segments that a run covers; None where too few segments are covered.
+    `filtered` is the frequency response of the conditioning at frequencies in Hz.  The result is the inputs with the mask of the
+    segments that a run covers; None where too few segments are covered.
     """
     which, first, covered = [], [], np.ones(len(segments_t_ns), dtype=bool)
     for s, t_ns in enumerate(segments_t_ns):
@@ -254,8 +219,8 @@ def locate(
 
 def response(
     drive: Drive, system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
-) -> ComplexArray:
-    """Compute the transforms of the channels' response in every segment, shape (n_segments, n_bins, c)."""
+) -> Transforms:
+    """Compute the transforms of the channels' response in every segment."""
     clock = float(np.prod([e.clock_factor for e in effects]))
     out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
 
@@ -274,9 +239,13 @@ def response(
 
 
 def _apply_sensor_effects(
-    channels: ComplexArray, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
+    channels: Annotated[ComplexArray, "hz c columns"],
+    effects: Sequence[Effect],
+    hz: Array,
+    context: Context,
+    condition: Condition,
 ) -> ComplexArray:
-    """Apply the effects' frequency responses to the true accelerations at the sensors, shape (n_hz, c, columns)."""
+    """Apply the effects' frequency responses to the true accelerations at the sensors."""
     for effect in effects:
         response = effect.response(hz, context, condition)
         if response is not None:
@@ -284,14 +253,14 @@ def _apply_sensor_effects(
     return np.asarray(channels, dtype=np.complex128)
 
 
-def _relative_response(drive: Drive, system: System, hz: Array, context: Context) -> ComplexArray:
-    """Compute the floors' acceleration relative to the ground by a unit of each input, shape (n_hz, n, k)."""
+def _relative_response(drive: Drive, system: System, hz: Array, context: Context) -> Annotated[ComplexArray, "hz n k"]:
+    """Compute the floors' acceleration relative to the ground by a unit of each input."""
     floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, drive.forces(system))
     return np.asarray(floors[:, : context.structure.n_dofs])
 
 
 def _tapered_transforms(design: SegmentDesign, samples: Array) -> ComplexArray:
-    """Transform many segments at once as `monitor.signals.welch.transform` does, shape (n_segments, n_bins, c)."""
+    """Transform many segments at once as `monitor.signals.welch.transform` does."""
     tapered = np.moveaxis(samples, 1, -1) * (taper(design.n) / np.sqrt(design.rate_hz))
     return np.asarray(np.moveaxis(rfft(tapered, axis=-1)[..., : design.n_bins], -1, 1))
 
@@ -305,19 +274,11 @@ def exact_response(
     condition: Condition,
     *,
     coarse: bool = False,
-) -> ComplexArray:
+) -> Transforms:
     """Compute the channels' response as `response`, with nonlinear laws integrated in time instead of linearized.
 
-    Parameters
-    ----------
-    system : System
-        System without the nonlinear effects.
-    coarse : bool
-        Whether the steps are those of the inputs, for a difference of two responses in which the errors of long steps cancel.
-
-    Returns
-    -------
-    ndarray, shape (n_segments, n_bins, c)
+    `system` is without the nonlinear effects.  Coarse steps are those of the inputs, for a difference of two responses in which
+    the errors of long steps cancel.
     """
     from monitor.model import march  # compiled code takes a while to load
 
@@ -352,22 +313,18 @@ def exact_response(
 
 
 def motion_rms(
-    drive: Drive, system: System, band: Band, context: Context, rows: Array, order: int, lowest_hz: float
-) -> Array:
-    """Compute the RMS over the segments of the floors' motion relative to the ground.
+    drive: Drive,
+    system: System,
+    band: Band,
+    context: Context,
+    rows: Annotated[Array, "m n"],
+    order: int,
+    lowest_hz: float,
+) -> Annotated[Array, "m"]:
+    """Compute the RMS over the segments of the floors' motion relative to the ground, m or m/s.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (m, n)
-        Rows that pick drifts or floors out of the floors' motion.
-    order : {0, 1}
-        0 for displacement, 1 for velocity.
-    lowest_hz : float
-        Frequency below which motion is taken as tilt and drift of the sensors, and left out.
-
-    Returns
-    -------
-    ndarray, shape (m,), m or m/s
+    `rows` pick drifts or floors out of the floors' motion, `order` is 0 for displacement and 1 for velocity.  Motion below
+    `lowest_hz` is taken as tilt and drift of the sensors, and left out.
     """
 
     def answer(run: Run) -> ComplexArray:
@@ -383,20 +340,10 @@ def motion_rms(
     return np.asarray(np.sqrt(power / max(n, 1)))
 
 
-def smooth_power(transforms: ComplexArray, bin_hz: float) -> Array:
+def smooth_power(transforms: Transforms, bin_hz: float) -> Annotated[Array, "bins c"]:
     """Average the power of segments and smooth it over a wide range of frequencies; the model's own error is a share of it.
 
     An error with peaks of its own would hide a wrong response where that is most informative.
-
-    Parameters
-    ----------
-    transforms : ndarray, shape (n_segments, n_bins, c)
-    bin_hz : float
-        Spacing of the bins.
-
-    Returns
-    -------
-    ndarray, shape (n_bins, c)
     """
     power = (np.abs(transforms) ** 2).mean(axis=0)
     half = round(0.5 * _SMOOTH_HZ / bin_hz)
@@ -404,31 +351,21 @@ def smooth_power(transforms: ComplexArray, bin_hz: float) -> Array:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=-1))
 
 
-def products(transforms: ComplexArray, members: Sequence[NDArray[np.intp]]) -> ComplexArray:
-    """Average the cross-products of every class's segments, shape (classes, n_bins, c, c)."""
+def products(transforms: ComplexArray, members: Sequence[NDArray[np.intp]]) -> Spectra:
+    """Average the cross-products of every class's segments."""
     by_bin = [transforms[m].transpose(1, 2, 0) for m in members]
     return np.stack([x @ x.conj().swapaxes(1, 2) / x.shape[2] for x in by_bin])
 
 
 def mean_rows(
-    spectra: ComplexArray, stacked: ComplexArray, members: Sequence[NDArray[np.intp]], weight: Array
-) -> Array:
-    """Whiten changes of the segments' means into real rows of unit information.
+    spectra: Spectra,
+    stacked: Annotated[ComplexArray, "p segments bins c"],
+    members: Sequence[NDArray[np.intp]],
+    weight: Annotated[Array, "classes bins"],
+) -> Annotated[Array, "segments*bins*c*2 p"]:
+    """Whiten changes of the segments' means by the residuals' spectra into real rows of unit information.
 
-    Parameters
-    ----------
-    spectra : ndarray, shape (classes, n_bins, c, c)
-        Spectra of the residuals.
-    stacked : ndarray, shape (p, n_segments, n_bins, c)
-        Changes of the means.
-    members : sequence of ndarray
-        Segments of every class.
-    weight : ndarray, shape (classes, n_bins)
-        Independent pieces of information in a segment and bin.
-
-    Returns
-    -------
-    ndarray, shape (n_segments * n_bins * c * 2, p)
+    `weight` is the number of independent pieces of information in a segment and bin.
     """
     of = np.empty(stacked.shape[1], dtype=np.intp)
     for k, m in enumerate(members):
@@ -439,16 +376,10 @@ def mean_rows(
 
 
 @compiled(error_model="numpy")
-def _whitened_means(whiteners: ComplexArray, of: NDArray[np.intp], stacked: ComplexArray) -> Array:
-    """Whiten every segment into its real and imaginary parts, shape (p, 2, n_segments, n_bins, c).
-
-    Parameters
-    ----------
-    whiteners : ndarray, shape (classes, n_bins, c, c)
-    of : ndarray, shape (n_segments,)
-        Class of each segment.
-    stacked : ndarray, shape (p, n_segments, n_bins, c)
-    """
+def _whitened_means(
+    whiteners: ComplexArray, of: NDArray[np.intp], stacked: Annotated[ComplexArray, "p segments bins c"]
+) -> Annotated[Array, "p 2 segments bins c"]:
+    """Whiten every segment, of class `of`, into its real and imaginary parts."""
     p, segments, bins, c = stacked.shape
     out = np.empty((p, 2, segments, bins, c))
     for q in range(p):

@@ -14,11 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from monitor.core import Array, ComplexArray
+from monitor.core import Array
+from monitor.inference.cross_spectra import Transforms
 from monitor.signals import LEAKAGE_OFFSETS, overlap_correlation
 
 _LEAST_ORDER_ABOVE = 4.0
@@ -44,7 +46,6 @@ class JudgedBand:
     """Bins that can be judged, out of all bins of the band of ``[processing]``, and the range of the forces."""
 
     judged: slice
-    """Bins that can be judged."""
     forces_hz: tuple[float, float] = (0.0, np.inf)
     """Frequencies between which the forces act: at each the power has fallen by half; zero and infinity where it does not."""
 
@@ -59,21 +60,8 @@ class _Fall:
     """Up to where the forces are flat: the power has fallen by less than chance."""
 
 
-def find_judged_band(transforms: ComplexArray, hz: Array) -> JudgedBand:
-    """Find the bins of a recording in which forces shake the structure.
-
-    Parameters
-    ----------
-    transforms : ndarray, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)
-        The segments' transforms.
-    hz : ndarray, shape (n_bins,), Hz
-        Frequencies of the bins, ascending.
-
-    Returns
-    -------
-    JudgedBand
-        All bins where the power falls no more steeply than a structure's may.
-    """
+def find_judged_band(transforms: Transforms, hz: Annotated[Array, "bins"]) -> JudgedBand:
+    """Find the bins in which forces shake the structure: where the power falls no more steeply than a structure's may."""
     spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms)
     second, power = np.linalg.eigvalsh(spectra)[:, -2:][:, :1], np.einsum("kaa->ka", spectra).real
     periodograms = np.abs(transforms) ** 2
@@ -103,19 +91,13 @@ def _first(falls: Iterable[_Fall | None]) -> _Fall | None:
     return next((fall for fall in falls if fall is not None), None)
 
 
-def _steepest_fall(u: Array, level: Array, chance: float, least_order: float) -> _Fall | None:
+def _steepest_fall(
+    u: Annotated[Array, "n"], level: Annotated[Array, "n c"], chance: float, least_order: float
+) -> _Fall | None:
     """Find the steepest fall of all channels from an octave to everything beyond; None where none reaches the least order.
 
-    The fall is taken for a Butterworth filter's, whose order and corner follow from the steepest part.
-
-    Parameters
-    ----------
-    u : ndarray, shape (n,)
-        Logarithms of the frequencies, ascending towards the fall.
-    level : ndarray, shape (n, c)
-        Logarithms of the power.
-    chance : float
-        Standard deviation of `level` by chance.
+    The fall is taken for a Butterworth filter's, whose order and corner follow from the steepest part.  `u` are logarithms of the
+    frequencies, ascending towards the fall, `level` logarithms of the power, and `chance` is its standard deviation by chance.
     """
     before = np.searchsorted(u, u - _OCTAVE)  # first bin of the octave that ends at each bin
     whole = np.flatnonzero(u - u[0] >= _OCTAVE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import eigh
@@ -16,6 +17,7 @@ from monitor.inference.input_response import motion_rms
 from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import MIN_PILED
+from monitor.inference.wishart import Spectra
 from monitor.model import Condition, Context, Effect, System
 
 _MAX_BINS = 1 << 16
@@ -30,7 +32,7 @@ def linearize(
     posterior: Posterior,
     x: Array,
     effects: tuple[Effect, ...],
-    spectra: ComplexArray | None = None,
+    spectra: Spectra | None = None,
     *,
     with_motion: bool = True,
 ) -> tuple[Condition, ...]:
@@ -41,20 +43,11 @@ def linearize(
 
     Parameters
     ----------
-    x : ndarray, shape (n_x,)
-        Parameters of the model and of the excitation.
-    effects : tuple of Effect
-        Extra effects, beside the persistent ones.
-    spectra : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz, optional
+    spectra : ndarray, optional
         Spectra from which the motion is estimated; the measured ones by default.
     with_motion : bool, optional
         Whether the motion is estimated, which costs as much as many fits of a linear model.  Without it the motion is NaN,
         which is enough for a model without nonlinear effects.
-
-    Returns
-    -------
-    tuple of Condition
-        One condition for every class.
 
     References
     ----------
@@ -77,15 +70,10 @@ def linearize(
     return tuple(out)
 
 
-def _class_motion(posterior: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> Array:
-    """Estimate the RMS motion of every class: drift (m) and drift velocity (m/s) of the stories, velocity (m/s) of the floors.
-
-    Parameters are those of `linearize`.
-
-    Returns
-    -------
-    ndarray, shape (classes, 2 m + n)
-    """
+def _class_motion(
+    posterior: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray
+) -> Annotated[Array, "classes 2m+n"]:
+    """Estimate the RMS motion of every class: drift (m) and its velocity (m/s) of m stories, velocity (m/s) of n floors."""
     e, context = posterior.observed, posterior.context_at(x)
     everything = (*posterior.prior.effects(x), *effects)
     base, damping = posterior.system(x, everything), np.exp(x[posterior.layout.damping])
@@ -119,22 +107,13 @@ def _class_motion(posterior: Posterior, x: Array, effects: tuple[Effect, ...], s
     return out
 
 
-def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], laws: Sequence[Effect]) -> Array:
-    """Compute the RMS motion along laws of the linearized model, under forces of each class's level, taken as white.
+def forced_motion(
+    posterior: Posterior, x: Array, effects: Sequence[Effect], laws: Sequence[Effect]
+) -> Annotated[Array, "classes laws"]:
+    """Compute the RMS motion (m) along laws of the linearized model, under forces of each class's level, taken as white.
 
-    Parameters
-    ----------
-    x : ndarray, shape (n_x,)
-        Parameters of the model and of the excitation.
-    effects : sequence of Effect
-        Extra effects, beside the persistent ones.
-    laws : sequence of Effect
-        Effects of stories, whose motion is the story's drift, and of floors.
-
-    Returns
-    -------
-    ndarray, shape (classes, n_laws), m
-        NaN where the system has no stationary motion.
+    The laws are effects of stories, whose motion is the story's drift, and of floors.  NaN where the system has no stationary
+    motion.
     """
     everything = (*posterior.prior.effects(x), *effects)
     context, base = posterior.context_at(x), posterior.system(x, everything)
@@ -176,26 +155,13 @@ def _power_above_band(posterior: Posterior, x: Array, effects: Sequence[Effect])
 
 
 def _motion_roots(
-    system: System, effects: Sequence[Effect], hz: Array, force: Array, rows: Array, order: Array, context: Context,
-    posterior: Posterior | None = None, k: int = 0,
-) -> tuple[ComplexArray, ComplexArray]:  # fmt: skip
+    system: System, effects: Sequence[Effect], hz: Array, force: Array, rows: Annotated[Array, "rows n"], order: Array,
+    context: Context, posterior: Posterior | None = None, k: int = 0,
+) -> tuple[Annotated[ComplexArray, "hz rows columns"], Annotated[ComplexArray, "hz c columns"]]:  # fmt: skip
     """Compute roots of the density of displacements (order 0) and velocities (order 1) in given rows, and of the channels.
 
-    Parameters
-    ----------
-    hz : ndarray, shape (n_hz,), Hz
-    force : ndarray, shape (n,), N^2/Hz
-    rows : ndarray, shape (m, n)
-    order : ndarray, shape (m,)
-    k : int
-        Class, whose condition is that of the channels.
-
-    Returns
-    -------
-    motion : ndarray, shape (n_hz, m, columns)
-        For independent sources of density one, one in each column.
-    channels : ndarray, shape (n_hz, c, columns)
-        The same of the channels; `motion` itself without a posterior.
+    Each column is of an independent source of density one.  The channels are under the condition of class k; the second result is
+    the first without a posterior.  The forces are in N^2/Hz.
     """
     n = force.size
     own_root = np.sqrt(force.mean() * np.array([mode.force_ratio for mode in system.coupled]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -29,25 +30,24 @@ _FIXED_SLOPES_GAIN = 1.0
 class MapEstimate:
     """Most probable parameters of a model, with their covariance (maximum a posteriori)."""
 
-    x: Array
-    """Structural nuisances, excitation, then the extra effects' coordinates, shape (p,)."""
+    x: Annotated[Array, "p"]
+    """Structural nuisances, excitation, then the extra effects' coordinates."""
     effects: tuple[Effect, ...]
-    """The extra effects."""
     log_likelihood: float
     """Log likelihood without the prior, tempered for correlated bins and segments, nats."""
     log_prior: float
-    covariance: Array
-    """Covariance of x, shape (p, p)."""
+    covariance: Annotated[Array, "p p"]
+    """Covariance of x."""
     converged: bool
     slopes: Slopes
-    """Whitened slopes, each row weighted by the root of its information, shape (rows, p): classes * bins * c * c rows of
-    the spectra, then those of the segments' means where the ground was measured."""
+    """Whitened slopes, each row weighted by the root of its information: classes * bins * c * c rows of the spectra, then
+    those of the segments' means where the ground was measured."""
     residual: Array
     """Whitened and weighted residual of the spectra's rows."""
     mean_residual: Array
     """Whitened and weighted residual of the means' rows."""
-    information: Array
-    """Fisher information of the data, without the prior, shape (p, p)."""
+    information: Annotated[Array, "p p"]
+    """Fisher information of the data, without the prior."""
 
     @property
     def log_posterior(self) -> float:
@@ -81,25 +81,20 @@ def maximize_posterior(
 ) -> MapEstimate:
     """Find the most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
 
+    The estimate is that of `unfitted` where the fit begins at no structure, or cannot be computed.
+
     Parameters
     ----------
-    x : ndarray, shape (n_nuisance,) or more
+    x : ndarray
         Nuisances, from which the fit starts; the effects' coordinates are taken from `effects`.
     effects : tuple of Effect
         Extra effects, beside the persistent ones.
-    iterations : int
-        Largest number of steps.
     tolerance : float
         Gain of a step below which the fit has converged, nats.
     frozen : Slopes, optional
         Slopes of the first n parameters that are not computed again: faster, for a ranking, or where these do not move.
     keep_slopes : bool
         Whether the fit has its slopes, from which another search can start.
-
-    Returns
-    -------
-    MapEstimate
-        That of `unfitted` where the fit begins at no structure, or cannot be computed.
     """
     try:
         return _maximize(posterior, x, effects, iterations, tolerance, frozen, keep_slopes=keep_slopes)
@@ -193,10 +188,10 @@ class _Slopes:
     """As `MapEstimate.slopes`."""
     residual: Array
     mean_residual: Array
-    normal: Array
-    """Fisher information and the prior's precision, shape (p, p)."""
-    gradient: Array
-    """Of the log posterior, shape (p,)."""
+    normal: Annotated[Array, "p p"]
+    """Fisher information and the prior's precision."""
+    gradient: Annotated[Array, "p"]
+    """Of the log posterior."""
 
 
 def _no_slopes(n: int) -> _Slopes:
@@ -233,7 +228,7 @@ def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: S
 
 
 def shortened_steps(posterior: Posterior, step: Array, effects: Sequence[Effect]) -> tuple[Array, ...]:
-    """Shorten a step, shape (p,), to its bounds, so that a fit from a bad start does not diverge.
+    """Shorten a step to its bounds, so that a fit from a bad start does not diverge.
 
     Where a coordinate's step is too long, either that coordinate's alone is shortened, or the whole step.  The former is longer,
     and the latter keeps its direction, in which the objective rises.

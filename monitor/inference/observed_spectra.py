@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core import Array, ComplexArray
+from monitor.core import Array
 from monitor.inference import input_response
-from monitor.inference.cross_spectra import Band
+from monitor.inference.cross_spectra import Band, Transforms
 from monitor.inference.input_response import Drive
 from monitor.inference.segments import Segments
+from monitor.inference.wishart import Spectra
 from monitor.signals import overlap_correlation
 
 _LEVEL_CLASSES = 5
@@ -30,43 +32,43 @@ _READINGS_A_SEGMENT = 21
 class ObservedSpectra:
     """Observed cross-spectra of one recording by class, with which every model is compared."""
 
-    spectra: ComplexArray
-    """Shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
-    counts: Array
-    """Number of segments in each class, shape (classes,)."""
+    spectra: Spectra
+    """(m/s^2)^2/Hz."""
+    counts: Annotated[Array, "classes"]
+    """Number of segments in each class."""
     weight: float
     """Independent pieces of information in a segment and bin; less than one, since overlap and taper correlate neighbours."""
-    rms: Array
-    """RMS of every channel's source samples, shape (classes, c), m/s^2."""
-    peak: Array
-    """Largest magnitude of every channel's source samples, shape (c,), m/s^2."""
-    piled: NDArray[np.int64]
-    """Number of each channel's samples that share its largest magnitude, shape (c,)."""
+    rms: Annotated[Array, "classes c"]
+    """RMS of every channel's source samples, m/s^2."""
+    peak: Annotated[Array, "c"]
+    """Largest magnitude of every channel's source samples, m/s^2."""
+    piled: Annotated[NDArray[np.int64], "c"]
+    """Number of each channel's samples that share its largest magnitude."""
     members: tuple[NDArray[np.intp], ...]
     """Indices of the segments of every class."""
-    t_s: Array
-    """Middle of every segment, s since the recording's first sample, shape (n_segments,)."""
-    temperature: Array
-    """Readings, shape (n_readings, 2): s since the recording's first sample, degC."""
+    t_s: Annotated[Array, "segments"]
+    """Middle of every segment, s since the recording's first sample."""
+    temperature: Annotated[Array, "readings 2"]
+    """Readings: s since the recording's first sample, degC."""
     band: Band
     rate_hz: float
     samples: int
     segments: Segments
     """Segments that were averaged."""
-    level: Array
-    """Level of every segment over that of its class, shape (n_segments,)."""
-    power: Array | None
-    """The channels' power of which a model's own error is a share, shape (n_bins, c); None without a measured ground."""
+    level: Annotated[Array, "segments"]
+    """Level of every segment over that of its class."""
+    power: Annotated[Array, "bins c"] | None
+    """The channels' power of which a model's own error is a share; None without a measured ground."""
     drive: Drive | None
     """Measured ground motion, which `segments` no longer contain; None where it was not measured."""
-    drift: Array | None = None
-    """Power density of the channels' drift, shape (n_bins, c), (m/s^2)^2/Hz; None where no channel drifts."""
+    drift: Annotated[Array, "bins c"] | None = None
+    """Power density of the channels' drift, (m/s^2)^2/Hz; None where no channel drifts."""
     by_temperature: bool = False
     """Whether the classes are of level and temperature, or of level only."""
 
     @property
-    def label(self) -> NDArray[np.intp]:
-        """Class of every segment, shape (n_segments,)."""
+    def label(self) -> Annotated[NDArray[np.intp], "segments"]:
+        """Class of every segment."""
         out = np.empty(self.t_s.size, dtype=np.intp)
         for k, m in enumerate(self.members):
             out[m] = k
@@ -89,16 +91,8 @@ def information_weight() -> float:
 def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> ObservedSpectra:
     """Average the segments' cross-spectra in classes of level and of temperature, where that was measured and varies.
 
-    Parameters
-    ----------
-    segments : Segments
-    label : ndarray, shape (n_segments,), optional
-        Class of every segment, as of a longer recording that they are a part of.
-
-    Returns
-    -------
-    ObservedSpectra
-        With the classes that have segments, in the order of their numbers.
+    `label` may give the segments' classes, as of a longer recording that they are a part of; only those that have segments are
+    kept, in the order of their numbers.
     """
     x = segments.values
     level = relative_level(x)
@@ -147,20 +141,11 @@ def _classes_of(level: Array, degc: Array | None, most: int) -> NDArray[np.intp]
     return n_level * _natural_classes(degc, n_degc) + _natural_classes(logarithm, n_level)
 
 
-def relative_level(x: ComplexArray) -> Array:
+def relative_level(x: Transforms) -> Annotated[Array, "segments"]:
     """Compute the level of every segment over the mean of all segments.
 
     The segments are whitened by the mean spectrum, so that all bins have equal weight and the level follows the excitation, not
     the random response of one mode.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n_segments, n_bins, c)
-        Transforms of the segments.
-
-    Returns
-    -------
-    ndarray, shape (n_segments,)
     """
     mean = np.einsum("ska,skb->kab", x, x.conj()) / x.shape[0]
     floor = 1e-6 * np.einsum("kaa->k", mean).real / mean.shape[1]
@@ -200,23 +185,12 @@ def _natural_classes(value: Array, n: int) -> NDArray[np.intp]:
     return label
 
 
-def _mean_temperature(readings: Array, t_s: Array, length_s: float, lag_s: float = 0.0) -> Array | None:
-    """Compute the mean temperature of segments after a first-order lag; None without readings.
+def _mean_temperature(
+    readings: Annotated[Array, "readings 2"], t_s: Annotated[Array, "segments"], length_s: float, lag_s: float = 0.0
+) -> Annotated[Array, "segments"] | None:
+    """Compute the mean temperature of segments about their middles after a first-order lag; None without readings (s, degC).
 
     The temperature is averaged over the segment, since the noise of single readings hides the slope that a short lag acts on.
-
-    Parameters
-    ----------
-    readings : ndarray, shape (n_readings, 2)
-        Time in s and temperature in degC.
-    t_s : ndarray, shape (n_segments,), s
-        Middles of the segments.
-    length_s, lag_s : float
-        Length of a segment and time constant of the lag.
-
-    Returns
-    -------
-    ndarray, shape (n_segments,), degC, or None
     """
     if readings.shape[0] < 2:
         return None

@@ -84,16 +84,5 @@ class ParameterLayout:
         return self.noise + 1
 
     def with_structure(self, x: Array, structure: Array) -> Array:
-        """Replace the structural parameters of a vector by others, whose number may differ.
-
-        Parameters
-        ----------
-        x : ndarray, shape (n,)
-            Parameters in this layout.
-        structure : ndarray, shape (p,)
-
-        Returns
-        -------
-        ndarray, shape (n - n_structure + p,)
-        """
+        """Replace the structural parameters of a vector by others, whose number may differ."""
         return np.concatenate([structure, x[self.forces.start :]])

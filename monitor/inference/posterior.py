@@ -14,7 +14,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from monitor.core import Array, ComplexArray
 from monitor.inference.forward_model import ForwardModel, Prediction
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.spectral_slopes import RowSlopes, Slopes
-from monitor.inference.wishart import log_det_and_trace, whiten
+from monitor.inference.wishart import Spectra, log_det_and_trace, whiten
 from monitor.model import Effect
 
 FORCE_STD = 1.0
@@ -47,31 +47,23 @@ class Posterior(ForwardModel):
     def part(self, evidence: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
         """Return the posterior for other segments of the recording.
 
-        Parameters
-        ----------
-        evidence : ObservedSpectra
-            Spectra of these segments.
-        classes : ndarray, shape (n_classes,)
-            For each of their classes, the index of the class prediction that has the same condition.
+        `classes` gives for each of their classes the index of the class prediction that has the same condition.
         """
         return replace(self, observed=evidence, conditions=tuple(self.conditions[k] for k in classes))
 
-    def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
-        """Return the simulated correction relative to the linearized spectra at a point, shape (classes, n_bins, c, c).
+    def beyond(self, x: Array, effects: Sequence[Effect]) -> Spectra | None:
+        """Return the simulated correction relative to the linearized spectra at a point.
 
         The result is None where no correction was simulated, or one of other laws.
         """
         return None
 
-    def normal_prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
+    def normal_prior(
+        self, x: Array, effects: Sequence[Effect]
+    ) -> tuple[Annotated[Array, "p"], Annotated[Array, "p p"]]:
         """Return mean and precision of the prior of all parameters at a point.
 
         The prior of the forces is about their mean level at `x`, and that of the noise about its value at `x`.
-
-        Returns
-        -------
-        mean : ndarray, shape (p,)
-        precision : ndarray, shape (p, p)
         """
         middle = self.conditions[self.n_classes // 2]
         known = [e.known(self.context, middle) for e in effects]
@@ -95,26 +87,18 @@ class Posterior(ForwardModel):
         return mean, precision
 
     @abstractmethod
-    def force_prior(self, x: Array) -> tuple[Array, Array]:
-        """Return mean and precision of the logarithms of the floors' forces, shapes (n,) and (n, n)."""
+    def force_prior(self, x: Array) -> tuple[Annotated[Array, "n"], Annotated[Array, "n n"]]:
+        """Return mean and precision of the logarithms of the floors' forces."""
 
     def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
         """Return the posterior with slopes of the exact laws near a fit; itself where no ground was measured."""
         return self
 
-    def log_likelihood(
-        self, spectra: ComplexArray, data: ComplexArray | None = None, *, levelled: bool = False
-    ) -> float:
+    def log_likelihood(self, spectra: Spectra, data: Spectra | None = None, *, levelled: bool = False) -> float:
         """Compute the tempered Whittle log likelihood, nats; -inf where a spectrum is not positive definite.
 
-        Parameters
-        ----------
-        spectra : ndarray, shape (classes, bins, c, c), (m/s^2)^2/Hz
-            Predicted (smoothed) spectra.
-        data : ndarray, shape (classes, bins, c, c), (m/s^2)^2/Hz, optional
-            Measured (smoothed) spectra; those of `data()` by default.
-        levelled : bool
-            Whether each class's spectra are first multiplied by the factor with which they fit the data best.
+        Both spectra are (smoothed) ones; `data()` by default.  Levelled, each class's spectra are first multiplied by the factor
+        with which they fit the data best.
         """
         log_det, trace = log_det_and_trace(spectra, self.data() if data is None else data)
         if not np.isfinite(log_det).all():
@@ -134,30 +118,21 @@ class Posterior(ForwardModel):
         return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
 
     @abstractmethod
-    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:
-        """Differentiate the (smoothed) spectra by the parameters from `first` on, shape (n_wanted, classes, bins, c, c).
+    def slopes(
+        self, x: Array, effects: tuple[Effect, ...], spectra: Spectra, first: int = 0
+    ) -> Annotated[ComplexArray, "wanted classes bins c c"]:
+        """Differentiate the (smoothed) spectra, whose prediction at `x` is given, by the parameters from `first` on."""
 
-        Parameters
-        ----------
-        spectra : ndarray, shape (classes, bins, c, c)
-            The prediction at `x`.
-        """
-
-    def slope_by_class(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """Differentiate the (smoothed) spectra by coordinate i in every class, shape (classes, bins, c, c)."""
+    def slope_by_class(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: Spectra) -> Spectra:
+        """Differentiate the (smoothed) spectra by coordinate i in every class."""
         h, moved = self.nudged(x, i, effects)
         after = with_coordinates(effects, moved[self.layout.effects])
         return np.asarray((self.smooth(self.scatter(moved, after)) - spectra) / h)
 
     def effect_slopes(
-        self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0
-    ) -> ComplexArray:
-        """Differentiate the (smoothed) spectra by the extra effects' coordinates, from the first wanted one on.
-
-        Returns
-        -------
-        ndarray, shape (n_wanted, classes, bins, c, c)
-        """
+        self, x: Array, effects: tuple[Effect, ...], spectra: Spectra, first: int = 0
+    ) -> Annotated[ComplexArray, "wanted classes bins c c"]:
+        """Differentiate the (smoothed) spectra by the extra effects' coordinates, from the first wanted one on."""
         wanted = range(self.layout.n_nuisance + first, x.size)
         slopes = [self.slope_by_class(x, i, effects, spectra) for i in wanted]
         return np.array(slopes, dtype=complex).reshape(-1, *spectra.shape)
@@ -174,71 +149,43 @@ class Posterior(ForwardModel):
         extra = range(self.layout.n_nuisance, self.layout.n_nuisance + len(owners) - n_persistent)
         return dict(zip((*range(first, first + n_persistent), *extra), owners, strict=True))
 
-    def mean_rows(self, prediction: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
-        """Whiten changes of the segments' means as `whitened` does those of the spectra.
+    def mean_rows(
+        self, prediction: Prediction, slopes: Annotated[ComplexArray, "p segments bins c"]
+    ) -> tuple[Annotated[Array, "rows p"], Annotated[Array, "rows"]]:
+        """Whiten changes of the segments' means, and their residual, as `whitened` does those of the spectra.
 
-        Parameters
-        ----------
-        slopes : ndarray, shape (p, n_segments, n_bins, c)
-
-        Returns
-        -------
-        rows : ndarray, shape (rows, p)
-            No rows without a measured ground.
-        residual : ndarray, shape (rows,)
+        There are no rows without a measured ground.
         """
         return np.zeros((0, len(slopes))), np.zeros(0)
 
     def linearized(self, x: Array, effects: tuple[Effect, ...], prediction: Prediction) -> tuple[Slopes, Array, Array]:
-        """Compute the whitened slopes and the whitened residuals at a point.
-
-        Returns
-        -------
-        slopes : Slopes
-            Of the spectra, then of the segments' means.
-        residual, mean_residual : ndarray
-            Residuals of the rows of the spectra and of the means.
-        """
+        """Compute the whitened slopes, of the spectra and then of the segments' means, and the residuals of both."""
         rows, residual, mean_residual = self.slope_rows(x, effects, prediction)
         return RowSlopes(rows), residual, mean_residual
 
     def slope_rows(
         self, x: Array, effects: tuple[Effect, ...], prediction: Prediction, first: int = 0
-    ) -> tuple[Array, Array, Array]:
-        """Compute as `linearized`, but for the slopes by the coordinates from `first` on as rows, shape (rows, p - first)."""
+    ) -> tuple[Annotated[Array, "rows wanted"], Annotated[Array, "rows"], Array]:
+        """Compute as `linearized`, but for the slopes by the coordinates from `first` on as rows."""
         rows, residual = self.whitened(
             prediction.spectra, self.slopes(x, effects, prediction.spectra, first), prediction.data
         )
         return rows, residual, np.zeros(0)
 
     def whitened(
-        self, spectra: ComplexArray, slopes: ComplexArray, data: ComplexArray | None = None
-    ) -> tuple[Array, Array]:
-        """Whiten slopes and residual into real rows of unit information.
-
-        Parameters
-        ----------
-        spectra : ndarray, shape (classes, bins, c, c)
-            Predicted spectra.
-        slopes : ndarray, shape (p, classes, bins, c, c)
-        data : ndarray, shape (classes, bins, c, c), optional
-            Measured spectra.
-
-        Returns
-        -------
-        rows : ndarray, shape (classes * bins * c * c, p)
-        residual : ndarray, shape (classes * bins * c * c,)
-        """
+        self, spectra: Spectra, slopes: Annotated[ComplexArray, "p classes bins c c"], data: Spectra | None = None
+    ) -> tuple[Annotated[Array, "rows p"], Annotated[Array, "rows"]]:
+        """Whiten slopes and residual into real rows of unit information, classes * bins * c * c of them."""
         data = self.data() if data is None else data
         root = self.root_information()
         return whiten(spectra, slopes, root), whiten(spectra, (data - spectra)[None], root)[:, 0]
 
-    def root_information(self) -> Array:
-        """Compute the root of the information in each class and (coarse) bin, shape (classes, bins)."""
+    def root_information(self) -> Annotated[Array, "classes bins"]:
+        """Compute the root of the information in each class and (coarse) bin."""
         return np.sqrt(self.observed.weight * self.observed.counts[:, None] * self.widths())
 
     def nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
-        """Return the finite difference for coordinate i, and the parameter vector changed by it, shape (p,)."""
+        """Return the finite difference for coordinate i, and the parameter vector changed by it."""
         layout = self.layout
         if i >= layout.n_nuisance:
             least = [p.least for e in effects for p in e.parameters]
@@ -252,8 +199,8 @@ class Posterior(ForwardModel):
         return h, moved
 
 
-def difference_operator(n: int) -> Array:
-    """Build the prior precision of the logarithms of the forces on n floors, shape (n, n).
+def difference_operator(n: int) -> Annotated[Array, "n n"]:
+    """Build the prior precision of the logarithms of the forces on n floors.
 
     The forces differ little between floors, while their common level is nearly unknown.
     """
@@ -262,7 +209,7 @@ def difference_operator(n: int) -> Array:
 
 
 def with_coordinates(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
-    """Return the effects at a joint vector of their coordinates, shape (n_effect,)."""
+    """Return the effects at a joint vector of their coordinates."""
     out = []
     for e in effects:
         out.append(e.at(coordinates[: len(e.parameters)]))
@@ -271,5 +218,5 @@ def with_coordinates(effects: Sequence[Effect], coordinates: Array) -> tuple[Eff
 
 
 def join_coordinates(nuisances: Array, effects: Sequence[Effect]) -> Array:
-    """Join nuisances and the effects' coordinates to the parameter vector of a fit, shape (p,)."""
+    """Join nuisances and the effects' coordinates to the parameter vector of a fit."""
     return np.concatenate([nuisances, *[e.coordinates for e in effects]])

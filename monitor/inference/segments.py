@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from drivers.base import ACCELERATION, FORCE, GROUND, TEMPERATURE, SampleBlock
 from monitor.core import Array, BadInputError, ComplexArray
 from monitor.inference import input_response
-from monitor.inference.cross_spectra import Band
+from monitor.inference.cross_spectra import Band, Transforms
 from monitor.inference.input_response import Drive, Input
 from monitor.inference.judged_band import JudgedBand, find_judged_band
 from monitor.signals import (
@@ -77,30 +78,30 @@ class LeftOut:
 class Segments:
     """Tapered transforms of a recording's half-overlapping segments."""
 
-    values: ComplexArray
-    """Shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)."""
-    t_s: Array
-    """Middle of each segment, s since the recording's first sample, shape (n_segments,)."""
-    rms: Array
-    """RMS of every channel's source samples, shape (n_segments, c), m/s^2."""
-    above: Array
-    """Variance of the tapered source samples above the judged band, shape (n_segments, c), (m/s^2)^2."""
-    peaks: Array
-    """Largest magnitude of every channel's source samples in each segment, shape (n_segments, c), m/s^2."""
-    peak: Array
-    """Largest magnitude of every channel's source samples, shape (c,), m/s^2."""
-    piled: NDArray[np.int64]
-    """Number of each channel's samples that share its largest magnitude, shape (c,)."""
+    values: Transforms
+    """m/s^2/sqrt(Hz)."""
+    t_s: Annotated[Array, "segments"]
+    """Middle of each segment, s since the recording's first sample."""
+    rms: Annotated[Array, "segments c"]
+    """RMS of every channel's source samples, m/s^2."""
+    above: Annotated[Array, "segments c"]
+    """Variance of the tapered source samples above the judged band, (m/s^2)^2."""
+    peaks: Annotated[Array, "segments c"]
+    """Largest magnitude of every channel's source samples in each segment, m/s^2."""
+    peak: Annotated[Array, "c"]
+    """Largest magnitude of every channel's source samples, m/s^2."""
+    piled: Annotated[NDArray[np.int64], "c"]
+    """Number of each channel's samples that share its largest magnitude."""
     drive: Drive | None
     """Measured inputs, a ground motion or forces; None where none was measured."""
-    temperature: Array
-    """Shape (n_readings, 2): s since the recording's first sample, degC; no rows where none was measured."""
+    temperature: Annotated[Array, "readings 2"]
+    """s since the recording's first sample, degC; no rows where none was measured."""
     band: Band
     """Band that the recording can judge, in which all models are compared with it."""
     whole: Band
     """Band of ``[processing]``, of which `band` is all or a part."""
-    power: Array
-    """Mean power of every channel in the whole band, two-sided, shape (n_whole, c), (m/s^2)^2/Hz."""
+    power: Annotated[Array, "whole c"]
+    """Mean power of every channel in the whole band, two-sided, (m/s^2)^2/Hz."""
     rate_hz: float
     """Rate of the source's samples."""
     resampled_hz: float
@@ -109,8 +110,8 @@ class Segments:
     """Number of sample instants after resampling that the segments cover, each counted once for all channels."""
     left_out: tuple[LeftOut, ...] = ()
     """What of the recording these segments leave out."""
-    drift: Array | None = None
-    """Power density of the channels' drift, shape (n_bins, c), (m/s^2)^2/Hz; None where no channel drifts."""
+    drift: Annotated[Array, "bins c"] | None = None
+    """Power density of the channels' drift, (m/s^2)^2/Hz; None where no channel drifts."""
 
     def without_clipped(self) -> Segments:
         """Leave out the segments in which a clipped channel reaches its limit, unless too few would remain for a diagnosis."""
@@ -121,10 +122,7 @@ class Segments:
     def within(self, range_hz: tuple[float, float] | None) -> Segments:
         """Narrow the judged band to a range of frequencies, Hz; None narrows nothing.
 
-        Raises
-        ------
-        BadInputError
-            If hardly a frequency of the judged band lies in the range.
+        Raises BadInputError if hardly a frequency of the judged band lies in the range.
         """
         if range_hz is None:
             return self
@@ -147,7 +145,7 @@ class Segments:
         )
 
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
-        """Select segments by a mask, shape (n_segments,)."""
+        """Select segments by a mask."""
         share = float(chosen.mean()) if chosen.size else 0.0
         return replace(
             self,
@@ -398,8 +396,8 @@ class _Stream:
         """Join the conditioned samples of every run, with the time of the run's first sample, UTC ns."""
         return [(t_ns, np.concatenate(values)) for t_ns, values in self.runs]
 
-    def _describe_cells(self, samples: Array) -> None:
-        """Describe the source's samples in the cells that new samples complete, shape (n_samples, c)."""
+    def _describe_cells(self, samples: Annotated[Array, "samples c"]) -> None:
+        """Describe the source's samples in the cells that new samples complete."""
         facts, rest = self.facts[-1], np.concatenate([*self._cell, samples])
         cell = channel_faults.CELL * self.conditioner.rate_in_hz / self.conditioner.rate_hz
         while rest.shape[0] >= (n := round((len(facts) + 1) * cell) - round(len(facts) * cell)):
@@ -445,8 +443,8 @@ class _Stream:
             return SegmentDesign(conditioner.rate_hz, n, min(n // 2 + 1, kept))
         return self.front_end.grid(conditioner).segments
 
-    def _cut_segments(self, values: Array) -> None:
-        """Cut and transform the segments that new conditioned samples complete, shape (n_samples, c)."""
+    def _cut_segments(self, values: Annotated[Array, "samples c"]) -> None:
+        """Cut and transform the segments that new conditioned samples complete."""
         assert self.design is not None
         n = self.design.n
         rest = np.concatenate([self._rest, values])
@@ -499,12 +497,12 @@ def _counted(n: int, kind: str) -> str:
 
 
 def _filter_gain(conditioner: Conditioner, n: int, step_hz: float) -> Array:
-    """Compute the power gain of the anti-alias filter at the first n bins, shape (n,)."""
+    """Compute the power gain of the anti-alias filter at the first n bins."""
     return np.asarray(np.abs(_filter_response(conditioner, np.asarray(np.arange(n) * step_hz, dtype=float))) ** 2)
 
 
 def _filter_response(conditioner: Conditioner, hz: Array) -> ComplexArray:
-    """Compute the frequency response of the anti-alias filter at frequencies in Hz, shape (n_hz,)."""
+    """Compute the frequency response of the anti-alias filter at frequencies in Hz."""
     from scipy.signal import sosfreqz  # takes most of a second to load
 
     return np.asarray(sosfreqz(conditioner.sos, worN=hz, fs=conditioner.rate_in_hz)[1])

@@ -10,12 +10,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from monitor.core import Array, ComplexArray, compiled
-from monitor.inference.wishart import cholesky, invert_lower
+from monitor.inference.wishart import Spectra, cholesky, invert_lower
 
 _BINS = 32
 """Bins that are whitened together. [count; cost: their rows stay in the processor's cache]"""
@@ -24,10 +26,10 @@ _JOINT = 1e-7
 
 
 class Slopes(ABC):
-    """Whitened slopes of a prediction by some of its parameters, a matrix of shape (rows, p)."""
+    """Whitened slopes of a prediction by some of its p parameters, a matrix of rows."""
 
-    information: Array
-    """Fisher information of the data: the slopes' transpose times the slopes, shape (p, p)."""
+    information: Annotated[Array, "p p"]
+    """Fisher information of the data: the slopes' transpose times the slopes."""
 
     @abstractmethod
     def along(self, rows: Array) -> Array:
@@ -42,20 +44,19 @@ class Slopes(ABC):
 class RowSlopes(Slopes):
     """Slopes that are kept whitened."""
 
-    rows: Array
-    """Shape (rows, p)."""
+    rows: Annotated[Array, "rows p"]
 
     @cached_property
+    @override
     def information(self) -> Array:  # type: ignore[override]
-        """See `Slopes.information`."""
         return np.asarray(self.rows.T @ self.rows)
 
+    @override
     def along(self, rows: Array) -> Array:
-        """See `Slopes.along`."""
         return np.asarray(self.rows.T @ rows)
 
+    @override
     def by(self, chosen: NDArray[np.intp]) -> RowSlopes:
-        """See `Slopes.by`."""
         return RowSlopes(np.ascontiguousarray(self.rows[:, chosen]))
 
 
@@ -66,7 +67,6 @@ class JoinedSlopes(Slopes):
     frozen: Slopes
     others: RowSlopes
     information: Array
-    """See `Slopes.information`."""
 
     @classmethod
     def of(cls, frozen: Slopes, others: RowSlopes) -> JoinedSlopes:
@@ -74,12 +74,12 @@ class JoinedSlopes(Slopes):
         across = frozen.along(others.rows)
         return cls(frozen, others, np.block([[frozen.information, across], [across.T, others.information]]))
 
+    @override
     def along(self, rows: Array) -> Array:
-        """See `Slopes.along`."""
         return np.concatenate([self.frozen.along(rows), self.others.along(rows)])
 
     def by(self, chosen: NDArray[np.intp]) -> Slopes:
-        """See `Slopes.by`.  Those of the frozen ones must come first."""
+        """Those of the frozen ones must come first."""
         n = len(self.frozen.information)
         return JoinedSlopes.of(self.frozen.by(chosen[chosen < n]), self.others.by(chosen[chosen >= n] - n))
 
@@ -88,38 +88,35 @@ class JoinedSlopes(Slopes):
 class SpectralSlopes(Slopes):
     """Slopes of the spectra of all classes, kept before they are whitened."""
 
-    shared: Array
-    """Slopes of the middle class, see `packed`, shape (n_shared, c * c, n_bins)."""
-    scale: Array
-    """Factor from these to the slopes of every class, shape (classes, n_shared)."""
-    own: Array
-    """Slopes by coordinates that change the classes in different ways, shape (n_own, classes, c * c, n_bins)."""
-    order: NDArray[np.intp]
-    """Where each parameter stands among the shared and then the own ones, shape (p,)."""
-    root: ComplexArray
-    """Lower triangular matrices that whiten the spectra of a class and bin and weight them by the root of their information,
-    shape (classes, c, c, n_bins)."""
+    shared: Annotated[Array, "shared c*c bins"]
+    """Slopes of the middle class, see `packed`."""
+    scale: Annotated[Array, "classes shared"]
+    """Factor from these to the slopes of every class."""
+    own: Annotated[Array, "own classes c*c bins"]
+    """Slopes by coordinates that change the classes in different ways."""
+    order: Annotated[NDArray[np.intp], "p"]
+    """Where each parameter stands among the shared and then the own ones."""
+    root: Annotated[ComplexArray, "classes c c bins"]
+    """Lower triangular matrices that whiten the spectra of a class and bin and weight them by the root of their information."""
     information: Array
-    """See `Slopes.information`."""
 
     @classmethod
     def at(
-        cls, shared: Array, scale: Array, own: Array, order: NDArray[np.intp], spectra: ComplexArray, root: Array
+        cls,
+        shared: Array,
+        scale: Array,
+        own: Array,
+        order: NDArray[np.intp],
+        spectra: Spectra,
+        root: Annotated[Array, "classes bins"],
     ) -> SpectralSlopes:
-        """Whiten slopes by predicted spectra.
-
-        Parameters
-        ----------
-        spectra : ndarray, shape (classes, n_bins, c, c)
-        root : ndarray, shape (classes, n_bins)
-            Root of the information in each bin.
-        """
+        """Whiten slopes by predicted spectra; `root` is the root of the information in each class and bin."""
         whitening = whitening_roots(spectra, root)
         information = _information(shared, scale, own, whitening)
         return cls(shared, scale, own, order, whitening, information[np.ix_(order, order)])
 
+    @override
     def along(self, rows: Array) -> Array:
-        """See `Slopes.along`."""
         columns = rows[:, None] if rows.ndim == 1 else rows
         changes = np.empty((columns.shape[1], len(self.root), *self.shared.shape[1:]))
         for change, column in zip(changes, columns.T, strict=True):
@@ -131,13 +128,13 @@ class SpectralSlopes(Slopes):
         out = np.concatenate([shared, own])[self.order]
         return out[:, 0] if rows.ndim == 1 else out
 
+    @override
     def by(self, chosen: NDArray[np.intp]) -> SpectralSlopes:
-        """See `Slopes.by`."""
         return replace(self, order=self.order[chosen], information=self.information[np.ix_(chosen, chosen)])
 
 
-def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) -> Array:
-    """Compute the information on the shared, then on the own parameters, shape (p, p)."""
+def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) -> Annotated[Array, "p p"]:
+    """Compute the information on the shared, then on the own parameters."""
     joint = joint_directions(root)
     if joint is not None:
         return _joint_information(shared, scale, own, *joint)
@@ -153,15 +150,12 @@ def _information(shared: Array, scale: Array, own: Array, root: ComplexArray) ->
     return out
 
 
-def joint_directions(root: ComplexArray) -> tuple[ComplexArray, Array] | None:
-    """Find directions in which the spectra of all classes are diagonal, as those of one model at several levels are.
+def joint_directions(
+    root: ComplexArray,
+) -> tuple[Annotated[ComplexArray, "c c bins"], Annotated[Array, "classes c bins"]] | None:
+    """Find directions T in which the spectra of all classes are diagonal, as those of one model at several levels are.
 
-    Returns
-    -------
-    directions : ndarray, shape (c, c, n_bins)
-        T, with ``root_k^H root_k = T^H diag(weight_k) T``.
-    weight : ndarray, shape (classes, c, n_bins)
-        None instead of both where there are no such directions.
+    The weights are those of ``root_k^H root_k = T^H diag(weight_k) T``.  None where there are no such directions.
     """
     roots = np.moveaxis(root, -1, 1)
     compared = np.abs(roots).max(axis=(0, 2, 3)) > 0.0
@@ -215,31 +209,21 @@ def _joint_information(shared: Array, scale: Array, own: Array, directions: Comp
     return out
 
 
-def _twice(c: int) -> Array:
-    """Return how often each number of a packed matrix stands in the whole one, shape (c * c,)."""
+def _twice(c: int) -> Annotated[Array, "c*c"]:
+    """Return how often each number of a packed matrix stands in the whole one."""
     out = np.full(c * c, 2.0)
     out[np.arange(1, c + 1) ** 2 - 1] = 1.0
     return out
 
 
-def _by_bin(slopes: Array) -> Array:
-    """Put packed slopes, shape (p, c * c, m), in the order (m, c * c, p), in which a bin's are next to each other."""
+def _by_bin(slopes: Annotated[Array, "p c*c bins"]) -> Annotated[Array, "bins c*c p"]:
+    """Put packed slopes in an order in which a bin's are next to each other."""
     return np.asarray(slopes.transpose(2, 1, 0).copy())
 
 
 @compiled(error_model="numpy")
-def _congruence(directions: ComplexArray) -> Array:
-    """Compute the matrices by which ``T dS T^H`` follows from dS, both packed.
-
-    Parameters
-    ----------
-    directions : ndarray, shape (c, c, m)
-        T in m bins.
-
-    Returns
-    -------
-    ndarray, shape (m, c * c, c * c)
-    """
+def _congruence(directions: Annotated[ComplexArray, "c c bins"]) -> Annotated[Array, "bins c*c c*c"]:
+    """Compute the matrices by which ``T dS T^H`` follows from dS, both packed."""
     c, _, m = directions.shape
     out = np.empty((m, c * c, c * c))
     for f in range(m):
@@ -265,8 +249,8 @@ def _congruence(directions: ComplexArray) -> Array:
 
 
 @compiled(error_model="numpy")
-def whitening_roots(spectra: ComplexArray, root: Array) -> ComplexArray:
-    """Compute ``sqrt(root) L^-1`` with ``S = L L^H``, shape (classes, c, c, n_bins); zero where S is not positive definite."""
+def whitening_roots(spectra: Spectra, root: Array) -> Annotated[ComplexArray, "classes c c bins"]:
+    """Compute ``sqrt(root) L^-1`` with ``S = L L^H``; zero where S is not positive definite."""
     classes, bins, c, _ = spectra.shape
     out = np.zeros((classes, c, c, bins), dtype=np.complex128)
     lower = np.zeros((c, c), dtype=np.complex128)
@@ -283,19 +267,10 @@ def whitening_roots(spectra: ComplexArray, root: Array) -> ComplexArray:
 
 
 @compiled(error_model="numpy")
-def _unwhitened(root: ComplexArray, rows: Array) -> Array:
-    """Compute the numbers whose products with packed slopes are those of whitened rows with whitened slopes.
-
-    Parameters
-    ----------
-    root : ndarray, shape (classes, c, c, n_bins)
-        See `SpectralSlopes.root`.
-    rows : ndarray, shape (classes * n_bins * c * c,)
-
-    Returns
-    -------
-    ndarray, shape (classes, c * c, n_bins)
-    """
+def _unwhitened(
+    root: Annotated[ComplexArray, "classes c c bins"], rows: Annotated[Array, "classes*bins*c*c"]
+) -> Annotated[Array, "classes c*c bins"]:
+    """Compute the numbers whose products with packed slopes are those of whitened rows with whitened slopes."""
     classes, c, _, bins = root.shape
     out = np.empty((classes, c * c, bins))
     inner = np.empty((c, c), dtype=np.complex128)

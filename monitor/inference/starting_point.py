@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from monitor.core import Array
@@ -33,17 +35,11 @@ def make_posterior(observed: ObservedSpectra, prior: StructuralPrior, context: C
     return kind(observed, prior, context, (unknown,) * observed.counts.size)
 
 
-def guess_levels(posterior: Posterior) -> tuple[Array, Array]:
+def guess_levels(posterior: Posterior) -> tuple[Annotated[Array, "nuisances"], Annotated[Array, "classes"]]:
     """Guess the noise from the least power, and the level of every class from the medians of the power over frequency.
 
-    Medians are robust to peaks at other frequencies than those of the model.
-
-    Returns
-    -------
-    x : ndarray, shape (n_nuisance,)
-        The prior's start, with the guessed noise; forces and levels are zero.
-    ratio : ndarray, shape (classes,)
-        Measured over predicted power at `x` with nearly no noise.
+    Medians are robust to peaks at other frequencies than those of the model.  Returned are the prior's start with the guessed
+    noise, in which forces and levels are zero, and the measured over the predicted power there with nearly no noise.
     """
     layout, c = posterior.layout, len(posterior.context.channels)
     power = np.einsum("kfaa->kfa", posterior.observed.spectra[:, :, :c, :c]).real

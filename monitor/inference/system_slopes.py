@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,28 +37,19 @@ _BLOCK = 64
 class SystemChange:
     """Slopes of a linear system by one coordinate."""
 
-    mass: Array
-    """Shape (N, N)."""
-    damping: Array
-    """Shape (N, N)."""
-    stiffness: Array
-    """Shape (N, N)."""
-    sensors: Array
-    """Of what the channels see of the degrees of freedom, shape (c, N)."""
-    forces: Array
-    """Of the force densities, see `force_matrix`, shape (columns, columns)."""
+    mass: Annotated[Array, "N N"]
+    damping: Annotated[Array, "N N"]
+    stiffness: Annotated[Array, "N N"]
+    sensors: Annotated[Array, "c N"]
+    """Of what the channels see of the degrees of freedom."""
+    forces: Annotated[Array, "columns columns"]
+    """Of the force densities, see `force_matrix`."""
 
 
-def force_matrix(system: System, effects: Sequence[Effect], force: Array, n_extra: int) -> Array:
-    """Compute the densities of all forces: on the floors, on the coupled modes and on the extra modes, shape (columns, columns).
-
-    Parameters
-    ----------
-    force : ndarray, shape (n,), N^2/Hz
-        Densities of the floors' forces.
-    n_extra : int
-        Number of extra modes.
-    """
+def force_matrix(
+    system: System, effects: Sequence[Effect], force: Annotated[Array, "n"], n_extra: int
+) -> Annotated[Array, "columns columns"]:
+    """Compute the densities (N^2/Hz) of all forces: on the floors, on the coupled modes and on the extra modes."""
     root, n, mean = force_root(force, effects), force.size, float(force.mean())
     out = np.diag(np.r_[force, [mean * mode.force_ratio for mode in system.coupled], np.full(n_extra, mean)])
     out[:n, :n] = root @ root.T
@@ -70,24 +62,13 @@ def force_matrix(system: System, effects: Sequence[Effect], force: Array, n_extr
 def system_slopes(
     system: System,
     effects: Sequence[Effect],
-    force: Array,
+    force: Annotated[Array, "n"],
     changes: Sequence[SystemChange],
     band: Band,
     context: Context,
     condition: Condition,
-) -> Array:
-    """Differentiate the expected cross-spectra without ground motion by coordinates that change the system.
-
-    Parameters
-    ----------
-    force : ndarray, shape (n,), N^2/Hz
-    changes : sequence of SystemChange
-
-    Returns
-    -------
-    ndarray, shape (n_changes, c * c, n_bins), (m/s^2)^2/Hz by a coordinate
-        In the order of `packed`.
-    """
+) -> Annotated[Array, "changes c*c bins"]:
+    """Differentiate the expected cross-spectra without ground motion, packed, by coordinates that change the system."""
     clock = clock_ratio(effects)
     hz, size, n = clock * band.fine_hz, system.mass.shape[0], force.size
     omega, sensors, c = 2.0 * np.pi * hz, system.sensors(context.sensors), len(context.channels)
@@ -114,17 +95,15 @@ def system_slopes(
     return _sum_changes(left_re, left_im, right_re, right_im, 1.0 / omega, start, at, of_matrices, _TAPS, band.gain)
 
 
-def _entries(changes: Sequence[SystemChange], size: int, c: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+def _entries(
+    changes: Sequence[SystemChange], size: int, c: int
+) -> tuple[
+    Annotated[NDArray[np.intp], "changes+1"], Annotated[NDArray[np.intp], "entries 2"], Annotated[Array, "entries 3"]
+]:
     """List the entries of all changes that are not zero, ordered by change and by row of the right factor.
 
-    Returns
-    -------
-    start : ndarray, shape (n_changes + 1,)
-        First entry of each change.
-    at : ndarray, shape (n_entries, 2)
-        Rows of the right factor and columns of the left one.
-    value : ndarray, shape (n_entries, 3)
-        Factors of 1, of i / w and of 1 / w^2.
+    Returned are the first entry of each change; the rows of the right factor and columns of the left one; and the factors of 1,
+    of i / w and of 1 / w^2.
     """
     start, at, value = [0], [], []
     for change in changes:
@@ -142,33 +121,20 @@ def _entries(changes: Sequence[SystemChange], size: int, c: int) -> tuple[NDArra
 
 @compiled(error_model="numpy")
 def _sum_changes(
-    left_re: Array,
-    left_im: Array,
-    right_re: Array,
-    right_im: Array,
-    period: Array,
+    left_re: Annotated[Array, "c left fine"],
+    left_im: Annotated[Array, "c left fine"],
+    right_re: Annotated[Array, "right c fine"],
+    right_im: Annotated[Array, "right c fine"],
+    period: Annotated[Array, "fine"],
     start: NDArray[np.intp],
     at: NDArray[np.intp],
     value: Array,
-    taps: Array,
-    gain: Array,
-) -> Array:
+    taps: Annotated[Array, "taps"],
+    gain: Annotated[Array, "bins"],
+) -> Annotated[Array, "changes c*c bins"]:
     """Compute ``left dZ right`` and its adjoint for every change dZ, convolved with the taper's kernel into bins.
 
-    Parameters
-    ----------
-    left_re, left_im : ndarray, shape (c, n_left, n_fine)
-    right_re, right_im : ndarray, shape (n_right, c, n_fine)
-    period : ndarray, shape (n_fine,), s/rad
-        Reciprocals of the angular frequencies.
-    start, at, value : ndarray
-        See `_entries`.
-    taps : ndarray, shape (n_taps,)
-    gain : ndarray, shape (n_bins,)
-
-    Returns
-    -------
-    ndarray, shape (n_changes, c * c, n_bins)
+    `period` are the reciprocals of the angular frequencies, s/rad; `start`, `at` and `value` are those of `_entries`.
     """
     c, _, n_fine = left_re.shape
     n_bins = gain.size
@@ -221,8 +187,8 @@ def _add_with_adjoint(v_re: Array, v_im: Array, w_re: Array, w_im: Array, first:
             out[i * i + 2 * i, k] += 2.0 * (v_re[i, k] * w_re[i, first + k] - v_im[i, k] * w_im[i, first + k])
 
 
-def packed(slopes: ComplexArray) -> Array:
-    """Pack Hermitian matrices, shape (..., n_bins, c, c), as real numbers, shape (..., c * c, n_bins).
+def packed(slopes: Annotated[ComplexArray, "... bins c c"]) -> Annotated[Array, "... c*c bins"]:
+    """Pack Hermitian matrices as real numbers.
 
     Row by row of the lower triangle: real and imaginary parts before the diagonal, then the diagonal.
     """
@@ -235,8 +201,8 @@ def packed(slopes: ComplexArray) -> Array:
     return out
 
 
-def unpacked(rows: Array) -> ComplexArray:
-    """Invert `packed`: shape (..., c * c, n_bins) to (..., n_bins, c, c)."""
+def unpacked(rows: Annotated[Array, "... c*c bins"]) -> Annotated[ComplexArray, "... bins c c"]:
+    """Invert `packed`."""
     c = round(np.sqrt(rows.shape[-2]))
     out = np.empty((*rows.shape[:-2], rows.shape[-1], c, c), dtype=complex)
     for i in range(c):

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray, compiled
 
+Spectra = Annotated[ComplexArray, "classes bins c c"]
+"""One Hermitian matrix a class and bin: cross-spectra, (m/s^2)^2/Hz, or changes relative to them."""
+
 
 @compiled(part=True, error_model="numpy")
-def cholesky(a: ComplexArray, out: ComplexArray) -> bool:
-    """Compute the lower Cholesky factor of a, shape (c, c), into `out`; return False where a is not positive definite."""
+def cholesky(a: Annotated[ComplexArray, "c c"], out: Annotated[ComplexArray, "c c"]) -> bool:
+    """Compute the lower Cholesky factor of a matrix into `out`; return False where it is not positive definite."""
     c = a.shape[0]
     for j in range(c):
         total = a[j, j].real
@@ -29,19 +34,10 @@ def cholesky(a: ComplexArray, out: ComplexArray) -> bool:
 
 
 @compiled(error_model="numpy")
-def log_det_and_trace(spectra: ComplexArray, data: ComplexArray) -> tuple[Array, Array]:
-    """Compute ``ln det S`` and ``tr(S^-1 data)`` of every class and bin.
-
-    Parameters
-    ----------
-    spectra, data : ndarray, shape (classes, bins, c, c)
-        S and the data.
-
-    Returns
-    -------
-    log_det, trace : ndarray, shape (classes, bins)
-        Infinity and zero where S is not positive definite.
-    """
+def log_det_and_trace(
+    spectra: Spectra, data: Spectra
+) -> tuple[Annotated[Array, "classes bins"], Annotated[Array, "classes bins"]]:
+    """Compute ``ln det S`` and ``tr(S^-1 data)`` of every class and bin; infinity and zero where S is not positive definite."""
     classes, bins, c, _ = spectra.shape
     log_det, trace = np.full((classes, bins), np.inf), np.zeros((classes, bins))
     lower = np.zeros((c, c), dtype=np.complex128)
@@ -64,8 +60,8 @@ def log_det_and_trace(spectra: ComplexArray, data: ComplexArray) -> tuple[Array,
 
 
 @compiled(part=True, error_model="numpy")
-def invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
-    """Invert a lower triangular matrix, shape (c, c), into `out`."""
+def invert_lower(lower: Annotated[ComplexArray, "c c"], out: Annotated[ComplexArray, "c c"]) -> None:
+    """Invert a lower triangular matrix into `out`."""
     c = lower.shape[0]
     for j in range(c):
         out[j, j] = 1.0 / lower[j, j]
@@ -77,8 +73,8 @@ def invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
 
 
 @compiled(error_model="numpy")
-def definite(matrices: ComplexArray) -> NDArray[np.bool_]:
-    """Find the Hermitian matrices, shape (classes, bins, c, c), that are positive definite: a mask, shape (classes, bins)."""
+def definite(matrices: Spectra) -> Annotated[NDArray[np.bool_], "classes bins"]:
+    """Find the Hermitian matrices that are positive definite."""
     classes, bins, c, _ = matrices.shape
     out = np.empty((classes, bins), dtype=np.bool_)
     lower = np.zeros((c, c), dtype=np.complex128)
@@ -89,19 +85,8 @@ def definite(matrices: ComplexArray) -> NDArray[np.bool_]:
 
 
 @compiled(error_model="numpy")
-def grown_by(spectra: ComplexArray, relative: ComplexArray) -> ComplexArray:
-    """Compute ``S + L dS L^H`` with ``S = L L^H`` of every class and bin.
-
-    Parameters
-    ----------
-    spectra, relative : ndarray, shape (classes, bins, c, c)
-        S and the relative change dS.
-
-    Returns
-    -------
-    ndarray, shape (classes, bins, c, c)
-        NaN where S is not positive definite.
-    """
+def grown_by(spectra: Spectra, relative: Spectra) -> Spectra:
+    """Compute ``S + L dS L^H`` with ``S = L L^H`` of every class and bin; NaN where S is not positive definite."""
     classes, bins, c, _ = spectra.shape
     out = spectra.copy()
     lower = np.zeros((c, c), dtype=np.complex128)
@@ -125,21 +110,12 @@ def grown_by(spectra: ComplexArray, relative: ComplexArray) -> ComplexArray:
 
 
 @compiled(error_model="numpy")
-def whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
-    """Compute ``root L^-1 dS L^-H`` as real rows, zeros where S is not positive definite.
+def whiten(
+    spectra: Spectra, slopes: Annotated[ComplexArray, "p classes bins c c"], root: Annotated[Array, "classes bins"]
+) -> Annotated[Array, "classes*bins*c*c p"]:
+    """Compute ``root L^-1 dS L^-H`` with ``S = L L^H`` as real rows, zeros where S is not positive definite.
 
-    Parameters
-    ----------
-    spectra : ndarray, shape (classes, bins, c, c)
-        S = L L^H.
-    slopes : ndarray, shape (p, classes, bins, c, c)
-        Changes dS.
-    root : ndarray, shape (classes, bins)
-        Root of the information in each bin.
-
-    Returns
-    -------
-    ndarray, shape (classes * bins * c * c, p)
+    `root` is the root of the information in each bin.
     """
     p, classes, bins, c, _ = slopes.shape
     out = np.empty((classes * bins * c * c, p))
