@@ -335,9 +335,7 @@ def _state_products(full: Array, past_rows: Indices, i: int, l: int) -> tuple[Ar
     )
 
 
-def _algorithm_1(
-    states: tuple[Array, Array, Array], o: Array, l: int
-) -> tuple[Annotated[Array, "n n"], Annotated[Array, "l n"]]:
+def _algorithm_1(states: tuple[Array, Array, Array], o: Array, l: int) -> tuple[Array, Array]:  # noqa: E741
     """Solve eq. 11 for A and C by least squares from the state sequences."""
     inverse, inverse_minus = np.linalg.pinv(o), np.linalg.pinv(o[:-l])
     now_now = inverse @ states[0] @ inverse.T

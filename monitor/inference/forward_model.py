@@ -142,7 +142,7 @@ class ForwardModel(ABC):
         return self.complete(self.linear_spectra(x, (*self.prior.effects(x), *effects), wanted), x, effects, wanted)
 
     def complete(self, linear: Spectra, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> Spectra:
-        """Add the simulated correction, the known model error and the sensors' drift to linearized spectra of the wanted classes."""
+        """Add the simulated correction, the known model error and the sensors' drift to the wanted classes' linear spectra."""
         spectra = linear if self.offset is None else linear + self.offset[list(classes)]
         return self.add_drift(self._with_model_error(spectra, effects, classes))
 
