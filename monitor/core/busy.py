@@ -13,12 +13,8 @@ a failure is told]"""
 class Busy:
     """Stopwatch of a thread's present piece of work, by which others see that the thread does not answer.
 
-    The thread does each piece of its work ``with busy:``, or between `begin` and `end`; any thread may ask `overdue`.
-
-    Parameters
-    ----------
-    clock : callable
-        Seconds of a clock that never goes back.
+    The thread does each piece of its work ``with busy:``, or between `begin` and `end`; any thread may ask `overdue`.  The clock
+    counts seconds and never goes back.
 
     Examples
     --------

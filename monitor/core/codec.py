@@ -35,12 +35,10 @@ def decode(
     beside: Iterable[str] = (),
     **lengths: int,
 ) -> T:
-    """Build a value from what `encode` returned.
+    """Build a value, a dataclass, from what `encode` returned; ValueError names the place at which the tree does not fit.
 
     Parameters
     ----------
-    cls : type
-        Dataclass of the value.
     given : mapping, optional
         Fields of the value that the tree does not hold, or that are read apart.
     place : str
@@ -49,11 +47,6 @@ def decode(
         What else the tree may hold.
     lengths : int
         Lengths that are known from elsewhere, by their letters.
-
-    Raises
-    ------
-    ValueError
-        The tree does not fit the class; the message names the place.
 
     Examples
     --------
@@ -86,10 +79,7 @@ def decode(
 def to_plain(value: object, array: Callable[[np.ndarray], Any]) -> Any:
     """Convert a value to dicts, lists, numbers and text, and what `array` makes of an array.
 
-    Raises
-    ------
-    TypeError
-        A part of the value has a type that cannot be kept.
+    Raises TypeError if a part of the value has a type that cannot be kept.
     """
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: to_plain(getattr(value, f.name), array) for f in fields(value) if f.init}
@@ -118,15 +108,8 @@ Arrays = Callable[[Any, tuple[Any, ...], str, dict[str, int]], Any]
 def from_plain(hint: Any, tree: Any, array: Arrays, place: str = "", lengths: dict[str, int] | None = None) -> Any:
     """Build a value of the type `hint` from its plain form; the inverse of `to_plain`.
 
-    Parameters
-    ----------
-    array : callable
-        Makes an array of its plain form, the notes on its type, its place and the lengths known so far.
-
-    Raises
-    ------
-    ValueError
-        The tree does not fit the type.
+    `array` makes an array of its plain form, the notes on its type, its place and the lengths known so far.  Raises ValueError if
+    the tree does not fit the type.
     """
     lengths, notes = {} if lengths is None else lengths, tuple[Any, ...]()
     if get_origin(hint) is Annotated:

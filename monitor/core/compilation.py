@@ -11,19 +11,12 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled(*, part: bool = False, **options: Any) -> Callable[[_Function], _Function]:
-    """Compile a function by ``numba.njit`` without the interpreter lock, and cache the result on disk where possible.
+    """Compile a function by ``numba.njit`` (`options`) without the interpreter lock, and cache the result on disk where possible.
 
-    Parameters
-    ----------
-    part : bool
-        Whether other compiled functions call it.  It is then compiled with each of them, never read from the disk: numba puts
-        one that it has just compiled into its caller, and one from the disk it does not, so that the last digits of the caller's
-        results may depend on what earlier processes left there.
-    options
-        As of ``numba.njit``.
+    A `part` is called by other compiled functions.  It is compiled with each of them, never read from the disk: numba puts one
+    that it has just compiled into its caller, and one from the disk it does not, so that the last digits of the caller's results
+    may depend on what earlier processes left there.
 
-    Notes
-    -----
     There is no cache where neither the package nor the user has a writable folder, unless ``NUMBA_CACHE_DIR`` names one: for
     example a program that root installed, run by a user without a home.  The function is then compiled again in each process,
     which takes seconds, without a message.

@@ -43,25 +43,13 @@ def missing_extra(extra: str) -> str | None:
 
 
 def require_extra(extra: str, what: str) -> None:
-    """Require that an extra is installed.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not; `what` (a file, a command, a key) begins the message.
-    """
+    """Require that an extra is installed; the message of MissingExtraError begins with `what` (a file, a command, a key)."""
     if (line := missing_extra(extra)) is not None:
         raise MissingExtraError(f"{what} {line}")
 
 
 def import_extra(module: str, what: str) -> Any:
-    """Import an optional module, such as ``pyarrow.parquet``.
-
-    Raises
-    ------
-    MissingExtraError
-        Its extra is not installed; `what` (a file, a command, a key) begins the message.
-    """
+    """Import an optional module, such as ``pyarrow.parquet``; raise MissingExtraError as `require_extra`."""
     require_extra(_EXTRA_OF[module.partition(".")[0]], what)
     return import_module(module)
 

@@ -16,13 +16,7 @@ from monitor.core.errors import MissingInputError, WrongUsageError
 
 
 def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
-    """Refuse outputs that would overwrite an input.
-
-    Raises
-    ------
-    WrongUsageError
-        If an output is an input too.
-    """
+    """Refuse, by WrongUsageError, outputs that would overwrite an input."""
     taken = {os.path.realpath(path) for path in inputs if path is not None}
     for path in outputs:
         if os.path.realpath(path) in taken:
@@ -30,13 +24,7 @@ def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None
 
 
 def demand_place(path: Path) -> None:
-    """Make the folder of an output and check that a file can be written there.
-
-    Raises
-    ------
-    MissingInputError
-        If the file cannot be written.
-    """
+    """Make the folder of an output and check that a file can be written there; raise MissingInputError if not."""
     try:
         part = partial(path)
         part.parent.mkdir(parents=True, exist_ok=True)

@@ -12,15 +12,10 @@ _SENTENCES = frozenset({"says", "separating_measurement", "headline", "reason"})
 
 
 def name_stories(text: str, names: Sequence[str]) -> str:
-    """Put the names of the stories into a finished sentence.
+    """Put the names of the stories, from the first one on, into a finished sentence.
 
-    Parameters
-    ----------
-    text : str
-        With ``story 3``, which becomes ``story 3 (girder)``.
-    names : sequence of str
-        What people call each story, as ``story 3 (girder)``, the first one first; no change where there are none.  A name of
-        another form, as ``mode 3``, takes the place of ``story 3``.
+    ``story 3`` becomes ``story 3 (girder)``, as people call it; nothing changes where there are no names.  A name of another
+    form, as ``mode 3``, takes the place of ``story 3``.
 
     Examples
     --------

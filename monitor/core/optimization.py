@@ -39,11 +39,11 @@ class Linearization(Protocol):
 
     @property
     def normal(self) -> Array:
-        """Negative of the expected second derivatives, shape (p, p), positive definite."""
+        """Negative of the expected second derivatives, positive definite."""
 
     @property
     def gradient(self) -> Array:
-        """First derivatives, shape (p,)."""
+        """First derivatives."""
 
 
 P = TypeVar("P", bound=Point)
@@ -69,19 +69,15 @@ def levenberg_marquardt(
     tolerance: float,
     fixed_slopes_gain: float,
 ) -> Maximum[P, L]:
-    """Maximize an objective by Levenberg-Marquardt steps.
+    """Maximize an objective by Levenberg-Marquardt steps; the search does not begin where the objective is not finite.
 
     Parameters
     ----------
-    start : Point
-        The search does not begin where the objective is not finite.
     linearize : callable
         Linearizes the objective at a point.  The second argument is the linearization before, whose slopes may serve once
         more, or None.
     move : callable
-        Evaluates the point that lies a step, shape (p,), away from another; it may shorten the step.
-    iterations : int
-        Most steps.
+        Evaluates the point that lies a step away from another; it may shorten the step.
     tolerance : float
         Gain of a step at which the search has converged, nats.
     fixed_slopes_gain : float

@@ -30,12 +30,8 @@ def parallel_map(function: Callable[[_Item], _Result], items: Iterable[_Item]) -
 
     Interpreted code of one process runs on one core only, hence the processes.  The function must be pure and its results
     picklable; its items need not be picklable.  The items are computed one after the other in a child process, where other
-    Python threads run (a fork would inherit their locks), and where only one core is available.
-
-    Raises
-    ------
-    NoResourcesError
-        If a process cannot be made, or is killed.
+    Python threads run (a fork would inherit their locks), and where only one core is available.  Raises NoResourcesError if a
+    process cannot be made, or is killed.
 
     Examples
     --------

@@ -10,14 +10,9 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def parse_address(text: str, *, any_port: bool = False) -> tuple[str, int]:
-    """Parse HOST:PORT to host and port; an IPv6 address loses its brackets.
+    """Parse HOST:PORT to host and port, else raise ValueError; an IPv6 address loses its brackets.
 
     Port 0, for any free port, is accepted only with `any_port`.
-
-    Raises
-    ------
-    ValueError
-        If the text is not HOST:PORT.
 
     Examples
     --------
@@ -46,10 +41,7 @@ def utc(t_ns: float, *, seconds: bool = False) -> str:
 def utc_ns(text: str) -> int:
     """Convert a time in ISO 8601 to nanoseconds since 1970 UTC; a time without zone is UTC.
 
-    Raises
-    ------
-    ValueError
-        If the text is not a time, or the time does not fit in 64 bits.
+    Raises ValueError if the text is not a time, or the time does not fit in 64 bits.
 
     Examples
     --------
@@ -70,10 +62,7 @@ def utc_ns(text: str) -> int:
 def parse_json(text: str | bytes) -> Any:
     """Parse strict JSON of any origin.
 
-    Raises
-    ------
-    ValueError
-        If the text is no JSON, holds NaN or an infinity, or is nested too deeply.
+    Raises ValueError if the text is no JSON, holds NaN or an infinity, or is nested too deeply.
 
     Examples
     --------

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,28 +77,28 @@ class Samples:
     t_ns: int
     """UTC of the first sample."""
     rate_hz: float
-    values: Array
-    """Shape (n_samples, c), m/s^2."""
+    values: Annotated[Array, "samples c"]
+    """m/s^2."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LagSums:
     """Lag sums of one window: sums of lagged products over blocks of raw samples, and the terms that remove the mean."""
 
-    products: Array
-    """Shape (n_blocks, 2 i, c, c), (m/s^2)^2: ``sum_k y[k] y[k + tau]^T`` over the samples k of a block."""
-    shifted: Array
-    """Shape (n_blocks, 2 i, c), m/s^2: sums of the second factors; at lag 0 these are the first factors as well."""
-    mean: Array
-    """Shape (c,): mean of the window, m/s^2."""
-    counts: NDArray[np.int64]
-    """Shape (n_blocks,): the number of products in each block."""
-    head: Array
-    """Shape (2 i - 1, c): the window's first samples about its mean, m/s^2."""
-    tail: Array
-    """Shape (2 i - 1, c): the window's last samples about its mean, m/s^2."""
-    total: Array
-    """Shape (2 i, c, c): sum of the blocks' lagged products about the window's mean, (m/s^2)^2."""
+    products: Annotated[Array, "blocks 2i c c"]
+    """``sum_k y[k] y[k + tau]^T`` over the samples k of a block, (m/s^2)^2."""
+    shifted: Annotated[Array, "blocks 2i c"]
+    """Sums of the second factors, m/s^2; at lag 0 these are the first factors as well."""
+    mean: Annotated[Array, "c"]
+    """Mean of the window, m/s^2."""
+    counts: Annotated[NDArray[np.int64], "blocks"]
+    """The number of products in each block."""
+    head: Annotated[Array, "2i-1 c"]
+    """The window's first samples about its mean, m/s^2."""
+    tail: Annotated[Array, "2i-1 c"]
+    """The window's last samples about its mean, m/s^2."""
+    total: Annotated[Array, "2i c c"]
+    """Sum of the blocks' lagged products about the window's mean, (m/s^2)^2."""
 
     def only(self, channels: tuple[int, ...]) -> LagSums:
         """Select some channels (0 = first): a sub-block of every sum, which no other channel reaches."""
@@ -126,8 +127,8 @@ class Window:
     sums: LagSums
     first_block: int
     """Number of the first block of `sums` on the stream's grid."""
-    segments: tuple[ComplexArray, ...]
-    """Each of shape (n_bins, c): tapered Fourier transforms of half-overlapping segments, m/s^2/sqrt(Hz)."""
+    segments: tuple[Annotated[ComplexArray, "bins c"], ...]
+    """Tapered Fourier transforms of half-overlapping segments, m/s^2/sqrt(Hz)."""
     segment_bin_hz: float
     """Spacing of the bins, which begin at 0 Hz, in Hz."""
     first_segment: int
@@ -160,34 +161,36 @@ class OtherMode:
     frequency_std_hz: float
     """Standard deviation; NaN where not known."""
     damping_ratio: float
-    shape: ComplexArray
-    """Shape (c,); the largest component is 1."""
+    shape: Annotated[ComplexArray, "c"]
+    """The largest component is 1."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ModalEstimate:
     """Modes of one window, in the order of the model's modes (not by their present frequency), with their joint covariance."""
 
-    frequencies_hz: Array
-    """Shape (m,)."""
-    damping_ratio: Array
-    """Shape (m,)."""
-    shapes: ComplexArray
-    """Shape (m, c); the component that is largest in the subspace estimate is 1, that of a channel left out is NaN."""
-    model_mode: NDArray[np.int64]
-    """Shape (m,): number of the model's mode (0 = lowest) that each mode was matched to."""
-    deviations: Array
-    """Shape (n_blocks, m, 2 + 2 c): first-order influence of each block of data on (ln f, damping ratio, Re shape,
-    Im shape).  The sum of their squares is the covariance of the estimate; without blocks the covariance is not known."""
+    frequencies_hz: Annotated[Array, "m"]
+    damping_ratio: Annotated[Array, "m"]
+    shapes: Annotated[ComplexArray, "m c"]
+    """The component that is largest in the subspace estimate is 1, that of a channel left out is NaN."""
+    model_mode: Annotated[NDArray[np.int64], "m"]
+    """Number of the model's mode (0 = lowest) that each mode was matched to."""
+    deviations: Annotated[Array, "blocks m columns"]
+    """First-order influence of each block of data on (ln f, damping ratio, Re shape, Im shape), 2 + 2 c columns.
+
+    The sum of their squares is the covariance of the estimate; without blocks the covariance is not known.
+    """
     first: int
     """Number of the first deviation on the stream's grid; overlapping windows share the deviations of common data."""
     order: int
     """State-space order of the estimate (a mode that is split at this order is taken from another)."""
-    poles: Array
-    """Shape (n_poles, 4): order, frequency in Hz, damping ratio, 1 if stable; the stabilisation diagram."""
-    weight_factor: Array | None = None
-    """Shape (n_rows, m, 2 + 2 c): rows whose squares sum to the covariance for the weights of the updating.  It is the inverse of
-    the likelihood's information and well conditioned.  None: weigh by the deviations' variances."""
+    poles: Annotated[Array, "poles 4"]
+    """Order, frequency in Hz, damping ratio, 1 if stable; the stabilisation diagram."""
+    weight_factor: Annotated[Array, "rows m columns"] | None = None
+    """Rows whose squares sum to the covariance for the weights of the updating.
+
+    It is the inverse of the likelihood's information and well conditioned. None: weigh by the deviations' variances.
+    """
     refined: bool = False
     """True for the maximum-likelihood estimate, False for the subspace estimate."""
     others: tuple[OtherMode, ...] = ()
@@ -197,16 +200,16 @@ class ModalEstimate:
 
     @property
     def frequencies_std_hz(self) -> Array:
-        """Standard deviations of the frequencies, shape (m,), Hz; NaN where not known."""
+        """Standard deviations of the frequencies, Hz; NaN where not known."""
         return np.asarray(self.frequencies_hz * self._std(0))
 
     @property
     def damping_std(self) -> Array:
-        """Standard deviations of the damping ratios, shape (m,); NaN where not known."""
+        """Standard deviations of the damping ratios; NaN where not known."""
         return self._std(1)
 
     def _std(self, column: int) -> Array:
-        """Compute the standard deviations of one column of the deviations, shape (m,)."""
+        """Compute the standard deviations of one column of the deviations."""
         if not len(self.deviations):
             return np.full(len(self.frequencies_hz), np.nan)
         return np.asarray(np.sqrt((self.deviations[:, :, column] ** 2).sum(axis=0)))
@@ -233,7 +236,7 @@ class ModalEstimate:
         columns = [0, 1, *(2 + k for k in channels), *(2 + n_channels + k for k in channels)]
 
         def spread(rows: Array) -> Array:
-            """Place deviations, shape (n_rows, m, 2 + 2 c)."""
+            """Place deviations."""
             out = np.full((*rows.shape[:2], 2 + 2 * n_channels), np.nan)
             out[:, :, columns] = rows
             return out
@@ -267,42 +270,39 @@ class ModalEstimate:
 class StiffnessEstimate:
     """Story stiffnesses updated to a window's modes."""
 
-    stiffness_n_per_m: Array
-    """Shape (n,)."""
-    covariance: Array
-    """Shape (n, n), (N/m)^2."""
+    stiffness_n_per_m: Annotated[Array, "n"]
+    covariance: Annotated[Array, "n n"]
+    """(N/m)^2."""
     converged: bool
     iterations: int
     misfit: float
     """Goodness of fit of the change since the baseline: squared misfit over its expectation; about 1 when stiffness explains the
     change, and 1 without a baseline."""
-    mode_misfit: Array = field(default_factory=lambda: np.zeros(0))
-    """Shape (m,): squared misfit of each mode's frequency and shape, over their variances; zeros where the updating could not
-    begin."""
+    mode_misfit: Annotated[Array, "m"] = field(default_factory=lambda: np.zeros(0))
+    """Squared misfit of each mode's frequency and shape, over their variances; zeros where the updating could not begin."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DamageReading:
     """Relative stiffness loss of each story since the baseline (0.2 = 20 % lost)."""
 
-    ddi: Array
-    """Shape (n,): the direct parameter ratio, 1 - k / k_baseline."""
-    ddi_covariance: Array
-    """Shape (n, n): covariance of `ddi`, including the baseline's uncertainty."""
-    ddi_sequential: Array
-    """Shape (n,): index from the difference of the stiffness matrices, in the paper's sequence."""
-    loss_n_per_m: Array
-    """Shape (n,): stiffness lost since the baseline."""
-    common_covariance: Array = field(default_factory=lambda: np.zeros(()))
-    """Shape (n, n): the part of `ddi_covariance` common to all windows, from the baseline; averaging does not reduce it."""
+    ddi: Annotated[Array, "n"]
+    """The direct parameter ratio, 1 - k / k_baseline."""
+    ddi_covariance: Annotated[Array, "n n"]
+    """Covariance of `ddi`, including the baseline's uncertainty."""
+    ddi_sequential: Annotated[Array, "n"]
+    """Index from the difference of the stiffness matrices, in the paper's sequence."""
+    loss_n_per_m: Annotated[Array, "n"]
+    """Stiffness lost since the baseline."""
+    common_covariance: Annotated[Array, "n n"] = field(default_factory=lambda: np.zeros(()))
+    """The part of `ddi_covariance` common to all windows, from the baseline; averaging does not reduce it."""
     model_form: float = 0.0
     """Error of any story's index from the systematic misfit of the model, as a share of the largest loss (one standard
     deviation).  It is contained in `ddi_covariance`, but is no evidence against a story without loss."""
-    temperature_effect: Array | None = None
-    """Shape (n,): relative change of stiffness explained by the temperature, removed from the index; None where
-    no dependence is known."""
-    covariate_effect: dict[str, Array] = field(default_factory=dict)
-    """Shape (n,) for each known covariate: change of the logarithm of stiffness explained by it, removed from the index."""
+    temperature_effect: Annotated[Array, "n"] | None = None
+    """Relative change of stiffness explained by the temperature, removed from the index; None where no dependence is known."""
+    covariate_effect: dict[str, Annotated[Array, "n"]] = field(default_factory=dict)
+    """Change of the logarithm of stiffness explained by each known covariate, removed from the index."""
     beyond: str = ""
     """What lies beyond calibration, in words, where what is not known of the covariates would hide the loss of an `alarm`."""
     unidentified: tuple[int, ...] = ()
@@ -312,7 +312,7 @@ class DamageReading:
 
     @property
     def ddi_std(self) -> Array:
-        """Standard deviations of the index, shape (n,)."""
+        """Standard deviations of the index."""
         return np.asarray(np.sqrt(np.diag(self.ddi_covariance)))
 
     @property
@@ -325,20 +325,20 @@ class DamageReading:
 class ModalReading:
     """Change of each mode since the baseline, less what the covariates explain; NaN for what the window does not show."""
 
-    ln_frequency: Array
-    """Shape (m,): change of the logarithm of each frequency of the baseline's modes."""
-    covariance: Array
-    """Shape (m, m): covariance of `ln_frequency`, with that of the baseline and of the covariates' law."""
-    common_covariance: Array
-    """Shape (m, m): the part of it that windows share; averaging does not reduce it."""
-    shape: Array
-    """Shape (m, c): change of the shapes' real parts, 1 at the largest component of the healthy shape, where it is NaN."""
-    shape_variance: Array
-    """Shape (m, c): variance of `shape`, with that of the baseline and of the covariates' law."""
-    shape_common_variance: Array
-    """Shape (m, c): the part of it that windows share."""
-    covariate_effect: dict[str, Array] = field(default_factory=dict)
-    """Shape (m,) for each known covariate: change of the logarithm of the frequency that it explains, removed from the change."""
+    ln_frequency: Annotated[Array, "m"]
+    """Change of the logarithm of each frequency of the baseline's modes."""
+    covariance: Annotated[Array, "m m"]
+    """Covariance of `ln_frequency`, with that of the baseline and of the covariates' law."""
+    common_covariance: Annotated[Array, "m m"]
+    """The part of it that windows share; averaging does not reduce it."""
+    shape: Annotated[Array, "m c"]
+    """Change of the shapes' real parts, 1 at the largest component of the healthy shape, where it is NaN."""
+    shape_variance: Annotated[Array, "m c"]
+    """Variance of `shape`, with that of the baseline and of the covariates' law."""
+    shape_common_variance: Annotated[Array, "m c"]
+    """The part of it that windows share."""
+    covariate_effect: dict[str, Annotated[Array, "m"]] = field(default_factory=dict)
+    """Change of the logarithm of the frequency that each known covariate explains, removed from the change."""
     beyond: str = ""
     """What lies beyond calibration, in words, where what is not known of the covariates would hide an `alarm`."""
     channels: tuple[int, ...] = ()
@@ -346,11 +346,11 @@ class ModalReading:
 
     @property
     def ln_frequency_std(self) -> Array:
-        """Standard deviations of the changes of frequency, shape (m,)."""
+        """Standard deviations of the changes of frequency."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def largest_shape_change(self) -> tuple[Array, Array]:
-        """Return the most significant change of each shape and its standard deviation, shape (m,); NaN where none is known."""
+    def largest_shape_change(self) -> tuple[Annotated[Array, "m"], Annotated[Array, "m"]]:
+        """Return the most significant change of each shape and its standard deviation; NaN where none is known."""
         z = np.abs(self.shape) / np.sqrt(self.shape_variance)
         rows, best = np.arange(len(z)), np.where(np.isfinite(z), z, -1.0).argmax(axis=1)
         return self.shape[rows, best], np.sqrt(self.shape_variance[rows, best])
@@ -360,8 +360,8 @@ class ModalReading:
 class Temperature:
     """Temperature of a window."""
 
-    lagged_degc: Array
-    """Shape (n_lags,): mean over the window after each thermal lag of `temperature.LAGS_S`, degC; the first is as measured."""
+    lagged_degc: Annotated[Array, "lags"]
+    """Mean over the window after each thermal lag of `temperature.LAGS_S`, degC; the first is as measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -397,18 +397,18 @@ class WindowResult:
     """Temperature of the window; None without a temperature channel, or where the newest reading is too old."""
     mode_tracks: tuple[int, ...] = ()
     """Number of the track of each mode, then of each of `modes.others`, from 0; -1 for a mode not observed often enough yet."""
-    detectable_loss: Array | None = None
-    """Shape (n,): smallest sudden loss of each story that would be seen (`damage.detectable_loss`), and what the source's clock
-    leaves open; infinite where none would be seen; None without a baseline."""
+    detectable_loss: Annotated[Array, "n"] | None = None
+    """Smallest sudden loss of each story that would be seen (`damage.detectable_loss`), and what the source's clock leaves open;
+    infinite where none would be seen; None without a baseline."""
     covariates: dict[str, Array] = field(default_factory=dict)
-    """Shape (n_lags,) for each covariate that is known: its mean over the window after each thermal lag of
-    `temperature.LAGS_S`, in its unit; the level of motion has one value, in dB of 1 m of RMS drift."""
+    """Mean of each known covariate over the window after each thermal lag of `temperature.LAGS_S`, in its unit; the level of
+    motion has one value, in dB of 1 m of RMS drift."""
     left_out: tuple[LeftOutChannel, ...] = ()
     """Channels of which the window makes no use; their components of `modes.shapes` are NaN."""
     modal: ModalReading | None = None
     """Change of the modes, where they are all that is judged."""
-    motion: Array | None = None
-    """Shape (c, c), (m/s^2)^2: covariance of the accelerations; None where not all channels were judged."""
+    motion: Annotated[Array, "c c"] | None = None
+    """Covariance of the accelerations, (m/s^2)^2; None where not all channels were judged."""
     rates_hz: tuple[float, float] | None = None
     """Rate that the source states, and its rate by the timestamps, Hz."""
 

@@ -37,19 +37,8 @@ def read_settings(kind: type[_Model], table: Mapping[str, Any]) -> _Model:
     """Validate a table of a TOML file in pydantic's strict mode: a value of another type than the key's is refused.
 
     pydantic reads the table as JSON: its strict mode then takes an array for a tuple and text for a path, which TOML, as JSON,
-    cannot tell apart.
-
-    Parameters
-    ----------
-    kind : type
-        Class of the settings.
-    table : mapping
-        As read from the file; arrays and numbers of NumPy are taken as well.
-
-    Raises
-    ------
-    pydantic.ValidationError
-        The table is invalid; `settings_problems` puts it into words.
+    cannot tell apart.  Arrays and numbers of NumPy are taken as well.  Raises ValidationError if the table is invalid;
+    `settings_problems` puts it into words.
     """
 
     def as_json(value: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -30,13 +31,12 @@ class InstrumentedModel:
 
     model: Model
     channels: tuple[str, ...]
-    """Names of the accelerometers, c of them."""
+    """Names of the accelerometers."""
     floors: tuple[int, ...]
     """Floor (degree of freedom, counted from 1) of each channel."""
-    prior_std: Array
-    """Relative standard deviations of the stiffnesses, then of the masses, shape (p + n,)."""
+    prior_std: Annotated[Array, "p+n"]
+    """Relative standard deviations of the stiffnesses, then of the masses."""
     name: str = ""
-    """Name of the structure."""
     kind: str = ""
     """Kind of the structure, as in its file."""
     rate_hz: float | None = None
@@ -45,15 +45,15 @@ class InstrumentedModel:
     """Cutoff of the lowpass before resampling."""
 
     @property
-    def sensor_matrix(self) -> Array:
-        """Matrix that picks the channels out of the floors' motion, shape (c, n)."""
+    def sensor_matrix(self) -> Annotated[Array, "c n"]:
+        """Matrix that picks the channels out of the floors' motion."""
         matrix = np.zeros((len(self.floors), self.model.structure.n_dofs))
         matrix[np.arange(len(self.floors)), np.array(self.floors, dtype=int) - 1] = 1.0
         return matrix
 
     @property
-    def stiffness_prior_std(self) -> Array:
-        """Relative standard deviations of the stiffnesses alone, shape (p,)."""
+    def stiffness_prior_std(self) -> Annotated[Array, "p"]:
+        """Relative standard deviations of the stiffnesses alone."""
         return self.prior_std[: self.model.structure.n_stories]
 
     def with_model(self, model: Model) -> InstrumentedModel:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil, exp, tanh
+from typing import Annotated
 
 import numpy as np
 
@@ -80,36 +81,24 @@ def march(
     step_hz: float = STEP_HZ,
     *,
     appended: bool = False,
-) -> Array:
-    """Integrate the accelerations of the structure's degrees of freedom, from rest before the first sample.
+) -> Annotated[Array, "samples n"]:
+    """Integrate the accelerations of the structure's degrees of freedom, m/s^2, from rest before the first sample.
+
+    A step of each complex mode of the linear part is ``q1 = e^(p h) q0 + behind u0 + ahead u1``, where u is the modal force.
+    The stiffness that temperature adds acts as one more law for each degree of freedom.
 
     Parameters
     ----------
     system : System
-        The linear part, N degrees of freedom.
-    n : int
-        Number of the structure's degrees of freedom, the first of the N.
-    laws : sequence of Law
-        Nonlinear forces on the structure's degrees of freedom.
-    forces : ndarray, shape (n_samples, n to N), N
-        Applied forces, linear in time between samples.
-    rate_hz : float
-        Rate of the samples.
-    factor : ndarray, shape (n_samples,), optional
-        Factor on the stiffness of the structure's degrees of freedom.
+        The linear part, N degrees of freedom, of which the first n are the structure's.
+    forces : ndarray
+        Applied forces on the first n to N of them, N, linear in time between samples.
+    factor : ndarray, optional
+        Factor on the stiffness of the structure's degrees of freedom at every sample.
     step_hz : float
         Least rate of the integration steps.
     appended : bool
         Whether the accelerations of the degrees of freedom that effects add are wanted too.
-
-    Returns
-    -------
-    ndarray, shape (n_samples, n), or (n_samples, N) with the appended ones, m/s^2
-
-    Notes
-    -----
-    A step of each complex mode of the linear part is ``q1 = e^(p h) q0 + behind u0 + ahead u1``, where u is the modal force.
-    The stiffness that temperature adds acts as one more law for each degree of freedom.
     """
     size, columns, substeps = system.mass.shape[0], forces.shape[1], max(1, ceil(step_hz / rate_hz))
     h = 1.0 / (rate_hz * substeps)
@@ -158,24 +147,12 @@ def _march(
     drift: ComplexArray, speed: ComplexArray, output: ComplexArray, direct: Array, kinds: Array, parameters: Array,
     forces: Array, excess: Array, substeps: int,
 ) -> Array:  # fmt: skip
-    """Integrate the accelerations without the direct part of the applied forces, shape (n_samples, n), m/s^2.
+    """Integrate the accelerations without the direct part of the applied forces, m/s^2.
 
-    Parameters
-    ----------
-    decay, behind, ahead : ndarray, shape (m,)
-        Coefficients of a step of the m modes.
-    drive, acting : ndarray, shape (m, columns), (m, q)
-        Modal forces of the applied forces and of the q laws.
-    drift, speed, output : ndarray, shape (q, m), (q, m), (n, m)
-        Rows whose product with the modal coordinates has as its real part the displacements and velocities on which the laws
-        depend, and the accelerations.
-    direct : ndarray, shape (n, q)
-        Accelerations that the laws' forces cause at once.
-    kinds, parameters : ndarray, shape (q,), (q, 2)
-        Kind and parameters of each law.
-    forces : ndarray, shape (n_samples, columns), N
-    excess : ndarray, shape (n_samples,) or (0,)
-        Factor on the stiffness less one; empty where the stiffness is constant.
+    `decay`, `behind` and `ahead` are the coefficients of a step of the m modes, `drive` and `acting` the modal forces of the
+    applied forces and of the q laws.  The product of `drift`, `speed` and `output` with the modal coordinates has as its real
+    part the displacements and velocities on which the laws depend, and the accelerations; `direct` are accelerations that the
+    laws' forces cause at once.  `excess` is the factor on the stiffness less one; empty where the stiffness is constant.
     """
     m, q, columns, n = decay.size, kinds.size, forces.shape[1], output.shape[0]
     floors = np.empty((forces.shape[0], n))
@@ -244,10 +221,7 @@ def _force(
 ) -> float:
     """Evaluate the force of a law, or that of the stiffness that temperature adds.
 
-    Parameters
-    ----------
-    held, before : float
-        Force of a hysteretic law over its largest, and displacement, at the start of the step.
+    `held` and `before` are the force of a hysteretic law over its largest, and its displacement, at the start of the step.
     """
     if kind == _TEMPERATURE_LAW:
         return stiffness_excess * d

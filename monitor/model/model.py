@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import lapack
@@ -16,14 +17,14 @@ from monitor.model.structures import Structure
 class Modes:
     """Undamped modes of a model, lowest frequency first."""
 
-    eigenvalues: Array
-    """Shape (n,), (rad/s)^2."""
-    shapes: Array
-    """Shape (n, n): shapes[:, i] is mode i at the floors, with unit modal mass."""
+    eigenvalues: Annotated[Array, "n"]
+    """(rad/s)^2."""
+    shapes: Annotated[Array, "n n"]
+    """shapes[:, i] is mode i at the floors, with unit modal mass."""
 
     @property
-    def frequencies_hz(self) -> Array:
-        """Natural frequencies, shape (n,), Hz."""
+    def frequencies_hz(self) -> Annotated[Array, "n"]:
+        """Natural frequencies, Hz."""
         return np.asarray(np.sqrt(self.eigenvalues) / (2.0 * np.pi))
 
 
@@ -42,13 +43,13 @@ class Model:
 
     structure: Structure
     effects: tuple[Effect, ...] = ()
-    correction: Array | None = None
-    """Stiffness that neither the structure's form nor an effect explains, the persistent model error; shape (n, n), N/m."""
-    modal_damping: Array | None = None
-    """Damping ratio of every mode, shape (n,), in place of the structure's Rayleigh damping."""
+    correction: Annotated[Array, "n n"] | None = None
+    """Stiffness that neither the structure's form nor an effect explains, the persistent model error; N/m."""
+    modal_damping: Annotated[Array, "n"] | None = None
+    """Damping ratio of every mode, in place of the structure's Rayleigh damping."""
 
     def with_stiffness(self, stiffness_n_per_m: Array) -> Model:
-        """Return the model with other story stiffnesses, shape (p,), N/m."""
+        """Return the model with other story stiffnesses, N/m."""
         return replace(self, structure=self.structure.with_stiffness(stiffness_n_per_m))
 
     def as_built(self) -> Model:
@@ -59,7 +60,7 @@ class Model:
         return replace(self, structure=self.structure.changed(np.zeros(self.structure.n_stories)))
 
     def with_masses(self, masses_kg: Array) -> Model:
-        """Return the model with other floor masses, shape (n,), kg."""
+        """Return the model with other floor masses, kg."""
         return replace(self, structure=self.structure.with_masses(masses_kg))
 
     def altered_structure(self) -> Structure:
@@ -70,14 +71,8 @@ class Model:
             structure = effect.altered(structure)
         return structure
 
-    def structural_matrices(self) -> tuple[Array, Array]:
-        """Assemble the mass and stiffness matrices, with the effects that are linear at every level of vibration.
-
-        Returns
-        -------
-        mass : ndarray, shape (n, n), kg
-        stiffness : ndarray, shape (n, n), N/m
-        """
+    def structural_matrices(self) -> tuple[Annotated[Array, "n n"], Annotated[Array, "n n"]]:
+        """Assemble the mass and stiffness matrices (kg, N/m), with the effects that are linear at every level of vibration."""
         structure = self.altered_structure()
         mass, stiffness = structure.mass_matrix(), structure.stiffness_matrix()
         for effect in self.effects:
@@ -85,15 +80,15 @@ class Model:
         return mass, stiffness if self.correction is None else stiffness + self.correction
 
     def mass_matrix(self) -> Array:
-        """Assemble the mass matrix, shape (n, n), kg."""
+        """Assemble the mass matrix, kg."""
         return self.structural_matrices()[0]
 
     def stiffness_matrix(self) -> Array:
-        """Assemble the stiffness matrix, shape (n, n), N/m."""
+        """Assemble the stiffness matrix, N/m."""
         return self.structural_matrices()[1]
 
-    def damping_ratios(self) -> Array:
-        """Compute the damping ratio of every mode, shape (n,)."""
+    def damping_ratios(self) -> Annotated[Array, "n"]:
+        """Compute the damping ratio of every mode."""
         if self.modal_damping is not None:
             return self.modal_damping
         modes = self.modes()
@@ -101,7 +96,7 @@ class Model:
         return np.asarray(modal / (2.0 * np.sqrt(modes.eigenvalues)))
 
     def damping_matrix(self) -> Array:
-        """Assemble the damping matrix, shape (n, n), N s/m.
+        """Assemble the damping matrix, N s/m.
 
         The damping is modal where `modal_damping` is given.  Otherwise it is Rayleigh damping with the structure's damping ratio
         in modes 1 and 2.
@@ -118,8 +113,8 @@ class Model:
         beta = 2.0 * ratio / (first + second)
         return np.asarray(alpha * self.mass_matrix() + beta * self.stiffness_matrix())
 
-    def stiffness_derivatives(self) -> Array:
-        """Differentiate the stiffness matrix by the story stiffnesses: dK / dk_j, shape (n_stories, n, n).
+    def stiffness_derivatives(self) -> Annotated[Array, "stories n n"]:
+        """Differentiate the stiffness matrix by the story stiffnesses: dK / dk_j.
 
         The derivatives are exact for the structure without effects, and central differences with effects.
         """

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,32 +28,20 @@ class ModelDiscrepancy:
     Where the model's spectra are ``L L^H``, those of the healthy structure are ``L (1 + E) L^H``.
     """
 
-    hz: Array
-    """Middles of narrow bands, evenly spaced, shape (m,), Hz; E is zero outside the bands."""
-    relative: ComplexArray
-    """E, shape (m, c, c)."""
-    variance: Array
-    """Variance of E, relative to one, shape (m,); zero where E is."""
+    hz: Annotated[Array, "m"]
+    """Middles of narrow bands, evenly spaced, Hz; E is zero outside the bands."""
+    relative: Annotated[ComplexArray, "m c c"]
+    """E."""
+    variance: Annotated[Array, "m"]
+    """Variance of E, relative to one; zero where E is."""
 
     @property
     def step_hz(self) -> float:
         """Width of the bands, Hz."""
         return float(self.hz[1] - self.hz[0])
 
-    def at(self, hz: Array) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-        """Find the band of each frequency.
-
-        Parameters
-        ----------
-        hz : ndarray, shape (n_hz,), Hz
-
-        Returns
-        -------
-        inside : ndarray of bool, shape (n_hz,)
-            True for frequencies within the bands.
-        band : ndarray of int, shape (n_inside,)
-            Index of the band of each of these frequencies.
-        """
+    def at(self, hz: Array) -> tuple[Annotated[NDArray[np.bool_], "hz"], Annotated[NDArray[np.intp], "inside"]]:
+        """Find which frequencies (Hz) lie within the bands, and the index of the band of each of these."""
         band = np.floor((hz - self.hz[0]) / self.step_hz + 0.5).astype(int)
         inside = (band >= 0) & (band < self.hz.size)
         return inside, band[inside]
@@ -74,13 +63,13 @@ class StructuralPrior:
     """Normal prior of the structural nuisance parameters before a recording."""
 
     model: Model
-    mean: Array
-    """Mean, shape (p,), of: ln stiffness, ln mass, ln damping ratio of every mode, ln noise of every channel over their mean,
-    persistent stiffness correction in the modes' coordinates; then the coordinates of the persistent effects."""
-    precision: Array
-    """Inverse of the covariance, shape (p, p)."""
-    basis: Array
-    """Stiffness corrections that the persistent misfit is a sum of, shape (e, n, n), N/m; e = 0 for none."""
+    mean: Annotated[Array, "p"]
+    """Mean of: ln stiffness, ln mass, ln damping ratio of every mode, ln noise of every channel over their mean, persistent
+    stiffness correction in the modes' coordinates; then the coordinates of the persistent effects."""
+    precision: Annotated[Array, "p p"]
+    """Inverse of the covariance."""
+    basis: Annotated[Array, "e n n"]
+    """Stiffness corrections that the persistent misfit is a sum of, N/m; e = 0 for none."""
     reference_degc: float | None = None
     known_lines_hz: tuple[float, ...] = ()
     """Line frequencies of known machines.  Bins near them inform about the machines, not about the structure."""
@@ -88,8 +77,8 @@ class StructuralPrior:
     """Model error that healthy data show; None where nothing is known of it."""
     judged_hz: tuple[float, float] | None = None
     """Band that the healthy recording could judge, where that was not its whole band: nothing is known of the model outside."""
-    ln_forces: Array | None = None
-    """Logarithms of the densities of the floors' forces at calibration, about their mean, shape (n,); None where not known."""
+    ln_forces: Annotated[Array, "n"] | None = None
+    """Logarithms of the densities of the floors' forces at calibration, about their mean; None where not known."""
 
     @cached_property
     def sizes(self) -> tuple[int, int, int, int, int]:
@@ -101,7 +90,7 @@ class StructuralPrior:
         return s.stiffness_n_per_m.size, n, n, channels, corrections
 
     def log_density(self, x: Array) -> float:
-        """Compute the log density of coordinates, shape (p,), relative to that of the mean, nats."""
+        """Compute the log density of coordinates, relative to that of the mean, nats."""
         far = x - self.mean
         return -0.5 * float(far @ self.precision @ far)
 
@@ -116,7 +105,7 @@ class StructuralPrior:
         return sum(len(e.parameters) for e in self.model.effects)
 
     def persistent_parts(self, x: Array) -> list[Array]:
-        """Split off the coordinates of every persistent effect from a vector of structural nuisances, shape (p,) each."""
+        """Split off the coordinates of every persistent effect from a vector of structural nuisances."""
         last, out = self.parts(x)[5], []
         for e in self.model.effects:
             out.append(last[: len(e.parameters)])
@@ -125,23 +114,23 @@ class StructuralPrior:
 
     @cached_property
     def start(self) -> Array:
-        """Coordinates at which a fit starts, shape (p,): the mean, with the persistent effects at their stated sizes."""
+        """Coordinates at which a fit starts: the mean, with the persistent effects at their stated sizes."""
         stated = [e.coordinates for e in self.model.effects]
         return np.concatenate([self.mean[: self.mean.size - self.n_persistent], *stated])
 
     @cached_property
     def units(self) -> Array:
-        """Units of the coordinates, shape (p,): one, and for a persistent effect's coordinates their own magnitude."""
+        """Units of the coordinates: one, and for a persistent effect's coordinates their own magnitude."""
         return np.concatenate([np.ones(self.mean.size - self.n_persistent), *[e.units for e in self.model.effects]])
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the coordinates, shape (p, p); zero for coordinates without any precision."""
+        """Covariance of the coordinates; zero for coordinates without any precision."""
         return inverse(self.precision)
 
     @property
     def standing_std(self) -> list[Array]:
-        """Standard deviations of every persistent effect's coordinates, shape (p,) each."""
+        """Standard deviations of every persistent effect's coordinates."""
         return self.persistent_parts(np.sqrt(np.diag(self.covariance)))
 
     @property
@@ -156,7 +145,7 @@ class StructuralPrior:
         return [x[first:last] for first, last in pairwise(ends)]
 
     def effects(self, x: Array) -> tuple[Effect, ...]:
-        """Return the persistent effects at a vector of structural nuisances, shape (p,)."""
+        """Return the persistent effects at a vector of structural nuisances."""
         return tuple(e.at(own) for e, own in zip(self.model.effects, self.persistent_parts(x), strict=True))
 
     def without_nonlinear(self) -> StructuralPrior:
@@ -166,40 +155,29 @@ class StructuralPrior:
         return replace(self, model=model, mean=self.mean[kept], precision=self.precision[np.ix_(kept, kept)])
 
     def with_linear(self, x: Array) -> Array:
-        """Set the coordinates of `without_nonlinear` in the prior's start, shape (p,).
-
-        Parameters
-        ----------
-        x : ndarray, shape (q,)
-        """
+        """Set the coordinates of `without_nonlinear` in the prior's start."""
         out = self.start.copy()
         out[self._is_linear] = x
         return out
 
     @property
     def _is_linear(self) -> NDArray[np.bool_]:
-        """Tell the coordinates of `without_nonlinear`, shape (p,)."""
+        """Tell the coordinates of `without_nonlinear`."""
         of_effects = [not e.nonlinear for e in self.model.effects for _ in e.parameters]
         return np.array([True] * (self.mean.size - self.n_persistent) + of_effects)
 
     def with_unseen_scale(self, std: float) -> StructuralPrior:
-        """Add uncertainty of the common scale of all masses and stiffnesses, which no output shows.
-
-        Parameters
-        ----------
-        std : float
-            Standard deviation of the logarithm of that scale.
-        """
+        """Add uncertainty, of the logarithm, of the common scale of all masses and stiffnesses, which no output shows."""
         k, m, *_ = self.sizes
         return self._loosen_jointly(slice(k + m), std)
 
     def with_looser_damping(self, ln_std: Array) -> StructuralPrior:
-        """Add uncertainty of the logarithm of every mode's damping ratio, shape (n,)."""
+        """Add uncertainty of the logarithm of every mode's damping ratio."""
         k, m, *_ = self.sizes
         return self._loosen(k + m, ln_std)
 
     def with_looser_noise(self, ln_std: Array) -> StructuralPrior:
-        """Add uncertainty of the logarithm of every channel's noise density over their mean, shape (c,)."""
+        """Add uncertainty of the logarithm of every channel's noise density over their mean."""
         k, m, d, *_ = self.sizes
         return self._loosen(k + m + d, ln_std)
 
@@ -229,7 +207,7 @@ class StructuralPrior:
         return replace(self, precision=self.precision - np.outer(weighted, weighted) / (1.0 + along @ weighted))
 
     def _loosen(self, first: int, std: Array) -> StructuralPrior:
-        """Add independent uncertainty to the coordinates from `first` on, shape (n_changed,)."""
+        """Add independent uncertainty to the coordinates from `first` on."""
         covariance = self.covariance
         these = np.arange(first, first + std.size)
         covariance[these, these] += std**2
@@ -237,18 +215,8 @@ class StructuralPrior:
         return replace(self, precision=0.5 * (precision + precision.T))
 
 
-def correction_basis(model: Model, n_modes: int) -> Array:
-    """Build the symmetric stiffness corrections within the lowest modes, each of relative size one.
-
-    Parameters
-    ----------
-    n_modes : int
-        Number of lowest modes, m.
-
-    Returns
-    -------
-    ndarray, shape (m (m + 1) / 2, n, n), N/m
-    """
+def correction_basis(model: Model, n_modes: int) -> Annotated[Array, "b n n"]:
+    """Build the symmetric stiffness corrections (N/m) within the lowest modes, each of relative size one."""
     modes = model.modes()
     scaled = model.mass_matrix() @ modes.shapes[:, :n_modes] * np.sqrt(np.maximum(modes.eigenvalues[:n_modes], 0.0))
     pairs = [(a, b) for a in range(n_modes) for b in range(a, n_modes)]
@@ -264,10 +232,8 @@ def prior_from_drawing(
 
     Parameters
     ----------
-    prior_std : ndarray, shape (n_stiffness + n,)
+    prior_std : ndarray
         Relative standard deviations of stiffnesses, then masses.
-    n_channels : int
-        Number of channels.
     n_modes : int
         Number of modes within which the stiffness may be corrected; 0 for no correction.
     correction_std : float
@@ -293,23 +259,14 @@ def prior_from_drawing(
 
 
 def as_stated(effects: Sequence[Effect]) -> Array:
-    """Return the precisions of effects' coordinates that are taken as the structure file states them, shape (p,)."""
+    """Return the precisions of effects' coordinates that are taken as the structure file states them."""
     return np.concatenate([[], *[(_STATED_STD * e.units) ** -2.0 for e in effects]])
 
 
-def inverse(normal: Array) -> Array:
-    """Invert a normal matrix whose parameters have different units.
+def inverse(normal: Annotated[Array, "p p"]) -> Annotated[Array, "p p"]:
+    """Invert a symmetric, positive semidefinite normal matrix whose parameters have different units.
 
     Directions without information have zeros in the inverse.
-
-    Parameters
-    ----------
-    normal : ndarray, shape (p, p)
-        Symmetric, positive semidefinite.
-
-    Returns
-    -------
-    ndarray, shape (p, p)
 
     Examples
     --------

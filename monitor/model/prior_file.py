@@ -71,12 +71,7 @@ def read_prior(content: Any, model: Model, channels: tuple[str, ...]) -> Structu
     """Read a prior from JSON content, on the structure file's model.
 
     Effects that the structure file states now and the calibration did not know, as after a finding was accepted, are added as
-    stated.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        If the content is not a prior of this structure.
+    stated.  Raises ValueError, KeyError or TypeError if the content is not a prior of this structure.
     """
     if content is None:
         return None

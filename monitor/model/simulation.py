@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from scipy.optimize import brentq
@@ -28,14 +28,14 @@ class Motion:
     """Recording of the sensors of a simulated structure."""
 
     rate_hz: float
-    floors: Array
-    """Absolute accelerations, shape (n_samples, c), m/s^2; one channel a floor unless sensors were named."""
-    ground: Array | None
-    """Measured ground acceleration, shape (n_samples,), m/s^2; None where it was not measured."""
-    force: Array | None = None
-    """Measured forces, shape (n_samples, k), N; None where none was measured."""
-    rotation_rate: Array | None = None
-    """Rates of rotation, shape (n_samples, g), rad/s; None where none was measured."""
+    floors: Annotated[Array, "samples c"]
+    """Absolute accelerations, m/s^2; one channel a floor unless sensors were named."""
+    ground: Annotated[Array, "samples"] | None
+    """Measured ground acceleration, m/s^2; None where it was not measured."""
+    force: Annotated[Array, "samples k"] | None = None
+    """Measured forces, N; None where none was measured."""
+    rotation_rate: Annotated[Array, "samples g"] | None = None
+    """Rates of rotation, rad/s; None where none was measured."""
 
 
 def linear_system(model: Model) -> System:
@@ -51,46 +51,26 @@ def linear_system(model: Model) -> System:
     return system
 
 
-def respond_exactly(model: Model, forces: Array, rate_hz: float, *, appended: bool = False) -> Array:
-    """Simulate the floors' accelerations exactly, under forces that are linear in time between samples.
+def respond_exactly(
+    model: Model, forces: Annotated[Array, "samples columns"], rate_hz: float, *, appended: bool = False
+) -> Annotated[Array, "samples n"]:
+    """Simulate the floors' accelerations relative to the ground, m/s^2, without nonlinear laws, from rest.
 
-    Nonlinear laws are left out.
-
-    Parameters
-    ----------
-    forces : ndarray, shape (n_samples, n), N
-        More columns act on the degrees of freedom that effects append.
-    rate_hz : float
-        Rate of the samples.
-    appended : bool
-        Whether the accelerations of the degrees of freedom that effects append are wanted too.
-
-    Returns
-    -------
-    ndarray, shape (n_samples, n) or more, m/s^2
-        Relative to the ground; at rest before the first sample.
+    The response is exact under forces (N) that are linear in time between samples.  Columns beyond n act on the degrees of
+    freedom that effects append, whose accelerations are returned too if `appended`.
     """
     from monitor.model.integration import march  # compiled code takes a while to load
 
     return march(linear_system(model), model.structure.n_dofs, (), forces, rate_hz, step_hz=rate_hz, appended=appended)
 
 
-def respond_newmark(model: Model, forces: Array, rate_hz: float) -> Array:
-    """Simulate the floors' accelerations by Newmark's average-acceleration method (gamma 1/2, beta 1/4).
+def respond_newmark(
+    model: Model, forces: Annotated[Array, "samples n"], rate_hz: float
+) -> Annotated[Array, "samples n"]:
+    """Simulate the floors' accelerations (m/s^2, relative to the ground) by Newmark's average-acceleration method from rest.
 
-    In modal coordinates of a classically damped model the method is the bilinear transform of
-    ``s^2 / (s^2 + 2 zeta w s + w^2)``.
-
-    Parameters
-    ----------
-    forces : ndarray, shape (n_samples, n), N
-    rate_hz : float
-        Rate of the samples.
-
-    Returns
-    -------
-    ndarray, shape (n_samples, n), m/s^2
-        Relative to the ground; at rest before the first sample.
+    In modal coordinates of a classically damped model the method (gamma 1/2, beta 1/4) is the bilinear transform of
+    ``s^2 / (s^2 + 2 zeta w s + w^2)``.  Forces are in N.
     """
     from scipy.signal import lfilter  # takes most of a second to load
 
@@ -110,7 +90,7 @@ def respond_newmark(model: Model, forces: Array, rate_hz: float) -> Array:
 
 
 def level_wander(n: int, rate_hz: float, spread: float, rng: np.random.Generator) -> Array:
-    """Draw a slowly varying level of mean square 1, log-normal and correlated over 60 s, shape (n,)."""
+    """Draw a slowly varying level of mean square 1, log-normal and correlated over 60 s, of n samples."""
     if spread == 0.0:
         return np.ones(n)
     from scipy.signal import lfilter  # takes most of a second to load
@@ -143,8 +123,8 @@ def simulate(
 
     Parameters
     ----------
-    duration_s, rate_hz : float
-        Length of the recording and nominal rate of its samples.
+    rate_hz : float
+        Nominal rate of the samples.
     excitation : {"ambient", "impulse", "ground", "force"}
         Independent white forces of 1 N on every floor; a hammer blow on the middle floor every 10 s; a white ground
         acceleration of 0.5 m/s^2, measured; measured white forces of 10 N beside the ambient ones.
@@ -154,22 +134,14 @@ def simulate(
         the mean RMS of their rates.
     level_spread : float
         Relative spread of the excitation's slowly varying level (0.35 for wind).
-    seed : int
-        Seed of the random numbers.
     context : Context, optional
         Names and places of the sensors; by default one a floor, a1 to an.
-    excess_degc : ndarray, shape (n_samples,), optional
+    excess_degc : ndarray, optional
         Temperature above the reference, K; none by default.
     forced : sequence of int, optional
         Floor on which each measured force acts, counted from 1.
-    turning : ndarray, shape (g, n), rad/m, optional
-        Rotation at each gyroscope by the floors' displacements relative to the ground; none by default.
-
-    Returns
-    -------
-    Motion
-        Accelerations of the channels, shape (n_samples, c), and of a measured ground, shape (n_samples,), m/s^2;
-        measured forces, shape (n_samples, k), N, and rates of rotation, shape (n_samples, g), rad/s.
+    turning : ndarray, optional
+        Rotation at each gyroscope by the floors' displacements relative to the ground, rad/m; none by default.
 
     Raises
     ------
@@ -223,37 +195,33 @@ def simulate(
     return Motion(rate_hz, samples, ground, measured, rotation_rate)
 
 
-def _integrated(values: Array, rate_hz: float) -> Array:
-    """Integrate samples over time from rest, by cubic splines, shape (n_samples, k)."""
+def _integrated(values: Annotated[Array, "samples k"], rate_hz: float) -> Array:
+    """Integrate samples over time from rest, by cubic splines."""
     from scipy.interpolate import CubicSpline  # takes most of a second to load
 
     t_s = np.arange(len(values)) / rate_hz
     return np.asarray(CubicSpline(t_s, values).antiderivative()(t_s))
 
 
-def own_forces(model: Model, level: Array, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Draw the random forces of the coupled modes, of 1 N times the root of their force ratios, shape (n_samples, n_coupled), N.
-
-    Parameters
-    ----------
-    level : ndarray, shape (n_samples,)
-        Level of the excitation.
-    """
+def own_forces(
+    model: Model, level: Annotated[Array, "samples"], rate_hz: float, rng: np.random.Generator
+) -> Annotated[Array, "samples coupled"]:
+    """Draw the random forces of the coupled modes, of 1 N times the excitation's level and the root of their force ratios."""
     ratios = np.array([mode.force_ratio for mode in linear_system(model).coupled])
     drawn = level[:, None] * rng.standard_normal((level.size, ratios.size)) * np.sqrt(ratios)
     return _coloured(model, drawn, rate_hz)
 
 
 def _coloured(model: Model, forces: Array, rate_hz: float) -> Array:
-    """Apply the colour of the floors' forces to other forces, shape (n_samples, columns), N."""
+    """Apply the colour of the floors' forces to other forces."""
     for effect in model.effects:
         if forces.size and np.ndim(effect.colour(np.ones(1))):
             forces = np.column_stack([effect.drive(column[:, None], rate_hz) for column in forces.T])
     return forces
 
 
-def with_own_forces(model: Model, forces: Array, own: Array) -> Array:
-    """Put the coupled modes' own forces beside those on the floors, each at its degree of freedom, shape (n_samples, N), N."""
+def with_own_forces(model: Model, forces: Array, own: Array) -> Annotated[Array, "samples N"]:
+    """Put the coupled modes' own forces beside those on the floors, each at its degree of freedom."""
     system = linear_system(model)
     if not system.coupled:
         return forces
@@ -269,7 +237,7 @@ def channel_motion(
     excess_degc: Array | None = None,
     step_hz: float | None = None,
 ) -> Array:
-    """Simulate the channels' true accelerations, shape (n_samples, c), m/s^2; the parameters are those of `respond`."""
+    """Simulate the channels' true accelerations, m/s^2; the parameters are those of `respond`."""
     system = linear_system(model)
     moved = respond(model, forces, ground, rate_hz, excess_degc, step_hz, appended=bool(system.coupled))
     return _seen(moved, system, context)
@@ -281,15 +249,9 @@ def _seen(moved: Array, system: System, context: Context) -> Array:
 
 
 def _extra_motion(
-    model: Model, level: Array, rate_hz: float, context: Context, rng: np.random.Generator
+    model: Model, level: Annotated[Array, "samples"], rate_hz: float, context: Context, rng: np.random.Generator
 ) -> Array | float:
-    """Simulate the channels' accelerations by extra modes, each under a force of its own of 1 N, shape (n_samples, c), m/s^2.
-
-    Parameters
-    ----------
-    level : ndarray, shape (n_samples,)
-        Level of the excitation.
-    """
+    """Simulate the channels' accelerations by extra modes, each under a force of its own of 1 N times the excitation's level."""
     out: Array | float = 0.0
     for mode in (m for effect in model.effects for m in effect.extra_modes(context)):
         force = _coloured(model, level[:, None] * rng.standard_normal((level.size, 1)), rate_hz)
@@ -303,33 +265,19 @@ def _extra_motion(
 
 def respond(
     model: Model,
-    forces: Array,
+    forces: Annotated[Array, "samples n"],
     ground: Array | None,
     rate_hz: float,
     excess_degc: Array | None = None,
     step_hz: float | None = None,
     *,
     appended: bool = False,
-) -> Array:
-    """Simulate the floors' absolute accelerations with all linear and nonlinear laws of the model.
+) -> Annotated[Array, "samples n"]:
+    """Simulate the floors' absolute accelerations (m/s^2) with all linear and nonlinear laws of the model.
 
-    Parameters
-    ----------
-    forces : ndarray, shape (n_samples, n), N
-    ground : ndarray, shape (n_samples,), m/s^2, or None for ground at rest
-    rate_hz : float
-        Rate of the samples.
-    excess_degc : ndarray, shape (n_samples,), optional
-        Temperature above the reference, K.
-    step_hz : float, optional
-        Least rate of the integration steps with nonlinear laws; `monitor.model.integration.STEP_HZ` by default.
-    appended : bool
-        Whether the accelerations of the degrees of freedom that effects append are wanted too; those of coupled modes are
-        relative to the ground.
-
-    Returns
-    -------
-    ndarray, shape (n_samples, n) or more, m/s^2
+    Forces are in N, the ground's acceleration in m/s^2 (None: at rest), temperatures above the reference in K.  `step_hz` is the
+    least rate of the integration steps with nonlinear laws; `monitor.model.integration.STEP_HZ` by default.  If `appended`, the
+    accelerations of the degrees of freedom that effects append are returned too; those of coupled modes relative to the ground.
     """
     if ground is not None:
         forces = _with_inertia(model, forces, ground)
@@ -353,7 +301,7 @@ def respond(
 
 
 def _with_inertia(model: Model, forces: Array, ground: Array) -> Array:
-    """Add the inertia forces of the ground's acceleration to the forces, shape (n_samples, N), N."""
+    """Add the inertia forces of the ground's acceleration to the forces."""
     inertia = linear_system(model).inertia
     padded = np.pad(forces, ((0, 0), (0, inertia.size - forces.shape[1])))
     return np.asarray(padded - ground[:, None] * inertia)
@@ -362,7 +310,7 @@ def _with_inertia(model: Model, forces: Array, ground: Array) -> Array:
 def _unmeasured_ground(
     model: Model, forces: Array, level: Array, rate_hz: float, context: Context, rng: np.random.Generator
 ) -> Array | None:
-    """Draw the ground acceleration that causes the effects' share of the channels' variance, shape (n_samples,), m/s^2.
+    """Draw the ground acceleration that causes the effects' share of the channels' variance, m/s^2.
 
     The variances are those of the linear model's response.
     """

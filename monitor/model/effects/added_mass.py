@@ -8,6 +8,7 @@ from math import inf
 from typing import ClassVar, Literal
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
@@ -35,19 +36,19 @@ class AddedMass(Effect):
     mass_kg: float
 
     @classmethod
+    @override
     def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
-        """See `Effect.create`."""
         if location == "frame":
             return AddedMassEverywhere.create(location, parameters)
         return super().create(location, parameters)
 
+    @override
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
-        """See `Effect.structural`."""
         return np.asarray(mass + self.mass_kg * self.pattern(structure)), stiffness
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Effect, ...]:
-        """See `Effect.starts`."""
         if location == "frame":
             return tuple(AddedMassEverywhere(location, r) for r in (0.003, 0.02, 0.08))
         start = cls(location, 0.0)
@@ -55,8 +56,8 @@ class AddedMass(Effect):
         return tuple(cls(location, share * mass) for share in (0.003, 0.02, 0.1))
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         if fitted.location == "frame":
             return AddedMassEverywhere.sentence(fitted)
         if not fitted.is_sized("mass_kg"):
@@ -77,13 +78,13 @@ class AddedMassEverywhere(Effect):
 
     relative: float
 
+    @override
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
-        """See `Effect.structural`."""
         return mass * (1.0 + self.relative), stiffness
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         if not fitted.is_sized("relative"):
             return f"all floors are heavier than {fitted.source}, by too little to be sized"
         return f"all floors are {fitted.percent('relative')} heavier than {fitted.source}"

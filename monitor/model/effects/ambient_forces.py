@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
@@ -68,19 +69,19 @@ class AmbientForces(Effect):
     rise_15: float = 0.0
 
     @property
+    @override
     def common_force(self) -> float:
-        """See `Effect.common_force`."""
         return self.common_share
 
+    @override
     def colour(self, hz: Array) -> Array | float:
-        """See `Effect.colour`."""
         knots = np.log(_KNOTS_HZ)
         density = np.concatenate([[0.0], np.cumsum(self.coordinates[1:])])
         at = np.log(np.maximum(hz, 1e-9))
         return np.asarray(np.exp(np.interp(at, knots, density) - np.interp(np.log(_ANCHOR_HZ), knots, density)))
 
     def drive(self, forces: Array, rate_hz: float) -> Array:
-        """See `Effect.drive`.  The symmetric root of the correlation matrix mixes the floors' forces."""
+        """The symmetric root of the correlation matrix mixes the floors' forces."""
         from scipy.fft import irfft, next_fast_len, rfft  # takes a third of a second to load
 
         count, n = forces.shape
@@ -95,20 +96,20 @@ class AmbientForces(Effect):
             irfft(rfft(mixed, n=length, axis=0) * np.sqrt(self.colour(hz))[:, None], n=length, axis=0)[:count]
         )
 
+    @override
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
-        """See `Effect.known`."""
         std = np.full(len(self.parameters), _SLOPE_STD)
         std[0] = _COMMON_SHARE_STD
         return np.zeros(std.size), std**-2.0
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`.  The fit starts from white and independent forces, from which it reaches any spectrum."""
+        """The fit starts from white and independent forces, from which it reaches any spectrum."""
         return (cls(location),)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         is_common = fitted.value("common_share") > 2.0 * fitted.std("common_share")
         together = f", and {fitted.percent('common_share')} of it pushes all floors at once" if is_common else ""
         return f"the excitation is not white, but of a smooth spectrum{together}"

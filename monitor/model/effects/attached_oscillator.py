@@ -7,6 +7,7 @@ from math import inf, pi
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, Peak, System
@@ -48,8 +49,8 @@ class AttachedOscillator(Effect):
     """Natural frequency on a fixed floor."""
     damping_ratio: float
 
+    @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`."""
         if self.mass_kg == 0.0:
             return system
         size = system.mass.shape[0]
@@ -64,31 +65,31 @@ class AttachedOscillator(Effect):
         return larger
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
-        """See `Effect.known`.  The damping ratio is a few percent, within a factor of two."""
+        """The damping ratio is a few percent, within a factor of two."""
         mean = self.coordinates
         mean[2] = np.log(_OSCILLATOR_DAMPING)
         return mean, np.array([0.0, 0.0, _LN_DAMPING_STD**-2])
 
     def is_plausible(self, band_hz: Array) -> bool:
-        """See `Effect.is_plausible`.  The natural frequency lies in the band, and the damping ratio is below the limit."""
+        """The natural frequency lies in the band, and the damping ratio is below the limit."""
         return bool(band_hz[0] <= self.frequency_hz <= band_hz[-1] and self.damping_ratio < _MAX_OSCILLATOR_DAMPING)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         j = int(location.partition(" ")[2]) - 1
         mass = _START_MASS * float(context.structure.masses_kg[j])
         return tuple(cls(location, mass, float(hz), _OSCILLATOR_DAMPING) for hz in np.geomspace(6.0, 25.0, 16))
 
     @classmethod
+    @override
     def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Self:
-        """See `Effect.at_peak`."""
         mass = _START_MASS * float(context.structure.masses_kg[int(location.partition(" ")[2]) - 1])
         return cls(location, mass, peak.hz, _OSCILLATOR_DAMPING)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         mass = f" of {fitted.interval('mass_kg')}{fitted.share_of_floor_mass('mass_kg')}"
         mass = fitted.sized("mass_kg", mass, "")
         damping = fitted.sized("damping_ratio", f" with {fitted.percent('damping_ratio')} damping", "")

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from math import inf
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +38,8 @@ class Context:
 
     structure: Structure
     channels: tuple[str, ...]
-    sensors: Array
-    """Matrix that picks the channels out of the floors' motion, shape (c, n)."""
+    sensors: Annotated[Array, "c n"]
+    """Matrix that picks the channels out of the floors' motion."""
     rate_hz: float
     """Rate of the source's samples."""
 
@@ -53,20 +53,20 @@ def _none_degc(lag_s: float) -> float:
 class Condition:
     """Motion and temperature at which nonlinear laws are linearized: those of one level class of a recording."""
 
-    drift_m: Array
-    """RMS drift of every story, shape (n,)."""
-    drift_velocity_m_s: Array
-    """RMS velocity of every story's drift, shape (n,)."""
-    floor_velocity_m_s: Array
-    """RMS velocity of every floor, shape (n,)."""
-    channel_m_s2: Array
-    """RMS of every channel's samples, shape (c,)."""
+    drift_m: Annotated[Array, "n"]
+    """RMS drift of every story."""
+    drift_velocity_m_s: Annotated[Array, "n"]
+    """RMS velocity of every story's drift."""
+    floor_velocity_m_s: Annotated[Array, "n"]
+    """RMS velocity of every floor."""
+    channel_m_s2: Annotated[Array, "c"]
+    """RMS of every channel's samples."""
     excess_degc: Callable[[float], float] = field(default=_none_degc)
     """Temperature above the reference after a first-order lag in s."""
-    channel_peak_m_s2: Array = field(default_factory=lambda: np.full(1, np.inf))
-    """Largest magnitude of every channel's samples in the whole recording, shape (c,)."""
-    channel_piled: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
-    """Whether many of a channel's samples share its largest magnitude, shape (c,)."""
+    channel_peak_m_s2: Annotated[Array, "c"] = field(default_factory=lambda: np.full(1, np.inf))
+    """Largest magnitude of every channel's samples in the whole recording."""
+    channel_piled: Annotated[NDArray[np.bool_], "c"] = field(default_factory=lambda: np.zeros(1, dtype=bool))
+    """Whether many of a channel's samples share its largest magnitude."""
     beyond: float = 1.0
     """Variance that the forces cause above the compared band, over that of white forces there, up to half the source's rate."""
     band_hz: float = np.inf
@@ -97,28 +97,28 @@ class CoupledMode:
 
     index: int
     """Of its degree of freedom in the system."""
-    shape: Array
-    """Acceleration of every channel over that of the degree of freedom, shape (c,)."""
+    shape: Annotated[Array, "c"]
+    """Acceleration of every channel over that of the degree of freedom."""
     force_ratio: float
     """Density of its own force over the floors' mean."""
-    arms: Array
-    """Force on the degree of freedom by a force of 1 N on every floor, shape (n,)."""
+    arms: Annotated[Array, "n"]
+    """Force on the degree of freedom by a force of 1 N on every floor."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class System:
     """Linear system: the structure's degrees of freedom first, then those that effects add."""
 
-    mass: Array
-    """Shape (N, N), kg."""
-    damping: Array
-    """Shape (N, N), N s/m."""
-    stiffness: Array
-    """Shape (N, N), N/m."""
+    mass: Annotated[Array, "N N"]
+    """kg."""
+    damping: Annotated[Array, "N N"]
+    """N s/m."""
+    stiffness: Annotated[Array, "N N"]
+    """N/m."""
     coupled: tuple[CoupledMode, ...] = ()
     """Modes among the appended degrees of freedom; the others are masses that ride on the structure."""
-    springs: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Stiffness of the structure alone, shape (n, n), N/m; by default `stiffness`, before effects append and add to it."""
+    springs: Annotated[Array, "n n"] = field(default_factory=lambda: np.zeros((0, 0)))
+    """Stiffness of the structure alone, N/m; by default `stiffness`, before effects append and add to it."""
 
     def __post_init__(self) -> None:
         """Keep the stiffness of the structure alone."""
@@ -126,14 +126,14 @@ class System:
             object.__setattr__(self, "springs", self.stiffness)
 
     @property
-    def inertia(self) -> Array:
-        """Force on every degree of freedom by a ground that accelerates at -1 m/s^2, shape (N,), kg."""
+    def inertia(self) -> Annotated[Array, "N"]:
+        """Force on every degree of freedom by a ground that accelerates at -1 m/s^2, kg."""
         rides = np.ones(self.mass.shape[0])
         rides[[mode.index for mode in self.coupled]] = 0.0
         return np.asarray(self.mass @ rides)
 
-    def sensors(self, of_structure: Array) -> Array:
-        """Extend the sensors' weights on the structure's degrees of freedom, shape (c, n), to all, shape (c, N)."""
+    def sensors(self, of_structure: Annotated[Array, "c n"]) -> Annotated[Array, "c N"]:
+        """Extend the sensors' weights on the structure's degrees of freedom to all."""
         out = np.pad(of_structure, ((0, 0), (0, self.mass.shape[0] - of_structure.shape[1])))
         for mode in self.coupled:
             out[:, mode.index] = mode.shape
@@ -154,12 +154,7 @@ class System:
         return replace(self, mass=larger[0], damping=larger[1], stiffness=larger[2])
 
     def plus(self, *, damping: Array | float = 0.0, stiffness: Array | float = 0.0) -> System:
-        """Add terms to the matrices of the structure's degrees of freedom.
-
-        Parameters
-        ----------
-        damping, stiffness : ndarray, shape (n, n), N s/m and N/m, or 0.0 for none
-        """
+        """Add terms to the matrices of the structure's degrees of freedom."""
 
         def padded(base: Array, term: Array | float) -> Array:
             out = base.copy()
@@ -170,21 +165,18 @@ class System:
 
         return replace(self, damping=padded(self.damping, damping), stiffness=padded(self.stiffness, stiffness))
 
-    def state_matrix(self) -> Array:
-        """Assemble the state matrix of displacements and velocities, shape (2N, 2N), 1/s."""
+    def state_matrix(self) -> Annotated[Array, "2N 2N"]:
+        """Assemble the state matrix of displacements and velocities, 1/s."""
         size = self.mass.shape[0]
         inverse = np.linalg.inv(self.mass)
         return np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ self.stiffness, -inverse @ self.damping]])
 
-    def decoupled(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    def decoupled(
+        self,
+    ) -> tuple[Annotated[ComplexArray, "m"], Annotated[ComplexArray, "2N m"], Annotated[ComplexArray, "m N"]]:
         """Decouple the system into first-order equations ``dq/dt = pole q + drive @ forces``, one of each conjugate pair.
 
-        Returns
-        -------
-        poles : ndarray, shape (m,), rad/s
-        shapes : ndarray, shape (2N, m)
-            Displacements and velocities are the real part of ``shapes @ q``.
-        drive : ndarray, shape (m, N)
+        Returned are poles (rad/s), shapes and drive; displacements and velocities are the real part of ``shapes @ q``.
         """
         inverse = np.linalg.inv(self.mass)
         poles, shapes = np.linalg.eig(self.state_matrix())
@@ -210,8 +202,8 @@ class ExtraMode:
 
     frequency_hz: float
     damping_ratio: float
-    shape: Array
-    """Acceleration of every channel by a unit force on the mode far above its frequency, shape (c,), 1/kg."""
+    shape: Annotated[Array, "c"]
+    """Acceleration of every channel by a unit force on the mode far above its frequency, 1/kg."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -219,8 +211,8 @@ class Peak:
     """Frequency at which a recording's spectra show more power than a model's."""
 
     hz: float
-    amplitude: Array
-    """Amplitude of the motion in excess, with its sign between channels, shape (c,), m/s^2/sqrt(Hz)."""
+    amplitude: Annotated[Array, "c"]
+    """Amplitude of the motion in excess, with its sign between channels, m/s^2/sqrt(Hz)."""
 
 
 class LawKind(IntEnum):
@@ -246,8 +238,8 @@ class Law:
     """
 
     kind: LawKind
-    direction: Array
-    """Row that picks a story's drift or a floor's motion, shape (n,)."""
+    direction: Annotated[Array, "n"]
+    """Row that picks a story's drift or a floor's motion."""
     parameters: tuple[float, float]
 
 
@@ -329,43 +321,38 @@ class Effect(ReportFace, ABC):
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "location"}
 
     @property
-    def coordinates(self) -> Array:
-        """Parameters in the coordinates of estimation, shape (p,)."""
+    def coordinates(self) -> Annotated[Array, "p"]:
+        """Parameters in the coordinates of estimation."""
         values = self.values()
         return np.array([p.coordinate(values[p.name]) for p in self.parameters])
 
     @property
-    def units(self) -> Array:
-        """Units of the coordinates, shape (p,): one for a logarithm, else the coordinate's present magnitude."""
+    def units(self) -> Annotated[Array, "p"]:
+        """Units of the coordinates: one for a logarithm, else the coordinate's present magnitude."""
         sizes = zip(self.parameters, np.abs(self.coordinates), strict=True)
         return np.array([1.0 if p.scale == "log" else max(size, p.least) for p, size in sizes])
 
     @property
-    def form_std(self) -> Array:
-        """Standard deviation of the coordinates by `form_uncertainty`, shape (p,)."""
+    def form_std(self) -> Annotated[Array, "p"]:
+        """Standard deviation of the coordinates by `form_uncertainty`."""
         return np.asarray(np.abs(self.coordinates) * np.array(self.form_uncertainty or (0.0,) * len(self.parameters)))
 
     @property
-    def pattern_std(self) -> Array:
-        """Prior standard deviation of coordinates that form a pattern, shape (p,); NaN for those of unknown order."""
+    def pattern_std(self) -> Annotated[Array, "p"]:
+        """Prior standard deviation of coordinates that form a pattern; NaN for those of unknown order."""
         return np.full(len(self.parameters), np.nan)
 
-    def form_std_in(self, fitted: FittedModel) -> Array:
-        """Return the standard deviation of the coordinates that the model's form leaves open in a fit, shape (p,).
+    def form_std_in(self, fitted: FittedModel) -> Annotated[Array, "p"]:
+        """Return the standard deviation of the coordinates that the model's form leaves open in a fit.
 
         The coordinates are those of estimation, in the parameters' units. By default `form_std`, whatever the fit.
         """
         return self.form_std
 
     def is_plausible(self, band_hz: Array) -> bool:
-        """Check that a fit of this size means this effect, and not another one that it imitates.
+        """Check that a fit of this size means this effect, and not another one that it imitates; frequencies are those compared.
 
         By default no parameter is at a limit of what is physically possible: a fit that ends there imitates something else.
-
-        Parameters
-        ----------
-        band_hz : ndarray, shape (n_bins,)
-            Frequencies that were compared, ascending, Hz.
         """
         return not any(p.is_limit(v) for p, v in zip(self.parameters, self.values().values(), strict=True))
 
@@ -385,15 +372,12 @@ class Effect(ReportFace, ABC):
         return 0.0
 
     def at(self, coordinates: Array) -> Self:
-        """Return the effect with other coordinates, shape (p,), limited to the parameters' bounds."""
+        """Return the effect with other coordinates, limited to the parameters' bounds."""
         values = {p.name: p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)}
         return type(self)(self.location, **values)
 
-    def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
-        """Return the prior mean and precision of the coordinates, shape (p,) each.
-
-        The prior may use what the recording shows in addition to its spectra.
-        """
+    def known(self, context: Context, condition: Condition) -> tuple[Annotated[Array, "p"], Annotated[Array, "p"]]:
+        """Return the prior mean and precision of the coordinates, which may use what the recording shows beside its spectra."""
         return self.coordinates, np.zeros(len(self.parameters))
 
     def mirrored(self) -> Effect | None:
@@ -405,13 +389,13 @@ class Effect(ReportFace, ABC):
         """Index of the story or floor, from 0; meaningless for other kinds of place."""
         return int(self.location.partition(" ")[2]) - 1
 
-    def direction(self, structure: Structure) -> Array:
-        """Return the row that picks the story's drift or the floor's motion out of the floors' motion, shape (n,)."""
+    def direction(self, structure: Structure) -> Annotated[Array, "n"]:
+        """Return the row that picks the story's drift or the floor's motion out of the floors' motion."""
         rows = structure.drift_matrix() if self.location.startswith("story") else np.eye(structure.n_dofs)
         return np.asarray(rows[self.index])
 
-    def pattern(self, structure: Structure) -> Array:
-        """Assemble the matrix of a unit spring or damper at the effect's place, shape (n, n)."""
+    def pattern(self, structure: Structure) -> Annotated[Array, "n n"]:
+        """Assemble the matrix of a unit spring or damper at the effect's place."""
         direction = self.direction(structure)
         return np.outer(direction, direction)
 
@@ -445,16 +429,7 @@ class Effect(ReportFace, ABC):
         return structure
 
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
-        """Add this effect to the mass and stiffness matrices, from which the structure's damping follows.
-
-        Parameters
-        ----------
-        mass, stiffness : ndarray, shape (n, n), kg and N/m
-
-        Returns
-        -------
-        mass, stiffness : ndarray, shape (n, n), kg and N/m
-        """
+        """Add this effect to the mass and stiffness matrices (kg, N/m), from which the structure's damping follows."""
         return mass, stiffness
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
@@ -462,7 +437,7 @@ class Effect(ReportFace, ABC):
         return system
 
     def colour(self, hz: Array) -> Array | float:
-        """Return the factor on the power density of the floors' forces at frequencies `hz`, shape (n_hz,) or a number."""
+        """Return the factor on the power density of the floors' forces at frequencies `hz`."""
         return 1.0
 
     @property
@@ -499,12 +474,12 @@ class Effect(ReportFace, ABC):
         """Return a coupled effect as one without coupling that has the given frequency, damping and shape; any other as it is."""
         return self
 
-    def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
-        """Return the acquisition's frequency response to the true channels, shape (n_hz or 1, c, c); None for no change."""
+    def response(self, hz: Array, context: Context, condition: Condition) -> Annotated[ComplexArray, "hz c c"] | None:
+        """Return the acquisition's frequency response to the true channels, one or one a frequency; None for no change."""
         return None
 
     def noise_variance(self, context: Context, condition: Condition) -> Array | float:
-        """Return the variance of the white noise at the source's rate that is added to each channel, shape (c,), (m/s^2)^2."""
+        """Return the variance of the white noise at the source's rate that is added to each channel, (m/s^2)^2."""
         return 0.0
 
     @property
@@ -535,25 +510,15 @@ class Effect(ReportFace, ABC):
         return ()
 
     def stiffness_factor(self, excess_degc: Array, rate_hz: float) -> Array | None:
-        """Compute the factor on the stiffness matrix at every sample; None for no change.
-
-        Parameters
-        ----------
-        excess_degc : ndarray, shape (n_samples,), K
-            Temperature above the reference.
-
-        Returns
-        -------
-        ndarray, shape (n_samples,), or None
-        """
+        """Compute the factor on the stiffness matrix at every sample from its excess temperature, K; None for no change."""
         return None
 
-    def drive(self, forces: Array, rate_hz: float) -> Array:
-        """Apply this effect to the floors' forces, shape (n_samples, n), N."""
+    def drive(self, forces: Annotated[Array, "samples n"], rate_hz: float) -> Array:
+        """Apply this effect to the floors' forces, N."""
         return forces
 
     def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
-        """Apply the acquisition's part of this effect to true samples, shape (n_samples, c), m/s^2."""
+        """Apply the acquisition's part of this effect to true samples."""
         return samples
 
     # --- search ---------------------------------------------------------------------------------------------
@@ -575,18 +540,10 @@ class Effect(ReportFace, ABC):
         return None
 
 
-def blurred_by_form(effect: Effect, fitted: FittedModel, girders: float = 0.0) -> Array:
+def blurred_by_form(effect: Effect, fitted: FittedModel, girders: float = 0.0) -> Annotated[Array, "p"]:
     """Return the standard deviation of a size that is relative to a story's stiffness, which the frame's form leaves uncertain.
 
-    Parameters
-    ----------
-    girders : float
-        Relative standard deviation that girders which may have changed with the columns cause.
-
-    Returns
-    -------
-    ndarray, shape (p,)
-        In the coordinates' units.
+    `girders` is the relative standard deviation that girders which may have changed with the columns cause.
     """
     size = np.abs(effect.coordinates)
     return np.asarray(np.hypot(effect.form_std, size * np.hypot(_STORY_STD * fitted.correction_rms, girders)))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
+from typing_extensions import override
+
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
@@ -30,21 +32,21 @@ class BaseExcitation(Effect):
     """Share of a channel's acceleration variance at the source's rate that the ground causes, mean over channels."""
 
     @property
+    @override
     def ground_share(self) -> float:
-        """See `Effect.ground_share`."""
         return self.share
 
     def is_plausible(self, band_hz: Array) -> bool:
-        """See `Effect.is_plausible`.  The ground may cause all of the motion."""
+        """The ground may cause all of the motion."""
         return True
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return (cls(location, 0.2),)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         share = f": it causes {fitted.percent('share')} of the acceleration's variance"
         return f"the ground moves{fitted.sized('share', share)}"

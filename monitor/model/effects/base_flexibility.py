@@ -7,6 +7,7 @@ from math import inf
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
@@ -33,27 +34,27 @@ class BaseFlexibility(Effect):
 
     stiffness_n_per_m: float
 
+    @override
     def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
-        """See `Effect.check`."""
         if not isinstance(structure, ShearFrame):
             raise EffectError(
                 f"{self.name}: needs a shear frame, a structure given by matrices has the footing in them"
             )
 
+    @override
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
-        """See `Effect.structural`."""
         pull = stiffness.sum(axis=1)  # forces on the floors by a unit displacement of the footing
         condensed = np.outer(pull, pull) / (pull.sum() + self.stiffness_n_per_m)
         return mass, np.asarray(stiffness - condensed)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return (cls(location, 20.0 * float(context.structure.stiffness_n_per_m[-1])),)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         lowest = fitted.structure.stiffness_n_per_m[-1]
         lost = 100.0 * lowest / (lowest + fitted.value("stiffness_n_per_m"))
         spring = fitted.interval("stiffness_n_per_m")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
+from typing_extensions import override
+
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, System, blurred_by_form
 from monitor.model.effects.gap_contact import mean_contact
@@ -38,34 +40,34 @@ class BilinearStiffness(Effect):
 
     relative_drop: float
 
+    @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`."""
         k = float(context.structure.stiffness_n_per_m[self.index])
         drop = self.relative_drop * k
         return system.plus(stiffness=-drop * mean_contact(k, -drop, 0.0) * self.pattern(context.structure))
 
+    @override
     def laws(self, structure: Structure) -> tuple[Law, ...]:
-        """See `Effect.laws`."""
         drop = self.relative_drop * float(structure.stiffness_n_per_m[self.index])
         return (Law(LawKind.CONTACT, self.direction(structure), (0.0, -drop)),)
 
     def form_std_in(self, fitted: FittedModel) -> Array:
-        """See `Effect.form_std_in`.  The drop is relative to a story's stiffness, which the frame's form leaves uncertain."""
+        """The drop is relative to a story's stiffness, which the frame's form leaves uncertain."""
         return blurred_by_form(self, fitted)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return (cls(location, 0.05),)
 
     @classmethod
+    @override
     def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        """See `Effect.law_families`."""
         return ("asymmetric",)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         drop = fitted.sized("relative_drop", f"{fitted.percent('relative_drop')} ", "")
         small = fitted.sized("relative_drop", "", ", by too little to be sized")
         return f"{fitted.location} is {drop}softer for positive drift than for negative{small}"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
@@ -26,20 +27,20 @@ class ChannelSwap(Effect):
     signature: ClassVar[str] = "two channels change places in all shapes, frequencies untouched"
     separating_measurement: ClassVar[str] = "tap on one floor and see which channel answers first"
 
+    @override
     def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
-        """See `Effect.check`."""
         super().check(structure, channels)
         first, second = (channels.index(name) for name in self.location.partition(" ")[2].split(","))
         if first >= second:
             pair = f"channel {channels[second]},{channels[first]}" if first > second else "two different channels"
             raise EffectError(f"{self.name}: {self.location!r}: expected {pair}, in the structure file's order")
 
+    @override
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
-        """See `Effect.response`."""
         return np.eye(len(context.channels), dtype=complex)[None, self._order(context)]
 
+    @override
     def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
-        """See `Effect.measure`."""
         return samples[:, self._order(context)]
 
     def _order(self, context: Context) -> list[int]:
@@ -50,11 +51,11 @@ class ChannelSwap(Effect):
         return order
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return (cls(location),)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         return f"channels {fitted.place_name.replace(',', ' and ')} are swapped"

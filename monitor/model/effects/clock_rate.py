@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
+from typing_extensions import override
+
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
@@ -26,18 +28,18 @@ class ClockRate(Effect):
     relative: float
 
     @property
+    @override
     def clock_factor(self) -> float:
-        """See `Effect.clock_factor`."""
         return 1.0 + self.relative
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return tuple(cls(location, r) for r in (1e-3, 6e-3, -6e-3, 1.5e-2, -1.5e-2))
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         trend = "faster" if fitted.value("relative") > 0 else "slower"
         size = fitted.sized("relative", f"{fitted.percent('relative')} ", "")
         small = fitted.sized("relative", "", ", by too little to be sized")

@@ -7,6 +7,7 @@ from math import exp, inf, pi
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
@@ -33,12 +34,12 @@ class ColouredExcitation(Effect):
 
     corner_hz: float
 
+    @override
     def colour(self, hz: Array) -> Array | float:
-        """See `Effect.colour`."""
         return np.asarray(1.0 / (1.0 + (hz / self.corner_hz) ** 2))
 
+    @override
     def drive(self, forces: Array, rate_hz: float) -> Array:
-        """See `Effect.drive`."""
         from scipy.signal import lfilter  # takes most of a second to load
 
         keep = exp(-2.0 * pi * self.corner_hz / rate_hz)
@@ -46,11 +47,11 @@ class ColouredExcitation(Effect):
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`.  A corner beyond the band bends the spectra too."""
+        """A corner beyond the band bends the spectra too."""
         return tuple(cls(location, hz) for hz in (4.0, 8.0, 16.0, 32.0))
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         corner = fitted.sized("corner_hz", f"above {fitted.interval('corner_hz')}", "with the frequency")
         return f"the excitation is not white: its power falls off {corner}"

@@ -7,6 +7,7 @@ from math import inf, pi, sqrt
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
@@ -45,13 +46,13 @@ class CoulombFriction(Effect):
 
     friction_force_n: float
 
+    @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`."""
         damping = sqrt(2.0 / pi) * self.friction_force_n / float(condition.drift_velocity_m_s[self.index])
         return system.plus(damping=damping * self.pattern(context.structure))
 
+    @override
     def laws(self, structure: Structure) -> tuple[Law, ...]:
-        """See `Effect.laws`."""
         if self.friction_force_n == 0.0:
             return ()
         direction = self.direction(structure)
@@ -61,18 +62,18 @@ class CoulombFriction(Effect):
         return (Law(LawKind.FRICTION, direction, (self.friction_force_n, creep)),)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         j = int(location.partition(" ")[2]) - 1
         return (cls(location, 0.03 * float(context.structure.stiffness_n_per_m[j] * condition.drift_m[j])),)
 
     @classmethod
+    @override
     def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        """See `Effect.law_families`."""
         return ("dissipating",)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         size = f" of {fitted.interval('friction_force_n')}"
         return f"{fitted.location} rubs: dry friction{fitted.sized('friction_force_n', size)}"

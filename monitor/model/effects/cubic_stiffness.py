@@ -7,6 +7,7 @@ from math import inf, sqrt
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, System
@@ -46,25 +47,23 @@ class CubicStiffness(Effect):
 
     k3_n_per_m3: float
 
+    @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`."""
         s, half_force = float(condition.drift_m[self.index]), self._half_force_drift_m(context.structure)
         fourth = float(_WEIGHTS @ (_NODES**4 / (1.0 + (s * _NODES / half_force) ** 4)))
         return system.plus(stiffness=self.k3_n_per_m3 * s**2 * fourth * self.pattern(context.structure))
 
+    @override
     def laws(self, structure: Structure) -> tuple[Law, ...]:
-        """See `Effect.laws`."""
         return (Law(LawKind.CUBIC, self.direction(structure), (self.k3_n_per_m3, self._half_force_drift_m(structure))),)
 
     @property
+    @override
     def is_softening(self) -> bool:
-        """See `Effect.is_softening`."""
         return self.k3_n_per_m3 < 0.0
 
     def form_std_in(self, fitted: FittedModel) -> Array:
-        """See `Effect.form_std_in`.
-
-        The law of softening beyond the third order is not known.  With a fifth order like that of tanh, a size would differ by
+        """The law of softening beyond the third order is not known.  With a fifth order like that of tanh, a size would differ by
         twice the relative softening.
         """
         if not self.is_softening:
@@ -80,20 +79,20 @@ class CubicStiffness(Effect):
         return sqrt(float(structure.stiffness_n_per_m[self.index]) / -self.k3_n_per_m3)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         j = int(location.partition(" ")[2]) - 1
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, size * k / (3.0 * s**2)) for size in (0.03, 0.1, -0.03, -0.08))
 
     @classmethod
+    @override
     def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        """See `Effect.law_families`."""
         return ("softening",) if parameters["k3_n_per_m3"]["value"] < 0 else ("hardening",)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         trend = "softens" if fitted.value("k3_n_per_m3") < 0 else "hardens"
         size = f": cubic stiffness {fitted.interval('k3_n_per_m3')}"
         return f"{fitted.location} {trend} as its drift grows{fitted.sized('k3_n_per_m3', size)}"

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from math import erfc, exp, inf, pi, sqrt
 from typing import ClassVar, Literal, Self
 
+from typing_extensions import override
+
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
@@ -46,37 +48,37 @@ class GapContact(Effect):
     """Drift at which the contact closes; negative for one that closes at negative drift."""
     contact_stiffness_n_per_m: float
 
+    @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`."""
         k = float(context.structure.stiffness_n_per_m[self.index])
         s = float(condition.drift_m[self.index])
         share = mean_contact(k, self.contact_stiffness_n_per_m, abs(self.gap_m) / s)
         return system.plus(stiffness=self.contact_stiffness_n_per_m * share * self.pattern(context.structure))
 
+    @override
     def laws(self, structure: Structure) -> tuple[Law, ...]:
-        """See `Effect.laws`."""
         parameters = (self.gap_m, self.contact_stiffness_n_per_m)
         return (Law(LawKind.CONTACT, self.direction(structure), parameters),)
 
+    @override
     def mirrored(self) -> Effect | None:
-        """See `Effect.mirrored`."""
         return replace(self, gap_m=-self.gap_m)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         j = int(location.partition(" ")[2]) - 1
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, gap * s, 0.5 * k) for gap in (1.2, 1.7, 2.2, -1.2, -1.7, -2.2))
 
     @classmethod
+    @override
     def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        """See `Effect.law_families`."""
         return ("hardening", "asymmetric")
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         sign = "positive" if fitted.value("gap_m") > 0 else "negative"
         gap = fitted.sized("gap_m", f"after {fitted.magnitude('gap_m', 1e3, 'mm')} of {sign}", f"at some {sign}")
         worth = f", worth {fitted.interval('contact_stiffness_n_per_m')}"
@@ -87,19 +89,9 @@ class GapContact(Effect):
 def mean_contact(stiffness: float, contact: float, gap: float) -> float:
     """Compute the share of time that a normal drift of unit RMS about its own mean spends beyond a gap.
 
-    Parameters
-    ----------
-    stiffness : float
-        Stiffness of the story, N/m.
-    contact : float
-        Stiffness added beyond the gap, N/m; negative for stiffness that is lost there.
-    gap : float
-        Gap over the RMS drift.
-
-    Notes
-    -----
-    The mean force at the mean drift m is zero: ``k m + kc E[(m + z - gap)+] = 0``, solved by Newton's method (the left side is
-    monotonic and convex or concave).
+    `contact` is the stiffness added beyond the gap, negative where it is lost there; `gap` is over the RMS drift.  The mean force
+    at the mean drift m is zero: ``k m + kc E[(m + z - gap)+] = 0``, solved by Newton's method (the left side is monotonic and
+    convex or concave).
     """
     mean = 0.0
     for _ in range(12):

@@ -7,6 +7,7 @@ from math import inf
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
@@ -38,25 +39,25 @@ class GravitySoftening(Effect):
 
     factor: float
 
+    @override
     def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
-        """See `Effect.check`."""
         if structure.story_heights_m is None:
             raise EffectError(f"{self.name}: needs story_heights_m in the structure file")
 
+    @override
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
-        """See `Effect.structural`."""
         assert structure.story_heights_m is not None, "refused by `check`"
         weight = _GRAVITY_M_S2 * np.cumsum(mass.sum(axis=1))
         lost = self.factor * weight / structure.story_heights_m
         return mass, np.asarray(stiffness - np.einsum("j,jab->ab", lost, structure.stiffness_derivatives()))
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return (cls(location, 0.6),)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         times = f" by {fitted.interval('factor')} times weight over height (theory: 1.2, clamped columns)"
         return f"weight softens the stories{fitted.sized('factor', times)}"

@@ -7,6 +7,7 @@ from math import inf, pi
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Line, Peak
@@ -41,23 +42,23 @@ class HarmonicExcitation(Effect):
     force_n: float
     """Amplitude of the force."""
 
+    @override
     def lines(self) -> tuple[Line, ...]:
-        """See `Effect.lines`."""
         return (Line(self.index, self.frequency_hz, self.force_n),)
 
+    @override
     def drive(self, forces: Array, rate_hz: float) -> Array:
-        """See `Effect.drive`."""
         driven = forces.copy()
         driven[:, self.index] += self.force_n * np.sin(2.0 * pi * self.frequency_hz / rate_hz * np.arange(len(forces)))
         return driven
 
+    @override
     def form_std_in(self, fitted: FittedModel) -> Array:
-        """See `Effect.form_std_in`."""
         return np.array([_FREQUENCY_STD_BINS * fitted.bin_hz / self.frequency_hz, 0.0])
 
     @classmethod
+    @override
     def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Self:
-        """See `Effect.at_peak`."""
         return cls._weak(location, peak.hz, context, condition)
 
     @classmethod
@@ -67,13 +68,13 @@ class HarmonicExcitation(Effect):
         return cls(location, hz, 0.1 * float(context.structure.masses_kg[j] * condition.channel_m_s2.mean()))
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         grid = np.geomspace(6.0, 30.0, 8)
         return tuple(cls._weak(location, float(hz), context, condition) for hz in grid)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         force = fitted.sized("force_n", f" with {fitted.interval('force_n')}", ", too weakly to be sized")
         return f"a machine drives {fitted.location} at {fitted.interval('frequency_hz')}{force}"

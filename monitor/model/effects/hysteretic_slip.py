@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from math import inf
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
@@ -30,8 +31,8 @@ class Element:
 
     story: int
     """Index of the story, from 0."""
-    direction: Array
-    """Row that picks the story's drift out of the floors' motion, shape (n,)."""
+    direction: Annotated[Array, "n"]
+    """Row that picks the story's drift out of the floors' motion."""
     force_n: float
     """Force at which the element slips, N."""
     slip_m: float
@@ -78,12 +79,12 @@ class HystereticSlip(Effect):
     """Share of the story's stiffness at small drift that slips away."""
 
     @property
+    @override
     def is_softening(self) -> bool:
-        """See `Effect.is_softening`."""
         return True
 
+    @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`."""
         for e in self.elements(context.structure):
             drift = float(condition.drift_m[e.story])
             secant, loss = linearized_element(drift / e.slip_m)
@@ -92,8 +93,8 @@ class HystereticSlip(Effect):
             system = system.plus(stiffness=stiffness * (secant - 1.0) * pattern, damping=damping * pattern)
         return system
 
+    @override
     def laws(self, structure: Structure) -> tuple[Law, ...]:
-        """See `Effect.laws`."""
         return tuple(Law(LawKind.SLIP, e.direction, (e.force_n, e.slip_m)) for e in self.elements(structure))
 
     def elements(self, structure: Structure) -> tuple[Element, ...]:
@@ -106,20 +107,20 @@ class HystereticSlip(Effect):
         return tuple(Element(j, rows[j], self.relative * float(k[j]) * slip_m, slip_m) for j in stories)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         j = 0 if location == "frame" else cls(location, 0.0, 0.0).index  # the stories of a frame are of one order
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, 0.1 * k * s * slip, 0.1) for slip in (0.5, 2.0))
 
     @classmethod
+    @override
     def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        """See `Effect.law_families`."""
         return ("softening", "dissipating")
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         share = fitted.sized("relative", f"{fitted.percent('relative')} of the stiffness", "a part of the stiffness")
         force = fitted.sized("force_n", f" of {fitted.interval('force_n')}", "")
         subject = (
@@ -131,17 +132,8 @@ class HystereticSlip(Effect):
 def linearized_element(drift: float) -> tuple[float, float]:
     """Compute the mean secant stiffness and the mean loss of an element of unit stiffness that slips at unit drift.
 
-    Parameters
-    ----------
-    drift : float
-        RMS drift, over that at which the element slips.
-
-    Returns
-    -------
-    secant : float
-        Stiffness over that at small drift.
-    loss : float
-        Energy dissipated in a cycle, over pi times the squared amplitude and the stiffness at small drift.
+    The secant stiffness is over that at small drift; the loss is the energy dissipated in a cycle, over pi times the squared
+    amplitude and the stiffness at small drift.  The RMS drift is over that at which the element slips.
 
     Examples
     --------
@@ -154,7 +146,7 @@ def linearized_element(drift: float) -> tuple[float, float]:
 
 @cache
 def _table() -> tuple[Array, Array]:
-    """Compute `linearized_element` at the drifts of `_LOG10_DRIFTS`, shape (n,) each."""
+    """Compute `linearized_element` at the drifts of `_LOG10_DRIFTS`."""
     nodes, weights = np.polynomial.laguerre.laggauss(_AMPLITUDES)
     # The nodes are the squared amplitudes over twice the variance; every amplitude counts by its square.
     weights = weights * nodes
@@ -164,7 +156,7 @@ def _table() -> tuple[Array, Array]:
 
 
 def steady_cycle(amplitude: Array) -> tuple[Array, Array]:
-    """Compute secant stiffness and loss of steady cycles, of the shape of the amplitudes over the drift at slip."""
+    """Compute secant stiffness and loss of steady cycles of amplitudes over the drift at slip."""
     low, high = np.zeros(amplitude.shape), np.ones(amplitude.shape)
     for _ in range(60):  # bisection of the force at the turning points
         middle = 0.5 * (low + high)

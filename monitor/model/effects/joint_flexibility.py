@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import ClassVar, Literal, Self
 
+from typing_extensions import override
+
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
@@ -29,30 +31,30 @@ class JointFlexibility(Effect):
     girder_to_column_ratio: float
     """(E I_g / L_g) / (E I_c / h), one girder and one column, E I_c / h the mean over stories."""
 
+    @override
     def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
-        """See `Effect.check`."""
         if not isinstance(structure, ShearFrame):
             raise EffectError(
                 f"{self.name}: needs a shear frame, a structure given by matrices has its girders in them"
             )
 
     @property
+    @override
     def column_to_girder(self) -> float:
-        """See `Effect.column_to_girder`."""
         return 0.0 if self.girder_to_column_ratio == inf else 1.0 / self.girder_to_column_ratio
 
     def altered(self, structure: Structure) -> Structure:
-        """See `Effect.altered`.  The flexibility adds to that of joints that are known to rotate."""
+        """The flexibility adds to that of joints that are known to rotate."""
         assert isinstance(structure, ShearFrame), "refused by `check`"
         return replace(structure, column_to_girder=structure.column_to_girder + self.column_to_girder)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return (cls(location, 50.0),)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         size = f": girders are {fitted.interval('girder_to_column_ratio')} times as stiff as columns"
         return f"the joints rotate{fitted.sized('girder_to_column_ratio', size)}"

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from math import inf, pi, sqrt
 from typing import ClassVar, Literal, Self
 
+from typing_extensions import override
+
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
@@ -34,19 +36,19 @@ class QuadraticDamping(Effect):
 
     coefficient_n_s2_per_m2: float
 
+    @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`."""
         speed = float(condition.floor_velocity_m_s[self.index])
         damping = sqrt(8.0 / pi) * self.coefficient_n_s2_per_m2 * speed
         return system.plus(damping=damping * self.pattern(context.structure))
 
+    @override
     def laws(self, structure: Structure) -> tuple[Law, ...]:
-        """See `Effect.laws`."""
         return (Law(LawKind.QUADRATIC, self.direction(structure), (self.coefficient_n_s2_per_m2, 0.0)),)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         j = int(location.partition(" ")[2]) - 1
         structure = context.structure
         stiffness = float(structure.stiffness_matrix()[j, j])
@@ -54,12 +56,12 @@ class QuadraticDamping(Effect):
         return (cls(location, 0.5 * own / (sqrt(8.0 / pi) * float(condition.floor_velocity_m_s[j]))),)
 
     @classmethod
+    @override
     def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        """See `Effect.law_families`."""
         return ("dissipating",)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         drag = fitted.sized("coefficient_n_s2_per_m2", f", {fitted.interval('coefficient_n_s2_per_m2')}")
         return f"{fitted.location} feels a drag that grows as its velocity squared{drag}"

@@ -57,15 +57,6 @@ def _without_unit(parameter_name: str) -> str:
 def interval(entry: Mapping[str, float], scale: float = 1.0, unit: str = "") -> str:
     """Write an estimate as its value plus or minus two standard deviations, with as many digits as these allow.
 
-    Parameters
-    ----------
-    entry : mapping
-        ``value`` and ``std`` of the estimate.
-    scale : float
-        Factor from the estimate's unit to `unit`.
-    unit : str
-        Unit to write behind the numbers.
-
     Examples
     --------
     >>> interval({"value": 0.00213, "std": 1e-5}, 1e3, "mm")
@@ -166,10 +157,7 @@ class ReportFace:
     def sentence(cls, fitted: FittedSizes) -> str:
         """Say in one sentence, without its full stop, where the effect is and how large.
 
-        Raises
-        ------
-        KeyError
-            If a parameter is missing.
+        Raises KeyError if a parameter is missing.
         """
         sizes = (f"{_without_unit(p)} {fitted.interval(p)}" for p in fitted.parameters if fitted.is_sized(p))
         return ", ".join([f"{cls.name.replace('_', ' ')} at {fitted.location}", *sizes])

@@ -9,6 +9,7 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
@@ -51,13 +52,13 @@ class SensorClipping(Effect):
 
     limit_m_s2: float
 
+    @override
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
-        """See `Effect.response`."""
         j = self.channel_indices(context)[0]
         return on_channel(erf(self._limit(condition, j) / sqrt(2.0)), j, context)
 
+    @override
     def noise_variance(self, context: Context, condition: Condition) -> Array | float:
-        """See `Effect.noise_variance`."""
         j = self.channel_indices(context)[0]
         a = self._limit(condition, j)
         distortion = clipped_power(a) - erf(a / sqrt(2.0)) ** 2
@@ -65,8 +66,8 @@ class SensorClipping(Effect):
         variance[j] = max(distortion, 0.0) * condition.channel_m_s2[j] ** 2 / clipped_power(a)
         return variance
 
+    @override
     def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
-        """See `Effect.measure`."""
         j = self.channel_indices(context)[0]
         measured = samples.copy()
         measured[:, j] = np.clip(measured[:, j], -self.limit_m_s2, self.limit_m_s2)
@@ -77,8 +78,8 @@ class SensorClipping(Effect):
         return _limit_over_unclipped_rms(self.limit_m_s2 / float(condition.channel_m_s2[channel]))
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         j = context.channels.index(location.partition(" ")[2])
         rms, peak = float(condition.channel_m_s2[j]), _channel_value(condition.channel_peak_m_s2, j)
         if _channel_value(condition.channel_piled, j):
@@ -88,7 +89,7 @@ class SensorClipping(Effect):
         return (cls(location, 0.8 * peak), cls(location, 0.999 * peak))
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
-        """See `Effect.known`.  Where many samples share the largest magnitude, that magnitude is the limit."""
+        """Where many samples share the largest magnitude, that magnitude is the limit."""
         j = self.channel_indices(context)[0]
         if not _channel_value(condition.channel_piled, j):
             return self.coordinates, np.zeros(1)
@@ -96,8 +97,8 @@ class SensorClipping(Effect):
         return np.array([1.0 / peak]), np.array([(peak / _PILE_STD) ** 2])
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         limit = fitted.sized("limit_m_s2", f" at ± {fitted.interval('limit_m_s2')}", "")
         return f"{fitted.location} is cut off{limit}"
 

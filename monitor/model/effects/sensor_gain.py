@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
@@ -29,43 +30,32 @@ class SensorGain(Effect):
 
     gain: float
 
+    @override
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
-        """See `Effect.response`."""
         return on_channel(self.gain, self.channel_indices(context)[0], context)
 
+    @override
     def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
-        """See `Effect.measure`."""
         measured = samples.copy()
         measured[:, self.channel_indices(context)[0]] *= self.gain
         return measured
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return (cls(location, 1.02),)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         trend = "too much" if fitted.value("gain") > 1 else "too little"
         size = fitted.sized("gain", f"{fitted.percent('gain', above=1.0)} ", "", above=1.0)
         small = fitted.sized("gain", "", ", by too little to be sized", above=1.0)
         return f"{fitted.location} reads {size}{trend}{small}"
 
 
-def on_channel(factor: complex | ComplexArray, channel: int, context: Context) -> ComplexArray:
-    """Build the frequency response that multiplies one channel by a factor and leaves the others unchanged.
-
-    Parameters
-    ----------
-    factor : complex or ndarray, shape (n_hz,)
-    channel : int
-        Index of the channel.
-
-    Returns
-    -------
-    ndarray, shape (n_hz or 1, c, c)
-    """
+def on_channel(factor: complex | ComplexArray, channel: int, context: Context) -> Annotated[ComplexArray, "hz c c"]:
+    """Build the frequency response that multiplies one channel by a factor (one, or one a frequency) and no other."""
     factors = np.atleast_1d(factor)
     response = np.tile(np.eye(len(context.channels), dtype=complex), (factors.size, 1, 1))
     response[:, channel, channel] = factors

@@ -7,6 +7,7 @@ from math import inf
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
@@ -30,27 +31,27 @@ class SensorNoise(Effect):
     rms_m_s2: float
     """RMS of the noise at the source's rate."""
 
+    @override
     def noise_variance(self, context: Context, condition: Condition) -> Array | float:
-        """See `Effect.noise_variance`."""
         variance = np.zeros(len(context.channels))
         variance[self.channel_indices(context)[0]] = self.rms_m_s2**2
         return variance
 
+    @override
     def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
-        """See `Effect.measure`."""
         measured = samples.copy()
         measured[:, self.channel_indices(context)[0]] += self.rms_m_s2 * rng.standard_normal(len(samples))
         return measured
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         j = context.channels.index(location.partition(" ")[2])
         return (cls(location, 0.15 * float(condition.channel_m_s2[j])),)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         size = fitted.sized("rms_m_s2", f"{fitted.interval('rms_m_s2')} RMS of ", "")
         small = fitted.sized("rms_m_s2", "")
         return f"{fitted.location} has {size}noise beyond what all channels have{small}"

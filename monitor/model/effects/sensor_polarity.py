@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
@@ -26,22 +27,22 @@ class SensorPolarity(Effect):
     signature: ClassVar[str] = "one channel upside down in all shapes, frequencies untouched"
     separating_measurement: ClassVar[str] = "look at how the sensor is mounted, or tilt it and read gravity's sign"
 
+    @override
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
-        """See `Effect.response`."""
         return on_channel(-1.0, self.channel_indices(context)[0], context)
 
+    @override
     def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
-        """See `Effect.measure`."""
         measured = samples.copy()
         measured[:, self.channel_indices(context)[0]] *= -1.0
         return measured
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return (cls(location),)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         return f"{fitted.location} is upside down: its sign is reversed"

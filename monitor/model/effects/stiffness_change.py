@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, FittedModel, blurred_by_form
@@ -35,31 +36,31 @@ class StiffnessChange(Effect):
     relative: float
     """-0.2 = 20 % lost."""
 
+    @override
     def altered(self, structure: Structure) -> Structure:
-        """See `Effect.altered`."""
         if self.location == "frame":
             return structure
         return structure.changed(self.relative * np.eye(structure.n_stories)[self.index])
 
+    @override
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
-        """See `Effect.structural`."""
         return mass, stiffness * (1.0 + self.relative) if self.location == "frame" else stiffness
 
     def form_std_in(self, fitted: FittedModel) -> Array:
-        """See `Effect.form_std_in`.  The frame's form, and girders that may have changed, leave a story's stiffness uncertain."""
+        """The frame's form, and girders that may have changed, leave a story's stiffness uncertain."""
         if self.location == "frame":
             return self.form_std
         flexible = sum(effect.column_to_girder for effect in fitted.effects)
         return blurred_by_form(self, fitted, _GIRDERS_STD * min(flexible, 1.0))
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return tuple(cls(location, r) for r in (-0.003, -0.02, -0.08, 0.08, -0.14))
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         change = "softer" if fitted.value("relative") < 0 else "stiffer"
         subject = "all stories are" if fitted.location == "frame" else f"{fitted.location} is"
         size = fitted.sized("relative", f"{fitted.percent('relative')} ", "")

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from math import inf
 from typing import ClassVar, Literal, Self
 
+from typing_extensions import override
+
 from monitor.model.effects.base import Condition, Context, Effect, System
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
@@ -27,23 +29,23 @@ class StoryDamper(Effect):
 
     damping_n_s_per_m: float
 
+    @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`."""
         return system.plus(damping=self.damping_n_s_per_m * self.pattern(context.structure))
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return (cls(location, 0.1),)
 
     @classmethod
+    @override
     def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        """See `Effect.law_families`."""
         return ("dissipating",)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         size = fitted.sized("damping_n_s_per_m", f"{fitted.interval('damping_n_s_per_m')} ", "")
         small = fitted.sized("damping_n_s_per_m", "")
         return f"{fitted.location} has {size}more damping than {fitted.source}{small}"

@@ -7,6 +7,7 @@ from math import exp, inf
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, System
@@ -42,17 +43,17 @@ class TemperatureStiffness(Effect):
     """Time constant of the lag; before the first reading the temperature is taken to have been constant."""
 
     @property
+    @override
     def temperature_lag_s(self) -> float | None:
-        """See `Effect.temperature_lag_s`."""
         return self.lag_s
 
+    @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`."""
         n = context.structure.n_stories
         return system.plus(stiffness=self.per_degc * condition.excess_degc(self.lag_s) * system.stiffness[:n, :n])
 
+    @override
     def stiffness_factor(self, excess_degc: Array, rate_hz: float) -> Array | None:
-        """See `Effect.stiffness_factor`."""
         from scipy.signal import lfilter  # takes most of a second to load
 
         if self.lag_s > 0.0:
@@ -61,13 +62,13 @@ class TemperatureStiffness(Effect):
         return np.asarray(1.0 + self.per_degc * excess_degc)
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return cls(location, 1e-3, 0.0), cls(location, 1e-3, 600.0)
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         trend = "loses" if fitted.value("per_degc") < 0 else "gains"
         is_late = fitted.value("lag_s") > 0 and fitted.is_sized("lag_s")
         late = f", {fitted.interval('lag_s')} late" if is_late else ""

@@ -7,6 +7,7 @@ from math import ceil, pi
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
@@ -31,12 +32,12 @@ class TimeOffset(Effect):
 
     seconds: float
 
+    @override
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
-        """See `Effect.response`."""
         return on_channel(np.exp(-2j * pi * hz * self.seconds), self.channel_indices(context)[0], context)
 
+    @override
     def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
-        """See `Effect.measure`."""
         if self.seconds == 0.0:
             return samples
         from scipy.fft import irfft, next_fast_len, rfft, rfftfreq  # takes a third of a second to load
@@ -49,13 +50,13 @@ class TimeOffset(Effect):
         return measured
 
     @classmethod
+    @override
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
         return tuple(cls(location, s) for s in (0.5e-3, 1.5e-3, -1.5e-3, 3e-3, -3e-3, 4.5e-3, -4.5e-3))
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         trend = "late" if fitted.value("seconds") > 0 else "early"
         size = fitted.sized("seconds", f"{fitted.magnitude('seconds', 1e3, 'ms')} ", "")
         small = fitted.sized("seconds", "", ", by too little to be sized")

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, pi
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
+from typing_extensions import override
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, CoupledMode, Effect, EffectError, ExtraMode, Peak, System
@@ -118,7 +119,7 @@ class UnmodelledMode(Effect):
 
     @classmethod
     def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
-        """See `Effect.create`.  The shape, `shape_1` and so on, the eccentricities and the forces' arms may be left out."""
+        """The shape, `shape_1` and so on, the eccentricities and the forces' arms may be left out."""
         listed = {}
         for prefix, what in ((_SHAPE, "channel"), (_ECCENTRICITY, "floor"), (_ARM, "floor")):
             own = {name: value for name, value in parameters.items() if name.startswith(prefix)}
@@ -140,8 +141,8 @@ class UnmodelledMode(Effect):
         hz, ratio = bare.values().values()
         return cls(location, hz, ratio, listed[_SHAPE], force_ratio, listed[_ECCENTRICITY], arms)
 
+    @override
     def values(self) -> dict[str, float]:
-        """See `Effect.values`."""
         own = {"frequency_hz": self.frequency_hz, "damping_ratio": self.damping_ratio}
         own |= {f"{_SHAPE}{i + 1}": component for i, component in enumerate(self.shape)}
         if self.eccentricity:
@@ -151,17 +152,16 @@ class UnmodelledMode(Effect):
 
     @property
     def units(self) -> Array:
-        """See `Effect.units`.  All components of the shape have the unit of the largest."""
+        """All components of the shape have the unit of the largest."""
         out = np.ones(len(self.parameters))
         out[self._of_shape] = max(np.abs(self.shape), default=1.0) or 1.0
         return out
 
     @property
     def pattern_std(self) -> Array:
-        """See `Effect.pattern_std`.
+        """The damping ratio is about the structure's.
 
-        The damping ratio is about the structure's.  The shape's components are of the order of their RMS; the largest stands for
-        the size.
+        The shape's components are of the order of their RMS; the largest stands for the size.
         """
         out = np.full(len(self.parameters), np.nan)
         out[1] = _MODE_DAMPING_LN_STD
@@ -183,8 +183,8 @@ class UnmodelledMode(Effect):
         """Slice of the shape's coordinates."""
         return slice(2, 2 + len(self.shape))
 
+    @override
     def at(self, coordinates: Array) -> Self:
-        """See `Effect.at`."""
         values = [p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
         hz, ratio, *rest = values
         shape, rest = rest[: len(self.shape)], rest[len(self.shape) :]
@@ -200,26 +200,26 @@ class UnmodelledMode(Effect):
             force_arm=tuple(of_floors[n:]),
         )
 
+    @override
     def coupled(self, context: Context) -> Self | None:
-        """See `Effect.coupled`."""
         if self.eccentricity:
             return None
         shape = tuple(self._shape_on(context).tolist())
         return replace(self, shape=shape, eccentricity=(0.0,) * context.structure.n_dofs)
 
+    @override
     def reversed_coupling(self) -> Self:
-        """See `Effect.reversed_coupling`."""
         eccentricity, arms = (tuple(-e for e in of_floors) for of_floors in (self.eccentricity, self.force_arm))
         return replace(self, eccentricity=eccentricity, force_arm=arms)
 
+    @override
     def uncoupled(self, resonance: ExtraMode) -> Self:
-        """See `Effect.uncoupled`."""
         return type(self)(
             self.location, resonance.frequency_hz, resonance.damping_ratio, tuple(resonance.shape.tolist())
         )
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """See `Effect.extend`.  Only a coupled mode is a degree of freedom of the system."""
+        """Only a coupled mode is a degree of freedom of the system."""
         if not self.eccentricity:
             return system
         mean, size, n = float(context.structure.masses_kg.mean()), system.mass.shape[0], len(self.eccentricity)
@@ -232,25 +232,25 @@ class UnmodelledMode(Effect):
         mode = CoupledMode(size, mean * np.array(self.shape), self.force_ratio, np.array(self.force_arm))
         return replace(larger, coupled=(*system.coupled, mode))
 
-    def _springs(self, structure: Structure, stiffness: Array) -> tuple[float, Array]:
-        """Return the stiffness of a coupled mode's degree of freedom, N/m, and that between it and every floor, shape (n,)."""
+    def _springs(self, structure: Structure, stiffness: Array) -> tuple[float, Annotated[Array, "n"]]:
+        """Return the stiffness of a coupled mode's degree of freedom, N/m, and that between it and every floor."""
         own = float(structure.masses_kg.mean()) * (2.0 * pi * self.frequency_hz) ** 2
         return own, stiffness @ np.array(self.eccentricity)
 
+    @override
     def extra_modes(self, context: Context) -> tuple[ExtraMode, ...]:
-        """See `Effect.extra_modes`."""
         if self.eccentricity:
             return ()
         return (ExtraMode(self.frequency_hz, self.damping_ratio, self._shape_on(context)),)
 
-    def _shape_on(self, context: Context) -> Array:
-        """Return the shape on the channels, shape (c,), 1/kg."""
+    def _shape_on(self, context: Context) -> Annotated[Array, "c"]:
+        """Return the shape on the channels, 1/kg."""
         if self.shape:
             return np.array(self.shape)
         return np.full(len(context.channels), 1.0 / float(context.structure.masses_kg.sum()))
 
+    @override
     def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
-        """See `Effect.check`."""
         super().check(structure, channels)
         if self.shape and len(self.shape) != len(channels):
             raise EffectError(f"{self.name}: {len(self.shape)} components of the shape for {len(channels)} channels")
@@ -266,7 +266,7 @@ class UnmodelledMode(Effect):
                 raise EffectError(f"{self.name}: the eccentricities are so large that the structure is unstable")
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
-        """See `Effect.known`.  The damping ratio is that of the structure, within a factor of two."""
+        """The damping ratio is that of the structure, within a factor of two."""
         mean, precision = self.coordinates, np.zeros(len(self.parameters))
         mean[1], precision[1] = np.log(context.structure.damping_ratio), _MODE_DAMPING_LN_STD**-2
         if self.eccentricity:
@@ -276,25 +276,25 @@ class UnmodelledMode(Effect):
         return mean, precision
 
     def is_plausible(self, band_hz: Array) -> bool:
-        """See `Effect.is_plausible`.  The peak reaches into the band, and the damping ratio is below the limit."""
+        """The peak reaches into the band, and the damping ratio is below the limit."""
         in_band = band_hz[0] <= self.frequency_hz <= _BEYOND_BAND * band_hz[-1]
         return bool(in_band and self.damping_ratio < _MAX_MODE_DAMPING)
 
     @classmethod
+    @override
     def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Self:
-        """See `Effect.at_peak`."""
         largest = _START / float(context.structure.masses_kg.mean())
         shape = largest * peak.amplitude / np.abs(peak.amplitude).max()
         return cls(location, peak.hz, context.structure.damping_ratio, tuple(shape.tolist()))
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`.  Only a peak of the recording's spectra tells a shape to start from."""
+        """Only a peak of the recording's spectra tells a shape to start from."""
         return ()
 
     @classmethod
+    @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        """See `Effect.sentence`."""
         damping = fitted.sized("damping_ratio", f" with {fitted.percent('damping_ratio')} damping", "")
         return (
             f"the structure has a mode at {fitted.interval('frequency_hz')}{damping} that the model lacks: "
@@ -302,8 +302,8 @@ class UnmodelledMode(Effect):
         )
 
     @classmethod
+    @override
     def sentence_of_several(cls, fitted: Sequence[FittedSizes]) -> str:
-        """See `Effect.sentence_of_several`."""
         hz = sorted(one.value("frequency_hz") for one in fitted)
         listed = ", ".join(f"{f:.4g}" for f in hz[:-1]) + f" and {hz[-1]:.4g}"
         return (

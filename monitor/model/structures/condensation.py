@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,34 +14,19 @@ _MASSLESS = 1e-12
 
 
 def condense_massless(
-    mass: Array, stiffness: Array, slopes: Array | None = None
-) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    mass: Array, stiffness: Array, slopes: Annotated[Array, "p N N"] | None = None
+) -> tuple[
+    Annotated[Array, "n n"], Annotated[Array, "n n"], Annotated[Array, "p n n"], Annotated[NDArray[np.intp], "n"]
+]:
     """Condense the degrees of freedom that have no mass; the modes of the others stay as they are.
 
     Massless degrees of freedom s follow the others r without delay, ``u_s = -K_ss^-1 K_sr u_r``.  So the condensation is exact,
-    unlike that of degrees of freedom with mass.
+    unlike that of degrees of freedom with mass.  Rows without mass are zero throughout.
 
-    Parameters
-    ----------
-    mass, stiffness : ndarray, shape (N, N), kg and N/m
-        Symmetric; rows without mass are zero throughout.
-    slopes : ndarray, shape (p, N, N), optional
-        dK / dk_j.
-
-    Returns
-    -------
-    mass, stiffness : ndarray, shape (n, n)
-        Of the degrees of freedom with mass.
-    slopes : ndarray, shape (p, n, n)
-        Derivatives of the condensed stiffness matrix at `stiffness`, which is linear in k_j only as far as no massless degree of
-        freedom turns or moves otherwise when k_j changes.
-    kept : ndarray, shape (n,)
-        Numbers of these degrees of freedom, from 0.
-
-    Raises
-    ------
-    ValueError
-        The matrices do not fit each other, a massless degree of freedom is coupled by mass, or nothing holds it.
+    Returned are mass, stiffness and its slopes dK / dk_j of the degrees of freedom with mass, and their numbers from 0.  The
+    slopes are those at `stiffness`: the condensed one is linear in k_j only as far as no massless degree of freedom turns or
+    moves otherwise when k_j changes.  Raises ValueError if the matrices do not fit each other, a massless degree of freedom is
+    coupled by mass, or nothing holds it.
 
     Examples
     --------

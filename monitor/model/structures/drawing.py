@@ -50,14 +50,14 @@ class LineTable(Settings):
 class Drawing:
     """Points of a structure, the degrees of freedom that move them, and the lines between them."""
 
-    points: Array
-    """Shape (n, 3), m."""
-    dofs: NDArray[np.intp]
-    """Degree of freedom that moves each point along x, y and z, from 0, shape (n, 3); -1 for none."""
-    lines: NDArray[np.intp]
-    """Points at the ends of each line, from 0, shape (l, 2)."""
-    stories: NDArray[np.intp]
-    """Story of each line, from 0, shape (l,); -1 for none."""
+    points: Annotated[Array, "n 3"]
+    """m."""
+    dofs: Annotated[NDArray[np.intp], "n 3"]
+    """Degree of freedom that moves each point along x, y and z, from 0; -1 for none."""
+    lines: Annotated[NDArray[np.intp], "l 2"]
+    """Points at the ends of each line, from 0."""
+    stories: Annotated[NDArray[np.intp], "l"]
+    """Story of each line, from 0; -1 for none."""
     names: tuple[str, ...] = ()
     """Name of each point; empty for none."""
 
@@ -74,13 +74,7 @@ class Drawing:
 
     @classmethod
     def of_frame(cls, story_heights_m: Array) -> Self:
-        """Make the drawing of a frame with four columns a story.
-
-        Parameters
-        ----------
-        story_heights_m : ndarray, shape (n,)
-            Story 1 = top; only the proportions matter.
-        """
+        """Make the drawing of a frame with four columns a story, the top one first; only the heights' proportions matter."""
         levels = np.append(np.cumsum(story_heights_m[::-1])[::-1], 0.0)  # of floor 1 (top) .. n, and of the ground
         n, width = len(story_heights_m), _FRAME_WIDTH * levels[0]
         points = np.array([(x, y, z) for z in levels for x, y in ((0, 0), (width, 0), (width, width), (0, width))])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,35 +21,32 @@ class MatrixStructure:
     K is linear in the stiffnesses, ``K = K_fixed + sum_j k_j dK_j``.  A mass scales its row and its column of M alike.
     """
 
-    masses_kg: Array
-    """Diagonal of M, shape (N,), kg."""
-    stiffness_n_per_m: Array
-    """Shape (p,), N/m."""
+    masses_kg: Annotated[Array, "N"]
+    """Diagonal of M."""
+    stiffness_n_per_m: Annotated[Array, "p"]
     damping_ratio: float
     """Damping ratio of modes 1 and 2 (Rayleigh damping), of mode 1 alone for a single degree of freedom."""
-    mass_coupling: Array
-    """M over the square roots of its diagonal, shape (N, N): ones on the diagonal."""
-    fixed_stiffness: Array
-    """Part of K that depends on no parameter, shape (N, N), N/m."""
-    slopes: Array
-    """dK_j, shape (p, N, N)."""
-    built_n_per_m: Array | None = None
-    """Stiffnesses as built, before they changed, shape (p,), N/m; None: those of `stiffness_n_per_m`."""
+    mass_coupling: Annotated[Array, "N N"]
+    """M over the square roots of its diagonal: ones on the diagonal."""
+    fixed_stiffness: Annotated[Array, "N N"]
+    """Part of K that depends on no parameter, N/m."""
+    slopes: Annotated[Array, "p N N"]
+    """dK_j."""
+    built_n_per_m: Annotated[Array, "p"] | None = None
+    """Stiffnesses as built, before they changed; None: those of `stiffness_n_per_m`."""
 
     @classmethod
-    def create(cls, mass: Array, stiffness: Array, slopes: Array, nominal: Array, damping_ratio: float) -> Self:
-        """Make the structure from M and K at the nominal stiffnesses.
+    def create(
+        cls,
+        mass: Annotated[Array, "N N"],
+        stiffness: Annotated[Array, "N N"],
+        slopes: Annotated[Array, "p N N"],
+        nominal: Annotated[Array, "p"],
+        damping_ratio: float,
+    ) -> Self:
+        """Make the structure from symmetric M and K (kg, N/m) at the nominal stiffnesses, and the slopes dK / dk_j.
 
-        Parameters
-        ----------
-        mass, stiffness : ndarray, shape (N, N), kg and N/m
-            Symmetric.
-        slopes : ndarray, shape (p, N, N)
-            dK / dk_j.
-        nominal : ndarray, shape (p,), N/m
-            Stiffnesses at which K is given.
-        damping_ratio : float
-            Damping ratio of modes 1 and 2.
+        The damping ratio is that of modes 1 and 2.
         """
         masses = np.diag(mass).copy()
         root = np.sqrt(masses)
@@ -72,20 +69,20 @@ class MatrixStructure:
         return int(self.masses_kg.size)
 
     def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
-        """See `Structure.with_stiffness`."""
+        """Return the structure with other stiffnesses."""
         return replace(self, stiffness_n_per_m=stiffness_n_per_m)
 
     def changed(self, relative: Array) -> Self:
-        """See `Structure.changed`."""
+        """Change the stiffnesses by shares of the stiffnesses as built."""
         built = self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
         return replace(self, stiffness_n_per_m=self.stiffness_n_per_m + relative * built, built_n_per_m=built)
 
     def with_masses(self, masses_kg: Array) -> Self:
-        """See `Structure.with_masses`."""
+        """Return the structure with other masses."""
         return replace(self, masses_kg=masses_kg)
 
     def drift_matrix(self) -> Array:
-        """See `Structure.drift_matrix`.  Where dK_j is not a single spring, the row is its stiffest direction."""
+        """Where dK_j is not a single spring, the row is its stiffest direction."""
         values, vectors = np.linalg.eigh(self.slopes)
         rows = vectors[:, :, -1] * np.sqrt(values[:, -1:])
         size = np.abs(rows)
@@ -93,22 +90,22 @@ class MatrixStructure:
         return np.asarray(rows * np.sign(np.take_along_axis(rows, largest[:, None], axis=1)))
 
     def single_springs(self) -> NDArray[np.bool_]:
-        """See `Structure.single_springs`.  A bending element is none: it is bent in two ways, and rotations are no drift."""
+        """A bending element is none: it is bent in two ways, and rotations are no drift."""
         values = np.abs(np.linalg.eigvalsh(self.slopes))
         values.sort(axis=1)
         return np.asarray(values[:, :-1].sum(axis=1) < _SINGLE_SPRING * values[:, -1])
 
     def mass_matrix(self) -> Array:
-        """Assemble the mass matrix, shape (N, N), kg."""
+        """Assemble the mass matrix, kg."""
         root = np.sqrt(self.masses_kg)
         return np.asarray(self.mass_coupling * np.outer(root, root))
 
     def stiffness_matrix(self) -> Array:
-        """Assemble the stiffness matrix, shape (N, N), N/m."""
+        """Assemble the stiffness matrix, N/m."""
         return np.asarray(self.fixed_stiffness + np.tensordot(self.stiffness_n_per_m, self.slopes, axes=1))
 
     def mass_derivatives(self) -> Array:
-        """Differentiate the mass matrix: dM / dm_i, half of row and column i of M over m_i, shape (N, N, N)."""
+        """Differentiate the mass matrix: dM / dm_i, half of row and column i of M over m_i."""
         n, mass = self.n_dofs, self.mass_matrix()
         slopes = np.zeros((n, n, n))
         for i in range(n):
@@ -117,5 +114,5 @@ class MatrixStructure:
         return slopes
 
     def stiffness_derivatives(self) -> Array:
-        """Differentiate the stiffness matrix: dK / dk_j, shape (p, N, N), first axis the story."""
+        """Differentiate the stiffness matrix: dK / dk_j, first axis the story."""
         return self.slopes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,16 +28,15 @@ class ShearFrame:
            [-1000.,  3000.]])
     """
 
-    masses_kg: Array
-    """Shape (n,), floor 1 first."""
-    stiffness_n_per_m: Array
-    """Shape (n,), story 1 first."""
+    masses_kg: Annotated[Array, "n"]
+    """Floor 1 first."""
+    stiffness_n_per_m: Annotated[Array, "n"]
+    """Story 1 first."""
     damping_ratio: float
     """Damping ratio of modes 1 and 2 (Rayleigh damping), of mode 1 alone for a single floor."""
-    story_heights_m: Array | None = None
-    """Shape (n,)."""
-    built_n_per_m: Array | None = None
-    """Story stiffnesses as built, by which the girders were sized, shape (n,); None: those of `stiffness_n_per_m`."""
+    story_heights_m: Annotated[Array, "n"] | None = None
+    built_n_per_m: Annotated[Array, "n"] | None = None
+    """Story stiffnesses as built, by which the girders were sized; None: those of `stiffness_n_per_m`."""
     column_to_girder: float = 0.0
     """(E I_c / h) / (E I_g / L_g): one column as built, the mean over stories, over one girder of a one-bay frame; 0 for rigid
     girders."""
@@ -53,48 +52,45 @@ class ShearFrame:
         return int(self.masses_kg.size)
 
     def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
-        """See `Structure.with_stiffness`."""
+        """Return the structure with other stiffnesses."""
         return replace(self, stiffness_n_per_m=stiffness_n_per_m)
 
     def changed(self, relative: Array) -> Self:
-        """See `Structure.changed`."""
+        """Change the stiffnesses by shares of the stiffnesses as built."""
         built = self._built
         return replace(self, stiffness_n_per_m=self.stiffness_n_per_m + relative * built, built_n_per_m=built)
 
     @property
     def _built(self) -> Array:
-        """Story stiffnesses as built, shape (n,), N/m."""
+        """Story stiffnesses as built, N/m."""
         return self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
 
     def with_masses(self, masses_kg: Array) -> Self:
-        """See `Structure.with_masses`."""
+        """Return the structure with other masses."""
         return replace(self, masses_kg=masses_kg)
 
     def drift_matrix(self) -> Array:
-        """Return the matrix from the floors' displacements to the stories' drifts, upper floor minus lower, shape (n, n)."""
+        """Return the matrix from the floors' displacements to the stories' drifts, upper floor minus lower."""
         return _drift_matrix(self.n_stories)
 
     def single_springs(self) -> NDArray[np.bool_]:
-        """See `Structure.single_springs`."""
+        """Tell which stories are a single spring: all are."""
         return np.ones(self.n_stories, dtype=bool)
 
     def mass_matrix(self) -> Array:
-        """Assemble the mass matrix, shape (n, n), kg."""
+        """Assemble the mass matrix, kg."""
         return np.diag(self.masses_kg)
 
     def stiffness_matrix(self) -> Array:
-        """Assemble the stiffness matrix, shape (n, n), N/m."""
+        """Assemble the stiffness matrix, N/m."""
         drift = self.drift_matrix()
         rigid = np.asarray(drift.T @ (self.stiffness_n_per_m[:, None] * drift))
         return rigid if self.column_to_girder == 0.0 else rigid - self._stiffness_lost_by_rotation()
 
-    def joint_rotations(self) -> Array:
-        """Compute how the joints of every floor rotate with the floors' displacements relative to the ground.
+    def joint_rotations(self) -> Annotated[Array, "n n"]:
+        """Compute how the joints of every floor rotate with the floors' displacements relative to the ground, rad/m.
 
-        Returns
-        -------
-        ndarray, shape (n, n), rad/m
-            Positive where a joint turns as the chord of a column does when its upper end moves ahead; zero with rigid girders.
+        Positive where a joint turns as the chord of a column does when its upper end moves ahead; zero with rigid girders.
 
         Raises
         ------
@@ -117,27 +113,20 @@ class ShearFrame:
         coupling, k_theta = self._rotation_terms()
         return np.asarray(-np.linalg.solve(k_theta, coupling.T))
 
-    def girder_rotation(self, floor: int, mounted: str) -> Array:
-        """Compute how the girders of a floor turn where a gyroscope is, as `joint_rotations`, shape (n,), rad/m.
+    def girder_rotation(self, floor: int, mounted: str) -> Annotated[Array, "n"]:
+        """Compute how the girders of a floor (1 = top) turn at a ``joint`` or at ``midspan``, as `joint_rotations`, rad/m.
 
         A girder in double curvature turns in its middle by half as much as at its ends, the other way.
-
-        Parameters
-        ----------
-        floor : int
-            1 = top.
-        mounted : str
-            ``joint`` or ``midspan``.
         """
         return np.asarray((-0.5 if mounted == "midspan" else 1.0) * self.joint_rotations()[floor - 1])
 
     def _stiffness_lost_by_rotation(self) -> Array:
-        """Compute the stiffness that the joints' rotation takes away, by static condensation, shape (n, n), N/m."""
+        """Compute the stiffness that the joints' rotation takes away, by static condensation, N/m."""
         coupling, k_theta = self._rotation_terms()
         return np.asarray(coupling @ np.linalg.solve(k_theta, coupling.T))
 
-    def _rotation_terms(self) -> tuple[Array, Array]:
-        """Assemble the stiffness between floors and rotations, N, and that of the rotations, N m, shape (n, n) each.
+    def _rotation_terms(self) -> tuple[Annotated[Array, "n n"], Annotated[Array, "n n"]]:
+        """Assemble the stiffness between floors and rotations, N, and that of the rotations, N m.
 
         All joints of a floor rotate alike.  Heights are taken as equal where none are given.
 
@@ -161,20 +150,20 @@ class ShearFrame:
         return coupling, k_theta
 
     def mass_derivatives(self) -> Array:
-        """Differentiate the mass matrix: dM / dm_i, shape (n, n, n), first axis the floor."""
+        """Differentiate the mass matrix: dM / dm_i, first axis the floor."""
         n = self.n_dofs
         unit = np.zeros((n, n, n))
         unit[np.arange(n), np.arange(n), np.arange(n)] = 1.0
         return unit
 
     def stiffness_derivatives(self) -> Array:
-        """Differentiate the stiffness matrix of rigid joints: dK / dk_j, shape (n, n, n), first axis the story."""
+        """Differentiate the stiffness matrix of rigid joints: dK / dk_j, first axis the story."""
         return _drift_products(self.n_stories)
 
 
 @cache
-def _drift_products(n: int) -> Array:
-    """Return the outer product of every story's drift row with itself, shape (n, n, n)."""
+def _drift_products(n: int) -> Annotated[Array, "n n n"]:
+    """Return the outer product of every story's drift row with itself."""
     drift = _drift_matrix(n)
     products = drift[:, :, None] * drift[:, None, :]
     products.setflags(write=False)
@@ -183,7 +172,7 @@ def _drift_products(n: int) -> Array:
 
 @cache
 def _drift_matrix(n: int) -> Array:
-    """Build the drift matrix of n stories once, shape (n, n)."""
+    """Build the drift matrix of n stories once."""
     matrix = np.eye(n) - np.eye(n, k=1)
     matrix.setflags(write=False)
     return matrix

@@ -52,8 +52,8 @@ class _Drawing(Settings):
         """Return what is drawn of the structure where its file has no ``[[nodes]]``."""
         raise NotImplementedError
 
-    def prior_std(self) -> Array:
-        """Compute the relative standard deviations of stiffnesses, then masses, shape (p + N,)."""
+    def prior_std(self) -> Annotated[Array, "p+N"]:
+        """Compute the relative standard deviations of stiffnesses, then masses."""
 
         def spread(ranges: tuple[Range, ...] | None, values: Array, default: float) -> Array:
             if ranges is None:
@@ -68,8 +68,8 @@ class _Drawing(Settings):
             ]
         )
 
-    def tolerance(self) -> Array:
-        """Return the relative half widths of the stated ranges: stiffnesses, then masses, shape (p + N,); NaN for none."""
+    def tolerance(self) -> Annotated[Array, "p+N"]:
+        """Return the relative half widths of the stated ranges: stiffnesses, then masses; NaN for none."""
         structure = self.structure()
         stated = np.concatenate(
             [
@@ -79,15 +79,15 @@ class _Drawing(Settings):
         )
         return np.where(stated, 2.0 * self.prior_std(), np.nan)
 
-    def correction(self) -> Array | None:
-        """Return `stiffness_correction_n_per_m` as an array, shape (N, N), N/m; None where it is not given."""
+    def correction(self) -> Annotated[Array, "N N"] | None:
+        """Return `stiffness_correction_n_per_m` as an array; None where it is not given."""
         if self.stiffness_correction_n_per_m is None:
             return None
         size = self.structure().n_dofs
         return _symmetric("stiffness_correction_n_per_m", self.stiffness_correction_n_per_m, size)
 
-    def modal_damping(self) -> Array | None:
-        """Return `modal_damping_ratio` as an array, shape (N,); None where it is not given."""
+    def modal_damping(self) -> Annotated[Array, "N"] | None:
+        """Return `modal_damping_ratio` as an array; None where it is not given."""
         return None if self.modal_damping_ratio is None else np.array(self.modal_damping_ratio)
 
     def _check_lengths(self, wanted: dict[str, int], what: str) -> None:
@@ -199,7 +199,7 @@ StructureTable = Annotated[DrawnTable | ModalTable, Field(discriminator="kind")]
 
 
 def _symmetric(name: str, rows: Matrix, n: int) -> Array:
-    """Check that a matrix is square and symmetric, and remove the asymmetry of rounding, shape (n, n)."""
+    """Check that a matrix is square and symmetric, and remove the asymmetry of rounding."""
     if len(rows) != n or any(len(row) != n for row in rows):
         widths = sorted({len(row) for row in rows})
         raise ValueError(f"{name} has {len(rows)} rows of {', '.join(map(str, widths))} values, not {n} of {n}")
