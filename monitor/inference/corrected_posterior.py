@@ -12,10 +12,11 @@ from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.ambient_posterior import AmbientPosterior
+from monitor.inference.arrays import Spectra
 from monitor.inference.linearization import forced_motion
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior
-from monitor.inference.wishart import Spectra, definite, grown_by
+from monitor.inference.wishart import definite, grown_by
 from monitor.model import EFFECTS, Effect
 
 _SMOOTHING_WIDTH = 0.006

@@ -22,9 +22,6 @@ from monitor.inference.judged_band import JudgedBand
 from monitor.model import Condition, Context, Effect, ExtraMode, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
-Transforms = Annotated[ComplexArray, "segments bins c"]
-"""Tapered transforms of the channels in every segment, m/s^2/sqrt(Hz)."""
-
 _TAPS = leakage()
 _MIN_GROUND_SHARE = 1e-9
 """Share of the variance from the ground below which it is zero. [ratio; rounding]"""

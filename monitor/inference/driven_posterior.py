@@ -16,12 +16,12 @@ from typing_extensions import override
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.inference import input_response
-from monitor.inference.cross_spectra import Excitation, Transforms, cross_spectra, extended
+from monitor.inference.arrays import Spectra, Transforms
+from monitor.inference.cross_spectra import Excitation, cross_spectra, extended
 from monitor.inference.forward_model import Laws, Prediction
 from monitor.inference.input_response import Between, Drive
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
-from monitor.inference.wishart import Spectra
 from monitor.model import Effect
 
 _WIND_STD = 0.15

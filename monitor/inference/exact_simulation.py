@@ -10,10 +10,10 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.cross_spectra import Band, Transforms, channel_response, extended, ground_density
+from monitor.inference.arrays import Spectra, Transforms
+from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
-from monitor.inference.wishart import Spectra
 from monitor.model import Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
 from monitor.signals import taper
 

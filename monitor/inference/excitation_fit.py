@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 
 from monitor.core import Array, ComplexArray, levenberg_marquardt, parallel_map
 from monitor.inference.ambient_posterior import AmbientPosterior
+from monitor.inference.arrays import Spectra
 from monitor.inference.corrected_posterior import relative_to
 from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
@@ -27,7 +28,7 @@ from monitor.inference.posterior import (
     difference_operator,
 )
 from monitor.inference.starting_point import FORCED, guess_levels, make_posterior
-from monitor.inference.wishart import Spectra, grown_by
+from monitor.inference.wishart import grown_by
 from monitor.model import Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
 
 _MIN_GAIN_NATS = 0.01

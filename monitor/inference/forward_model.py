@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.cross_spectra import Transforms, extended, modally_damped
+from monitor.inference.arrays import Spectra, Transforms
+from monitor.inference.cross_spectra import extended, modally_damped
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.parameter_layout import ParameterLayout
-from monitor.inference.wishart import Spectra, grown_by
+from monitor.inference.wishart import grown_by
 from monitor.model import Condition, Context, Effect, Model, ModelDiscrepancy, StructuralPrior, System
 
 _LINE_BINS = 3.0

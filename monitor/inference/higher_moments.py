@@ -16,7 +16,7 @@ from scipy.fft import ifft, irfft, next_fast_len
 from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.cross_spectra import Transforms
+from monitor.inference.arrays import Transforms
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import relative_level
 from monitor.inference.posterior import Posterior

@@ -20,8 +20,8 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray, compiled
-from monitor.inference.cross_spectra import Band, Transforms, accelerance
-from monitor.inference.wishart import Spectra
+from monitor.inference.arrays import Spectra, Transforms
+from monitor.inference.cross_spectra import Band, accelerance
 from monitor.model import Condition, Context, Effect, System
 from monitor.signals import SegmentDesign, taper
 

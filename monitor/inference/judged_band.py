@@ -20,7 +20,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from monitor.core import Array
-from monitor.inference.cross_spectra import Transforms
+from monitor.inference.arrays import Transforms
 from monitor.signals import LEAKAGE_OFFSETS, overlap_correlation
 
 _LEAST_ORDER_ABOVE = 4.0

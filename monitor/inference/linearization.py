@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray
+from monitor.inference.arrays import Spectra
 from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
 from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.force_levels import ground_levels
@@ -17,7 +18,6 @@ from monitor.inference.input_response import motion_rms
 from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import MIN_PILED
-from monitor.inference.wishart import Spectra
 from monitor.model import Condition, Context, Effect, System
 
 _MAX_BINS = 1 << 16

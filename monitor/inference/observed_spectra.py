@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.inference import input_response
-from monitor.inference.cross_spectra import Band, Transforms
+from monitor.inference.arrays import Spectra, Transforms
+from monitor.inference.cross_spectra import Band
 from monitor.inference.input_response import Drive
 from monitor.inference.segments import Segments
-from monitor.inference.wishart import Spectra
 from monitor.signals import overlap_correlation
 
 _LEVEL_CLASSES = 5

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from monitor.core import Array, ComplexArray
+from monitor.inference.arrays import Spectra
 from monitor.inference.forward_model import ForwardModel, Prediction
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.spectral_slopes import RowSlopes, Slopes
-from monitor.inference.wishart import Spectra, log_det_and_trace, whiten
+from monitor.inference.wishart import log_det_and_trace, whiten
 from monitor.model import Effect
 
 FORCE_STD = 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
@@ -10,11 +10,13 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from drivers.base import ACCELERATION, FORCE, GROUND, TEMPERATURE, SampleBlock
 from monitor.core import Array, BadInputError, ComplexArray
 from monitor.inference import input_response
-from monitor.inference.cross_spectra import Band, Transforms
+from monitor.inference.arrays import Transforms
+from monitor.inference.cross_spectra import Band
 from monitor.inference.input_response import Drive, Input
 from monitor.inference.judged_band import JudgedBand, find_judged_band
 from monitor.signals import (
@@ -33,10 +35,6 @@ from monitor.signals import (
     window_quality,
 )
 
-Runs = Sequence[tuple[int, Array]]
-"""UTC of the first sample in ns, and samples in m/s^2 or N, shape (n, k), of every run of the inputs without a gap."""
-Located = tuple[Drive, NDArray[np.bool_]]
-"""Inputs, and mask of the segments that they cover, shape (n_segments,)."""
 _BAND_START = 0.05
 """Lowest frequency of the band, over the cutoff. [ratio; judgement]"""
 _BAND_END = 0.9
@@ -180,60 +178,20 @@ def gather(
     BadInputError
         If there are fewer than six segments: 70 s of usable data, 18 s where inputs were measured.
     """
-    blocks = iter(blocks)
-    head = list(islice(blocks, _INPUT_TEST_BLOCKS))
-    known = {GROUND, FORCE} if front_end.forces else {GROUND}
-    segment_s = _DRIVEN_SEGMENT_S if any(b.topic in known for b in head) else front_end.segment_s
-    floors = _Stream(front_end, segment_s)
-    inputs: dict[str, _Stream] = {}
-    temperature: list[tuple[int, float]] = []
-    for block in chain(head, blocks):
-        if block.topic == ACCELERATION:
-            floors.push(block)
-        elif block.topic in known:
-            if block.topic not in inputs:
-                names = tuple(name for name, _ in front_end.forces) if block.topic == FORCE else block.channels[:1]
-                inputs[block.topic] = _Stream(replace(front_end, channels=names), segment_s, is_input=True)
-            inputs[block.topic].push(block)
-        elif block.topic == TEMPERATURE:
-            step_ns = 1e9 / block.sample_rate_hz
-            temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
-    if len(floors.segments) < _FEWEST_SEGMENTS:
-        raise BadInputError(
-            f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
-            f"{floors.silent_channels()}"
-        )
-    assert floors.design is not None
-    n_all = len(floors.segments)
-    left_out = floors.leave_out_faults()
-    if len(floors.segments) < _FEWEST_SEGMENTS:
-        reasons = "; ".join(item.says for item in left_out)
-        raise BadInputError(
-            f"{len(floors.segments)} segments of {1.0 / floors.design.step_hz:g} s hold no fault of a sensor; a diagnosis "
-            f"takes at least {_FEWEST_SEGMENTS} ({reasons})"
-        )
-    design, conditioner = floors.design, floors.conditioner
+    floors, inputs, temperature = _read(blocks, front_end)
+    n_all, left_out = len(floors.segments), floors.leave_out_faults()
+    design, conditioner, t0 = floors.design, floors.conditioner, floors.t0_ns
     first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_BAND_START, _BAND_END))
     first = max(first, 4)
-    t0 = floors.t0_ns
-    gain = _filter_gain(conditioner, last + 1, design.step_hz)
+    hz = np.asarray(np.arange(last + 1) * design.step_hz, dtype=float)
+    gain = np.asarray(np.abs(_filter_response(conditioner, hz)) ** 2)
     whole = Band(first, last - first + 1, design.step_hz, gain[first:])
-    runs = input_response.joined([stream.joined_runs() for stream in inputs.values()], design.rate_hz) if inputs else []
-    located = None
-    if runs:
-        to_segments = partial(
-            input_response.locate,
-            tuple(chain.from_iterable(_inputs(topic, front_end) for topic in inputs)),
-            design=design,
-            source_hz=conditioner.rate_in_hz,
-            filtered=lambda hz: _filter_response(conditioner, hz),
-        )
-        located = _keep_strongest(runs, list(floors.segments), whole, to_segments, most_driven, lead_s)
+    located = _keep_strongest(inputs, floors, whole, most_driven, lead_s) if inputs else None
     drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
-    readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered, peaks = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
     periodograms = np.abs(transforms[:, : last + 1]) ** 2 / gain[:, None]
-    still = window_quality.still((2.0 * design.step_hz * periodograms[:, first:].mean(axis=0).sum(axis=0)).tolist())
+    power = periodograms[:, first:].mean(axis=0)
+    still = window_quality.still((2.0 * design.step_hz * power.sum(axis=0)).tolist())
     if still:
         raise BadInputError(
             f"{', '.join(f'channel {front_end.channels[c]}' for c in still)}: does not move in the band; a diagnosis takes "
@@ -255,10 +213,10 @@ def gather(
         peak=floors.peak,
         piled=floors.piled,
         drive=None,
-        temperature=readings,
+        temperature=np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2),
         band=band,
         whole=whole,
-        power=periodograms[:, first:].mean(axis=0),
+        power=power,
         rate_hz=conditioner.rate_in_hz,
         resampled_hz=conditioner.rate_hz,
         samples=round(floors.seconds * conditioner.rate_hz * len(floors.segments) / n_all),
@@ -272,23 +230,49 @@ def gather(
     return replace(segments.part(covered), drive=drive)
 
 
-def _inputs(topic: str, front_end: FrontEnd) -> list[Input]:
-    """List the inputs that a topic carries."""
-    return [Input(*force) for force in front_end.forces] if topic == FORCE else [Input("ground")]
+def _read(
+    blocks: Iterable[SampleBlock], front_end: FrontEnd
+) -> tuple[_Floors, dict[str, _Stream], list[tuple[int, float]]]:
+    """Condition a recording's blocks: the floors, the inputs by topic, and readings of temperature (UTC ns, degC)."""
+    blocks = iter(blocks)
+    head = list(islice(blocks, _INPUT_TEST_BLOCKS))
+    known = {GROUND, FORCE} if front_end.forces else {GROUND}
+    floors = _Floors(front_end, _DRIVEN_SEGMENT_S if any(b.topic in known for b in head) else front_end.segment_s)
+    inputs: dict[str, _Stream] = {}
+    temperature: list[tuple[int, float]] = []
+    for block in chain(head, blocks):
+        if block.topic == ACCELERATION:
+            floors.push(block)
+        elif block.topic in known:
+            if block.topic not in inputs:
+                names = tuple(name for name, _ in front_end.forces) if block.topic == FORCE else block.channels[:1]
+                inputs[block.topic] = _Stream(replace(front_end, channels=names))
+            inputs[block.topic].push(block)
+        elif block.topic == TEMPERATURE:
+            step_ns = 1e9 / block.sample_rate_hz
+            temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
+    return floors, inputs, temperature
 
 
 def _keep_strongest(
-    runs: Runs,
-    t_ns: Sequence[int],
-    band: Band,
-    locate: Callable[[Runs, Sequence[int]], Located | None],
-    most: int,
-    lead_s: float,
-) -> Located | None:
-    """Locate segments as `input_response.locate` does, but keep at most `most` consecutive ones.
+    inputs: Mapping[str, _Stream], floors: _Floors, band: Band, most: int, lead_s: float
+) -> tuple[Drive, NDArray[np.bool_]] | None:
+    """Locate the floors' segments in the inputs as `input_response.locate` does, but keep at most `most` consecutive ones.
 
     The kept segments are those with the largest inputs.
     """
+    design, t_ns = floors.design, list(floors.segments)
+    runs = input_response.joined([stream.joined_runs() for stream in inputs.values()], design.rate_hz)
+    if not runs:
+        return None
+    forces = [Input(*force) for force in floors.front_end.forces]
+    locate = partial(
+        input_response.locate,
+        tuple(chain.from_iterable(forces if topic == FORCE else [Input("ground")] for topic in inputs)),
+        design=design,
+        source_hz=floors.conditioner.rate_in_hz,
+        filtered=partial(_filter_response, floors.conditioner),
+    )
     located = locate(runs, t_ns)
     if located is None or located[0].first.size <= most:
         return located
@@ -310,61 +294,79 @@ def _keep_strongest(
 
 
 class _Stream:
-    """Conditioning and segmentation of one topic's blocks."""
+    """One topic's samples, conditioned."""
 
-    def __init__(self, front_end: FrontEnd, segment_s: float, *, is_input: bool = False) -> None:
-        self.front_end, self._segment_s, self._is_input = front_end, segment_s, is_input
-        self._align = alignment.start()
-        self._n = 0
-        self._lost = np.zeros(len(front_end.channels), dtype=np.int64)
-        """Number of samples of each channel that are not finite."""
+    def __init__(self, front_end: FrontEnd) -> None:
+        self.front_end, self._align = front_end, alignment.start()
         self._filters: FilterRun | None = None
-        self._run_ns = 0
-        self._done = 0
-        self.design: SegmentDesign | None = None
-        self.least_s = 3.5 * segment_s
-        self.segments: dict[int, tuple[ComplexArray, Array, Array, Array]] = {}
-        """Transform, and RMS, tapered variance and largest magnitude of the source samples of every segment, by the time of its
-        first sample, UTC ns."""
-        self.t0_ns = 0
-        self.seconds = 0.0
-        self.peak = np.zeros(len(front_end.channels))
-        self.piled = np.zeros(self.peak.size, dtype=np.int64)
         self.runs: list[tuple[int, list[Array]]] = []
         """Conditioned samples of every run without a gap, with the time of the run's first sample, UTC ns."""
-        self.facts: list[list[channel_faults.RawFacts]] = []
-        """Properties of the source's samples in every cell of every run; of the floors only."""
-        self._cell: list[Array] = []
-        """Source samples of the next cell."""
-        self._before = np.zeros((0, self.peak.size))
-        """The two source samples before them."""
-        self._raw: list[Array] = []
-        """Source samples of the next segment."""
 
-    def push(self, block: SampleBlock) -> None:
-        """Condition a block's samples and cut the segments that they complete."""
+    def push(self, block: SampleBlock) -> int:
+        """Condition a block's samples, and return how many of its instants have all channels."""
         self._align, pieces = self.front_end.align(self._align, block)
-        if sum(len(piece.values) for piece in pieces) < len(block.samples):
-            self._lost += (~np.isfinite(alignment.select(block, self.front_end.channels))).sum(axis=0)
-        self._n += len(block.samples)
         for piece in pieces:
             if self._filters is None or piece.gap is not None:
                 self.front_end.check_rate(piece.rate_hz)
             self._filters, part = conditioned.step(self._filters, piece, self.front_end)
             if part.begins:
-                self._begin_run(piece, part.conditioner)
-            values = part.values
-            # The floors' samples only tell faults of a sensor, for which half the memory is enough.
-            self.runs[-1][1].append(values if self._is_input else values.astype(np.float32))
-            if self._is_input:
-                continue
-            self._describe_cells(piece.values)
-            self.seconds += values.shape[0] / self.conditioner.rate_hz
-            self._update_peak(np.abs(piece.values))
-            self._raw.append(piece.values)
-            self._cut_segments(values)
+                self.runs.append((piece.t_ns, []))
+            self._keep(piece, part)
+        return sum(len(piece.values) for piece in pieces)
 
-    def silent_channels(self) -> str:
+    def _keep(self, piece: alignment.Piece, part: conditioned.Conditioned) -> None:
+        """Keep what was made of a piece."""
+        self.runs[-1][1].append(part.values)
+
+    def joined_runs(self) -> list[tuple[int, Array]]:
+        """Join the conditioned samples of every run, with the time of the run's first sample, UTC ns."""
+        return [(t_ns, np.concatenate(values)) for t_ns, values in self.runs]
+
+
+class _Floors(_Stream):
+    """The floors' samples, which are cut into segments too, and described for faults of their sensors."""
+
+    design: SegmentDesign
+    conditioner: Conditioner
+    """That of the latest run."""
+    t0_ns: int
+    """UTC of the first run."""
+
+    def __init__(self, front_end: FrontEnd, segment_s: float) -> None:
+        super().__init__(front_end)
+        self._segment_s, self._n = segment_s, 0
+        self._lost = np.zeros(len(front_end.channels), dtype=np.int64)
+        """Number of samples of each channel that are not finite."""
+        self.segments: dict[int, tuple[ComplexArray, Array, Array, Array]] = {}
+        """Transform, and RMS, tapered variance and largest magnitude of the source samples of every segment, by the time of its
+        first sample, UTC ns."""
+        self.seconds = 0.0
+        self.peak = np.zeros(len(front_end.channels))
+        self.piled = np.zeros(self.peak.size, dtype=np.int64)
+        self.facts: list[list[channel_faults.RawFacts]] = []
+        """Properties of the source's samples in every cell of every run."""
+
+    @override
+    def push(self, block: SampleBlock) -> int:
+        kept = super().push(block)
+        if kept < len(block.samples):
+            self._lost += (~np.isfinite(alignment.select(block, self.front_end.channels))).sum(axis=0)
+        self._n += len(block.samples)
+        return kept
+
+    @override
+    def _keep(self, piece: alignment.Piece, part: conditioned.Conditioned) -> None:
+        if part.begins:
+            self._begin_run(piece, part.conditioner)
+        # The conditioned samples only tell faults of a sensor, for which half the memory is enough.
+        self.runs[-1][1].append(part.values.astype(np.float32))
+        self._describe_cells(piece.values)
+        self.seconds += part.values.shape[0] / self.conditioner.rate_hz
+        self._update_peak(np.abs(piece.values))
+        self._raw.append(piece.values)
+        self._cut_segments(part.values)
+
+    def _silent_channels(self) -> str:
         """Say which channels have next to no samples, so that no instant has all channels; empty where none has so few."""
         shares = zip(self.front_end.channels, (self._lost / max(self._n, 1)).tolist(), strict=True)
         silent = [
@@ -383,18 +385,18 @@ class _Stream:
 
     def _begin_run(self, piece: alignment.Piece, conditioner: Conditioner) -> None:
         """Begin a run of samples without a gap."""
-        self.conditioner, self._rest = conditioner, np.zeros((0, self.peak.size))
-        if self.design is None:
-            self.design = self._design_segments()
-            self.t0_ns = piece.t_ns
-        self._run_ns, self._done, self._raw, self._cell = piece.t_ns, 0, [], []
-        self._before = np.zeros((0, self.peak.size))
-        self.runs.append((piece.t_ns, []))
+        self.conditioner = conditioner
+        if len(self.runs) == 1:
+            self.design, self.t0_ns = self._design_segments(), piece.t_ns
+        self._done = 0
+        """Conditioned samples of the run before the next segment."""
+        self._rest = self._before = np.zeros((0, self.peak.size))
+        """Conditioned samples of the next segment; and the two source samples before the next cell."""
+        self._cell: list[Array] = []
+        """Source samples of the next cell."""
+        self._raw: list[Array] = []
+        """Source samples of the next segment."""
         self.facts.append([])
-
-    def joined_runs(self) -> list[tuple[int, Array]]:
-        """Join the conditioned samples of every run, with the time of the run's first sample, UTC ns."""
-        return [(t_ns, np.concatenate(values)) for t_ns, values in self.runs]
 
     def _describe_cells(self, samples: Annotated[Array, "samples c"]) -> None:
         """Describe the source's samples in the cells that new samples complete."""
@@ -409,11 +411,14 @@ class _Stream:
         """Drop the segments that hold a brief fault of one sensor, and return what is left out by kind and channel.
 
         A channel that is clipped somewhere stays: its clipped samples spoil the neighbours' prediction too, but a model of the
-        sensor explains them.
+        sensor explains them.  Raises BadInputError where too few segments are there, or remain.
         """
-        design, names = self.design, self.front_end.channels
-        assert design is not None
-        runs = self.joined_runs()
+        if len(self.segments) < _FEWEST_SEGMENTS:
+            raise BadInputError(
+                f"{self.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {3.5 * self._segment_s:.0f} s"
+                f"{self._silent_channels()}"
+            )
+        design, names, runs = self.design, self.front_end.channels, self.joined_runs()
         found: dict[tuple[int, str], list[float]] = {}
         for fault in channel_faults.find_faults([values for _, values in runs], self.facts):
             if self.piled[fault.channel] >= MIN_PILED:
@@ -423,7 +428,7 @@ class _Stream:
             for t_ns in [t for t in self.segments if t < end and t + length_ns > begin]:
                 del self.segments[t_ns]
             found.setdefault((fault.channel, fault.kind), []).append((end - begin) * 1e-9)
-        return tuple(
+        left_out = tuple(
             LeftOut(
                 kind,
                 names[channel],
@@ -433,6 +438,13 @@ class _Stream:
             )
             for (channel, kind), lengths in sorted(found.items())
         )
+        if len(self.segments) < _FEWEST_SEGMENTS:
+            reasons = "; ".join(item.says for item in left_out)
+            raise BadInputError(
+                f"{len(self.segments)} segments of {1.0 / design.step_hz:g} s hold no fault of a sensor; a diagnosis "
+                f"takes at least {_FEWEST_SEGMENTS} ({reasons})"
+            )
+        return left_out
 
     def _design_segments(self) -> SegmentDesign:
         """Design segments on the pipeline's grid, or shorter ones where inputs are measured."""
@@ -445,11 +457,10 @@ class _Stream:
 
     def _cut_segments(self, values: Annotated[Array, "samples c"]) -> None:
         """Cut and transform the segments that new conditioned samples complete."""
-        assert self.design is not None
         n = self.design.n
         rest = np.concatenate([self._rest, values])
         while rest.shape[0] >= n:
-            t_ns = self._run_ns + round(self._done / self.design.rate_hz * 1e9)
+            t_ns = self.runs[-1][0] + round(self._done / self.design.rate_hz * 1e9)
             raw = np.concatenate(self._raw)
             n_raw = round(n * self.conditioner.rate_in_hz / self.design.rate_hz)
             if self._done:  # the first half segment contains the filter's transient
@@ -473,9 +484,8 @@ def _left_out_of_drift(drift: Drift, name: str, band: Band) -> LeftOut:
     return LeftOut("drift", name, says, hz=ranges)
 
 
-def _hum(transforms: ComplexArray, floors: _Stream) -> Iterator[LeftOut]:
+def _hum(transforms: ComplexArray, floors: _Floors) -> Iterator[LeftOut]:
     """Yield the frequencies that a hum of the mains rules."""
-    assert floors.design is not None
     rate_hz, names = floors.conditioner.rate_in_hz, floors.front_end.channels
     for hum in mains_hum.find_hum(transforms, floors.design.step_hz, rate_hz):
         order = "" if hum.harmonic == 1 else f"{hum.harmonic} times "
@@ -494,11 +504,6 @@ def _counted(n: int, kind: str) -> str:
     plural = {"noise burst": "bursts of noise", "offset step": "steps of the offset"}.get(kind, f"{kind}s")
     single = {"noise burst": "a burst of noise", "offset step": "a step of the offset"}.get(kind, f"a {kind}")
     return single if n == 1 else f"{n} {plural}"
-
-
-def _filter_gain(conditioner: Conditioner, n: int, step_hz: float) -> Array:
-    """Compute the power gain of the anti-alias filter at the first n bins."""
-    return np.asarray(np.abs(_filter_response(conditioner, np.asarray(np.arange(n) * step_hz, dtype=float))) ** 2)
 
 
 def _filter_response(conditioner: Conditioner, hz: Array) -> ComplexArray:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray, compiled
-from monitor.inference.wishart import Spectra, cholesky, invert_lower
+from monitor.inference.arrays import Spectra
+from monitor.inference.wishart import cholesky, invert_lower
 
 _BINS = 32
 """Bins that are whitened together. [count; cost: their rows stay in the processor's cache]"""

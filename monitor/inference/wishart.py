@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray, compiled
-
-Spectra = Annotated[ComplexArray, "classes bins c c"]
-"""One Hermitian matrix a class and bin: cross-spectra, (m/s^2)^2/Hz, or changes relative to them."""
+from monitor.inference.arrays import Spectra
 
 
 @compiled(part=True, error_model="numpy")
