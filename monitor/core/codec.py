@@ -111,10 +111,8 @@ def from_plain(hint: Any, tree: Any, array: Arrays, place: str = "", lengths: di
     `array` makes an array of its plain form, the notes on its type, its place and the lengths known so far.  Raises ValueError if
     the tree does not fit the type.
     """
-    lengths, notes = {} if lengths is None else lengths, tuple[Any, ...]()
-    if get_origin(hint) is Annotated:
-        hint, *found = get_args(hint)
-        notes = tuple(found)
+    lengths = {} if lengths is None else lengths
+    hint, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     origin, arguments = get_origin(hint), get_args(hint)
     if is_dataclass(hint) and isinstance(hint, type):
         wanted = _hints(hint)
@@ -127,19 +125,24 @@ def from_plain(hint: Any, tree: Any, array: Arrays, place: str = "", lengths: di
         (kind,) = (a for a in arguments if a is not type(None))
         return from_plain(Annotated[kind, *notes] if notes else kind, tree, array, place, lengths)
     if hint is np.ndarray or origin is np.ndarray:
-        return array(tree, notes, place, lengths)
+        return array(tree, tuple(notes), place, lengths)
     if origin in (tuple, list, dict):
         return _collection(origin, arguments, tree, array, place, lengths)
+    return _scalar(hint, tree, place, notes, finite=array is _array)
+
+
+def _scalar(hint: Any, tree: Any, place: str, notes: list[Any], *, finite: bool) -> Any:
+    """Build a number, a text, a fraction or a member of an enumeration; every number is above the notes."""
     if hint is Any:
         return tree
-    if origin is Literal:
-        if tree not in arguments:
-            raise ValueError(f"{place}: {str(tree)[:40]!r} is none of {', '.join(map(str, arguments))}")
+    if get_origin(hint) is Literal:
+        if tree not in get_args(hint):
+            raise ValueError(f"{place}: {str(tree)[:40]!r} is none of {', '.join(map(str, get_args(hint)))}")
         return tree
     if hint is Fraction or (isinstance(hint, type) and issubclass(hint, Enum)):
         return hint(_checked(tree, str, place))
     value = _checked(tree, (float, int) if hint is float else hint, place)
-    if array is _array and hint is float and not isfinite(value):
+    if finite and hint is float and not isfinite(value):
         raise ValueError(f"{place}: {value} is not finite")
     for least in notes:
         if not value > least:

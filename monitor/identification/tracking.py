@@ -175,27 +175,18 @@ def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) 
     .. [1] Blackman, Popoli, Design and Analysis of Modern Tracking Systems, 1999, chapter 6.
     .. [2] Brincker, Lopez-Aenlle, Mode shape sensitivity of two closely spaced eigenvalues, J. Sound Vib. 334, 2015.
     """
-    if state.t_ns is not None and t_ns <= state.t_ns:
-        by_ns = t_ns - round(seen.window_s * 1e9) - state.t_ns
-        moved = tuple(replace(t, first_ns=t.first_ns + by_ns, last_ns=t.last_ns + by_ns) for t in state.tracks)
-        state = replace(state, t_ns=state.t_ns + by_ns, tracks=moved)
+    state = _with_clock_of(state, seen.window_s, t_ns)
     since_s = seen.window_s if state.t_ns is None else (t_ns - state.t_ns) * 1e-9
-    weight = min(1.0, since_s / seen.window_s)
-    old, fresh = state.tracks, _candidate_tracks(seen, t_ns, settings)
-    owner = _associate(old, fresh, settings)
-    taken = {i: fresh[j] for j, i in owner.items()}
-    tracks = [
-        _update_track(t, taken[i], weight, settings) if i in taken else replace(t, misses=t.misses + weight)
-        for i, t in enumerate(old)
-    ]
-    tracks += [taken[i] for i in range(len(old), len(old) + len(fresh)) if i in taken]
+    fresh = _candidate_tracks(seen, t_ns, settings)
+    owner = _associate(state.tracks, fresh, settings)
+    tracks = _updated(state.tracks, fresh, owner, min(1.0, since_s / seen.window_s), settings)
     births = _confirm(tracks, state.next_number, settings)
     identities = np.full(len(seen.frequencies_hz), -1, dtype=np.int64)
     identities[list(owner)] = [tracks[i].number for i in owner.values()]
     # Tracks are deleted after the update, so that modes survive an outage of the monitor.
-    known = [t for t in tracks if t.number >= 0 and t_ns - t.last_ns <= settings.death_days * _DAY_NS]
-    deaths = tuple(t.number for t in tracks if t.number >= 0 and t not in known)
-    known.sort(key=lambda t: t.number)
+    confirmed = sorted((t for t in tracks if t.number >= 0), key=lambda t: t.number)
+    known = [t for t in confirmed if t_ns - t.last_ns <= settings.death_days * _DAY_NS]
+    deaths = tuple(t.number for t in confirmed if t not in known)
     tentative = [t for t in tracks if t.number < 0 and t.misses <= settings.confirm_looks - settings.confirm_hits]
     state = TrackState((*known, *tentative), t_ns, state.next_number + len(births))
     f = np.exp([t.ln_f for t in known])
@@ -203,6 +194,27 @@ def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) 
     numbers = np.array([t.number for t in known], dtype=np.int64)
     status = tuple(t.status(t_ns, settings) for t in known)
     return state, TrackedModes(identities, numbers, f, std, status, births, deaths)
+
+
+def _with_clock_of(state: TrackState, window_s: float, t_ns: int) -> TrackState:
+    """Move a state's times with a clock that was set back before a window that ends at `t_ns`."""
+    if state.t_ns is None or t_ns > state.t_ns:
+        return state
+    by_ns = t_ns - round(window_s * 1e9) - state.t_ns
+    moved = tuple(replace(t, first_ns=t.first_ns + by_ns, last_ns=t.last_ns + by_ns) for t in state.tracks)
+    return replace(state, t_ns=state.t_ns + by_ns, tracks=moved)
+
+
+def _updated(
+    old: Sequence[Track], fresh: dict[int, Track], owner: dict[int, int], weight: float, settings: TrackSettings
+) -> list[Track]:
+    """Update the tracks by the observations that they own, count the misses of the others, and append the new tracks."""
+    taken = {i: fresh[j] for j, i in owner.items()}
+    tracks = [
+        _update_track(t, taken[i], weight, settings) if i in taken else replace(t, misses=t.misses + weight)
+        for i, t in enumerate(old)
+    ]
+    return tracks + [taken[i] for i in range(len(old), len(old) + len(fresh)) if i in taken]
 
 
 def _candidate_tracks(seen: Observed, t_ns: int, settings: TrackSettings) -> dict[int, Track]:
