@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Literal
 
 import numpy as np
 from typing_extensions import override
@@ -26,12 +25,12 @@ class AddedMass(Effect):
     On the frame the effect is an `AddedMassEverywhere`, and every m becomes m (1 + relative).
     """
 
-    name: ClassVar[str] = "added_mass"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("floor", "frame")
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("mass_kg", 0.0, inf, absent=0.0),)
-    signature: ClassVar[str] = _SIGNATURE
-    separating_measurement: ClassVar[str] = "weigh what stands on the floors, or add a known mass and record again"
+    name = "added_mass"
+    family = "structure"
+    places = ("floor", "frame")
+    parameters = (Parameter("mass_kg", 0.0, inf, absent=0.0),)
+    signature = _SIGNATURE
+    separating_measurement = "weigh what stands on the floors, or add a known mass and record again"
 
     mass_kg: float
 
@@ -70,11 +69,11 @@ class AddedMass(Effect):
 class AddedMassEverywhere(Effect):
     """Additional mass on the whole frame: the same fraction of every floor's mass."""
 
-    name: ClassVar[str] = "added_mass"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("frame",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative", 0.0, 10.0, absent=0.0),)
-    signature: ClassVar[str] = _SIGNATURE
+    name = "added_mass"
+    family = "structure"
+    places = ("frame",)
+    parameters = (Parameter("relative", 0.0, 10.0, absent=0.0),)
+    signature = _SIGNATURE
 
     relative: float
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
 
 import numpy as np
 from typing_extensions import override
@@ -34,21 +33,20 @@ class AmbientForces(Effect):
     have names of their own in the catalogue.
     """
 
-    name: ClassVar[str] = "ambient_forces"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
-    proportional: ClassVar[bool] = False
-    places: ClassVar[tuple[str, ...]] = ("frame",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "ambient_forces"
+    family = "excitation"
+    proportional = False
+    places = ("frame",)
+    parameters = (
         Parameter("common_share", 0.0, 0.99, closed=True, least=1.0),
         *(Parameter(f"rise_{i}", -50.0, 50.0, least=1.0, drawn=True) for i in range(1, _KNOTS_HZ.size)),
     )
-    daily: ClassVar[tuple[float, ...]] = (0.05,) + (0.1,) * (_KNOTS_HZ.size - 1)
-    signature: ClassVar[str] = (
-        "frequencies and shapes as they were; a smooth spectrum, and floors that are pushed together"
-    )
-    colour_title: ClassVar[str] = (
+    daily = (0.05,) + (0.1,) * (_KNOTS_HZ.size - 1)
+    signature = "frequencies and shapes as they were; a smooth spectrum, and floors that are pushed together"
+    colour_title = (
         f"forces on the floors at calibration: power density, 1 at {_ANCHOR_HZ:g} Hz; white ones would be level"
     )
+    start_sizes = ((),)  # white and independent forces, from which a fit reaches any spectrum
 
     common_share: float = 0.0
     rise_1: float = 0.0
@@ -101,11 +99,6 @@ class AmbientForces(Effect):
         std = np.full(len(self.parameters), _SLOPE_STD)
         std[0] = _COMMON_SHARE_STD
         return np.zeros(std.size), std**-2.0
-
-    @classmethod
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """The fit starts from white and independent forces, from which it reaches any spectrum."""
-        return (cls(location),)
 
     @classmethod
     @override

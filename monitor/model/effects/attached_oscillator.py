@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, pi
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 import numpy as np
 from typing_extensions import override
@@ -29,20 +29,16 @@ judgement]"""
 class AttachedOscillator(Effect):
     """Mass on a spring and a damper on a floor, appended to the system as one more degree of freedom."""
 
-    name: ClassVar[str] = "attached_oscillator"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("floor",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "attached_oscillator"
+    family = "structure"
+    places = ("floor",)
+    parameters = (
         Parameter("mass_kg", 0.0, inf, absent=0.0),
         Parameter("frequency_hz", 0.0, inf, "log"),
         Parameter("damping_ratio", 0.0, 1.0, "log"),
     )
-    signature: ClassVar[str] = (
-        "one pole more, near a mode as two peaks in one place of the spectrum, with normal kurtosis"
-    )
-    separating_measurement: ClassVar[str] = (
-        "put an accelerometer on what hangs on the floor, or hold it and record again"
-    )
+    signature = "one pole more, near a mode as two peaks in one place of the spectrum, with normal kurtosis"
+    separating_measurement = "put an accelerometer on what hangs on the floor, or hold it and record again"
 
     mass_kg: float
     frequency_hz: float

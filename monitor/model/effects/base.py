@@ -259,10 +259,8 @@ class Effect(ReportFace, ABC):
     """Whether the effect in the frequency domain depends on the condition."""
     nonlinear: ClassVar[bool] = False
     """Whether the effect in the frequency domain is a linearization; simulation then refines its parameters."""
-
     proportional: ClassVar[bool] = True
     """Whether twice the amplitude makes about twice the change, so that a score test can estimate the amplitude."""
-
     is_narrow: ClassVar[bool] = False
     """Whether the effect adds power about one frequency alone."""
     repeatable: ClassVar[bool] = False
@@ -284,6 +282,8 @@ class Effect(ReportFace, ABC):
     """Title of the curve of `colour` that a report draws in place of the parameters that are `drawn`; empty for no curve."""
     form_uncertainty: ClassVar[tuple[float, ...]] = ()
     """Relative standard deviation of each parameter that the law's form leaves open, whatever the data; empty for none."""
+    start_sizes: ClassVar[tuple[tuple[float, ...], ...]] = ((),)
+    """Parameters at each start of a fit; those that are left out have their defaults."""
 
     location: str
     """Place of the effect: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""
@@ -527,9 +527,10 @@ class Effect(ReportFace, ABC):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Effect, ...]:
         """Return starting points of a fit of the effect at a place: small sizes, one for each shape that must be tried.
 
-        Both signs of a size share one starting point.
+        Both signs of a size share one starting point.  By default `start_sizes`, whatever the structure and its motion.
         """
-        raise NotImplementedError
+        names = [p.name for p in cls.parameters]
+        return tuple(cls(location, **dict(zip(names, sizes, strict=False))) for sizes in cls.start_sizes)
 
     @classmethod
     def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Effect | None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
 
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.base import Effect
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 
@@ -17,16 +16,17 @@ from monitor.model.effects.report_face import FittedSizes
 class BaseExcitation(Effect):
     """White, horizontal ground acceleration that acts on all floors at once, in addition to the forces on the floors."""
 
-    name: ClassVar[str] = "base_excitation"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
-    places: ClassVar[tuple[str, ...]] = ("base",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("share", 0.0, 1.0, absent=0.0),)
-    signature: ClassVar[str] = "one common input: coherent channels, each with the ground's own motion in it"
-    separating_measurement: ClassVar[str] = "put an accelerometer on the ground"
+    name = "base_excitation"
+    family = "excitation"
+    places = ("base",)
+    parameters = (Parameter("share", 0.0, 1.0, absent=0.0),)
+    signature = "one common input: coherent channels, each with the ground's own motion in it"
+    separating_measurement = "put an accelerometer on the ground"
+    start_sizes = ((0.2,),)
 
-    conditional: ClassVar[bool] = True
+    conditional = True
     # It is not known up to which frequency the ground's motion and the forces are white.
-    form_uncertainty: ClassVar[tuple[float, ...]] = (0.03,)
+    form_uncertainty = (0.03,)
 
     share: float
     """Share of a channel's acceleration variance at the source's rate that the ground causes, mean over channels."""
@@ -39,11 +39,6 @@ class BaseExcitation(Effect):
     def is_plausible(self, band_hz: Array) -> bool:
         """The ground may cause all of the motion."""
         return True
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return (cls(location, 0.2),)
 
     @classmethod
     @override

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 import numpy as np
 from typing_extensions import override
@@ -23,14 +23,12 @@ class BaseFlexibility(Effect):
     The footing's motion is condensed statically, for any frame above it: K - K 1 (K 1)^T / (1^T K 1 + k_b).
     """
 
-    name: ClassVar[str] = "base_flexibility"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("base",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("stiffness_n_per_m", 0.0, inf, "inverse", inf),)
-    signature: ClassVar[str] = "as a loss of stiffness in the lowest story, exactly"
-    separating_measurement: ClassVar[str] = (
-        "put an accelerometer on the ground or footing: a soft base lets the footing move"
-    )
+    name = "base_flexibility"
+    family = "structure"
+    places = ("base",)
+    parameters = (Parameter("stiffness_n_per_m", 0.0, inf, "inverse", inf),)
+    signature = "as a loss of stiffness in the lowest story, exactly"
+    separating_measurement = "put an accelerometer on the ground or footing: a soft base lets the footing move"
 
     stiffness_n_per_m: float
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
 
 from typing_extensions import override
 
@@ -11,7 +10,7 @@ from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, System, blurred_by_form
 from monitor.model.effects.gap_contact import mean_contact
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 
@@ -23,20 +22,20 @@ class BilinearStiffness(Effect):
     vibration.
     """
 
-    name: ClassVar[str] = "bilinear_stiffness"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("story",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative_drop", 0.0, 1.0, absent=0.0),)
-    signature: ClassVar[str] = (
+    name = "bilinear_stiffness"
+    family = "structure"
+    places = ("story",)
+    parameters = (Parameter("relative_drop", 0.0, 1.0, absent=0.0),)
+    signature = (
         "half the frequency drop of an open crack, the same at every level, with a skewed drift and second harmonics"
     )
-    noun: ClassVar[str] = "a crack that opens"
-    separating_measurement: ClassVar[str] = (
-        "push the story both ways with a known force: an open crack is softer one way"
-    )
-    nonlinear: ClassVar[bool] = True
-    amplitude_powers: ClassVar[tuple[float, ...]] = (0.0,)
-    form_uncertainty: ClassVar[tuple[float, ...]] = (0.015,)  # independently written simulators differ by 1 to 2 %
+    noun = "a crack that opens"
+    separating_measurement = "push the story both ways with a known force: an open crack is softer one way"
+    families = ("asymmetric",)
+    start_sizes = ((0.05,),)
+    nonlinear = True
+    amplitude_powers = (0.0,)
+    form_uncertainty = (0.015,)  # independently written simulators differ by 1 to 2 %
 
     relative_drop: float
 
@@ -54,16 +53,6 @@ class BilinearStiffness(Effect):
     def form_std_in(self, fitted: FittedModel) -> Array:
         """The drop is relative to a story's stiffness, which the frame's form leaves uncertain."""
         return blurred_by_form(self, fitted)
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return (cls(location, 0.05),)
-
-    @classmethod
-    @override
-    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        return ("asymmetric",)
 
     @classmethod
     @override

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
 
 import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
-from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
@@ -19,13 +17,13 @@ from monitor.model.structures import Structure
 class ChannelSwap(Effect):
     """Swap of two channels: each is recorded under the other's name."""
 
-    name: ClassVar[str] = "channel_swap"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
-    proportional: ClassVar[bool] = False
-    places: ClassVar[tuple[str, ...]] = ("channels",)
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
-    signature: ClassVar[str] = "two channels change places in all shapes, frequencies untouched"
-    separating_measurement: ClassVar[str] = "tap on one floor and see which channel answers first"
+    name = "channel_swap"
+    family = "sensor"
+    proportional = False
+    places = ("channels",)
+    parameters = ()
+    signature = "two channels change places in all shapes, frequencies untouched"
+    separating_measurement = "tap on one floor and see which channel answers first"
 
     @override
     def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
@@ -49,11 +47,6 @@ class ChannelSwap(Effect):
         first, second = self.channel_indices(context)
         order[first], order[second] = second, first
         return order
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return (cls(location),)
 
     @classmethod
     @override

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
 
 from typing_extensions import override
 
-from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.base import Effect
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 
@@ -16,14 +15,15 @@ from monitor.model.effects.report_face import FittedSizes
 class ClockRate(Effect):
     """Error of the sampling rate: samples are taken at nominal rate x (1 + relative) and recorded as at the nominal rate."""
 
-    name: ClassVar[str] = "clock_rate"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
-    places: ClassVar[tuple[str, ...]] = ("frame",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative", -0.5, 1.0, absent=0.0),)
-    signature: ClassVar[str] = "every frequency by the same factor, shapes and damping ratios untouched"
-    separating_measurement: ClassVar[str] = (
+    name = "clock_rate"
+    family = "sensor"
+    places = ("frame",)
+    parameters = (Parameter("relative", -0.5, 1.0, absent=0.0),)
+    signature = "every frequency by the same factor, shapes and damping ratios untouched"
+    separating_measurement = (
         "compare the sampling clock with a second clock, or with a line of known frequency such as the mains"
     )
+    start_sizes = ((1e-3,), (6e-3,), (-6e-3,), (1.5e-2,), (-1.5e-2,))
 
     relative: float
 
@@ -31,11 +31,6 @@ class ClockRate(Effect):
     @override
     def clock_factor(self) -> float:
         return 1.0 + self.relative
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return tuple(cls(location, r) for r in (1e-3, 6e-3, -6e-3, 1.5e-2, -1.5e-2))
 
     @classmethod
     @override

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, inf, pi
-from typing import ClassVar, Literal, Self
 
 import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.base import Effect
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 
@@ -22,15 +21,15 @@ class ColouredExcitation(Effect):
     In the simulation white forces pass a first-order recursion, which is exactly the sampled Ornstein-Uhlenbeck process.
     """
 
-    name: ClassVar[str] = "coloured_excitation"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
-    proportional: ClassVar[bool] = False
-    places: ClassVar[tuple[str, ...]] = ("frame",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("corner_hz", 0.0, inf, "inverse", inf),)
-    signature: ClassVar[str] = "frequencies and shapes as they were, the whole spectrum tilted"
-    separating_measurement: ClassVar[str] = (
-        "record under another excitation, such as another wind or taps with a hammer"
-    )
+    name = "coloured_excitation"
+    family = "excitation"
+    proportional = False
+    places = ("frame",)
+    parameters = (Parameter("corner_hz", 0.0, inf, "inverse", inf),)
+    signature = "frequencies and shapes as they were, the whole spectrum tilted"
+    separating_measurement = "record under another excitation, such as another wind or taps with a hammer"
+    # A corner beyond the band bends the spectra too.
+    start_sizes = ((4.0,), (8.0,), (16.0,), (32.0,))
 
     corner_hz: float
 
@@ -44,11 +43,6 @@ class ColouredExcitation(Effect):
 
         keep = exp(-2.0 * pi * self.corner_hz / rate_hz)
         return np.asarray(lfilter([1.0 - keep], [1.0, -keep], forces, axis=0))
-
-    @classmethod
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """A corner beyond the band bends the spectra too."""
-        return tuple(cls(location, hz) for hz in (4.0, 8.0, 16.0, 32.0))
 
     @classmethod
     @override

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, pi, sqrt
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 import numpy as np
 from typing_extensions import override
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 _STICK_FACTOR = 8.0
@@ -28,21 +28,20 @@ class CoulombFriction(Effect):
     c + sqrt(2 / pi) F / s_v, where s_v is the RMS drift velocity.
     """
 
-    name: ClassVar[str] = "coulomb_friction"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("story",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("friction_force_n", 0.0, inf, absent=0.0),)
-    signature: ClassVar[str] = "damping falls with the level, frequencies hardly move"
-    noun: ClassVar[str] = "dry friction"
-    separating_measurement: ClassVar[str] = (
+    name = "coulomb_friction"
+    family = "structure"
+    places = ("story",)
+    parameters = (Parameter("friction_force_n", 0.0, inf, absent=0.0),)
+    signature = "damping falls with the level, frequencies hardly move"
+    noun = "dry friction"
+    separating_measurement = (
         "record at vibration levels a factor of three apart: friction loses weight as the level grows"
     )
-    conditional: ClassVar[bool] = True
-    nonlinear: ClassVar[bool] = True
-    amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0,)
-    form_uncertainty: ClassVar[tuple[float, ...]] = (
-        0.04,
-    )  # real laws may creep, or have more static than sliding friction
+    families = ("dissipating",)
+    conditional = True
+    nonlinear = True
+    amplitude_powers = (-1.0,)
+    form_uncertainty = (0.04,)  # real laws may creep, or have more static than sliding friction
 
     friction_force_n: float
 
@@ -66,11 +65,6 @@ class CoulombFriction(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         j = int(location.partition(" ")[2]) - 1
         return (cls(location, 0.03 * float(context.structure.stiffness_n_per_m[j] * condition.drift_m[j])),)
-
-    @classmethod
-    @override
-    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        return ("dissipating",)
 
     @classmethod
     @override

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, sqrt
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 import numpy as np
 from typing_extensions import override
@@ -29,21 +29,21 @@ class CubicStiffness(Effect):
     k + E[d phi(d)] / s_d^2, which is k + 3 k3 s_d^2 where the story hardens.
     """
 
-    name: ClassVar[str] = "cubic_stiffness"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("story",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("k3_n_per_m3", -inf, inf, absent=0.0),)
-    signature: ClassVar[str] = "frequencies rise (fall) with the level, damping does not, the drift is not skewed"
-    noun: ClassVar[str] = "a cubic spring"
-    separating_measurement: ClassVar[str] = (
+    name = "cubic_stiffness"
+    family = "structure"
+    places = ("story",)
+    parameters = (Parameter("k3_n_per_m3", -inf, inf, absent=0.0),)
+    signature = "frequencies rise (fall) with the level, damping does not, the drift is not skewed"
+    noun = "a cubic spring"
+    separating_measurement = (
         "record at a vibration level two or three times as high, with a displacement sensor across the story"
     )
-    conditional: ClassVar[bool] = True
-    nonlinear: ClassVar[bool] = True
-    amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
-    daily: ClassVar[tuple[float, ...]] = (0.2,)  # a persistent one is estimated by few simulations
+    conditional = True
+    nonlinear = True
+    amplitude_powers = (2.0,)
+    daily = (0.2,)  # a persistent one is estimated by few simulations
     # Fits from different starts end that far apart, where the levels compensate for the difference.
-    form_uncertainty: ClassVar[tuple[float, ...]] = (0.1,)
+    form_uncertainty = (0.1,)
 
     k3_n_per_m3: float
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import erfc, exp, inf, pi, sqrt
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 from typing_extensions import override
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 
@@ -22,24 +22,23 @@ class GapContact(Effect):
     one-sided force causes (`mean_contact`).
     """
 
-    name: ClassVar[str] = "gap_contact"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("story",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "gap_contact"
+    family = "structure"
+    places = ("story",)
+    parameters = (
         Parameter("gap_m", -inf, inf),
         Parameter("contact_stiffness_n_per_m", 0.0, inf, absent=0.0),
     )
-    signature: ClassVar[str] = (
-        "stiffer above a level only, the drift skewed, bursts of high frequency on two neighbours"
-    )
-    noun: ClassVar[str] = "a stop"
-    separating_measurement: ClassVar[str] = (
+    signature = "stiffer above a level only, the drift skewed, bursts of high frequency on two neighbours"
+    noun = "a stop"
+    separating_measurement = (
         "read the story's drift with a displacement sensor: a stop lets one sign go less far than the other"
     )
-    conditional: ClassVar[bool] = True
-    nonlinear: ClassVar[bool] = True
-    amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
-    form_uncertainty: ClassVar[tuple[float, ...]] = (
+    families = ("hardening", "asymmetric")
+    conditional = True
+    nonlinear = True
+    amplitude_powers = (-1.0, 0.0)
+    form_uncertainty = (
         0.05,
         0.12,
     )  # the stiffness of a contact while it closes is not known
@@ -70,11 +69,6 @@ class GapContact(Effect):
         j = int(location.partition(" ")[2]) - 1
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, gap * s, 0.5 * k) for gap in (1.2, 1.7, 2.2, -1.2, -1.7, -2.2))
-
-    @classmethod
-    @override
-    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        return ("hardening", "asymmetric")
 
     @classmethod
     @override

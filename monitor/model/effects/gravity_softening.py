@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Literal, Self
 
 import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, EffectError
+from monitor.model.effects.base import Effect, EffectError
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
@@ -26,16 +25,15 @@ class GravitySoftening(Effect):
     The factor is known from theory: 1 for hinged columns, 1.2 for columns clamped at both ends.
     """
 
-    name: ClassVar[str] = "gravity_softening"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("frame",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("factor", 0.0, inf, absent=0.0),)
-    signature: ClassVar[str] = (
-        "all frequencies lower, the first most, at every level: a fixed pattern of losses, growing downwards"
-    )
-    separating_measurement: ClassVar[str] = (
+    name = "gravity_softening"
+    family = "structure"
+    places = ("frame",)
+    parameters = (Parameter("factor", 0.0, inf, absent=0.0),)
+    signature = "all frequencies lower, the first most, at every level: a fixed pattern of losses, growing downwards"
+    separating_measurement = (
         "work out the weight above every story over its height: theory fixes the size of this effect"
     )
+    start_sizes = ((0.6,),)
 
     factor: float
 
@@ -50,11 +48,6 @@ class GravitySoftening(Effect):
         weight = _GRAVITY_M_S2 * np.cumsum(mass.sum(axis=1))
         lost = self.factor * weight / structure.story_heights_m
         return mass, np.asarray(stiffness - np.einsum("j,jab->ab", lost, structure.stiffness_derivatives()))
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return (cls(location, 0.6),)
 
     @classmethod
     @override

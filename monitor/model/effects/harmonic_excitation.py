@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, pi
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 import numpy as np
 from typing_extensions import override
@@ -23,20 +23,18 @@ strong line otherwise. [bins; judgement]"""
 class HarmonicExcitation(Effect):
     """Harmonic force ``force_n sin(2 pi frequency_hz t)``, t from the recording's first sample."""
 
-    name: ClassVar[str] = "harmonic_excitation"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
-    order: ClassVar[int] = 2
-    is_narrow: ClassVar[bool] = True
-    places: ClassVar[tuple[str, ...]] = ("floor",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "harmonic_excitation"
+    family = "excitation"
+    order = 2
+    is_narrow = True
+    places = ("floor",)
+    parameters = (
         Parameter("frequency_hz", 0.0, inf, "log"),
         Parameter("force_n", 0.0, inf, absent=0.0),
     )
-    daily: ClassVar[tuple[float, ...]] = (0.003, 1.0)
-    signature: ClassVar[str] = (
-        "a line at one frequency on every channel, narrower than any mode, with a narrow-band kurtosis of 1.5"
-    )
-    separating_measurement: ClassVar[str] = "switch off the machines nearby and record again"
+    daily = (0.003, 1.0)
+    signature = "a line at one frequency on every channel, narrower than any mode, with a narrow-band kurtosis of 1.5"
+    separating_measurement = "switch off the machines nearby and record again"
 
     frequency_hz: float
     force_n: float

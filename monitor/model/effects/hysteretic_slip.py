@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from math import inf
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Self
 
 import numpy as np
 from typing_extensions import override
@@ -13,7 +13,7 @@ from typing_extensions import override
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 _LOG10_DRIFTS = np.linspace(-3.0, 3.0, 121)
@@ -55,23 +55,24 @@ class HystereticSlip(Effect):
     Y. Wen, Method for random vibration of hysteretic systems, Journal of the Engineering Mechanics Division 102 (1976) 249.
     """
 
-    name: ClassVar[str] = "hysteretic_slip"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("story", "frame")
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "hysteretic_slip"
+    family = "structure"
+    places = ("story", "frame")
+    parameters = (
         Parameter("force_n", 0.0, inf, absent=0.0),
         Parameter("relative", 0.0, 1.0, absent=0.0),
     )
-    signature: ClassVar[str] = "frequencies fall and damping rises with the level, the drift is not skewed"
-    noun: ClassVar[str] = "a joint that slips"
-    separating_measurement: ClassVar[str] = (
+    signature = "frequencies fall and damping rises with the level, the drift is not skewed"
+    noun = "a joint that slips"
+    separating_measurement = (
         "record at vibration levels a factor of three apart, with a measured force or ground motion"
     )
-    conditional: ClassVar[bool] = True
-    nonlinear: ClassVar[bool] = True
+    families = ("softening", "dissipating")
+    conditional = True
+    nonlinear = True
     # Far sizes of the law, which a search by simulation tries, need steps finer than that simulation has.
-    driven_only: ClassVar[bool] = True
-    amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
+    driven_only = True
+    amplitude_powers = (-1.0, 0.0)
 
     force_n: float
     """Force of the element at which it slips."""
@@ -112,11 +113,6 @@ class HystereticSlip(Effect):
         j = 0 if location == "frame" else cls(location, 0.0, 0.0).index  # the stories of a frame are of one order
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, 0.1 * k * s * slip, 0.1) for slip in (0.5, 2.0))
-
-    @classmethod
-    @override
-    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        return ("softening", "dissipating")
 
     @classmethod
     @override

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import inf
-from typing import ClassVar, Literal, Self
 
 from typing_extensions import override
 
-from monitor.model.effects.base import Condition, Context, Effect, EffectError
+from monitor.model.effects.base import Effect, EffectError
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import ShearFrame, Structure
@@ -21,12 +20,13 @@ class JointFlexibility(Effect):
     Both joints of a floor rotate alike (sway), so each floor has one rotation; `ShearFrame` condenses them.
     """
 
-    name: ClassVar[str] = "joint_flexibility"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("frame",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("girder_to_column_ratio", 0.0, inf, "inverse", inf),)
-    signature: ClassVar[str] = "frequency ratios above a uniform shear frame's, and shapes that no set of stories gives"
-    separating_measurement: ClassVar[str] = "measure the rotation of a joint with an inclinometer or a gyroscope"
+    name = "joint_flexibility"
+    family = "structure"
+    places = ("frame",)
+    parameters = (Parameter("girder_to_column_ratio", 0.0, inf, "inverse", inf),)
+    signature = "frequency ratios above a uniform shear frame's, and shapes that no set of stories gives"
+    separating_measurement = "measure the rotation of a joint with an inclinometer or a gyroscope"
+    start_sizes = ((50.0,),)
 
     girder_to_column_ratio: float
     """(E I_g / L_g) / (E I_c / h), one girder and one column, E I_c / h the mean over stories."""
@@ -47,11 +47,6 @@ class JointFlexibility(Effect):
         """The flexibility adds to that of joints that are known to rotate."""
         assert isinstance(structure, ShearFrame), "refused by `check`"
         return replace(structure, column_to_girder=structure.column_to_girder + self.column_to_girder)
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return (cls(location, 50.0),)
 
     @classmethod
     @override

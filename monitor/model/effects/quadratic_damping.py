@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, pi, sqrt
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 from typing_extensions import override
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 
@@ -21,18 +21,17 @@ class QuadraticDamping(Effect):
     Linearized, the damping is c + sqrt(8 / pi) c2 s_v, where s_v is the RMS velocity of the floor.
     """
 
-    name: ClassVar[str] = "quadratic_damping"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("floor",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("coefficient_n_s2_per_m2", 0.0, inf, absent=0.0),)
-    signature: ClassVar[str] = "damping rises with the level, frequencies stay"
-    noun: ClassVar[str] = "a drag"
-    separating_measurement: ClassVar[str] = (
-        "record at vibration levels a factor of three apart: drag gains weight as the level grows"
-    )
-    conditional: ClassVar[bool] = True
-    nonlinear: ClassVar[bool] = True
-    amplitude_powers: ClassVar[tuple[float, ...]] = (1.0,)
+    name = "quadratic_damping"
+    family = "structure"
+    places = ("floor",)
+    parameters = (Parameter("coefficient_n_s2_per_m2", 0.0, inf, absent=0.0),)
+    signature = "damping rises with the level, frequencies stay"
+    noun = "a drag"
+    separating_measurement = "record at vibration levels a factor of three apart: drag gains weight as the level grows"
+    families = ("dissipating",)
+    conditional = True
+    nonlinear = True
+    amplitude_powers = (1.0,)
 
     coefficient_n_s2_per_m2: float
 
@@ -54,11 +53,6 @@ class QuadraticDamping(Effect):
         stiffness = float(structure.stiffness_matrix()[j, j])
         own = 2.0 * structure.damping_ratio * sqrt(stiffness * float(structure.masses_kg[j]))
         return (cls(location, 0.5 * own / (sqrt(8.0 / pi) * float(condition.floor_velocity_m_s[j]))),)
-
-    @classmethod
-    @override
-    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        return ("dissipating",)
 
     @classmethod
     @override

@@ -147,11 +147,13 @@ class ReportFace:
     """Measurement that separates this effect from other causes; empty where no measurement is ever asked for."""
     noun: ClassVar[str] = ""
     """The effect as a thing, with its article, for an answer that holds for a family of laws: ``a stop``."""
+    families: ClassVar[tuple[LawFamily, ...]] = ()
+    """Families of laws that the effect belongs to, whatever its sizes; most effects belong to none."""
 
     @classmethod
     def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        """List the families of laws that the effect belongs to at these sizes; most effects belong to none."""
-        return ()
+        """List the families of laws that the effect belongs to at these sizes."""
+        return cls.families
 
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import erf, erfc, exp, inf, pi, sqrt
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,16 +39,16 @@ class SensorClipping(Effect):
     to be white.  The RMS of the clipped samples is known; s follows from it.
     """
 
-    name: ClassVar[str] = "sensor_clipping"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
-    proportional: ClassVar[bool] = False
-    places: ClassVar[tuple[str, ...]] = ("channel",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("limit_m_s2", 0.0, inf, "inverse", inf),)
-    signature: ClassVar[str] = "one channel with flat tops, its kurtosis below 3"
-    separating_measurement: ClassVar[str] = "set the sensor to a wider range and record again"
-    conditional: ClassVar[bool] = True
-    nonlinear: ClassVar[bool] = True
-    stationary_only: ClassVar[bool] = True
+    name = "sensor_clipping"
+    family = "sensor"
+    proportional = False
+    places = ("channel",)
+    parameters = (Parameter("limit_m_s2", 0.0, inf, "inverse", inf),)
+    signature = "one channel with flat tops, its kurtosis below 3"
+    separating_measurement = "set the sensor to a wider range and record again"
+    conditional = True
+    nonlinear = True
+    stationary_only = True
 
     limit_m_s2: float
 

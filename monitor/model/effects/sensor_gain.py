@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated
 
 import numpy as np
 from typing_extensions import override
@@ -19,14 +19,13 @@ from monitor.model.effects.report_face import FittedSizes
 class SensorGain(Effect):
     """Wrong gain of a channel: its samples are the true ones times `gain`."""
 
-    name: ClassVar[str] = "sensor_gain"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
-    places: ClassVar[tuple[str, ...]] = ("channel",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("gain", 0.0, inf, "log", 1.0),)
-    signature: ClassVar[str] = "one factor on one channel in all shapes, frequencies untouched"
-    separating_measurement: ClassVar[str] = (
-        "put two sensors side by side on one floor, or turn the sensor over and read twice gravity"
-    )
+    name = "sensor_gain"
+    family = "sensor"
+    places = ("channel",)
+    parameters = (Parameter("gain", 0.0, inf, "log", 1.0),)
+    signature = "one factor on one channel in all shapes, frequencies untouched"
+    separating_measurement = "put two sensors side by side on one floor, or turn the sensor over and read twice gravity"
+    start_sizes = ((1.02,),)
 
     gain: float
 
@@ -39,11 +38,6 @@ class SensorGain(Effect):
         measured = samples.copy()
         measured[:, self.channel_indices(context)[0]] *= self.gain
         return measured
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return (cls(location, 1.02),)
 
     @classmethod
     @override

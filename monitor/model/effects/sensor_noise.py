@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 import numpy as np
 from typing_extensions import override
@@ -19,14 +19,14 @@ from monitor.model.effects.report_face import FittedSizes
 class SensorNoise(Effect):
     """White noise of one channel, in addition to the noise that all channels have."""
 
-    name: ClassVar[str] = "sensor_noise"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
-    order: ClassVar[int] = 2
-    places: ClassVar[tuple[str, ...]] = ("channel",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("rms_m_s2", 0.0, inf, absent=0.0),)
-    daily: ClassVar[tuple[float, ...]] = (0.2,)  # a part of a channel's noise may follow its motion
-    signature: ClassVar[str] = "a raised floor between the peaks of one channel, its coherence down"
-    separating_measurement: ClassVar[str] = "record the sensor on a block that stands still"
+    name = "sensor_noise"
+    family = "sensor"
+    order = 2
+    places = ("channel",)
+    parameters = (Parameter("rms_m_s2", 0.0, inf, absent=0.0),)
+    daily = (0.2,)  # a part of a channel's noise may follow its motion
+    signature = "a raised floor between the peaks of one channel, its coherence down"
+    separating_measurement = "record the sensor on a block that stands still"
 
     rms_m_s2: float
     """RMS of the noise at the source's rate."""

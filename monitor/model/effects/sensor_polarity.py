@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
 
 import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
-from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.effects.sensor_gain import on_channel
 
@@ -19,13 +17,13 @@ from monitor.model.effects.sensor_gain import on_channel
 class SensorPolarity(Effect):
     """Reversed polarity of a channel: its samples are the true ones times -1."""
 
-    name: ClassVar[str] = "sensor_polarity"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
-    proportional: ClassVar[bool] = False
-    places: ClassVar[tuple[str, ...]] = ("channel",)
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
-    signature: ClassVar[str] = "one channel upside down in all shapes, frequencies untouched"
-    separating_measurement: ClassVar[str] = "look at how the sensor is mounted, or tilt it and read gravity's sign"
+    name = "sensor_polarity"
+    family = "sensor"
+    proportional = False
+    places = ("channel",)
+    parameters = ()
+    signature = "one channel upside down in all shapes, frequencies untouched"
+    separating_measurement = "look at how the sensor is mounted, or tilt it and read gravity's sign"
 
     @override
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
@@ -36,11 +34,6 @@ class SensorPolarity(Effect):
         measured = samples.copy()
         measured[:, self.channel_indices(context)[0]] *= -1.0
         return measured
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return (cls(location),)
 
     @classmethod
     @override

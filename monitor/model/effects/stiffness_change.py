@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
 
 import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, FittedModel, blurred_by_form
+from monitor.model.effects.base import Effect, FittedModel, blurred_by_form
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
@@ -23,15 +22,16 @@ _GIRDERS_STD = 0.25
 class StiffnessChange(Effect):
     """Change of stiffness: k becomes k (1 + relative), of one story or of all stories."""
 
-    name: ClassVar[str] = "stiffness_change"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("story", "frame")
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative", -1.0, 10.0, absent=0.0),)
-    signature: ClassVar[str] = (
+    name = "stiffness_change"
+    family = "structure"
+    places = ("story", "frame")
+    parameters = (Parameter("relative", -1.0, 10.0, absent=0.0),)
+    signature = (
         "frequencies and shapes move in the pattern of one story (of the frame: all frequencies alike), at every level"
     )
+    start_sizes = ((-0.003,), (-0.02,), (-0.08,), (0.08,), (-0.14,))
 
-    is_stiffness_loss: ClassVar[bool] = True
+    is_stiffness_loss = True
 
     relative: float
     """-0.2 = 20 % lost."""
@@ -52,11 +52,6 @@ class StiffnessChange(Effect):
             return self.form_std
         flexible = sum(effect.column_to_girder for effect in fitted.effects)
         return blurred_by_form(self, fitted, _GIRDERS_STD * min(flexible, 1.0))
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return tuple(cls(location, r) for r in (-0.003, -0.02, -0.08, 0.08, -0.14))
 
     @classmethod
     @override

@@ -4,44 +4,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Literal, Self
 
 from typing_extensions import override
 
 from monitor.model.effects.base import Condition, Context, Effect, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
+from monitor.model.effects.report_face import FittedSizes
 
 
 @dataclass(frozen=True)
 class StoryDamper(Effect):
     """Viscous damper: a force c times the drift's velocity, in addition to the structure's own damping."""
 
-    name: ClassVar[str] = "story_damper"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("story",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("damping_n_s_per_m", 0.0, inf, absent=0.0),)
-    signature: ClassVar[str] = "damping up in the modes that move this story, complex shapes, equal at every level"
-    noun: ClassVar[str] = "a viscous damper"
-    separating_measurement: ClassVar[str] = (
+    name = "story_damper"
+    family = "structure"
+    places = ("story",)
+    parameters = (Parameter("damping_n_s_per_m", 0.0, inf, absent=0.0),)
+    signature = "damping up in the modes that move this story, complex shapes, equal at every level"
+    noun = "a viscous damper"
+    separating_measurement = (
         "record at vibration levels a factor of three apart: a viscous damper acts alike at all of them"
     )
+    families = ("dissipating",)
+    start_sizes = ((0.1,),)
 
     damping_n_s_per_m: float
 
     @override
     def extend(self, system: System, context: Context, condition: Condition) -> System:
         return system.plus(damping=self.damping_n_s_per_m * self.pattern(context.structure))
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return (cls(location, 0.1),)
-
-    @classmethod
-    @override
-    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
-        return ("dissipating",)
 
     @classmethod
     @override

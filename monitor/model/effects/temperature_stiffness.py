@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, inf
-from typing import ClassVar, Literal, Self
 
 import numpy as np
 from typing_extensions import override
@@ -22,20 +21,17 @@ class TemperatureStiffness(Effect):
     T is the temperature above its reference after a first-order lag.  The damping does not change.
     """
 
-    name: ClassVar[str] = "temperature_stiffness"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("frame",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "temperature_stiffness"
+    family = "structure"
+    places = ("frame",)
+    parameters = (
         Parameter("per_degc", -1.0, 1.0, absent=0.0),
         Parameter("lag_s", 0.0, inf, closed=True, least=60.0),
     )
-    signature: ClassVar[str] = (
-        "all frequencies by the same factor, shapes untouched, following the temperature, equal at every level"
-    )
-    separating_measurement: ClassVar[str] = (
-        "record the temperature along with the acceleration, through a warm and a cold spell"
-    )
-    conditional: ClassVar[bool] = True
+    signature = "all frequencies by the same factor, shapes untouched, following the temperature, equal at every level"
+    separating_measurement = "record the temperature along with the acceleration, through a warm and a cold spell"
+    start_sizes = ((1e-3, 0.0), (1e-3, 600.0))
+    conditional = True
 
     per_degc: float
     """Relative change of the stiffness per kelvin."""
@@ -60,11 +56,6 @@ class TemperatureStiffness(Effect):
             keep = exp(-1.0 / (rate_hz * self.lag_s))
             excess_degc = lfilter([1.0 - keep], [1.0, -keep], excess_degc, zi=[keep * excess_degc[0]])[0]
         return np.asarray(1.0 + self.per_degc * excess_degc)
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return cls(location, 1e-3, 0.0), cls(location, 1e-3, 600.0)
 
     @classmethod
     @override

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, pi
-from typing import ClassVar, Literal, Self
 
 import numpy as np
 from typing_extensions import override
@@ -23,12 +22,13 @@ _PAD_N = 1024
 class TimeOffset(Effect):
     """Delay of a channel: each sample is the motion of `seconds` before, a band-limited fractional delay."""
 
-    name: ClassVar[str] = "time_offset"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
-    places: ClassVar[tuple[str, ...]] = ("channel",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("seconds", -1.0, 1.0, absent=0.0),)
-    signature: ClassVar[str] = "the phase of one channel falls in proportion to the frequency"
-    separating_measurement: ClassVar[str] = "give all channels one pulse at once, or put two sensors side by side"
+    name = "time_offset"
+    family = "sensor"
+    places = ("channel",)
+    parameters = (Parameter("seconds", -1.0, 1.0, absent=0.0),)
+    signature = "the phase of one channel falls in proportion to the frequency"
+    separating_measurement = "give all channels one pulse at once, or put two sensors side by side"
+    start_sizes = ((0.5e-3,), (1.5e-3,), (-1.5e-3,), (3e-3,), (-3e-3,), (4.5e-3,), (-4.5e-3,))
 
     seconds: float
 
@@ -48,11 +48,6 @@ class TimeOffset(Effect):
         measured = samples.copy()
         measured[:, j] = irfft(rfft(samples[:, j], padded) * delay, padded)[:n]
         return measured
-
-    @classmethod
-    @override
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        return tuple(cls(location, s) for s in (0.5e-3, 1.5e-3, -1.5e-3, 3e-3, -3e-3, 4.5e-3, -4.5e-3))
 
     @classmethod
     @override

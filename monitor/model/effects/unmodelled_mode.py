@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, pi
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Self
 
 import numpy as np
 from typing_extensions import override
@@ -63,25 +63,24 @@ class UnmodelledMode(Effect):
     ``m shape`` times the acceleration of q, and the density of g is `force_ratio` times the floors'.
     """
 
-    name: ClassVar[str] = "unmodelled_mode"
-    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    order: ClassVar[int] = 2
-    is_narrow: ClassVar[bool] = True
-    repeatable: ClassVar[bool] = True
-    stationary_only: ClassVar[bool] = True
-    places: ClassVar[tuple[str, ...]] = ("frame",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (
+    name = "unmodelled_mode"
+    family = "structure"
+    order = 2
+    is_narrow = True
+    repeatable = True
+    stationary_only = True
+    places = ("frame",)
+    parameters = (
         Parameter("frequency_hz", 0.0, inf, "log"),
         Parameter("damping_ratio", 0.0, 1.0, "log"),
     )
     """Parameters of the class; an instance adds one for every channel, `shape_1` and so on, and a coupled one `force_ratio` and
     two for every floor, `eccentricity_1` and so on, then `force_arm_1` and so on."""
-    signature: ClassVar[str] = (
+    signature = (
         "one peak more, as wide as the structure's own, of another shape, with normal kurtosis; the model's modes stay"
     )
-    separating_measurement: ClassVar[str] = (
-        "put an accelerometer across the measured direction, and two at opposite edges of a floor"
-    )
+    separating_measurement = "put an accelerometer across the measured direction, and two at opposite edges of a floor"
+    start_sizes = ()  # only a peak of the recording's spectra tells a shape to start from
 
     frequency_hz: float
     damping_ratio: float
@@ -286,11 +285,6 @@ class UnmodelledMode(Effect):
         largest = _START / float(context.structure.masses_kg.mean())
         shape = largest * peak.amplitude / np.abs(peak.amplitude).max()
         return cls(location, peak.hz, context.structure.damping_ratio, tuple(shape.tolist()))
-
-    @classmethod
-    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """Only a peak of the recording's spectra tells a shape to start from."""
-        return ()
 
     @classmethod
     @override

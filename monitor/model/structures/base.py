@@ -1,8 +1,10 @@
-"""Interface of every structure: mass and stiffness matrices that follow from its masses and stiffnesses."""
+"""Base class of every structure: mass and stiffness matrices that follow from its masses and stiffnesses."""
 
 from __future__ import annotations
 
-from typing import Annotated, Protocol, Self
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,59 +12,75 @@ from numpy.typing import NDArray
 from monitor.core import Array
 
 
-class Structure(Protocol):
+@dataclass(frozen=True, eq=False, slots=True)
+class Structure(ABC):
     """Structure of N degrees of freedom ("floors") and p stiffnesses ("stories"), the parameters that updating estimates."""
 
-    @property
-    def masses_kg(self) -> Annotated[Array, "N"]:
-        """Diagonal of the mass matrix."""
-
-    @property
-    def stiffness_n_per_m(self) -> Annotated[Array, "p"]:
-        """Stiffnesses of the stories."""
-
-    @property
-    def damping_ratio(self) -> float:
-        """Damping ratio of modes 1 and 2 (Rayleigh damping)."""
+    masses_kg: Annotated[Array, "N"]
+    """Diagonal of the mass matrix, floor 1 (the top one) first."""
+    stiffness_n_per_m: Annotated[Array, "p"]
+    """Stiffnesses, story 1 (the top one) first."""
+    damping_ratio: float
+    """Damping ratio of modes 1 and 2 (Rayleigh damping), of mode 1 alone for a single degree of freedom."""
+    built_n_per_m: Annotated[Array, "p"] | None = field(default=None, kw_only=True)
+    """Stiffnesses as built, before they changed; None: those of `stiffness_n_per_m`."""
 
     @property
     def story_heights_m(self) -> Annotated[Array, "p"] | None:
         """Heights of the stories; None where stories have no heights."""
+        return None
 
     @property
     def n_dofs(self) -> int:
         """Number N of degrees of freedom and of modes."""
+        return int(self.masses_kg.size)
 
     @property
     def n_stories(self) -> int:
         """Number p of stiffnesses."""
+        return int(self.stiffness_n_per_m.size)
+
+    @property
+    def built(self) -> Annotated[Array, "p"]:
+        """Stiffnesses as built, N/m."""
+        return self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
 
     def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
         """Return the structure with other stiffnesses."""
+        return replace(self, stiffness_n_per_m=stiffness_n_per_m)
 
     def changed(self, relative: Array) -> Self:
         """Change the stiffnesses by shares of the stiffnesses as built.
 
         Members that are sized by the stiffnesses as built, as girders, do not change.
         """
+        stiffness = self.stiffness_n_per_m + relative * self.built
+        return replace(self, stiffness_n_per_m=stiffness, built_n_per_m=self.built)
 
     def with_masses(self, masses_kg: Array) -> Self:
         """Return the structure with other masses."""
+        return replace(self, masses_kg=masses_kg)
 
-    def drift_matrix(self) -> Array:
-        """Return the matrix from displacements to the elongations of the stories' springs, shape (p, N): dK_j = d_j d_j^T."""
+    @abstractmethod
+    def drift_matrix(self) -> Annotated[Array, "p N"]:
+        """Return the matrix from displacements to the elongations of the stories' springs: dK_j = d_j d_j^T."""
 
+    @abstractmethod
     def single_springs(self) -> Annotated[NDArray[np.bool_], "p"]:
         """Tell which stories are a single spring (dK_j of rank one), whose drift is one motion."""
 
+    @abstractmethod
     def mass_matrix(self) -> Annotated[Array, "N N"]:
         """Assemble the mass matrix, kg; symmetric, positive definite."""
 
+    @abstractmethod
     def stiffness_matrix(self) -> Annotated[Array, "N N"]:
         """Assemble the stiffness matrix, N/m; symmetric."""
 
+    @abstractmethod
     def mass_derivatives(self) -> Annotated[Array, "N N N"]:
         """Differentiate the mass matrix by the masses: dM / dm_i, first axis the mass."""
 
+    @abstractmethod
     def stiffness_derivatives(self) -> Annotated[Array, "p N N"]:
         """Differentiate the stiffness matrix by the stiffnesses: dK / dk_j, first axis the story."""

@@ -2,38 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from monitor.core import Array
+from monitor.model.structures.base import Structure
 
 _SINGLE_SPRING = 1e-6
 """Sum of the other eigenvalues of dK_j over the largest, below which dK_j is one spring. [ratio; rounding]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class MatrixStructure:
+class MatrixStructure(Structure):
     """Structure given by its matrices.
 
     K is linear in the stiffnesses, ``K = K_fixed + sum_j k_j dK_j``.  A mass scales its row and its column of M alike.
     """
 
-    masses_kg: Annotated[Array, "N"]
-    """Diagonal of M."""
-    stiffness_n_per_m: Annotated[Array, "p"]
-    damping_ratio: float
-    """Damping ratio of modes 1 and 2 (Rayleigh damping), of mode 1 alone for a single degree of freedom."""
     mass_coupling: Annotated[Array, "N N"]
     """M over the square roots of its diagonal: ones on the diagonal."""
     fixed_stiffness: Annotated[Array, "N N"]
     """Part of K that depends on no parameter, N/m."""
     slopes: Annotated[Array, "p N N"]
     """dK_j."""
-    built_n_per_m: Annotated[Array, "p"] | None = None
-    """Stiffnesses as built, before they changed; None: those of `stiffness_n_per_m`."""
 
     @classmethod
     def create(
@@ -53,34 +48,6 @@ class MatrixStructure:
         fixed = stiffness - np.tensordot(nominal, slopes, axes=1)
         return cls(masses, nominal, damping_ratio, mass / np.outer(root, root), fixed, slopes)
 
-    @property
-    def story_heights_m(self) -> Array | None:
-        """None: the parameters of given matrices need not be stories with heights."""
-        return None
-
-    @property
-    def n_stories(self) -> int:
-        """Number p of stiffnesses."""
-        return int(self.stiffness_n_per_m.size)
-
-    @property
-    def n_dofs(self) -> int:
-        """Number N of degrees of freedom."""
-        return int(self.masses_kg.size)
-
-    def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
-        """Return the structure with other stiffnesses."""
-        return replace(self, stiffness_n_per_m=stiffness_n_per_m)
-
-    def changed(self, relative: Array) -> Self:
-        """Change the stiffnesses by shares of the stiffnesses as built."""
-        built = self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
-        return replace(self, stiffness_n_per_m=self.stiffness_n_per_m + relative * built, built_n_per_m=built)
-
-    def with_masses(self, masses_kg: Array) -> Self:
-        """Return the structure with other masses."""
-        return replace(self, masses_kg=masses_kg)
-
     def drift_matrix(self) -> Array:
         """Where dK_j is not a single spring, the row is its stiffest direction."""
         values, vectors = np.linalg.eigh(self.slopes)
@@ -95,13 +62,13 @@ class MatrixStructure:
         values.sort(axis=1)
         return np.asarray(values[:, :-1].sum(axis=1) < _SINGLE_SPRING * values[:, -1])
 
+    @override
     def mass_matrix(self) -> Array:
-        """Assemble the mass matrix, kg."""
         root = np.sqrt(self.masses_kg)
         return np.asarray(self.mass_coupling * np.outer(root, root))
 
+    @override
     def stiffness_matrix(self) -> Array:
-        """Assemble the stiffness matrix, N/m."""
         return np.asarray(self.fixed_stiffness + np.tensordot(self.stiffness_n_per_m, self.slopes, axes=1))
 
     def mass_derivatives(self) -> Array:
@@ -113,6 +80,6 @@ class MatrixStructure:
             slopes[i] += slopes[i].T
         return slopes
 
+    @override
     def stiffness_derivatives(self) -> Array:
-        """Differentiate the stiffness matrix: dK / dk_j, first axis the story."""
         return self.slopes

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from monitor.core import Array
+from monitor.model.structures.base import Structure
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class ShearFrame:
+class ShearFrame(Structure):
     """Shear frame of n floors, numbered from 1 (top) to n (lowest).
 
     Story j joins floors j and j + 1; story n joins floor n and the ground.  The parameters are the story stiffnesses, in which K
@@ -28,61 +30,25 @@ class ShearFrame:
            [-1000.,  3000.]])
     """
 
-    masses_kg: Annotated[Array, "n"]
-    """Floor 1 first."""
-    stiffness_n_per_m: Annotated[Array, "n"]
-    """Story 1 first."""
-    damping_ratio: float
-    """Damping ratio of modes 1 and 2 (Rayleigh damping), of mode 1 alone for a single floor."""
     story_heights_m: Annotated[Array, "n"] | None = None
-    built_n_per_m: Annotated[Array, "n"] | None = None
-    """Story stiffnesses as built, by which the girders were sized; None: those of `stiffness_n_per_m`."""
     column_to_girder: float = 0.0
     """(E I_c / h) / (E I_g / L_g): one column as built, the mean over stories, over one girder of a one-bay frame; 0 for rigid
     girders."""
 
-    @property
-    def n_stories(self) -> int:
-        """Number n of stories and of floors."""
-        return int(self.masses_kg.size)
-
-    @property
-    def n_dofs(self) -> int:
-        """Number n of floors and of stories."""
-        return int(self.masses_kg.size)
-
-    def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
-        """Return the structure with other stiffnesses."""
-        return replace(self, stiffness_n_per_m=stiffness_n_per_m)
-
-    def changed(self, relative: Array) -> Self:
-        """Change the stiffnesses by shares of the stiffnesses as built."""
-        built = self._built
-        return replace(self, stiffness_n_per_m=self.stiffness_n_per_m + relative * built, built_n_per_m=built)
-
-    @property
-    def _built(self) -> Array:
-        """Story stiffnesses as built, N/m."""
-        return self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
-
-    def with_masses(self, masses_kg: Array) -> Self:
-        """Return the structure with other masses."""
-        return replace(self, masses_kg=masses_kg)
-
+    @override
     def drift_matrix(self) -> Array:
-        """Return the matrix from the floors' displacements to the stories' drifts, upper floor minus lower."""
         return _drift_matrix(self.n_stories)
 
+    @override
     def single_springs(self) -> NDArray[np.bool_]:
-        """Tell which stories are a single spring: all are."""
         return np.ones(self.n_stories, dtype=bool)
 
+    @override
     def mass_matrix(self) -> Array:
-        """Assemble the mass matrix, kg."""
         return np.diag(self.masses_kg)
 
+    @override
     def stiffness_matrix(self) -> Array:
-        """Assemble the stiffness matrix, N/m."""
         drift = self.drift_matrix()
         rigid = np.asarray(drift.T @ (self.stiffness_n_per_m[:, None] * drift))
         return rigid if self.column_to_girder == 0.0 else rigid - self._stiffness_lost_by_rotation()
@@ -137,7 +103,7 @@ class ShearFrame:
         n = self.n_stories
         heights = np.ones(n) if self.story_heights_m is None else self.story_heights_m
         column = self.stiffness_n_per_m * heights**2 / 24.0  # E I_c / h of one of the two columns
-        girder = float((self._built * heights**2 / 24.0).mean()) / self.column_to_girder
+        girder = float((self.built * heights**2 / 24.0).mean()) / self.column_to_girder
         # The rotations of story j are those of its upper floor and, unless that is the clamped ground, of its lower floor.
         rotation_sum = np.eye(n) + np.eye(n, k=1)
         k_theta = 12.0 * girder * np.eye(n)  # one girder bent in double curvature, both ends
@@ -149,8 +115,8 @@ class ShearFrame:
         coupling = -(self.drift_matrix().T * (12.0 * column / heights)) @ rotation_sum
         return coupling, k_theta
 
+    @override
     def mass_derivatives(self) -> Array:
-        """Differentiate the mass matrix: dM / dm_i, first axis the floor."""
         n = self.n_dofs
         unit = np.zeros((n, n, n))
         unit[np.arange(n), np.arange(n), np.arange(n)] = 1.0
