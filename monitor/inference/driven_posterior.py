@@ -167,11 +167,7 @@ class DrivenPosterior(Posterior):
         return np.broadcast_to(change / h, spectra.shape)
 
     def mean_slopes(
-        self,
-        x: Array,
-        effects: tuple[Effect, ...],
-        mean: Transforms,
-        wanted: Iterable[int],
+        self, x: Array, effects: tuple[Effect, ...], mean: Transforms, wanted: Iterable[int]
     ) -> Annotated[ComplexArray, "wanted segments bins c"]:
         """Differentiate the segments' means by the coordinates with the wanted indices; `mean` is the response at `x`.
 
