@@ -13,14 +13,14 @@ from typing_extensions import override
 from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import (
     Excitation,
-    cross_spectra,
     extended,
     extra_mode_spectra,
     line_spectra,
+    noise_density,
     random_spectra,
 )
 from monitor.inference.forward_model import Prediction
-from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
+from monitor.inference.posterior import Posterior, difference_operator, of_coordinates, with_coordinates
 from monitor.inference.spectral_slopes import Slopes, SpectralSlopes
 from monitor.inference.system_slopes import SystemChange, force_matrix, packed, system_slopes, unpacked
 from monitor.model import Context, Effect, System
@@ -32,16 +32,11 @@ class AmbientPosterior(Posterior):
 
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
         """Predict the linearized spectra; where no effect depends on the class, those of one class, scaled to the others."""
-        base, context, layout = self.system(x, effects), self.context_at(x), self.layout
-        noise, band = self.noise(x), self.observed.band
         if any(e.conditional for e in effects):
-            forces, out = self.forces(x), []
-            for k in classes:
-                system, condition = extended(base, effects, context, self.conditions[k]), self.conditions[k]
-                out.append(cross_spectra(system, effects, Excitation(forces[k], noise), band, context, condition))
-            return np.stack(out)
-        condition = self.conditions[classes[0]]
-        system, unforced = extended(base, effects, context, condition), np.zeros(noise.size)
+            return Posterior.linear_spectra(self, x, effects, classes)
+        context, layout, noise, band = self.context_at(x), self.layout, self.noise(x), self.observed.band
+        condition, unforced = self.conditions[classes[0]], np.zeros(noise.size)
+        system = extended(self.system(x, effects), effects, context, condition)
         unit = random_spectra(system, effects, Excitation(np.exp(x[layout.forces]), unforced), band, context, condition)
         lines, level = line_spectra(system, effects, band, context, condition), np.exp(x[layout.levels])
         return np.stack([self._scale_to_level(unit, level[k], noise, effects) + lines for k in classes])
@@ -54,8 +49,7 @@ class AmbientPosterior(Posterior):
         effects: Sequence[Effect],
     ) -> ComplexArray:
         """Scale spectra without the channels' noise at level one to another level; the noise does not scale with the level."""
-        extra = sum((e.noise_variance(self.context, self.conditions[0]) for e in effects), np.zeros(noise.size))
-        extra = np.asarray(extra) / self.context.rate_hz
+        extra = noise_density(effects, self.context, self.conditions[0])
         diagonal = np.arange(noise.size)
         gain = self.observed.band.gain[:, None]
         out = unit.copy()
@@ -132,13 +126,11 @@ class AmbientPosterior(Posterior):
         They are those of persistent effects that depend on the condition, and of all extra effects but for modes, and for those
         that act in proportion to the forces in a model that is alike in all classes.
         """
-        first, persistent = self.layout.persistent.start, self.prior.model.effects
-        by_class = [first + j for j, e in enumerate(_of_coordinates(persistent)) if e.conditional or e.lines()]
         alike = self.error is None and self.offset is None
         alike = alike and not any(e.conditional or e.lines() for e in self.effects(x, effects))
-        return by_class + [
+        return self.persistent_by_class() + [
             self.layout.n_nuisance + j
-            for j, e in enumerate(_of_coordinates(effects))
+            for j, e in enumerate(of_coordinates(effects))
             if not (e.repeatable or (alike and e.scales_with_level))
         ]
 
@@ -240,8 +232,3 @@ class AmbientPosterior(Posterior):
             condition,
         )
         return slopes + np.array([change[-1] for change in changes]) if has_lines else slopes
-
-
-def _of_coordinates(effects: Sequence[Effect]) -> list[Effect]:
-    """Return the effect of every coordinate of effects."""
-    return [e for e in effects for _ in e.parameters]

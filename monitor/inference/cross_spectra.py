@@ -146,11 +146,16 @@ def random_spectra(
     own[: len(system.coupled)] = [mode.force_ratio for mode in system.coupled]
     density = np.column_stack([force * colour[:, None], np.full(fine.size, ground), np.outer(colour, mean_force * own)])
     spectra = blurred_products(answer, density, _TAPS)
-    extra = sum((e.noise_variance(context, condition) for e in effects), np.zeros(len(context.channels)))
-    noise = excitation.noise + np.asarray(extra) / context.rate_hz
+    noise = excitation.noise + noise_density(effects, context, condition)
     diagonal = np.arange(noise.size)
     spectra[:, diagonal, diagonal] += noise
     return np.asarray(spectra * band.gain[:, None, None])
+
+
+def noise_density(effects: Sequence[Effect], context: Context, condition: Condition) -> Annotated[Array, "c"]:
+    """Compute the density of the white noise that effects add to the channels, (m/s^2)^2/Hz."""
+    variance = sum((e.noise_variance(context, condition) for e in effects), np.zeros(len(context.channels)))
+    return np.asarray(variance) / context.rate_hz
 
 
 def line_spectra(

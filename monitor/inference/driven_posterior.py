@@ -17,7 +17,7 @@ from typing_extensions import override
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.inference import input_response
 from monitor.inference.arrays import Spectra, Transforms
-from monitor.inference.cross_spectra import Excitation, cross_spectra, extended
+from monitor.inference.cross_spectra import extended
 from monitor.inference.forward_model import Laws, Prediction
 from monitor.inference.input_response import Between, Drive
 from monitor.inference.observed_spectra import ObservedSpectra
@@ -86,7 +86,7 @@ class DrivenPosterior(Posterior):
     @override
     def mean(self, x: Array, effects: Sequence[Effect], *, laws: Laws = "exact") -> ComplexArray:
         drive, band = self.drive, self.observed.band
-        effects = (*self.prior.effects(x), *effects)
+        effects = self.effects(x, effects)
         base, context = self.system(x, effects), self.context_at(x)
         nonlinear = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
         if nonlinear and laws != "linearized":
@@ -105,17 +105,13 @@ class DrivenPosterior(Posterior):
         return out
 
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
-        """The common noise is also that of a ground's sensor, and acts as ground motion."""
-        base, context, layout = self.system(x, effects), self.context_at(x), self.layout
-        forces, level, noise = self.forces(x), np.exp(x[layout.levels]), self.noise(x)
-        out = []
-        for k in classes:
-            system = extended(base, effects, context, self.conditions[k])
-            ground_noise = float(np.exp(x[layout.noise])) if self.drive.has_ground else 0.0
-            excitation = Excitation(forces[k], noise, ground_noise)
-            about = cross_spectra(system, effects, excitation, self.observed.band, context, self.conditions[k])
-            out.append(about + level[k] * _diagonal(self.power))
-        return np.stack(out)
+        """The model's own error is added."""
+        level = np.exp(x[self.layout.levels])[list(classes), None, None, None]
+        return Posterior.linear_spectra(self, x, effects, classes) + level * _diagonal(self.power)
+
+    def ground_noise(self, x: Array) -> float:
+        """The noise that all channels share is also that of a ground's sensor."""
+        return float(np.exp(x[self.layout.noise])) if self.drive.has_ground else 0.0
 
     def forces(self, x: Array) -> Array:
         """The densities of `x` apply to the prior mean of the masses.
@@ -157,9 +153,7 @@ class DrivenPosterior(Posterior):
 
         Slopes by persistent effects that act differently in each class are computed in every class.
         """
-        first = self.layout.persistent.start
-        owners = [e for e in self.prior.model.effects for _ in e.parameters]
-        if 0 <= i - first < len(owners) and (owners[i - first].conditional or owners[i - first].lines()):
+        if i in self.persistent_by_class():
             return self.slope_by_class(x, i, effects, spectra)
         middle = self.n_classes // 2
         h, moved = self.nudged(x, i, effects)
@@ -220,7 +214,7 @@ class DrivenPosterior(Posterior):
 
     def _has_laws(self, x: Array, effects: Sequence[Effect]) -> bool:
         """Decide if a model has nonlinear laws."""
-        return any(e.nonlinear for e in (*self.prior.effects(x), *effects))
+        return any(e.nonlinear for e in self.effects(x, effects))
 
     @property
     def _moving(self) -> list[int]:

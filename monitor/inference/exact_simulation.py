@@ -10,8 +10,8 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.arrays import Spectra, Transforms
-from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density
+from monitor.inference.arrays import Spectra, Transforms, mean_products
+from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density, noise_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
 from monitor.model import Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
@@ -72,7 +72,7 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     one after the other.  The forces begin and end at the frequencies at which the recording's do.
     """
     e, context = posterior.observed, posterior.context_at(x)
-    effects = (*posterior.prior.effects(x), *effects)
+    effects = posterior.effects(x, effects)
     nonlinear = _nonlinear_sensors(effects)
     half = round(e.rate_hz / e.band.bin_hz / 2) if nonlinear else _half_segment_samples(posterior)
     rate = 2.0 * half * e.band.bin_hz
@@ -122,7 +122,7 @@ def _nonlinear_sensors(effects: Sequence[Effect]) -> list[Effect]:
 
 def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], acting: Forces) -> Transforms:
     """Simulate the exact laws under given forces, without the linear sensor effects: the segments' tapered transforms."""
-    context, everything = posterior.context_at(x), (*posterior.prior.effects(x), *effects)
+    context, everything = posterior.context_at(x), posterior.effects(x, effects)
     model, finer = posterior.model(x, everything), 1
     if any(law.kind == LawKind.FRICTION for effect in everything for law in effect.laws(model.structure)):
         finer = _FRICTION_STEPS  # friction changes within a short time where a velocity changes sign
@@ -153,9 +153,9 @@ def _apply_sensor_law(
 
 def class_means(posterior: Posterior, x: Array, effects: Sequence[Effect], transforms: ComplexArray) -> Spectra:
     """Average the spectra of every class after the linear sensor effects; `transforms` are those of `simulate_exact`."""
-    e, everything = posterior.observed, (*posterior.prior.effects(x), *effects)
+    e, everything = posterior.observed, posterior.effects(x, effects)
     linear = [effect for effect in everything if effect not in _nonlinear_sensors(everything)]
-    out = [_mean_products(_apply_responses(transforms[m], linear, posterior, k)) for k, m in enumerate(e.members)]
+    out = [mean_products(_apply_responses(transforms[m], linear, posterior, k)) for k, m in enumerate(e.members)]
     return np.asarray(np.stack(out) * e.band.gain[:, None, None])
 
 
@@ -167,7 +167,7 @@ def linearization_error(
     A law of the structure is linearized at the motion that follows from the simulation's own spectra, as it is for the measured
     spectra.
     """
-    if _nonlinear_sensors((*posterior.prior.effects(x), *effects)):
+    if _nonlinear_sensors(posterior.effects(x, effects)):
         return _compare_sensors(posterior, x, effects, acting, transforms).controlled
     _, simulated, expected = _compare_at_simulated_motion(posterior, x, effects, transforms)
     return np.asarray(simulated - expected)
@@ -182,7 +182,7 @@ def simulate_spectra(
     squared regression of the exact response on it, are subtracted.  Both responses share their random error as far as they are
     alike.  A sensor's law is always compared with the linear sensor under the same forces.  `transforms` are of `simulate_exact`.
     """
-    e, everything = posterior.observed, (*posterior.prior.effects(x), *effects)
+    e, everything = posterior.observed, posterior.effects(x, effects)
     if _nonlinear_sensors(everything):
         return _compare_sensors(posterior, x, effects, acting, transforms)
     posterior, simulated, expected = _compare_at_simulated_motion(posterior, x, effects, transforms)
@@ -190,10 +190,10 @@ def simulate_spectra(
     beside = _extra_mode_spectra(posterior, x, everything)
     out, exact, linearized = np.empty_like(e.spectra), np.empty_like(transforms), np.empty_like(transforms)
     for k, (members, y) in enumerate(zip(e.members, _linear_transforms(posterior, x, everything, acting), strict=True)):
-        linear = _mean_products(y) * e.band.gain[:, None, None] + beside[k]
+        linear = mean_products(y) * e.band.gain[:, None, None] + beside[k]
         linear[:, diagonal, diagonal] += noise[k] * e.band.gain[:, None]
         z = _apply_responses(transforms[members], everything, posterior, k)
-        regression = _squared_regression(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _mean_products(y))
+        regression = _squared_regression(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, mean_products(y))
         out[k] = simulated[k] - expected[k] - regression[:, None, None] * (linear - expected[k])
         exact[members], linearized[members] = z, y
     return SimulatedSpectra(out, np.asarray(simulated - expected), exact, linearized)
@@ -203,16 +203,18 @@ def _compare_sensors(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
 ) -> SimulatedSpectra:
     """Compare nonlinear sensors with the linear ones under the same forces and noise, for `simulate_spectra`."""
-    gain, everything = posterior.observed.band.gain, (*posterior.prior.effects(x), *effects)
+    gain, everything = posterior.observed.band.gain, posterior.effects(x, effects)
     posterior, diagonal = posterior.of_model_alone(), np.arange(len(posterior.context.channels))
     out, sensors = class_means(posterior, x, effects, transforms), _nonlinear_sensors(everything)
     others = [effect for effect in everything if effect not in sensors]
     exact, linearized = np.empty_like(transforms), np.empty_like(transforms)
     for k, y in enumerate(_linear_transforms(posterior, x, everything, acting)):
         members = posterior.observed.members[k]
-        out[k] -= _mean_products(y) * gain[:, None, None]
+        out[k] -= mean_products(y) * gain[:, None, None]
         # The expectation of the linearized sensors includes the distortion that clipping adds, as white noise.
-        out[k][:, diagonal, diagonal] -= _added_noise_density(sensors, posterior, k) * gain[:, None]
+        out[k][:, diagonal, diagonal] -= (
+            noise_density(sensors, posterior.context, posterior.conditions[k]) * gain[:, None]
+        )
         exact[members], linearized[members] = _apply_responses(transforms[members], others, posterior, k), y
     return SimulatedSpectra(out, out, exact, linearized)
 
@@ -221,7 +223,7 @@ def _compare_at_simulated_motion(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], transforms: ComplexArray
 ) -> tuple[Posterior, Spectra, Spectra]:
     """Linearize a posterior at the simulated motion and compute the exact and the expected spectra of every class."""
-    posterior, everything = posterior.of_model_alone(), (*posterior.prior.effects(x), *effects)
+    posterior, everything = posterior.of_model_alone(), posterior.effects(x, effects)
     simulated, diagonal = class_means(posterior, x, effects, transforms), np.arange(len(posterior.context.channels))
     noise = _noise_density(posterior, x, everything)[:, None, :] * posterior.observed.band.gain[:, None]
     simulated[:, :, diagonal, diagonal] += noise
@@ -242,7 +244,10 @@ def _extra_mode_spectra(posterior: Posterior, x: Array, effects: Sequence[Effect
 def _noise_density(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
     """Compute the density of the channels' noise in every class, (m/s^2)^2/Hz."""
     return np.array(
-        [posterior.noise(x) + _added_noise_density(effects, posterior, k) for k in range(posterior.n_classes)]
+        [
+            posterior.noise(x) + noise_density(effects, posterior.context, posterior.conditions[k])
+            for k in range(posterior.n_classes)
+        ]
     )
 
 
@@ -272,15 +277,6 @@ def _linear_transforms(
         )
 
 
-def _added_noise_density(effects: Sequence[Effect], posterior: Posterior, k: int) -> Array:
-    """Compute the density of the white noise that effects add to the channels in class k, (m/s^2)^2/Hz."""
-    context = posterior.context
-    variance = sum(
-        (f.noise_variance(context, posterior.conditions[k]) for f in effects), np.zeros(len(context.channels))
-    )
-    return np.asarray(variance) / context.rate_hz
-
-
 def _squared_regression(
     cross: Annotated[ComplexArray, "bins c c"], own: Annotated[ComplexArray, "bins c c"]
 ) -> Annotated[Array, "bins"]:
@@ -288,11 +284,6 @@ def _squared_regression(
     ones = np.ones(2 * _COHERENCE_BINS + 1)
     part, whole = (np.convolve((np.abs(a) ** 2).sum(axis=(1, 2)), ones, "same") for a in (cross, own))
     return np.asarray(part / whole)
-
-
-def _mean_products(transforms: ComplexArray) -> Annotated[ComplexArray, "bins c c"]:
-    """Average the segments' cross-products."""
-    return np.asarray(np.einsum("sfa,sfb->fab", transforms, transforms.conj()) / len(transforms))
 
 
 def _apply_responses(transforms: ComplexArray, effects: Sequence[Effect], posterior: Posterior, k: int) -> ComplexArray:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.arrays import Spectra, Transforms
-from monitor.inference.cross_spectra import extended, modally_damped
+from monitor.inference.cross_spectra import Excitation, cross_spectra, extended, modally_damped, noise_density
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.wishart import grown_by
@@ -140,7 +140,7 @@ class ForwardModel(ABC):
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> Spectra:
         """Predict the cross-spectra of the wanted classes' segments about their means, of all classes by default."""
         wanted = range(self.n_classes) if classes is None else classes
-        return self.complete(self.linear_spectra(x, (*self.prior.effects(x), *effects), wanted), x, effects, wanted)
+        return self.complete(self.linear_spectra(x, self.effects(x, effects), wanted), x, effects, wanted)
 
     def complete(self, linear: Spectra, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> Spectra:
         """Add the simulated correction, the known model error and the sensors' drift to the wanted classes' linear spectra."""
@@ -155,13 +155,23 @@ class ForwardModel(ABC):
         out[:, :, channel, channel] += self.observed.drift
         return out
 
-    @abstractmethod
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> Spectra:
         """Predict the linearized laws' spectra of the wanted classes; `effects` are all effects of the model."""
+        base, context, band, forces = self.system(x, effects), self.context_at(x), self.observed.band, self.forces(x)
+        noise, ground_noise, out = self.noise(x), self.ground_noise(x), []
+        for condition, force in ((self.conditions[k], forces[k]) for k in classes):
+            system = extended(base, effects, context, condition)
+            excitation = Excitation(force, noise, ground_noise)
+            out.append(cross_spectra(system, effects, excitation, band, context, condition))
+        return np.stack(out)
 
     @abstractmethod
     def forces(self, x: Array) -> Annotated[Array, "classes n"]:
         """Return the density of the forces on the floors in every class, N^2/Hz."""
+
+    def ground_noise(self, x: Array) -> float:
+        """Return the noise density of a measured ground motion, which acts as motion, (m/s^2)^2/Hz."""
+        return 0.0
 
     @abstractmethod
     def relative_levels(self, x: Array) -> Annotated[Array, "classes"]:
@@ -178,12 +188,13 @@ class ForwardModel(ABC):
         inside, at = error.at(self.observed.band.hz)
         relative = np.zeros_like(spectra)
         relative[:, inside] = error.relative[at]
-        variance = np.zeros((len(classes), spectra.shape[-1]))
-        for own, k in zip(variance, classes, strict=True):
-            own += sum(e.noise_variance(self.context, self.conditions[k]) for e in effects)
-        density = variance[:, None] / self.context.rate_hz * self.observed.band.gain[:, None]
-        added = density[..., None] * np.eye(spectra.shape[-1])
+        density = np.array([noise_density(effects, self.context, self.conditions[k]) for k in classes])
+        added = (density[:, None] * self.observed.band.gain[:, None])[..., None] * np.eye(spectra.shape[-1])
         return np.asarray(grown_by(spectra - added, relative) + added)
+
+    def effects(self, x: Array, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+        """Return the persistent effects at a vector of parameters, and the extra ones."""
+        return (*self.prior.effects(x), *effects)
 
     def system(self, x: Array, effects: Sequence[Effect]) -> System:
         """Make the linear system at a vector of parameters, before effects that depend on the level are added."""
@@ -198,7 +209,7 @@ class ForwardModel(ABC):
 
         Raises LinAlgError if there is no structure at these parameters.
         """
-        everything, condition = (*self.prior.effects(x), *effects), self.conditions[self.n_classes // 2]
+        everything, condition = self.effects(x, effects), self.conditions[self.n_classes // 2]
         if not any(e.repeatable for e in everything):  # as in most fits: only modes that the model lacks are coupled
             return True
         system = extended(self.system(x, everything), everything, self.context_at(x), condition)

@@ -21,7 +21,7 @@ from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.arrays import Spectra, Transforms
-from monitor.inference.cross_spectra import Band, accelerance
+from monitor.inference.cross_spectra import Band, accelerance, clock_ratio, recorded
 from monitor.model import Condition, Context, Effect, System
 from monitor.signals import SegmentDesign, taper
 
@@ -144,7 +144,7 @@ class Drive:
         k = len(self.inputs)
         out = np.empty((self.run.size, band.n_bins, k), dtype=complex)
         for members, samples in self.moved(np.broadcast_to(np.eye(k), (run.n // 2 + 1, k, k)) for run in self.runs):
-            out[members] = _tapered_transforms(self.design, samples)[:, band.first : band.first + band.n_bins]
+            out[members] = _tapered_transforms(self.design, samples, band)
         return out
 
     def power(self, band: Band) -> Annotated[Array, "segments"]:
@@ -158,10 +158,15 @@ class Drive:
         """Yield the indices of every run's segments and their samples, for the runs' frequency responses to the inputs."""
         for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
             moved = np.einsum("fck,fk->cf", answer, run.spectrum[: len(answer)])
-            samples = irfft(moved, n=run.n)
-            members = np.flatnonzero(self.run == i)
-            windows = np.lib.stride_tricks.sliding_window_view(samples, self.design.n, axis=1)
-            yield members, np.moveaxis(windows[:, self.first[members]], 0, -1)
+            yield self.cut(i, irfft(moved, n=run.n))
+
+    def cut(
+        self, run: int, samples: Annotated[Array, "columns n"]
+    ) -> tuple[NDArray[np.intp], Annotated[Array, "members n columns"]]:
+        """Cut samples of the run with a number into its segments, and return these segments' indices with them."""
+        members = np.flatnonzero(self.run == run)
+        windows = np.lib.stride_tricks.sliding_window_view(samples, self.design.n, axis=1)
+        return members, np.moveaxis(windows[:, self.first[members]], 0, -1)
 
 
 def joined(streams: Sequence[Sequence[tuple[int, Array]]], rate_hz: float) -> list[tuple[int, Array]]:
@@ -221,7 +226,7 @@ def response(
     drive: Drive, system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
 ) -> Transforms:
     """Compute the transforms of the channels' response in every segment."""
-    clock = float(np.prod([e.clock_factor for e in effects]))
+    clock = clock_ratio(effects)
     out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
 
     def answer(run: Run) -> ComplexArray:
@@ -231,26 +236,11 @@ def response(
             relative = _relative_response(drive, system, clock * (hz + distance_hz), context)
             floors += factor[:, None, None] * (relative + drive.rides)
         channels = np.asarray(context.sensors @ floors, dtype=np.complex128)
-        return _apply_sensor_effects(channels, effects, clock * hz, context, condition)
+        return recorded(channels, effects, clock * hz, context, condition)
 
     for members, samples in drive.moved(answer(run) for run in drive.runs):
-        out[members] = _tapered_transforms(drive.design, samples)[:, band.first : band.first + band.n_bins]
+        out[members] = _tapered_transforms(drive.design, samples, band)
     return out
-
-
-def _apply_sensor_effects(
-    channels: Annotated[ComplexArray, "hz c columns"],
-    effects: Sequence[Effect],
-    hz: Array,
-    context: Context,
-    condition: Condition,
-) -> ComplexArray:
-    """Apply the effects' frequency responses to the true accelerations at the sensors."""
-    for effect in effects:
-        response = effect.response(hz, context, condition)
-        if response is not None:
-            channels = response @ channels
-    return np.asarray(channels, dtype=np.complex128)
 
 
 def _relative_response(drive: Drive, system: System, hz: Array, context: Context) -> Annotated[ComplexArray, "hz n k"]:
@@ -259,10 +249,10 @@ def _relative_response(drive: Drive, system: System, hz: Array, context: Context
     return np.asarray(floors[:, : context.structure.n_dofs])
 
 
-def _tapered_transforms(design: SegmentDesign, samples: Array) -> ComplexArray:
-    """Transform many segments at once as `monitor.signals.welch.transform` does."""
+def _tapered_transforms(design: SegmentDesign, samples: Array, band: Band) -> Transforms:
+    """Transform many segments at once as `monitor.signals.welch.transform` does, and keep the band."""
     tapered = np.moveaxis(samples, 1, -1) * (taper(design.n) / np.sqrt(design.rate_hz))
-    return np.asarray(np.moveaxis(rfft(tapered, axis=-1)[..., : design.n_bins], -1, 1))
+    return np.asarray(np.moveaxis(rfft(tapered, axis=-1)[..., band.first : band.first + band.n_bins], -1, 1))
 
 
 def exact_response(
@@ -285,7 +275,7 @@ def exact_response(
     laws = [law for effect in effects for law in effect.laws(context.structure)]
     n = context.structure.n_dofs
     lowest = _TILT_FREQUENCY * float(np.sqrt(eigh(system.stiffness, system.mass, eigvals_only=True).min()))
-    clock = float(np.prod([e.clock_factor for e in effects]))
+    clock = clock_ratio(effects)
     out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
     for i, run in enumerate(drive.runs):
         hz = np.asarray(np.arange(run.n // 2 + 1) * (drive.design.rate_hz / run.n), dtype=np.float64)
@@ -303,12 +293,10 @@ def exact_response(
         floors = np.pad(floors[::_OVERSAMPLING], ((0, run.n - run.length), (0, 0)))
         absolute: ComplexArray = (rfft(floors, axis=0) + (true @ drive.rides)[:, None]) * run.passed[:, None]
         channels = np.asarray((absolute @ context.sensors.T)[:, :, None]).astype(np.complex128)
-        recorded = _apply_sensor_effects(channels, effects, hz * clock, context, condition)
-        samples = irfft(recorded[:, :, 0].T, n=run.n)
-        members = np.flatnonzero(drive.run == i)
-        windows = np.lib.stride_tricks.sliding_window_view(samples, drive.design.n, axis=1)
-        transforms = _tapered_transforms(drive.design, np.moveaxis(windows[:, drive.first[members]], 0, -1))
-        out[members] = transforms[:, band.first : band.first + band.n_bins]
+        answer = recorded(channels, effects, hz * clock, context, condition)
+        samples = irfft(answer[:, :, 0].T, n=run.n)
+        members, windows = drive.cut(i, samples)
+        out[members] = _tapered_transforms(drive.design, windows, band)
     return out
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from monitor.core import Array
-from monitor.inference.arrays import Transforms
+from monitor.inference.arrays import Transforms, mean_products
 from monitor.signals import LEAKAGE_OFFSETS, overlap_correlation
 
 _LEAST_ORDER_ABOVE = 4.0
@@ -62,7 +62,7 @@ class _Fall:
 
 def find_judged_band(transforms: Transforms, hz: Annotated[Array, "bins"]) -> JudgedBand:
     """Find the bins in which forces shake the structure: where the power falls no more steeply than a structure's may."""
-    spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms)
+    spectra = mean_products(transforms)
     second, power = np.linalg.eigvalsh(spectra)[:, -2:][:, :1], np.einsum("kaa->ka", spectra).real
     periodograms = np.abs(transforms) ** 2
     relative = np.median(periodograms.std(axis=0) / np.maximum(power, _NO_POWER))

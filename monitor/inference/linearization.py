@@ -11,7 +11,15 @@ from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.arrays import Spectra
-from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
+from monitor.inference.cross_spectra import (
+    accelerance,
+    clock_ratio,
+    extended,
+    force_colour,
+    force_root,
+    seen,
+    variances,
+)
 from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.force_levels import ground_levels
 from monitor.inference.input_response import motion_rms
@@ -54,7 +62,7 @@ def linearize(
     J. B. Roberts, P. D. Spanos, Random Vibration and Statistical Linearization (1990).
     """
     e, context = posterior.observed, posterior.context_at(x)
-    everything = (*posterior.prior.effects(x), *effects)
+    everything = posterior.effects(x, effects)
     n, m = context.structure.n_dofs, context.structure.n_stories
     rms = np.full((posterior.n_classes, 2 * m + n), np.nan)
     if with_motion:
@@ -75,7 +83,7 @@ def _class_motion(
 ) -> Annotated[Array, "classes 2m+n"]:
     """Estimate the RMS motion of every class: drift (m) and its velocity (m/s) of m stories, velocity (m/s) of n floors."""
     e, context = posterior.observed, posterior.context_at(x)
-    everything = (*posterior.prior.effects(x), *effects)
+    everything = posterior.effects(x, effects)
     base, damping = posterior.system(x, everything), np.exp(x[posterior.layout.damping])
     n, forces = context.structure.n_dofs, posterior.forces(x)
     drift = context.structure.drift_matrix()
@@ -115,7 +123,7 @@ def forced_motion(
     The laws are effects of stories, whose motion is the story's drift, and of floors.  NaN where the system has no stationary
     motion.
     """
-    everything = (*posterior.prior.effects(x), *effects)
+    everything = posterior.effects(x, effects)
     context, base = posterior.context_at(x), posterior.system(x, everything)
     n = context.structure.n_dofs
     states, drives = [], []
@@ -173,7 +181,7 @@ def _motion_roots(
     motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
     if posterior is None:
         return motion, motion
-    clock = float(np.prod([effect.clock_factor for effect in effects]))
+    clock = clock_ratio(effects)
     answer = seen(system, effects, hz, clock, context, posterior.conditions[k])
     n_extra = answer.shape[2] - n - 1 - own_root.size
     own_root = np.concatenate([own_root, np.full(n_extra, np.sqrt(force.mean()))])

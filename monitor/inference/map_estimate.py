@@ -203,9 +203,8 @@ def _evaluate(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> _P
     """Evaluate the log posterior at the nuisances of `x` and the effects' own coordinates."""
     x = np.concatenate([x[posterior.layout.nuisances], *[e.coordinates for e in effects]])
     prediction = posterior.predict(x, effects)
-    mean, precision = posterior.normal_prior(x, effects)
-    log_prior = -0.5 * float((x - mean) @ precision @ (x - mean))
-    return _Point(x, effects, prediction, posterior.log_likelihood(prediction.spectra, prediction.data), log_prior)
+    log_likelihood = posterior.log_likelihood(prediction.spectra, prediction.data)
+    return _Point(x, effects, prediction, log_likelihood, posterior.log_prior(x, effects))
 
 
 def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: Slopes | None) -> _Slopes:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.inference import input_response
-from monitor.inference.arrays import Spectra, Transforms
+from monitor.inference.arrays import Spectra, Transforms, mean_products
 from monitor.inference.cross_spectra import Band
 from monitor.inference.input_response import Drive
 from monitor.inference.segments import Segments
@@ -104,7 +104,7 @@ def classify(segments: Segments, label: NDArray[np.intp] | None = None) -> Obser
         most = _LEVEL_CLASSES if segments.drive is None else 1
         label = _classes_of(level, degc if by_temperature else None, most)
     members = tuple(np.flatnonzero(label == k) for k in np.unique(label))
-    spectra = np.stack([np.einsum("ska,skb->kab", x[m], x[m].conj()) / m.size for m in members])
+    spectra = np.stack([mean_products(x[m]) for m in members])
     relative = np.ones(level.size)
     for m in members:
         relative[m] = level[m] / level[m].mean()
@@ -147,7 +147,7 @@ def relative_level(x: Transforms) -> Annotated[Array, "segments"]:
     The segments are whitened by the mean spectrum, so that all bins have equal weight and the level follows the excitation, not
     the random response of one mode.
     """
-    mean = np.einsum("ska,skb->kab", x, x.conj()) / x.shape[0]
+    mean = mean_products(x)
     floor = 1e-6 * np.einsum("kaa->k", mean).real / mean.shape[1]
     inverse = np.linalg.inv(mean + floor[:, None, None] * np.eye(mean.shape[1]))
     level = np.einsum("ska,kab,skb->s", x.conj(), inverse, x).real

@@ -114,9 +114,12 @@ class Posterior(ForwardModel):
     def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
         """Compute the log likelihood and the log prior at a point, nats."""
         prediction = self.predict(x, effects)
-        ll = self.log_likelihood(prediction.spectra, prediction.data)
+        return self.log_likelihood(prediction.spectra, prediction.data), self.log_prior(x, effects)
+
+    def log_prior(self, x: Array, effects: Sequence[Effect]) -> float:
+        """Compute the log prior at a point up to a constant, nats."""
         mean, precision = self.normal_prior(x, effects)
-        return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
+        return -0.5 * float((x - mean) @ precision @ (x - mean))
 
     @abstractmethod
     def slopes(
@@ -138,9 +141,10 @@ class Posterior(ForwardModel):
         slopes = [self.slope_by_class(x, i, effects, spectra) for i in wanted]
         return np.array(slopes, dtype=complex).reshape(-1, *spectra.shape)
 
-    def effects(self, x: Array, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-        """Return the persistent effects at a vector of parameters, and the extra ones."""
-        return (*self.prior.effects(x), *effects)
+    def persistent_by_class(self) -> list[int]:
+        """List the coordinates of the persistent effects that act differently in each class."""
+        first, owners = self.layout.persistent.start, of_coordinates(self.prior.model.effects)
+        return [first + j for j, e in enumerate(owners) if e.conditional or e.lines()]
 
     def owners(self, effects: Sequence[Effect]) -> dict[int, int]:
         """Map every coordinate of an effect to the effect's index in `Posterior.effects`."""
@@ -207,6 +211,11 @@ def difference_operator(n: int) -> Annotated[Array, "n n"]:
     """
     one = np.full((n, n), 1.0 / n)
     return np.asarray((np.eye(n) - one) / FORCE_STD**2 + one / LEVEL_STD**2)
+
+
+def of_coordinates(effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effect of every coordinate of effects."""
+    return [e for e in effects for _ in e.parameters]
 
 
 def with_coordinates(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
