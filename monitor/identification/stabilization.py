@@ -269,11 +269,7 @@ def _match(
 
 
 def _moves(
-    matched: dict[int, int],
-    group: NDArray[np.intp],
-    pole_hz: Array,
-    frequencies: Array,
-    select: SelectionSettings,
+    matched: dict[int, int], group: NDArray[np.intp], pole_hz: Array, frequencies: Array, select: SelectionSettings
 ) -> list[tuple[dict[int, int], bool]]:
     """Find the modes each of which was found where the reference has the next, farther away than one mode scatters.
 

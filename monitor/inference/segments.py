@@ -158,11 +158,7 @@ class Segments:
 
 
 def gather(
-    blocks: Iterable[SampleBlock],
-    front_end: FrontEnd,
-    *,
-    most_driven: int = _DRIVEN_SEGMENTS,
-    lead_s: float = _LEAD_S,
+    blocks: Iterable[SampleBlock], front_end: FrontEnd, *, most_driven: int = _DRIVEN_SEGMENTS, lead_s: float = _LEAD_S
 ) -> Segments:
     """Condition a recording as in the pipeline and cut it into segments.
 
