@@ -37,16 +37,8 @@ def decode(
 ) -> T:
     """Build a value, a dataclass, from what `encode` returned; ValueError names the place at which the tree does not fit.
 
-    Parameters
-    ----------
-    given : mapping, optional
-        Fields of the value that the tree does not hold, or that are read apart.
-    place : str
-        Where the tree stands in what is read.
-    beside : iterable of str
-        What else the tree may hold.
-    lengths : int
-        Lengths that are known from elsewhere, by their letters.
+    `given` are fields of the value that the tree does not hold, or that are read apart; `place` is where the tree stands in
+    what is read, and `beside` what else the tree may hold.  `lengths` are known from elsewhere, by their letters.
 
     Examples
     --------

@@ -71,17 +71,9 @@ def levenberg_marquardt(
 ) -> Maximum[P, L]:
     """Maximize an objective by Levenberg-Marquardt steps; the search does not begin where the objective is not finite.
 
-    Parameters
-    ----------
-    linearize : callable
-        Linearizes the objective at a point.  The second argument is the linearization before, whose slopes may serve once
-        more, or None.
-    move : callable
-        Evaluates the point that lies a step away from another; it may shorten the step.
-    tolerance : float
-        Gain of a step at which the search has converged, nats.
-    fixed_slopes_gain : float
-        Gain of a step up to which slopes may serve once more, nats.
+    `linearize` linearizes the objective at a point; its second argument is the linearization before, whose slopes may serve once
+    more where a step gained up to `fixed_slopes_gain` (nats), or None.  `move` evaluates the point that lies a step away from
+    another; it may shorten the step.  The search has converged where a step gains less than the tolerance, nats.
 
     References
     ----------

@@ -39,9 +39,7 @@ def utc(t_ns: float, *, seconds: bool = False) -> str:
 
 
 def utc_ns(text: str) -> int:
-    """Convert a time in ISO 8601 to nanoseconds since 1970 UTC; a time without zone is UTC.
-
-    Raises ValueError if the text is not a time, or the time does not fit in 64 bits.
+    """Convert a time in ISO 8601 (UTC without a zone) to nanoseconds since 1970; ValueError if it is none, or too far away.
 
     Examples
     --------
@@ -60,9 +58,7 @@ def utc_ns(text: str) -> int:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Parse strict JSON of any origin.
-
-    Raises ValueError if the text is no JSON, holds NaN or an infinity, or is nested too deeply.
+    """Parse strict JSON of any origin; ValueError if it holds NaN or an infinity, or is nested too deeply.
 
     Examples
     --------

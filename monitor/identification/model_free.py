@@ -14,19 +14,17 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array, ModalEstimate, Skipped, Window
-from monitor.identification.ssi import PoleTable, Realisation, SsiSettings, realise
-from monitor.identification.ssi import poles as all_poles
+from monitor.identification.ssi import PoleTable, Realisation, SsiSettings
 from monitor.identification.stabilization import (
     BAND,
-    ORDERS_PER_MODE,
     WITHOUT_INTERVAL,
     SelectionSettings,
     deviations_of,
     distinct,
+    estimate_of,
     group_poles,
     has_intervals,
-    mark_stable,
-    normalize,
+    marked_poles,
     replace_split_modes,
 )
 from monitor.identification.whittle import RefinementSettings, refine
@@ -42,40 +40,20 @@ def identify_modes(
     past: tuple[int, ...] = (),
     cutoff_hz: float | None = None,
 ) -> ModalEstimate | Skipped:
-    """Identify the modes of a window without a model.
+    """Identify the modes of a window without a model, in the order of frequency, with their deviations.
 
-    They are in the order of frequency, with their deviations; `model_mode` numbers them from 0.  Skipped where there is none.
-
-    Parameters
-    ----------
-    past : tuple of int
-        Numbers of the reference channels (0 = first); all when empty.
-    cutoff_hz : float, optional
-        Cutoff of the lowpass of the samples, Hz; modes beyond it are left out.
+    `model_mode` numbers them from 0.  `past` are the numbers of the reference channels (0 = first); all when empty.  Modes beyond
+    the cutoff of the lowpass of the samples are left out.  Skipped where there is no mode.
     """
-    n_channels = window.sums.head.shape[1]
-    max_order = max(ssi.max_order, ORDERS_PER_MODE * select.max_modes)
+    past = past or tuple(range(window.sums.head.shape[1]))
     highest_hz = BAND * window.rate_hz if cutoff_hz is None else cutoff_hz
-    realisation = realise(
-        window.sums,
-        ssi,
-        past or tuple(range(n_channels)),
-        max_order,
-        0.5 if cutoff_hz is None else cutoff_hz / window.rate_hz,
-    )
-    poles = all_poles(
-        realisation,
-        range(2, max_order + 1, 2),
-        window.rate_hz,
-        (select.min_frequency_hz, highest_hz),
-        (0.0, select.max_damping_ratio),
-    )
-    stable = mark_stable(poles, select, realisation.singular_values.size < max_order)
+    cutoff = 0.5 if cutoff_hz is None else cutoff_hz / window.rate_hz
+    realisation, poles, stable = marked_poles(window, ssi, select, past, select.max_modes, cutoff, highest_hz)
     clusters = _certain(window, realisation, poles, _clusters(poles, stable, select), select)
     if not clusters:
         return Skipped("no mode is stable over the orders of identification and certain enough")
     refiner = partial(refine, window, settings=refinement)
-    estimates = [_estimate(window, poles, stable, rows) for rows in _starts(poles, clusters)]
+    estimates = [estimate_of(window, poles, stable, rows, np.arange(len(rows))) for rows in _starts(poles, clusters)]
     refined = _refine(estimates, refiner)
     if refined is not None:
         return refined
@@ -135,21 +113,6 @@ def _starts(poles: PoleTable, clusters: list[list[int]]) -> list[list[int]]:
         if order >= 2 * len(clusters) + 4 and rows not in choices:
             choices.append(rows)
     return choices or [[cluster[-1] for cluster in clusters]]
-
-
-def _estimate(window: Window, poles: PoleTable, stable: Array, rows: list[int]) -> ModalEstimate:
-    """Form the estimate of the poles `rows`, without deviations."""
-    orders = np.array(poles.orders, float)[poles.space]
-    return ModalEstimate(
-        frequencies_hz=poles.frequency[rows],
-        damping_ratio=poles.damping[rows],
-        shapes=normalize(poles.shape[rows]),
-        model_mode=np.arange(len(rows)),
-        deviations=np.zeros((0, len(rows), 2 + 2 * poles.shape.shape[1])),
-        first=window.first_block,
-        order=int(orders[rows].max()),
-        poles=np.stack([orders, poles.frequency, poles.damping, stable], axis=1),
-    )
 
 
 def _refine(starts: list[ModalEstimate], refiner: Refiner) -> ModalEstimate | None:

@@ -100,16 +100,9 @@ def _fit(
 def fit_bell(power: Array, bins: Array, bin_hz: float, start: Array, n_segments: int) -> tuple[Array, Array] | None:
     """Fit ln f, ln damping, ln of the bell's size and ln noise to a spectrum by Fisher scoring.
 
-    The result is ln f and ln damping, and their standard deviations; None if the scoring does not converge.
-
-    Parameters
-    ----------
-    power : ndarray
-        Mean power of half-overlapping segments with a Hann taper, in any unit.
-    bins : ndarray
-        Numbers of the bins.
-    start : ndarray
-        Logarithms of frequency, in Hz, and damping ratio from which the search begins.
+    `power` is the mean power of half-overlapping segments with a Hann taper, in any unit, at the bins with the numbers `bins`;
+    `start` holds the logarithms of frequency (Hz) and damping ratio from which the search begins.  The result is ln f and ln
+    damping, and their standard deviations; None if the scoring does not converge.
     """
     nodes = (bins[:, None] + LEAKAGE_OFFSETS / 2.0) * bin_hz
 

@@ -117,16 +117,11 @@ def identify(
     """Identify the modes of a window: poles of all orders, stabilisation, and match to the model's modes.
 
     The estimate may lack modes of the model, even all; it says why, and which modes are in the data beside those of the model.
-    Skipped where there is no stable pole at all.
+    Skipped where there is no stable pole at all.  `past` are the numbers of the reference channels; `reference` are the model's
+    modes, or those of an earlier time, and `known` says in words where they are from.
 
     Parameters
     ----------
-    past : tuple of int
-        Numbers of the reference channels.
-    reference : Modes
-        The model's modes, or those of an earlier time, to which the identified modes are matched.
-    sensors : ndarray
-        Sensor matrix: channels by the model's floors.
     wanted : tuple of int, optional
         The model's modes to identify (0 = lowest), in the order of the estimate; by default those in the band.
     cutoff_hz : float, optional
@@ -134,8 +129,6 @@ def identify(
     refiner : callable, optional
         Refines an estimate without deviations, and computes its deviations (`refine`).  If the refiner returns the estimate
         unchanged, the deviations are those of the subspace identification; their costly covariance is computed only then.
-    known : str
-        Where the reference is from, in words.
     measured : bool
         Whether the reference was measured on the structure.  Modes that then lie at one another's places are exchanged, as few
         channels do where they see both modes alike, and are no reading.
@@ -144,13 +137,9 @@ def identify(
         wanted = expected_modes(reference, BAND * window.rate_hz, select)
     if not wanted:
         return Skipped("every mode of the model lies beyond the band; check the units of masses and stiffness")
-    max_order = max(ssi.max_order, ORDERS_PER_MODE * len(wanted))
     shapes = (sensors @ reference.shapes[:, list(wanted)]).T
-    band_hz, damping = (select.min_frequency_hz, BAND * window.rate_hz), (0.0, select.max_damping_ratio)
     cutoff = 0.5 if cutoff_hz is None else cutoff_hz / window.rate_hz
-    realisation = realise(window.sums, ssi, past, max_order, cutoff)
-    poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
-    stable = mark_stable(poles, select, realisation.singular_values.size < max_order)
+    realisation, poles, stable = marked_poles(window, ssi, select, past, len(wanted), cutoff, BAND * window.rate_hz)
     in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
     frequencies = reference.frequencies_hz[list(wanted)]
     modes, rest = _match(poles, stable, frequencies, shapes, select, in_band, in_places=measured)
@@ -187,17 +176,25 @@ def has_intervals(estimate: ModalEstimate) -> bool:
     return not len(estimate.deviations) or bool((estimate.frequencies_std_hz > 0.0).all())
 
 
-def mark_stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Annotated[Array, "poles"]:
-    """Mark with 1 each pole that recurs from the next lower order, else 0.
+def marked_poles(
+    window: Window, ssi: SsiSettings, select: SelectionSettings, past: tuple[int, ...], n_modes: int, cutoff: float,
+    highest_hz: float,
+) -> tuple[Realisation, PoleTable, Annotated[Array, "poles"]]:  # fmt: skip
+    """Identify the poles of all orders with room for so many modes, and mark with 1 each that recurs from the next lower order.
 
-    If the orders cover all states of the data (`complete`), all poles of the last order are stable.
+    `cutoff` is the lowpass's, in cycles per sample.  If the orders cover all states of the data, all poles of the last one are
+    stable.
     """
     from monitor.identification.kernels import recurring  # compiled code takes a while to load
 
+    max_order = max(ssi.max_order, ORDERS_PER_MODE * n_modes)
+    realisation = realise(window.sums, ssi, past, max_order, cutoff)
+    band_hz, damping = (select.min_frequency_hz, highest_hz), (0.0, select.max_damping_ratio)
+    poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
     stable = recurring(poles.space, poles.frequency, poles.shape, select.stable_frequency, select.stable_mac)
-    if complete:
+    if realisation.singular_values.size < max_order:
         stable[poles.space == len(poles.orders) - 1] = 1.0
-    return stable
+    return realisation, poles, stable
 
 
 def group_poles(
@@ -376,21 +373,29 @@ def _estimate(
     select: SelectionSettings,
 ) -> ModalEstimate:
     """Form the estimate of the chosen poles (`rows`), refine it if possible, and compute its deviations."""
-    estimate = ModalEstimate(
-        frequencies_hz=poles.frequency[rows],
-        damping_ratio=poles.damping[rows],
-        shapes=normalize(poles.shape[rows]),
-        model_mode=np.array(wanted, dtype=np.int64),
-        deviations=np.zeros((0, len(rows), 2 + 2 * poles.shape.shape[1])),
-        first=window.first_block,
-        order=poles.orders[poles.space[rows[0]]] if rows else 0,
-        poles=np.stack([np.array(poles.orders, float)[poles.space], poles.frequency, poles.damping, stable], axis=1),
-    )
+    estimate = estimate_of(window, poles, stable, rows, np.array(wanted, dtype=np.int64))
     better = estimate if refiner is None or not rows else refiner(estimate)
     if better is not estimate or not ssi.uncertainty or not rows:
         return better
     estimate = replace(estimate, deviations=deviations_of(window, realisation, poles, rows))
     return replace_split_modes(window, realisation, poles, rows, estimate, select)
+
+
+def estimate_of(
+    window: Window, poles: PoleTable, stable: Array, rows: list[int], model_mode: NDArray[np.int64]
+) -> ModalEstimate:
+    """Form the estimate of the poles `rows`, without deviations."""
+    orders = np.array(poles.orders, float)[poles.space]
+    return ModalEstimate(
+        frequencies_hz=poles.frequency[rows],
+        damping_ratio=poles.damping[rows],
+        shapes=normalize(poles.shape[rows]),
+        model_mode=model_mode,
+        deviations=np.zeros((0, len(rows), 2 + 2 * poles.shape.shape[1])),
+        first=window.first_block,
+        order=int(orders[rows].max(initial=0.0)),
+        poles=np.stack([orders, poles.frequency, poles.damping, stable], axis=1),
+    )
 
 
 def normalize(shapes: Annotated[ComplexArray, "m c"]) -> ComplexArray:

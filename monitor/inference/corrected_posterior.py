@@ -190,12 +190,8 @@ def correct_posterior(
 ) -> CorrectedPosterior:
     """Correct a posterior by an offset that was simulated at given parameters and effects, smoothed relative to the spectra.
 
-    Parameters
-    ----------
-    offset : ndarray
-        Exact less linearized spectra.
-    slopes : ndarray
-        Slopes of the offset by the coordinates of the nonlinear effects; none where they are not known.
+    The offset is the exact less the linearized spectra.  Its slopes are by the coordinates of the nonlinear effects; none where
+    they are not known.
     """
     plain = {f.name: getattr(posterior, f.name) for f in fields(Posterior)}
     linear, hz = posterior.of_model_alone(), posterior.observed.band.hz

@@ -95,24 +95,12 @@ def fit_excitation(
     reference_degc: float | None,
     near: ExcitationStart | None = None,
 ) -> tuple[Posterior, Array]:
-    """Fit levels and noise of a recording under a model; all other parameters stay as stated.
+    """Fit levels and noise of a recording under a model, from `near` if given; all other parameters stay as stated.
 
-    Laws that depend on the level are linearized at the motion of the fitted model, which is why the fit is repeated.  Simulation
-    adds the difference of the exact from the linearized laws.
-
-    Parameters
-    ----------
-    reference_degc : float or None
-        Temperature of the stated stiffnesses; None for the recording's mean.
-    near : ExcitationStart, optional
-        Excitation from which the fit starts.
-
-    Returns
-    -------
-    posterior : Posterior
-        The posterior at the fitted motion.
-    x : ndarray
-        The fitted nuisances.
+    Laws that depend on the level are linearized at the motion of the fitted model, which is why the fit is
+    repeated.  Simulation adds the difference of the exact from the linearized laws.  `reference_degc` is the temperature of
+    the stated stiffnesses; None for the recording's mean.  Returned are the posterior at the fitted motion, and the fitted
+    nuisances.
     """
     n, c = context.structure.n_dofs, len(context.channels)
     stories = context.structure.n_stories

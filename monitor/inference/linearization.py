@@ -46,16 +46,10 @@ def linearize(
 ) -> tuple[Condition, ...]:
     """Estimate the RMS motion and the temperature of every class under the fitted model.
 
-    The motion of narrow-band modes differs by chance from that expected at the level of the forces, and nonlinear laws depend on
-    the actual motion.  The variance by the model is therefore corrected by a Wiener filter's estimate from the spectra.
-
-    Parameters
-    ----------
-    spectra : ndarray, optional
-        Spectra from which the motion is estimated; the measured ones by default.
-    with_motion : bool, optional
-        Whether the motion is estimated, which costs as much as many fits of a linear model.  Without it the motion is NaN,
-        which is enough for a model without nonlinear effects.
+    The motion of narrow-band modes differs by chance from that expected at the level of the forces, and nonlinear laws depend
+    on the actual motion.  The variance by the model is therefore corrected by a Wiener filter's estimate from the spectra, the
+    measured ones by default.  The motion costs as much as many fits of a linear model; without it it is NaN, which is enough
+    for a model without nonlinear effects.
 
     References
     ----------

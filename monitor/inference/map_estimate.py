@@ -81,16 +81,12 @@ def maximize_posterior(
 ) -> MapEstimate:
     """Find the most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
 
-    The estimate is that of `unfitted` where the fit begins at no structure, or cannot be computed.
+    The fit starts from the nuisances of `x` and from the coordinates of the extra effects themselves.  It has converged where
+    a step gains less than the tolerance, nats.  The estimate is that of `unfitted` where the fit begins at no structure, or
+    cannot be computed.
 
     Parameters
     ----------
-    x : ndarray
-        Nuisances, from which the fit starts; the effects' coordinates are taken from `effects`.
-    effects : tuple of Effect
-        Extra effects, beside the persistent ones.
-    tolerance : float
-        Gain of a step below which the fit has converged, nats.
     frozen : Slopes, optional
         Slopes of the first n parameters that are not computed again: faster, for a ranking, or where these do not move.
     keep_slopes : bool

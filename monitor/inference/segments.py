@@ -167,12 +167,8 @@ def gather(
     `most_driven`, or another lead is given.
 
     The band is the part of the whole band that the recording can judge, see `monitor.inference.judged_band`: where the floors'
-    motion or, where they were measured, the inputs show that forces act.
-
-    Raises
-    ------
-    BadInputError
-        If there are fewer than six segments: 70 s of usable data, 18 s where inputs were measured.
+    motion or, where they were measured, the inputs show that forces act.  Raises BadInputError if there are fewer than six
+    segments: 70 s of usable data, 18 s where inputs were measured.
     """
     floors, inputs, temperature = _read(blocks, front_end)
     n_all, left_out = len(floors.segments), floors.leave_out_faults()

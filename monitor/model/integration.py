@@ -87,18 +87,10 @@ def march(
     A step of each complex mode of the linear part is ``q1 = e^(p h) q0 + behind u0 + ahead u1``, where u is the modal force.
     The stiffness that temperature adds acts as one more law for each degree of freedom.
 
-    Parameters
-    ----------
-    system : System
-        The linear part, N degrees of freedom, of which the first n are the structure's.
-    forces : ndarray
-        Applied forces on the first n to N of them, N, linear in time between samples.
-    factor : ndarray, optional
-        Factor on the stiffness of the structure's degrees of freedom at every sample.
-    step_hz : float
-        Least rate of the integration steps.
-    appended : bool
-        Whether the accelerations of the degrees of freedom that effects add are wanted too.
+    The system is the linear part, N degrees of freedom, of which the first n are the structure's.  The applied forces, N, act
+    on the first n to N of them, and are linear in time between samples.  `factor` is the factor on the stiffness of the
+    structure's degrees of freedom at every sample, `step_hz` the least rate of the integration steps.  If `appended`, the
+    accelerations of the degrees of freedom that effects add are returned too.
     """
     size, columns, substeps = system.mass.shape[0], forces.shape[1], max(1, ceil(step_hz / rate_hz))
     h = 1.0 / (rate_hz * substeps)

@@ -133,10 +133,7 @@ class Model:
     def modes(self) -> Modes:
         """Solve the undamped eigenvalue problem K phi = lambda M phi.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the mass matrix is not positive definite, or mass or stiffness is not finite.
+        Raises LinAlgError if the mass matrix is not positive definite, or mass or stiffness is not finite.
         """
         mass, stiffness = self.structural_matrices()
         if not (np.isfinite(mass).all() and np.isfinite(stiffness).all()):

@@ -230,14 +230,8 @@ def prior_from_drawing(
 ) -> StructuralPrior:
     """Make the prior that follows from the structure file alone.
 
-    Parameters
-    ----------
-    prior_std : ndarray
-        Relative standard deviations of stiffnesses, then masses.
-    n_modes : int
-        Number of modes within which the stiffness may be corrected; 0 for no correction.
-    correction_std : float
-        Relative standard deviation of the stiffness corrections.
+    `prior_std` are relative standard deviations of stiffnesses, then masses.  Within the lowest `n_modes` modes the stiffness may
+    be corrected, with the relative standard deviation `correction_std`.
     """
     s = model.structure
     n = s.mass_matrix().shape[0]

@@ -121,15 +121,16 @@ def simulate(
 ) -> Motion:
     """Simulate a recording of a model under random forces, hammer blows, ground motion or measured forces.
 
+    Raises ValueError if an effect shapes the forces or moves the ground, and `excitation` is the ground; or if a measured
+    force has no floor.
+
     Parameters
     ----------
-    rate_hz : float
-        Nominal rate of the samples.
     excitation : {"ambient", "impulse", "ground", "force"}
         Independent white forces of 1 N on every floor; a hammer blow on the middle floor every 10 s; a white ground
         acceleration of 0.5 m/s^2, measured; measured white forces of 10 N beside the ambient ones.
     noise : float
-        Sensor noise, white at `rate_hz`, as a fraction of the mean over channels of the acceleration's RMS, the same
+        Sensor noise, white at the nominal `rate_hz`, as a fraction of the mean over channels of the acceleration's RMS, the same
         on every channel.  The sensor effects act on the noise as on the motion.  That of gyroscopes is the same fraction of
         the mean RMS of their rates.
     level_spread : float
@@ -142,11 +143,6 @@ def simulate(
         Floor on which each measured force acts, counted from 1.
     turning : ndarray, optional
         Rotation at each gyroscope by the floors' displacements relative to the ground, rad/m; none by default.
-
-    Raises
-    ------
-    ValueError
-        If an effect shapes the forces or moves the ground, and `excitation` is the ground; or if a measured force has no floor.
     """
     if excitation == "ground" and any(e.ground_share or np.ndim(e.colour(np.ones(1))) for e in model.effects):
         raise ValueError("effects of the excitation need --excitation ambient or impulse")

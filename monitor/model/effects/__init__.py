@@ -115,19 +115,9 @@ __all__ = [
 
 
 def story_damage(story: int, loss: float) -> Effect:
-    """Return the effect that takes a share of a story's stiffness away.
+    """Return the effect that takes a share of a story's stiffness (0.2 = 20 %) away; stories count from 1, as in a location.
 
-    Parameters
-    ----------
-    story : int
-        From 1, as in a location.
-    loss : float
-        Share of the story's stiffness, 0.2 = 20 % lost.
-
-    Raises
-    ------
-    EffectError
-        If the story or the loss is impossible.
+    Raises EffectError if the story or the loss is impossible.
     """
     return StiffnessChange.create(f"story {story}", {"relative": -loss})
 
@@ -135,10 +125,7 @@ def story_damage(story: int, loss: float) -> Effect:
 def parse_effect(text: str) -> Effect:
     """Parse an effect written as ``NAME:LOCATION:PARAM=VALUE,...``, the command line's form.
 
-    Raises
-    ------
-    EffectError
-        If name, place or parameters are not the effect's.
+    Raises EffectError if name, place or parameters are not the effect's.
 
     Examples
     --------

@@ -294,10 +294,7 @@ class Effect(ReportFace, ABC):
     def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
         """Create the effect at `location` with the given parameters.
 
-        Raises
-        ------
-        EffectError
-            If the place is not one of `places` or the parameters are not exactly the effect's.
+        Raises EffectError if the place is not one of `places` or the parameters are not exactly the effect's.
         """
         if _kind(location) not in cls.places:
             forms = {"story": "story N", "floor": "floor N", "channel": "channel NAME", "channels": "channel NAME,NAME"}
@@ -406,10 +403,7 @@ class Effect(ReportFace, ABC):
     def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
         """Check that the structure has the effect's place.
 
-        Raises
-        ------
-        EffectError
-            If the structure has no such story, floor or channel, or the story has no drift along which the effect could act.
+        Raises EffectError if the structure has no such story, floor or channel, or the story has no drift along which to act.
         """
         kind, _, which = self.location.partition(" ")
         counts = {"story": (structure.n_stories, "stories"), "floor": (structure.n_dofs, "floors")}

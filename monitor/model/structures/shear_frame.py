@@ -56,12 +56,8 @@ class ShearFrame(Structure):
     def joint_rotations(self) -> Annotated[Array, "n n"]:
         """Compute how the joints of every floor rotate with the floors' displacements relative to the ground, rad/m.
 
-        Positive where a joint turns as the chord of a column does when its upper end moves ahead; zero with rigid girders.
-
-        Raises
-        ------
-        ValueError
-            If the stories' heights are not known: without them there are stiffnesses and no angles.
+        Positive where a joint turns as the chord of a column does when its upper end moves ahead; zero with rigid
+        girders.  Raises ValueError if the stories' heights are not known: without them there are stiffnesses and no angles.
 
         Examples
         --------
