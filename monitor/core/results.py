@@ -177,9 +177,7 @@ class ModalEstimate:
     """Number of the model's mode (0 = lowest) that each mode was matched to."""
     deviations: Annotated[Array, "blocks m columns"]
     """First-order influence of each block of data on (ln f, damping ratio, Re shape, Im shape), 2 + 2 c columns.
-
-    The sum of their squares is the covariance of the estimate; without blocks the covariance is not known.
-    """
+    The sum of their squares is the covariance of the estimate; without blocks the covariance is not known."""
     first: int
     """Number of the first deviation on the stream's grid; overlapping windows share the deviations of common data."""
     order: int
@@ -187,10 +185,8 @@ class ModalEstimate:
     poles: Annotated[Array, "poles 4"]
     """Order, frequency in Hz, damping ratio, 1 if stable; the stabilisation diagram."""
     weight_factor: Annotated[Array, "rows m columns"] | None = None
-    """Rows whose squares sum to the covariance for the weights of the updating.
-
-    It is the inverse of the likelihood's information and well conditioned. None: weigh by the deviations' variances.
-    """
+    """Rows whose squares sum to the covariance for the weights of the updating.  It is the inverse of the likelihood's
+    information and well conditioned.  None: weigh by the deviations' variances."""
     refined: bool = False
     """True for the maximum-likelihood estimate, False for the subspace estimate."""
     others: tuple[OtherMode, ...] = ()
@@ -236,7 +232,6 @@ class ModalEstimate:
         columns = [0, 1, *(2 + k for k in channels), *(2 + n_channels + k for k in channels)]
 
         def spread(rows: Array) -> Array:
-            """Place deviations."""
             out = np.full((*rows.shape[:2], 2 + 2 * n_channels), np.nan)
             out[:, :, columns] = rows
             return out

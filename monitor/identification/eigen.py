@@ -42,12 +42,7 @@ rounding]"""
 
 
 def upper_poles(
-    a: Annotated[Array, "n n"],
-    c: Annotated[Array, "l n"],
-    orders: Sequence[int],
-    region: Region = EVERYWHERE,
-    *,
-    sweeps: int = _MAX_SWEEPS,
+    a: Array, c: Array, orders: Sequence[int], region: Region = EVERYWHERE, *, sweeps: int = _MAX_SWEEPS
 ) -> Poles:
     """Compute the eigenvalues above the real axis and within a region, of the leading part of `a` for every (increasing) order.
 
@@ -292,9 +287,7 @@ def _inverse(pivot: complex, least: float) -> complex:
 
 
 @compiled(error_model="numpy")
-def tridiagonal_vectors(
-    diagonal: Annotated[Array, "n"], off_diagonal: Array, values: Annotated[Array, "m"]
-) -> Annotated[Array, "m n"]:
+def tridiagonal_vectors(diagonal: Array, off_diagonal: Array, values: Array) -> Annotated[Array, "m n"]:
     """Compute unit eigenvectors, as rows, of a symmetric tridiagonal matrix for known eigenvalues in order.
 
     Each vector follows from the factorizations of the shifted matrix from the top and from the bottom (twisted factorization),

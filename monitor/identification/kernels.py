@@ -15,7 +15,7 @@ IMPOSSIBLE = 1e3
 
 @compiled()
 def scatter(
-    products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: Annotated[NDArray[np.intp], "r"]
+    products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]
 ) -> Annotated[Array, "lags r c blocks"]:
     """Compute the deviation of each block's lagged products, about the window's mean, from those of the mean block.
 
@@ -38,9 +38,7 @@ def scatter(
 
 
 @compiled()
-def displaced(
-    lag_sum: Annotated[Array, "lags c c"], head: Annotated[Array, "k c"], tail: Annotated[Array, "k c"]
-) -> Array:
+def displaced(lag_sum: Annotated[Array, "lags c c"], head: Array, tail: Array) -> Array:
     """Compute the Gram matrix of the block Hankel matrix from its first block row, the lag sums.
 
     A block equals the previous block on its diagonal, minus the product at the window's head, plus the product at its tail.
@@ -70,12 +68,8 @@ def _mac(a: ComplexArray, b: ComplexArray) -> float:
 
 @compiled()
 def recurring(
-    space: Annotated[NDArray[np.intp], "poles"],
-    frequency: Annotated[Array, "poles"],
-    shape: Annotated[ComplexArray, "poles c"],
-    most_change: float,
-    least_likeness: float,
-) -> Annotated[Array, "poles"]:
+    space: NDArray[np.intp], frequency: Array, shape: ComplexArray, most_change: float, least_likeness: float
+) -> Array:
     """Mark each pole with 1 if the next lower order has a matching pole, with a shape of unit norm, else 0.
 
     `space` is the number of the pole's order, increasing; `most_change` the largest relative change of frequency between matching

@@ -70,11 +70,8 @@ class Realisation:
     """Observability matrix for all orders, from the Gram matrix."""
 
     observability: Annotated[Array, "li n_max"]
-    """O_i for the largest order; order n uses its first n columns (eq. 8).
-
-    The basis of the states is arbitrary.  It is chosen so that the columns without the last block row are orthonormal, which
-    solves eq. 12 for every order at once.
-    """
+    """O_i for the largest order; order n uses its first n columns (eq. 8).  The basis of the states is arbitrary.  It is chosen
+    so that the columns without the last block row are orthonormal, which solves eq. 12 for every order at once."""
     right: Annotated[Array, "ri n_max"]
     """Z with O_i = Y_f Y_p^T Z to first order; it propagates errors of the lag sums to O_i."""
     singular_values: Array
@@ -322,7 +319,6 @@ def _state_products(full: Array, past_rows: Indices, i: int, l: int) -> tuple[Ar
     past_plus = np.concatenate([past_rows, i * l + past_rows[past_rows < l]])
 
     def g(rows: Indices, columns: Indices) -> Array:
-        """Select a block of the Gram matrix."""
         return np.asarray(full[np.ix_(rows, columns)])
 
     root, root_plus = _inverse_root(g(past_rows, past_rows)), _inverse_root(g(past_plus, past_plus))

@@ -57,8 +57,8 @@ def mode_deviations(
 
 def _observability_influence(
     sums: LagSums, realisation: Realisation, states: Annotated[ComplexArray, "n m"]
-) -> Annotated[ComplexArray, "m li blocks"]:
-    """Compute dO of every block times m state vectors."""
+) -> ComplexArray:
+    """Compute dO of every block, the last axis, times m state vectors, the first."""
     from monitor.identification.kernels import scatter  # compiled code takes a while to load
 
     past, n_blocks, m = np.array(realisation.past), len(sums.products), states.shape[1]

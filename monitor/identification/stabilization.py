@@ -197,9 +197,7 @@ def marked_poles(
     return realisation, poles, stable
 
 
-def group_poles(
-    poles: PoleTable, stable: Array, select: SelectionSettings, in_band: int
-) -> Annotated[NDArray[np.intp], "poles"]:
+def group_poles(poles: PoleTable, stable: Array, select: SelectionSettings, in_band: int) -> NDArray[np.intp]:
     """Group the stable poles of all orders into modes: the number of each pole's mode, -1 for none.
 
     A mode must be stable in the share `min_stable_share` of the orders with room for `in_band` modes.  At least a third of all

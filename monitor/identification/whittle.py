@@ -114,10 +114,8 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
     return modes
 
 
-def _score_weights(
-    layout: Layout, inverse: ComplexArray, model: Spectrum
-) -> tuple[Annotated[ComplexArray, "parameters pairs pools"], Annotated[Array, "parameters parameters"]]:
-    """Compute the weights of a packed spectrum in its score, and a segment's Fisher information."""
+def _score_weights(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[ComplexArray, Array]:
+    """Compute the weights of a packed spectrum in its score by each parameter, and a segment's Fisher information."""
     weights = packed(layout, inverse @ model.u, inverse @ model.v) * layout.counts
     return weights, product(weights, packed(layout, model.u[None], model.v))
 
@@ -187,9 +185,7 @@ def take_step(layout: Layout, p: Point, step: Array) -> Point:
     )
 
 
-def shrunk_uncertainty(
-    influence: Annotated[Array, "segments n"], covariance: Annotated[Array, "n n"]
-) -> tuple[Annotated[Array, "segments n"], Annotated[Array, "n n"]]:
+def shrunk_uncertainty(influence: Annotated[Array, "segments n"], covariance: Array) -> tuple[Array, Array]:
     """Compute rows of influence whose squares sum to the shrunk covariance, and a factor of the model's covariance.
 
     In coordinates where the model's covariance, by the information matrix and correct up to a factor, is the identity, the

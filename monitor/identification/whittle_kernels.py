@@ -11,12 +11,7 @@ from monitor.core import Array, ComplexArray, compiled
 
 
 @compiled()
-def pool_products(
-    x: Annotated[ComplexArray, "bins c"],
-    first: Annotated[NDArray[np.intp], "pools"],
-    sizes: Annotated[NDArray[np.intp], "pools"],
-    out: Annotated[ComplexArray, "pairs pools"],
-) -> None:
+def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.intp], out: ComplexArray) -> None:
     """Average the cross-spectra of one segment over pools of bins, given by first bin and size, packed into `out`."""
     c = x.shape[1]
     for p in range(first.size):
@@ -51,12 +46,12 @@ def pack_columns(
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def modal_products(
-    w: Annotated[Array, "pools taps"], weights: Annotated[Array, "taps"], omega: Array, damping: Array, colour: Array
+    w: Array, weights: Array, omega: Array, damping: Array, colour: Array
 ) -> Annotated[ComplexArray, "pools 5 m m"]:
     """Compute the products of modal transfer functions g of acceleration, and of their derivatives, with every conjugate g.
 
     g includes the amplitude of the forces' spectrum, whose tilt and curvature are `colour`.  The five are of g itself, then of
-    its derivatives by ln omega, ln damping, tilt and curvature.  Frequencies are in rad/s; the sum over taps has `weights`.
+    its derivatives by ln omega, ln damping, tilt and curvature.  `w` has a row of taps a pool, rad/s, whose sum has `weights`.
     """
     (pools, taps), m = w.shape, omega.size
     out, each, middle = np.zeros((pools, 5, m, m), dtype=np.complex128), np.empty((5, m), dtype=np.complex128), w.mean()

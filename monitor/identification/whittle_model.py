@@ -120,10 +120,8 @@ def layout_of(
     return Layout(bins[first], sizes, columns, nodes * bin_hz, counts, gauges, free, pairs)
 
 
-def cross_spectra(
-    layout: Layout, segments: tuple[ComplexArray, ...]
-) -> Annotated[ComplexArray, "segments pairs pools"]:
-    """Compute each segment's cross-spectra, averaged over pools and packed, (m/s^2)^2/Hz."""
+def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> ComplexArray:
+    """Compute each segment's cross-spectra, packed (pairs) and averaged over pools, (m/s^2)^2/Hz."""
     from monitor.identification.whittle_kernels import pool_products  # compiled code takes a while to load
 
     sums = np.empty((len(segments), len(layout.counts), len(layout.first)), dtype=complex)
@@ -173,9 +171,7 @@ def upper(matrices: Annotated[ComplexArray, "pools c c"]) -> Annotated[ComplexAr
     return matrices[:, i, j].T
 
 
-def packed(
-    layout: Layout, u: Array | ComplexArray, v: ComplexArray
-) -> Annotated[ComplexArray, "parameters pairs pools"]:
+def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
     """Pack ``u v^H + v u^H``, summed over each parameter's columns, see `pack_columns`."""
     each = packed_columns(u, v)
     tilt, curvature = layout.columns[-2:]  # the only parameters with several columns

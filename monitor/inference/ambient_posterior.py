@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
+from monitor.inference.arrays import PackedSlopes, Spectrum
 from monitor.inference.cross_spectra import (
     Excitation,
     extended,
@@ -41,13 +41,7 @@ class AmbientPosterior(Posterior):
         lines, level = line_spectra(system, effects, band, context, condition), np.exp(x[layout.levels])
         return np.stack([self._scale_to_level(unit, level[k], noise, effects) + lines for k in classes])
 
-    def _scale_to_level(
-        self,
-        unit: Annotated[ComplexArray, "bins c c"],
-        level: float,
-        noise: Annotated[Array, "c"],
-        effects: Sequence[Effect],
-    ) -> ComplexArray:
+    def _scale_to_level(self, unit: Spectrum, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
         """Scale spectra without the channels' noise at level one to another level; the noise does not scale with the level."""
         extra = noise_density(effects, self.context, self.conditions[0])
         diagonal = np.arange(noise.size)
@@ -134,9 +128,7 @@ class AmbientPosterior(Posterior):
             if not (e.repeatable or (alike and e.scales_with_level))
         ]
 
-    def _slopes_of_middle(
-        self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]
-    ) -> Annotated[Array, "wanted c*c bins"]:
+    def _slopes_of_middle(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> PackedSlopes:
         """Differentiate the (smoothed) spectra of the middle class."""
         middle = self.n_classes // 2
         by_mode = self.slopes_by_mode(x, effects, wanted)
@@ -159,9 +151,7 @@ class AmbientPosterior(Posterior):
                 d[:] = packed((self.complete(linear + h * unpacked(d), x, effects, [middle])[0] - complete) / h)
         return out if self.smoothing is None else out @ self.smoothing.T
 
-    def slopes_by_mode(
-        self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]
-    ) -> dict[int, Annotated[ComplexArray, "bins c c"]]:
+    def slopes_by_mode(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> dict[int, Spectrum]:
         """Differentiate the linearized spectra of the middle class by those wanted coordinates that only change extra modes."""
         owners, everything = self.owners(effects), self.effects(x, effects)
         context, band, middle = self.context_at(x), self.observed.band, self.n_classes // 2
@@ -186,9 +176,7 @@ class AmbientPosterior(Posterior):
             return []  # the ground's share depends on the whole system
         return [i for i in wanted if i not in owners or everything[owners[i]].acts_on_system_alone]
 
-    def _slopes_by_system(
-        self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]
-    ) -> Annotated[Array, "wanted c*c bins"]:
+    def _slopes_by_system(self, x: Array, effects: tuple[Effect, ...], wanted: Sequence[int]) -> PackedSlopes:
         """Differentiate the linearized spectra of the middle class by coordinates that change the system, see `_systemic`."""
         band, middle, owners = self.observed.band, self.n_classes // 2, self.owners(effects)
         everything, condition = self.effects(x, effects), self.conditions[middle]

@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.ambient_posterior import AmbientPosterior
-from monitor.inference.arrays import Spectra
+from monitor.inference.arrays import Spectra, SpectraSlopes
 from monitor.inference.linearization import forced_motion
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior
@@ -42,7 +42,7 @@ class CorrectedPosterior(AmbientPosterior):
         default_factory=lambda: np.zeros(0, dtype=complex)
     )
     """Correction and its slopes by the coordinates, relative to the linearized spectra."""
-    by_motion: Annotated[ComplexArray, "p classes bins c c"] = field(default_factory=lambda: np.zeros(0, dtype=complex))
+    by_motion: SpectraSlopes = field(default_factory=lambda: np.zeros(0, dtype=complex))
     """Slopes of the correction for a change of the motion instead of the law."""
     spurious_information: Annotated[Array, "p p"] = field(default_factory=lambda: np.zeros((0, 0)))
     """Spurious information on the coordinates from the random error of their slopes."""
@@ -134,7 +134,7 @@ class CorrectedPosterior(AmbientPosterior):
         return replace(self, centre=centre, relative=relative, by_motion=grown)
 
     @property
-    def slopes_by_size(self) -> Annotated[ComplexArray, "p classes bins c c"]:
+    def slopes_by_size(self) -> SpectraSlopes:
         """Slopes of the correction by the coordinates."""
         return _congruence(self.base, self.by_motion)
 
@@ -182,11 +182,7 @@ def relative_to(spectra: Spectra, offset: Spectra, hz: Array) -> Spectra:
 
 
 def correct_posterior(
-    posterior: Posterior,
-    x: Array,
-    effects: tuple[Effect, ...],
-    offset: Spectra,
-    slopes: Annotated[ComplexArray, "p classes bins c c"],
+    posterior: Posterior, x: Array, effects: tuple[Effect, ...], offset: Spectra, slopes: SpectraSlopes
 ) -> CorrectedPosterior:
     """Correct a posterior by an offset that was simulated at given parameters and effects, smoothed relative to the spectra.
 

@@ -18,6 +18,7 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 
 from monitor.core import Array, ComplexArray, compiled
+from monitor.inference.arrays import Spectrum
 from monitor.inference.judged_band import JudgedBand
 from monitor.model import Condition, Context, Effect, ExtraMode, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
@@ -85,9 +86,7 @@ class Excitation:
     """White noise of a measured ground motion, which the prediction treats as motion, (m/s^2)^2/Hz."""
 
 
-def modally_damped(
-    mass: Annotated[Array, "n n"], stiffness: Annotated[Array, "n n"], ratios: Annotated[Array, "n"]
-) -> System:
+def modally_damped(mass: Annotated[Array, "n n"], stiffness: Annotated[Array, "n n"], ratios: Array) -> System:
     """Make the linear system with given damping ratios of its modes (kg, N/m).
 
     Raises LinAlgError if the mass matrix is not positive definite, or an entry is not finite.
@@ -113,8 +112,8 @@ def cross_spectra(
     band: Band,
     context: Context,
     condition: Condition,
-) -> ComplexArray:
-    """Compute the expected cross-spectra of the segments, shape (n_bins, c, c), (m/s^2)^2/Hz, two-sided."""
+) -> Spectrum:
+    """Compute the expected cross-spectra of the segments."""
     random = random_spectra(system, effects, excitation, band, context, condition)
     return random + line_spectra(system, effects, band, context, condition)
 
@@ -126,8 +125,8 @@ def random_spectra(
     band: Band,
     context: Context,
     condition: Condition,
-) -> ComplexArray:
-    """Compute the part of the segments' cross-spectra that is random motion and noise, shape (n_bins, c, c), (m/s^2)^2/Hz."""
+) -> Spectrum:
+    """Compute the part of the segments' cross-spectra that is random motion and noise."""
     clock = clock_ratio(effects)
     fine = band.fine_hz
     answer = seen(system, effects, fine, clock, context, condition)
@@ -160,8 +159,8 @@ def noise_density(effects: Sequence[Effect], context: Context, condition: Condit
 
 def line_spectra(
     system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
-) -> ComplexArray:
-    """Compute the part of the segments' cross-spectra that harmonic forces cause, shape (n_bins, c, c), (m/s^2)^2/Hz."""
+) -> Spectrum:
+    """Compute the part of the segments' cross-spectra that harmonic forces cause."""
     c, clock = len(context.channels), clock_ratio(effects)
     spectra = np.zeros((band.n_bins, c, c), dtype=complex)
     for line in (line for effect in effects for line in effect.lines()):
@@ -180,8 +179,8 @@ def extra_mode_spectra(
     band: Band,
     context: Context,
     condition: Condition,
-) -> Annotated[ComplexArray, "bins c c"]:
-    """Compute the part of the segments' cross-spectra that extra modes cause, two-sided, (m/s^2)^2/Hz.
+) -> Spectrum:
+    """Compute the part of the segments' cross-spectra that extra modes cause.
 
     `effects` are all of the model; `force` is the mean density of the floors' forces, which is that on every mode, N^2/Hz.
     """
@@ -365,10 +364,8 @@ def variances(
 
 
 @compiled(error_model="numpy")
-def accelerance(
-    mass: Array, damping: Array, stiffness: Array, omega: Array, right: Annotated[Array, "N columns"]
-) -> Annotated[ComplexArray, "omega N columns"]:
-    """Compute the accelerance ``-w^2 (K + i w C - w^2 M)^-1 right``, acceleration per force.
+def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, right: Array) -> ComplexArray:
+    """Compute the accelerance ``-w^2 (K + i w C - w^2 M)^-1 right``, acceleration per force, shape (n_omega, N, columns).
 
     NaN where a pivot vanishes.  Of a symmetric matrix with a definite imaginary part that happens only without mass.
     """
@@ -418,11 +415,8 @@ def accelerance(
 
 @compiled(error_model="numpy")
 def _at_sensors(
-    floors: Annotated[ComplexArray, "omega N columns"],
-    sensors: Annotated[Array, "c N"],
-    ground: int,
-    shares: Annotated[Array, "c"],
-) -> Annotated[ComplexArray, "omega c columns"]:
+    floors: Annotated[ComplexArray, "omega N columns"], sensors: Array, ground: int, shares: Array
+) -> ComplexArray:
     """Compute the sensors' absolute acceleration from that of the degrees of freedom relative to the ground.
 
     `ground` is the column of the ground, of whose own acceleration every channel has its share.
@@ -442,11 +436,7 @@ def _at_sensors(
 
 
 @compiled(error_model="numpy")
-def blurred_products(
-    answer: Annotated[ComplexArray, "fine c columns"],
-    density: Annotated[Array, "fine columns"],
-    taps: Annotated[Array, "taps"],
-) -> Annotated[ComplexArray, "bins c c"]:
+def blurred_products(answer: ComplexArray, density: Annotated[Array, "fine columns"], taps: Array) -> Spectrum:
     """Compute ``answer density answer^H`` on the half-bin grid and convolve it with the taper's kernel into bins."""
     n_fine, c, n = answer.shape
     n_bins = (n_fine - taps.size) // 2 + 1

@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.inference import input_response
-from monitor.inference.arrays import Spectra, Transforms
+from monitor.inference.arrays import Spectra, Transforms, TransformSlopes
 from monitor.inference.cross_spectra import extended
 from monitor.inference.forward_model import Laws, Prediction
 from monitor.inference.input_response import Between, Drive
@@ -35,7 +35,7 @@ class ExactSlopes:
 
     laws: frozenset[tuple[str, str]]
     """Names and places of the effects."""
-    slopes: Annotated[ComplexArray, "nuisances segments bins c"]
+    slopes: TransformSlopes
     """Differences of the slopes by the nuisances."""
 
 
@@ -162,7 +162,7 @@ class DrivenPosterior(Posterior):
 
     def mean_slopes(
         self, x: Array, effects: tuple[Effect, ...], mean: Transforms, wanted: Iterable[int]
-    ) -> Annotated[ComplexArray, "wanted segments bins c"]:
+    ) -> TransformSlopes:
         """Differentiate the segments' means by the coordinates with the wanted indices; `mean` is the response at `x`.
 
         The slopes by an effect's own coordinates are those of the exact laws.  The slopes by nuisances are those of the
@@ -189,7 +189,6 @@ class DrivenPosterior(Posterior):
 
     @override
     def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
-
         def added(x: Array) -> ComplexArray:
             mean = self.mean(x, effects, laws="coarse")
             return np.asarray(mean - self._linear_mean(x, effects, mean))

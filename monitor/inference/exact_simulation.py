@@ -10,7 +10,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.arrays import Spectra, Transforms, mean_products
+from monitor.inference.arrays import Spectra, Spectrum, Transforms, mean_products
 from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density, noise_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
@@ -135,9 +135,7 @@ def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], ac
     return _segment_transforms(_kept_spectrum(channels, posterior), posterior, range(posterior.observed.t_s.size))
 
 
-def _apply_sensor_law(
-    effect: Effect, samples: Annotated[Array, "samples c"], posterior: Posterior, acting: Forces, context: Context
-) -> Array:
+def _apply_sensor_law(effect: Effect, samples: Array, posterior: Posterior, acting: Forces, context: Context) -> Array:
     """Apply a sensor's nonlinear law to samples that are scaled to the measured RMS.
 
     The scaling is needed since the model need not have the measured RMS beyond the band.
@@ -277,9 +275,7 @@ def _linear_transforms(
         )
 
 
-def _squared_regression(
-    cross: Annotated[ComplexArray, "bins c c"], own: Annotated[ComplexArray, "bins c c"]
-) -> Annotated[Array, "bins"]:
+def _squared_regression(cross: Spectrum, own: Spectrum) -> Array:
     """Compute the squared regression coefficient, near every bin, of one response on another, whose spectra are `own`."""
     ones = np.ones(2 * _COHERENCE_BINS + 1)
     part, whole = (np.convolve((np.abs(a) ** 2).sum(axis=(1, 2)), ones, "same") for a in (cross, own))
@@ -314,9 +310,7 @@ def _kept_spectrum(samples: Array, posterior: Posterior) -> Annotated[ComplexArr
     return np.asarray(rfft(np.ascontiguousarray(samples.T))[:, :n].T * (2.0 * (n - 1) / len(samples)))
 
 
-def _segment_transforms(
-    spectrum: ComplexArray, posterior: Posterior, wanted: Iterable[int]
-) -> Annotated[ComplexArray, "wanted bins c"]:
+def _segment_transforms(spectrum: ComplexArray, posterior: Posterior, wanted: Iterable[int]) -> Transforms:
     """Cut the wanted segments out of a whole series and transform them with the taper."""
     band, half = posterior.observed.band, _kept_samples(posterior)
     samples = irfft(np.ascontiguousarray(spectrum.T), n=(posterior.observed.t_s.size + 2) * half)

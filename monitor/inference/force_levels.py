@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array, ComplexArray
+from monitor.inference.arrays import Spectrum
 from monitor.inference.posterior import Posterior
 from monitor.model import Effect
 
@@ -22,12 +23,10 @@ _MIN_LEVEL_FACTOR = 0.1
 """Least share of a level that one step leaves. [ratio; judgement]"""
 
 
-def spectra_by_force(
-    posterior: Posterior, x: Array, effects: Sequence[Effect]
-) -> Annotated[ComplexArray, "n+1 classes bins c c"]:
+def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> ComplexArray:
     """Split the spectra without noise into the parts of each force and, last, of an unmeasured ground.
 
-    The rest, which none of them causes alone, is shared equally by the forces.
+    The rest, which none of them causes alone, is shared equally by the forces.  Shape (n + 1, classes, bins, c, c).
     """
     layout, n = posterior.layout, posterior.context.structure.n_dofs
     posterior, noiseless = posterior.without_drift(), _without_noise(posterior, x)
@@ -62,11 +61,7 @@ def ground_levels(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> 
     return np.asarray(relative * strength.sum() / (relative @ strength))
 
 
-def fit_levels(
-    parts: Annotated[ComplexArray, "parts bins c c"],
-    noise: Annotated[ComplexArray, "bins c c"],
-    data: Annotated[ComplexArray, "bins c c"],
-) -> Annotated[Array, "parts"]:
+def fit_levels(parts: Annotated[ComplexArray, "parts bins c c"], noise: Spectrum, data: Spectrum) -> Array:
     """Fit the factors on the parts of a spectrum that explain the data best, together with the noise, by Fisher scoring.
 
     Examples

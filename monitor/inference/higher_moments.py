@@ -175,9 +175,7 @@ def _kurtosis_between_modes(split: _Split, hz: Array) -> float:
     return max(0.0, float(np.dot(found, weight)) / max(sum(weight), 1.0))
 
 
-def drift_skewness(
-    floors: Annotated[ComplexArray, "segments bins n"], posterior: Posterior
-) -> tuple[Annotated[Array, "stories"], Annotated[Array, "stories"]]:
+def drift_skewness(floors: Annotated[ComplexArray, "segments bins n"], posterior: Posterior) -> tuple[Array, Array]:
     """Compute the mean skewness of every drift over segments, and its standard deviation.
 
     A drift that no sensor moves with has the skewness 0 with an infinite standard deviation.
@@ -197,9 +195,7 @@ def drift_skewness(
     return np.where(seen, third.mean(axis=0), 0.0), np.where(seen, std, np.inf)
 
 
-def _kurtosis(
-    narrow: Annotated[ComplexArray, "segments bins"], level: Annotated[Array, "segments"]
-) -> tuple[float, float]:
+def _kurtosis(narrow: Annotated[ComplexArray, "segments bins"], level: Array) -> tuple[float, float]:
     """Compute the excess kurtosis in a narrow band, and its standard deviation; 0 and infinity in an empty one."""
     if not narrow.shape[1]:
         return 0.0, np.inf

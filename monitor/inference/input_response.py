@@ -20,7 +20,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray, compiled
-from monitor.inference.arrays import Spectra, Transforms
+from monitor.inference.arrays import Spectra, Transforms, TransformSlopes
 from monitor.inference.cross_spectra import Band, accelerance, clock_ratio, recorded
 from monitor.model import Condition, Context, Effect, System
 from monitor.signals import SegmentDesign, taper
@@ -154,7 +154,7 @@ class Drive:
 
     def moved(
         self, answers: Iterable[Annotated[ComplexArray, "hz columns k"]]
-    ) -> Iterator[tuple[Annotated[NDArray[np.intp], "members"], Annotated[Array, "members n columns"]]]:
+    ) -> Iterator[tuple[NDArray[np.intp], Annotated[Array, "members n columns"]]]:
         """Yield the indices of every run's segments and their samples, for the runs' frequency responses to the inputs."""
         for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
             moved = np.einsum("fck,fk->cf", answer, run.spectrum[: len(answer)])
@@ -301,14 +301,8 @@ def exact_response(
 
 
 def motion_rms(
-    drive: Drive,
-    system: System,
-    band: Band,
-    context: Context,
-    rows: Annotated[Array, "m n"],
-    order: int,
-    lowest_hz: float,
-) -> Annotated[Array, "m"]:
+    drive: Drive, system: System, band: Band, context: Context, rows: Array, order: int, lowest_hz: float
+) -> Array:
     """Compute the RMS over the segments of the floors' motion relative to the ground, m or m/s.
 
     `rows` pick drifts or floors out of the floors' motion, `order` is 0 for displacement and 1 for velocity.  Motion below
@@ -345,15 +339,10 @@ def products(transforms: ComplexArray, members: Sequence[NDArray[np.intp]]) -> S
     return np.stack([x @ x.conj().swapaxes(1, 2) / x.shape[2] for x in by_bin])
 
 
-def mean_rows(
-    spectra: Spectra,
-    stacked: Annotated[ComplexArray, "p segments bins c"],
-    members: Sequence[NDArray[np.intp]],
-    weight: Annotated[Array, "classes bins"],
-) -> Annotated[Array, "segments*bins*c*2 p"]:
+def mean_rows(spectra: Spectra, stacked: TransformSlopes, members: Sequence[NDArray[np.intp]], weight: Array) -> Array:
     """Whiten changes of the segments' means by the residuals' spectra into real rows of unit information.
 
-    `weight` is the number of independent pieces of information in a segment and bin.
+    `weight` is the number of independent pieces of information in a segment of each class and bin.
     """
     of = np.empty(stacked.shape[1], dtype=np.intp)
     for k, m in enumerate(members):
@@ -364,10 +353,8 @@ def mean_rows(
 
 
 @compiled(error_model="numpy")
-def _whitened_means(
-    whiteners: ComplexArray, of: NDArray[np.intp], stacked: Annotated[ComplexArray, "p segments bins c"]
-) -> Annotated[Array, "p 2 segments bins c"]:
-    """Whiten every segment, of class `of`, into its real and imaginary parts."""
+def _whitened_means(whiteners: ComplexArray, of: NDArray[np.intp], stacked: TransformSlopes) -> Array:
+    """Whiten every segment, of class `of`, into its real and imaginary parts, the second axis."""
     p, segments, bins, c = stacked.shape
     out = np.empty((p, 2, segments, bins, c))
     for q in range(p):

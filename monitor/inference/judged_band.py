@@ -91,9 +91,7 @@ def _first(falls: Iterable[_Fall | None]) -> _Fall | None:
     return next((fall for fall in falls if fall is not None), None)
 
 
-def _steepest_fall(
-    u: Annotated[Array, "n"], level: Annotated[Array, "n c"], chance: float, least_order: float
-) -> _Fall | None:
+def _steepest_fall(u: Array, level: Annotated[Array, "n c"], chance: float, least_order: float) -> _Fall | None:
     """Find the steepest fall of all channels from an octave to everything beyond; None where none reaches the least order.
 
     The fall is taken for a Butterworth filter's, whose order and corner follow from the steepest part.  `u` are logarithms of the

@@ -72,9 +72,7 @@ def linearize(
     return tuple(out)
 
 
-def _class_motion(
-    posterior: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray
-) -> Annotated[Array, "classes 2m+n"]:
+def _class_motion(posterior: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> Array:
     """Estimate the RMS motion of every class: drift (m) and its velocity (m/s) of m stories, velocity (m/s) of n floors."""
     e, context = posterior.observed, posterior.context_at(x)
     everything = posterior.effects(x, effects)
@@ -109,10 +107,8 @@ def _class_motion(
     return out
 
 
-def forced_motion(
-    posterior: Posterior, x: Array, effects: Sequence[Effect], laws: Sequence[Effect]
-) -> Annotated[Array, "classes laws"]:
-    """Compute the RMS motion (m) along laws of the linearized model, under forces of each class's level, taken as white.
+def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], laws: Sequence[Effect]) -> Array:
+    """Compute the RMS motion (m) of every class along laws of the linearized model, under white forces of the class's level.
 
     The laws are effects of stories, whose motion is the story's drift, and of floors.  NaN where the system has no stationary
     motion.

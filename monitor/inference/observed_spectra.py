@@ -185,9 +185,7 @@ def _natural_classes(value: Array, n: int) -> NDArray[np.intp]:
     return label
 
 
-def _mean_temperature(
-    readings: Annotated[Array, "readings 2"], t_s: Annotated[Array, "segments"], length_s: float, lag_s: float = 0.0
-) -> Annotated[Array, "segments"] | None:
+def _mean_temperature(readings: Array, t_s: Array, length_s: float, lag_s: float = 0.0) -> Array | None:
     """Compute the mean temperature of segments about their middles after a first-order lag; None without readings (s, degC).
 
     The temperature is averaged over the segment, since the noise of single readings hides the slope that a short lag acts on.

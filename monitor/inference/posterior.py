@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from monitor.core import Array, ComplexArray
-from monitor.inference.arrays import Spectra
+from monitor.core import Array
+from monitor.inference.arrays import Spectra, SpectraSlopes, TransformSlopes
 from monitor.inference.forward_model import ForwardModel, Prediction
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.spectral_slopes import RowSlopes, Slopes
@@ -59,9 +59,7 @@ class Posterior(ForwardModel):
         """
         return None
 
-    def normal_prior(
-        self, x: Array, effects: Sequence[Effect]
-    ) -> tuple[Annotated[Array, "p"], Annotated[Array, "p p"]]:
+    def normal_prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Annotated[Array, "p p"]]:
         """Return mean and precision of the prior of all parameters at a point.
 
         The prior of the forces is about their mean level at `x`, and that of the noise about its value at `x`.
@@ -122,9 +120,7 @@ class Posterior(ForwardModel):
         return -0.5 * float((x - mean) @ precision @ (x - mean))
 
     @abstractmethod
-    def slopes(
-        self, x: Array, effects: tuple[Effect, ...], spectra: Spectra, first: int = 0
-    ) -> Annotated[ComplexArray, "wanted classes bins c c"]:
+    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: Spectra, first: int = 0) -> SpectraSlopes:
         """Differentiate the (smoothed) spectra, whose prediction at `x` is given, by the parameters from `first` on."""
 
     def slope_by_class(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: Spectra) -> Spectra:
@@ -133,9 +129,7 @@ class Posterior(ForwardModel):
         after = with_coordinates(effects, moved[self.layout.effects])
         return np.asarray((self.smooth(self.scatter(moved, after)) - spectra) / h)
 
-    def effect_slopes(
-        self, x: Array, effects: tuple[Effect, ...], spectra: Spectra, first: int = 0
-    ) -> Annotated[ComplexArray, "wanted classes bins c c"]:
+    def effect_slopes(self, x: Array, effects: tuple[Effect, ...], spectra: Spectra, first: int = 0) -> SpectraSlopes:
         """Differentiate the (smoothed) spectra by the extra effects' coordinates, from the first wanted one on."""
         wanted = range(self.layout.n_nuisance + first, x.size)
         slopes = [self.slope_by_class(x, i, effects, spectra) for i in wanted]
@@ -154,9 +148,7 @@ class Posterior(ForwardModel):
         extra = range(self.layout.n_nuisance, self.layout.n_nuisance + len(owners) - n_persistent)
         return dict(zip((*range(first, first + n_persistent), *extra), owners, strict=True))
 
-    def mean_rows(
-        self, prediction: Prediction, slopes: Annotated[ComplexArray, "p segments bins c"]
-    ) -> tuple[Annotated[Array, "rows p"], Annotated[Array, "rows"]]:
+    def mean_rows(self, prediction: Prediction, slopes: TransformSlopes) -> tuple[Annotated[Array, "rows p"], Array]:
         """Whiten changes of the segments' means, and their residual, as `whitened` does those of the spectra.
 
         There are no rows without a measured ground.
@@ -178,7 +170,7 @@ class Posterior(ForwardModel):
         return rows, residual, np.zeros(0)
 
     def whitened(
-        self, spectra: Spectra, slopes: Annotated[ComplexArray, "p classes bins c c"], data: Spectra | None = None
+        self, spectra: Spectra, slopes: SpectraSlopes, data: Spectra | None = None
     ) -> tuple[Annotated[Array, "rows p"], Annotated[Array, "rows"]]:
         """Whiten slopes and residual into real rows of unit information, classes * bins * c * c of them."""
         data = self.data() if data is None else data

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray, compiled
-from monitor.inference.arrays import Spectra
+from monitor.inference.arrays import PackedSlopes, Spectra
 from monitor.inference.wishart import cholesky, invert_lower
 
 _BINS = 32
@@ -89,7 +89,7 @@ class JoinedSlopes(Slopes):
 class SpectralSlopes(Slopes):
     """Slopes of the spectra of all classes, kept before they are whitened."""
 
-    shared: Annotated[Array, "shared c*c bins"]
+    shared: PackedSlopes
     """Slopes of the middle class, see `packed`."""
     scale: Annotated[Array, "classes shared"]
     """Factor from these to the slopes of every class."""
@@ -103,13 +103,7 @@ class SpectralSlopes(Slopes):
 
     @classmethod
     def at(
-        cls,
-        shared: Array,
-        scale: Array,
-        own: Array,
-        order: NDArray[np.intp],
-        spectra: Spectra,
-        root: Annotated[Array, "classes bins"],
+        cls, shared: Array, scale: Array, own: Array, order: NDArray[np.intp], spectra: Spectra, root: Array
     ) -> SpectralSlopes:
         """Whiten slopes by predicted spectra; `root` is the root of the information in each class and bin."""
         whitening = whitening_roots(spectra, root)
@@ -217,7 +211,7 @@ def _twice(c: int) -> Annotated[Array, "c*c"]:
     return out
 
 
-def _by_bin(slopes: Annotated[Array, "p c*c bins"]) -> Annotated[Array, "bins c*c p"]:
+def _by_bin(slopes: PackedSlopes) -> Annotated[Array, "bins c*c p"]:
     """Put packed slopes in an order in which a bin's are next to each other."""
     return np.asarray(slopes.transpose(2, 1, 0).copy())
 
@@ -268,9 +262,7 @@ def whitening_roots(spectra: Spectra, root: Array) -> Annotated[ComplexArray, "c
 
 
 @compiled(error_model="numpy")
-def _unwhitened(
-    root: Annotated[ComplexArray, "classes c c bins"], rows: Annotated[Array, "classes*bins*c*c"]
-) -> Annotated[Array, "classes c*c bins"]:
+def _unwhitened(root: Annotated[ComplexArray, "classes c c bins"], rows: Array) -> Annotated[Array, "classes c*c bins"]:
     """Compute the numbers whose products with packed slopes are those of whitened rows with whitened slopes."""
     classes, c, _, bins = root.shape
     out = np.empty((classes, c * c, bins))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray, compiled
+from monitor.inference.arrays import PackedSlopes
 from monitor.inference.cross_spectra import (
     Band,
     accelerance,
@@ -46,9 +47,7 @@ class SystemChange:
     """Of the force densities, see `force_matrix`."""
 
 
-def force_matrix(
-    system: System, effects: Sequence[Effect], force: Annotated[Array, "n"], n_extra: int
-) -> Annotated[Array, "columns columns"]:
+def force_matrix(system: System, effects: Sequence[Effect], force: Array, n_extra: int) -> Array:
     """Compute the densities (N^2/Hz) of all forces: on the floors, on the coupled modes and on the extra modes."""
     root, n, mean = force_root(force, effects), force.size, float(force.mean())
     out = np.diag(np.r_[force, [mean * mode.force_ratio for mode in system.coupled], np.full(n_extra, mean)])
@@ -67,7 +66,7 @@ def system_slopes(
     band: Band,
     context: Context,
     condition: Condition,
-) -> Annotated[Array, "changes c*c bins"]:
+) -> PackedSlopes:
     """Differentiate the expected cross-spectra without ground motion, packed, by coordinates that change the system."""
     clock = clock_ratio(effects)
     hz, size, n = clock * band.fine_hz, system.mass.shape[0], force.size
@@ -97,9 +96,7 @@ def system_slopes(
 
 def _entries(
     changes: Sequence[SystemChange], size: int, c: int
-) -> tuple[
-    Annotated[NDArray[np.intp], "changes+1"], Annotated[NDArray[np.intp], "entries 2"], Annotated[Array, "entries 3"]
-]:
+) -> tuple[NDArray[np.intp], Annotated[NDArray[np.intp], "entries 2"], Annotated[Array, "entries 3"]]:
     """List the entries of all changes that are not zero, ordered by change and by row of the right factor.
 
     Returned are the first entry of each change; the rows of the right factor and columns of the left one; and the factors of 1,
@@ -131,7 +128,7 @@ def _sum_changes(
     value: Array,
     taps: Annotated[Array, "taps"],
     gain: Annotated[Array, "bins"],
-) -> Annotated[Array, "changes c*c bins"]:
+) -> PackedSlopes:
     """Compute ``left dZ right`` and its adjoint for every change dZ, convolved with the taper's kernel into bins.
 
     `period` are the reciprocals of the angular frequencies, s/rad; `start`, `at` and `value` are those of `_entries`.

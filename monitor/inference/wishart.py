@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray, compiled
-from monitor.inference.arrays import Spectra
+from monitor.inference.arrays import Spectra, SpectraSlopes
 
 
 @compiled(part=True, error_model="numpy")
@@ -32,9 +32,7 @@ def cholesky(a: Annotated[ComplexArray, "c c"], out: Annotated[ComplexArray, "c 
 
 
 @compiled(error_model="numpy")
-def log_det_and_trace(
-    spectra: Spectra, data: Spectra
-) -> tuple[Annotated[Array, "classes bins"], Annotated[Array, "classes bins"]]:
+def log_det_and_trace(spectra: Spectra, data: Spectra) -> tuple[Array, Array]:
     """Compute ``ln det S`` and ``tr(S^-1 data)`` of every class and bin; infinity and zero where S is not positive definite."""
     classes, bins, c, _ = spectra.shape
     log_det, trace = np.full((classes, bins), np.inf), np.zeros((classes, bins))
@@ -108,12 +106,10 @@ def grown_by(spectra: Spectra, relative: Spectra) -> Spectra:
 
 
 @compiled(error_model="numpy")
-def whiten(
-    spectra: Spectra, slopes: Annotated[ComplexArray, "p classes bins c c"], root: Annotated[Array, "classes bins"]
-) -> Annotated[Array, "classes*bins*c*c p"]:
-    """Compute ``root L^-1 dS L^-H`` with ``S = L L^H`` as real rows, zeros where S is not positive definite.
+def whiten(spectra: Spectra, slopes: SpectraSlopes, root: Array) -> Array:
+    """Compute ``root L^-1 dS L^-H`` with ``S = L L^H`` as real rows, one column a slope; zeros where S is not positive definite.
 
-    `root` is the root of the information in each bin.
+    `root` is the root of the information in each class and bin.
     """
     p, classes, bins, c, _ = slopes.shape
     out = np.empty((classes * bins * c * c, p))

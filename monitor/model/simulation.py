@@ -53,7 +53,7 @@ def linear_system(model: Model) -> System:
 
 def respond_exactly(
     model: Model, forces: Annotated[Array, "samples columns"], rate_hz: float, *, appended: bool = False
-) -> Annotated[Array, "samples n"]:
+) -> Array:
     """Simulate the floors' accelerations relative to the ground, m/s^2, without nonlinear laws, from rest.
 
     The response is exact under forces (N) that are linear in time between samples.  Columns beyond n act on the degrees of
@@ -64,9 +64,7 @@ def respond_exactly(
     return march(linear_system(model), model.structure.n_dofs, (), forces, rate_hz, step_hz=rate_hz, appended=appended)
 
 
-def respond_newmark(
-    model: Model, forces: Annotated[Array, "samples n"], rate_hz: float
-) -> Annotated[Array, "samples n"]:
+def respond_newmark(model: Model, forces: Annotated[Array, "samples n"], rate_hz: float) -> Array:
     """Simulate the floors' accelerations (m/s^2, relative to the ground) by Newmark's average-acceleration method from rest.
 
     In modal coordinates of a classically damped model the method (gamma 1/2, beta 1/4) is the bilinear transform of
@@ -199,9 +197,7 @@ def _integrated(values: Annotated[Array, "samples k"], rate_hz: float) -> Array:
     return np.asarray(CubicSpline(t_s, values).antiderivative()(t_s))
 
 
-def own_forces(
-    model: Model, level: Annotated[Array, "samples"], rate_hz: float, rng: np.random.Generator
-) -> Annotated[Array, "samples coupled"]:
+def own_forces(model: Model, level: Array, rate_hz: float, rng: np.random.Generator) -> Array:
     """Draw the random forces of the coupled modes, of 1 N times the excitation's level and the root of their force ratios."""
     ratios = np.array([mode.force_ratio for mode in linear_system(model).coupled])
     drawn = level[:, None] * rng.standard_normal((level.size, ratios.size)) * np.sqrt(ratios)

@@ -171,9 +171,7 @@ class System:
         inverse = np.linalg.inv(self.mass)
         return np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ self.stiffness, -inverse @ self.damping]])
 
-    def decoupled(
-        self,
-    ) -> tuple[Annotated[ComplexArray, "m"], Annotated[ComplexArray, "2N m"], Annotated[ComplexArray, "m N"]]:
+    def decoupled(self) -> tuple[ComplexArray, Annotated[ComplexArray, "2N m"], Annotated[ComplexArray, "m N"]]:
         """Decouple the system into first-order equations ``dq/dt = pole q + drive @ forces``, one of each conjugate pair.
 
         Returned are poles (rad/s), shapes and drive; displacements and velocities are the real part of ``shapes @ q``.

@@ -15,9 +15,7 @@ _MASSLESS = 1e-12
 
 def condense_massless(
     mass: Array, stiffness: Array, slopes: Annotated[Array, "p N N"] | None = None
-) -> tuple[
-    Annotated[Array, "n n"], Annotated[Array, "n n"], Annotated[Array, "p n n"], Annotated[NDArray[np.intp], "n"]
-]:
+) -> tuple[Annotated[Array, "n n"], Annotated[Array, "n n"], Annotated[Array, "p n n"], NDArray[np.intp]]:
     """Condense the degrees of freedom that have no mass; the modes of the others stay as they are.
 
     Massless degrees of freedom s follow the others r without delay, ``u_s = -K_ss^-1 K_sr u_r``.  So the condensation is exact,

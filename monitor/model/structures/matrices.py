@@ -31,14 +31,7 @@ class MatrixStructure(Structure):
     """dK_j."""
 
     @classmethod
-    def create(
-        cls,
-        mass: Annotated[Array, "N N"],
-        stiffness: Annotated[Array, "N N"],
-        slopes: Annotated[Array, "p N N"],
-        nominal: Annotated[Array, "p"],
-        damping_ratio: float,
-    ) -> Self:
+    def create(cls, mass: Array, stiffness: Array, slopes: Array, nominal: Array, damping_ratio: float) -> Self:
         """Make the structure from symmetric M and K (kg, N/m) at the nominal stiffnesses, and the slopes dK / dk_j.
 
         The damping ratio is that of modes 1 and 2.
