@@ -68,9 +68,8 @@ def write_atomically(path: Path, text: str) -> None:
     except OSError as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
-        raise OSError(
-            error.errno, error.strerror, str(path)
-        ) from error  # the name that was given, not where a link leads
+        # The name that was given, not where a link leads.
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def sha256(path: Path) -> str:

@@ -10,9 +10,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def parse_address(text: str, *, any_port: bool = False) -> tuple[str, int]:
-    """Parse HOST:PORT to host and port, else raise ValueError; an IPv6 address loses its brackets.
-
-    Port 0, for any free port, is accepted only with `any_port`.
+    """Parse HOST:PORT, with a port 0 (any free one) only if `any_port`, else raise ValueError; an IPv6 host loses its brackets.
 
     Examples
     --------

@@ -157,11 +157,8 @@ def _march(
     for p in range(m):
         both[p], last[p] = (behind[p] + ahead[p]) * acting[p], ahead[p] * acting[p]
         carried[p] = decay[p] * last[p]
-    own_drift, own_speed, own_output = (
-        (drift @ last).real.copy(),
-        (speed @ last).real.copy(),
-        (output @ last).real.copy(),
-    )
+    own_drift, own_speed = (drift @ last).real.copy(), (speed @ last).real.copy()
+    own_output = (output @ last).real.copy()
     stiffness_excess = excess[0] if excess.size else 0.0
     for k in range(forces.shape[0]):
         for p in range(m):

@@ -287,9 +287,7 @@ def respond(
         floors = respond_exactly(model, forces, rate_hz, appended=appended)
     if ground is None:
         return floors
-    rides = np.ones(floors.shape[1])
-    rides[[mode.index for mode in linear_system(model).coupled if appended]] = 0.0
-    return np.asarray(floors + ground[:, None] * rides)
+    return np.asarray(floors + ground[:, None] * linear_system(model).rides[: floors.shape[1]])
 
 
 def _with_inertia(model: Model, forces: Array, ground: Array) -> Array:

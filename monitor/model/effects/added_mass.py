@@ -10,10 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
-from monitor.model.structures import Structure
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter, Structure
 
 _SIGNATURE = "frequencies fall in the pattern of one floor (of the frame: all alike, as a uniform loss of stiffness)"
 

@@ -8,9 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter
 
 _KNOTS_HZ = 2.0 ** (0.5 * np.arange(-4, 12))
 """Frequencies between which the spectrum is interpolated: half octaves from 0.25 to 45 Hz. [Hz; judgement]"""

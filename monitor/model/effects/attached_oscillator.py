@@ -10,9 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, Peak, System
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter, Peak, System
 
 _OSCILLATOR_DAMPING = 0.03
 """Damping ratio that is expected of what swings on a floor. [1; judgement: a few percent]"""

@@ -3,7 +3,7 @@
 In the frequency domain (the spectral face) an effect changes a linear model's matrices, excitation and sensors at a condition,
 that is at a level of vibration and a temperature; the likelihood, the updating and the alarms use it.  In the time domain
 (the time face) an effect is the exact law that the simulation integrates.  An effect overrides only the methods of what it
-changes.
+changes, and imports all that it needs for them from here.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
-from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.parameter import Parameter as Parameter
+from monitor.model.effects.report_face import FittedSizes as FittedSizes
 from monitor.model.effects.report_face import ReportFace
-from monitor.model.structures import Structure
+from monitor.model.structures import Structure as Structure
 
 _STORY_STD = 2.0
 """Relative standard deviation of a story's stiffness, over the RMS of the relative corrections that the drawing's form
@@ -128,9 +129,14 @@ class System:
     @property
     def inertia(self) -> Annotated[Array, "N"]:
         """Force on every degree of freedom by a ground that accelerates at -1 m/s^2, kg."""
-        rides = np.ones(self.mass.shape[0])
-        rides[[mode.index for mode in self.coupled]] = 0.0
-        return np.asarray(self.mass @ rides)
+        return np.asarray(self.mass @ self.rides)
+
+    @property
+    def rides(self) -> Annotated[Array, "N"]:
+        """Acceleration of every degree of freedom at rest relative to the ground, by a unit of the ground's."""
+        out = np.ones(self.mass.shape[0])
+        out[[mode.index for mode in self.coupled]] = 0.0
+        return out
 
     def sensors(self, of_structure: Annotated[Array, "c n"]) -> Annotated[Array, "c N"]:
         """Extend the sensors' weights on the structure's degrees of freedom to all."""

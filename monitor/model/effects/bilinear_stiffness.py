@@ -57,6 +57,5 @@ class BilinearStiffness(Effect):
     @classmethod
     @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        drop = fitted.sized("relative_drop", f"{fitted.percent('relative_drop')} ", "")
-        small = fitted.sized("relative_drop", "", ", by too little to be sized")
-        return f"{fitted.location} is {drop}softer for positive drift than for negative{small}"
+        says = f"{fitted.location} is <>softer for positive drift than for negative"
+        return fitted.with_size("relative_drop", says, fitted.percent("relative_drop"))

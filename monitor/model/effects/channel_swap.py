@@ -8,9 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
-from monitor.model.effects.base import Condition, Context, Effect, EffectError
-from monitor.model.effects.report_face import FittedSizes
-from monitor.model.structures import Structure
+from monitor.model.effects.base import Condition, Context, Effect, EffectError, FittedSizes, Structure
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 from typing_extensions import override
 
-from monitor.model.effects.base import Effect
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Effect, FittedSizes, Parameter
 
 
 @dataclass(frozen=True)
@@ -36,6 +34,5 @@ class ClockRate(Effect):
     @override
     def sentence(cls, fitted: FittedSizes) -> str:
         trend = "faster" if fitted.value("relative") > 0 else "slower"
-        size = fitted.sized("relative", f"{fitted.percent('relative')} ", "")
-        small = fitted.sized("relative", "", ", by too little to be sized")
-        return f"the sampling clock runs {size}{trend} than its nominal rate{small}"
+        says = f"the sampling clock runs <>{trend} than its nominal rate"
+        return fitted.with_size("relative", says, fitted.percent("relative"))

@@ -9,9 +9,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Effect
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Effect, FittedSizes, Parameter
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, System
-from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, Parameter, System
 from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
 from monitor.model.structures import Structure
 

@@ -9,10 +9,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Effect, EffectError
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
-from monitor.model.structures import Structure
+from monitor.model.effects.base import Effect, EffectError, FittedSizes, Parameter, Structure
 
 _GRAVITY_M_S2 = 9.80665
 """Acceleration of gravity. [m/s^2; definition: standard gravity]"""

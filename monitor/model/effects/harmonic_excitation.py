@@ -10,9 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Line, Peak
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedModel, FittedSizes, Line, Parameter, Peak
 
 _FREQUENCY_STD_BINS = 0.02
 """Standard deviation of a line's frequency as read from the taper's leakage. Another model describes the bins about a

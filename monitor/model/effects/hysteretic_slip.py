@@ -11,9 +11,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Law, LawKind, Parameter, System
 from monitor.model.structures import Structure
 
 _LOG10_DRIFTS = np.linspace(-3.0, 3.0, 121)

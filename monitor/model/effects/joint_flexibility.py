@@ -7,9 +7,7 @@ from math import inf
 
 from typing_extensions import override
 
-from monitor.model.effects.base import Effect, EffectError
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Effect, EffectError, FittedSizes, Parameter
 from monitor.model.structures import ShearFrame, Structure
 
 

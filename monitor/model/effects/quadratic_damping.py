@@ -8,9 +8,7 @@ from typing import Self
 
 from typing_extensions import override
 
-from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Law, LawKind, Parameter, System
 from monitor.model.structures import Structure
 
 

@@ -126,6 +126,12 @@ class FittedSizes:
         """Return `text`, which states a parameter's size, where `is_sized`, and `unsized` elsewhere."""
         return text if self.is_sized(name, above=above) else unsized
 
+    def with_size(self, name: str, sentence: str, size: str, *, by: str = "by ", above: float = 0.0) -> str:
+        """Put the size into a sentence, in place of <>, where `is_sized`; elsewhere say at its end that it is too little."""
+        if self.is_sized(name, above=above):
+            return sentence.replace("<>", f"{size} ")
+        return f"{sentence.replace('<>', '')}, {by}too little to be sized"
+
     def share_of_floor_mass(self, name: str) -> str:
         """Write a mass as a share of the mass of the floor at `location`, in brackets and with a space before them.
 

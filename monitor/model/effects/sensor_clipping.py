@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
-from monitor.model.effects.base import Condition, Context, Effect
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter
 from monitor.model.effects.sensor_gain import on_channel
 
 _NO_CLIPPING = 10.0

@@ -10,9 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
-from monitor.model.effects.base import Condition, Context, Effect
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter
 
 
 @dataclass(frozen=True)
@@ -43,9 +41,8 @@ class SensorGain(Effect):
     @override
     def sentence(cls, fitted: FittedSizes) -> str:
         trend = "too much" if fitted.value("gain") > 1 else "too little"
-        size = fitted.sized("gain", f"{fitted.percent('gain', above=1.0)} ", "", above=1.0)
-        small = fitted.sized("gain", "", ", by too little to be sized", above=1.0)
-        return f"{fitted.location} reads {size}{trend}{small}"
+        says = f"{fitted.location} reads <>{trend}"
+        return fitted.with_size("gain", says, fitted.percent("gain", above=1.0), above=1.0)
 
 
 def on_channel(factor: complex | ComplexArray, channel: int, context: Context) -> Annotated[ComplexArray, "hz c c"]:

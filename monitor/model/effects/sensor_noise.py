@@ -10,9 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter
 
 
 @dataclass(frozen=True)
@@ -52,6 +50,5 @@ class SensorNoise(Effect):
     @classmethod
     @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        size = fitted.sized("rms_m_s2", f"{fitted.interval('rms_m_s2')} RMS of ", "")
-        small = fitted.sized("rms_m_s2", "")
-        return f"{fitted.location} has {size}noise beyond what all channels have{small}"
+        says = f"{fitted.location} has <>noise beyond what all channels have"
+        return fitted.with_size("rms_m_s2", says, f"{fitted.interval('rms_m_s2')} RMS of", by="")

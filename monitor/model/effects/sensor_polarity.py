@@ -8,8 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
-from monitor.model.effects.base import Condition, Context, Effect
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes
 from monitor.model.effects.sensor_gain import on_channel
 
 

@@ -8,10 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array
-from monitor.model.effects.base import Effect, FittedModel, blurred_by_form
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
-from monitor.model.structures import Structure
+from monitor.model.effects.base import Effect, FittedModel, FittedSizes, Parameter, Structure, blurred_by_form
 
 _GIRDERS_STD = 0.25
 """Relative standard deviation of a story's change beside flexible joints, times the joints' column-to-girder ratio.
@@ -58,6 +55,5 @@ class StiffnessChange(Effect):
     def sentence(cls, fitted: FittedSizes) -> str:
         change = "softer" if fitted.value("relative") < 0 else "stiffer"
         subject = "all stories are" if fitted.location == "frame" else f"{fitted.location} is"
-        size = fitted.sized("relative", f"{fitted.percent('relative')} ", "")
-        small = fitted.sized("relative", "", ", by too little to be sized")
-        return f"{subject} {size}{change} than {fitted.source}{small}"
+        says = f"{subject} <>{change} than {fitted.source}"
+        return fitted.with_size("relative", says, fitted.percent("relative"))

@@ -7,9 +7,7 @@ from math import inf
 
 from typing_extensions import override
 
-from monitor.model.effects.base import Condition, Context, Effect, System
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter, System
 
 
 @dataclass(frozen=True)
@@ -37,6 +35,5 @@ class StoryDamper(Effect):
     @classmethod
     @override
     def sentence(cls, fitted: FittedSizes) -> str:
-        size = fitted.sized("damping_n_s_per_m", f"{fitted.interval('damping_n_s_per_m')} ", "")
-        small = fitted.sized("damping_n_s_per_m", "")
-        return f"{fitted.location} has {size}more damping than {fitted.source}{small}"
+        says = f"{fitted.location} has <>more damping than {fitted.source}"
+        return fitted.with_size("damping_n_s_per_m", says, fitted.interval("damping_n_s_per_m"), by="")

@@ -9,9 +9,7 @@ import numpy as np
 from typing_extensions import override
 
 from monitor.core import Array, ComplexArray
-from monitor.model.effects.base import Condition, Context, Effect
-from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.base import Condition, Context, Effect, FittedSizes, Parameter
 from monitor.model.effects.sensor_gain import on_channel
 
 _PAD_N = 1024
@@ -53,6 +51,4 @@ class TimeOffset(Effect):
     @override
     def sentence(cls, fitted: FittedSizes) -> str:
         trend = "late" if fitted.value("seconds") > 0 else "early"
-        size = fitted.sized("seconds", f"{fitted.magnitude('seconds', 1e3, 'ms')} ", "")
-        small = fitted.sized("seconds", "", ", by too little to be sized")
-        return f"{fitted.location} comes {size}{trend}{small}"
+        return fitted.with_size("seconds", f"{fitted.location} comes <>{trend}", fitted.magnitude("seconds", 1e3, "ms"))

@@ -61,23 +61,15 @@ class _Drawing(Settings):
             return np.asarray((np.array(ranges) @ [-1.0, 1.0]) / (4.0 * values))
 
         structure = self.structure()
-        return np.concatenate(
-            [
-                spread(self.stiffness_range_n_per_m, structure.stiffness_n_per_m, 0.2),
-                spread(self.masses_range_kg, structure.masses_kg, 0.05),
-            ]
-        )
+        stiffness = spread(self.stiffness_range_n_per_m, structure.stiffness_n_per_m, 0.2)
+        return np.concatenate([stiffness, spread(self.masses_range_kg, structure.masses_kg, 0.05)])
 
     def tolerance(self) -> Annotated[Array, "p+N"]:
         """Return the relative half widths of the stated ranges: stiffnesses, then masses; NaN for none."""
         structure = self.structure()
-        stated = np.concatenate(
-            [
-                np.full(structure.stiffness_n_per_m.size, self.stiffness_range_n_per_m is not None),
-                np.full(structure.masses_kg.size, self.masses_range_kg is not None),
-            ]
-        )
-        return np.where(stated, 2.0 * self.prior_std(), np.nan)
+        stated = [self.stiffness_range_n_per_m is not None, self.masses_range_kg is not None]
+        sizes = [structure.stiffness_n_per_m.size, structure.masses_kg.size]
+        return np.where(np.repeat(stated, sizes), 2.0 * self.prior_std(), np.nan)
 
     def correction(self) -> Annotated[Array, "N N"] | None:
         """Return `stiffness_correction_n_per_m` as an array; None where it is not given."""
