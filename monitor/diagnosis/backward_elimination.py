@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
@@ -40,21 +41,9 @@ _N_ALTERNATIVES = 3
 def find_better_null_fit(
     posterior: Posterior, fit: MapEstimate, candidates: Sequence[RefittedCandidate]
 ) -> tuple[Posterior, MapEstimate] | None:
-    """Find a better fit without the candidates' causes, starting from where the candidates' fits ended.
+    """Find a better fit without the candidates' causes, from where their fits ended; None where no start is better.
 
     Without this refit the candidate would get credit for the improvement.
-
-    Parameters
-    ----------
-    fit : MapEstimate
-        The present fit without a further cause.
-    candidates : sequence of RefittedCandidate
-        Fits with one further cause each.
-
-    Returns
-    -------
-    tuple of Posterior and MapEstimate, or None
-        None where no start is better than `fit`.
     """
     starts = [(p.candidate.fit.x[: fit.x.size], p.candidate.fit.effects[:-1]) for p in candidates]
     log_posteriors = [sum(posterior.score(*start)) for start in starts]
@@ -85,25 +74,9 @@ def eliminate_backward(
 ) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...]]:
     """Remove the causes that later ones made superfluous, and replace a cause where a rival fits better now.
 
-    Parameters
-    ----------
-    fit : MapEstimate
-        Fit with the accepted causes, followed by the most probable alternative where the answer is ambiguous.
-    accepted : sequence of Candidate
-        Accepted causes in the order of their acceptance.
-    rounds : sequence of sequences of Candidate
-        For every cause the candidates among which it was accepted, then the candidates of the alternatives.
-    margin : float
-        Log evidence that a cause needs, nats.
-    lead : float
-        Log evidence that a rival must have beyond that of the cause which it replaces, nats.
-
-    Returns
-    -------
-    posterior : Posterior
-    fit : MapEstimate
-    kept : tuple of Candidate
-        The causes that remain.
+    The fit has the accepted causes, in the order of their acceptance, then the most probable alternative where the answer is
+    ambiguous.  `rounds` has for every cause the candidates among which it was accepted, then those of the alternatives.  A cause
+    needs the log evidence `margin`, a rival `lead` beyond that of the cause which it replaces, nats.
     """
     later = rounds[len(accepted)] if len(fit.effects) > len(accepted) else ()
     kept, replaced = list(accepted), False
@@ -154,19 +127,10 @@ def eliminate_backward(
 
 
 def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float) -> tuple[bool, list[Candidate]]:
-    """Test a mode that the model lacks by rough fits, since such modes may be many and most are beyond doubt.
+    """Test mode i of a fit, one that the model lacks, by rough fits, since such modes may be many and most are beyond doubt.
 
-    Parameters
-    ----------
-    i : int
-        Index of the mode among the fit's effects.
-
-    Returns
-    -------
-    certain : bool
-        Whether the mode is needed beyond doubt and no other cause of its peak comes near it.
-    rivals : list of Candidate
-        The best other cause of the peak, roughly fitted; empty where none comes near the mode.
+    Return whether the mode is needed beyond doubt and no other cause of its peak comes near it, and the best other cause of the
+    peak, roughly fitted; empty where none comes near the mode.
     """
     rest = (*fit.effects[:i], *fit.effects[i + 1 :])
     x = join_coordinates(fit.x[posterior.layout.nuisances], rest)
@@ -186,22 +150,11 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
 
 
 def fit_subset(
-    posterior: Posterior, fit: MapEstimate, simulation_std: Array, kept: Sequence[bool]
-) -> tuple[MapEstimate, Array]:
-    """Refit with some of the effects only.
+    posterior: Posterior, fit: MapEstimate, simulation_std: Annotated[Array, "p"], kept: Sequence[bool]
+) -> tuple[MapEstimate, Annotated[Array, "q"]]:
+    """Refit with the effects that are `kept`; return the fit and the standard deviations of their coordinates.
 
-    Parameters
-    ----------
-    simulation_std : ndarray, shape (n_coordinates,)
-        Standard deviation of the effects' coordinates by the simulations' random error.
-    kept : sequence of bool
-        Says for every effect if it stays.
-
-    Returns
-    -------
-    fit : MapEstimate
-    simulation_std : ndarray
-        The same standard deviations, of the remaining effects.
+    `simulation_std` has those of all effects' coordinates, by the simulations' random error.
     """
     effects = tuple(e for e, stays in zip(fit.effects, kept, strict=True) if stays)
     sizes = np.array([stays for e, stays in zip(fit.effects, kept, strict=True) for _ in e.parameters], dtype=bool)

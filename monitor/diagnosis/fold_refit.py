@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,32 +31,16 @@ _MIN_DAMPING = 1e-9
 
 
 def refit_form(
-    part: ObservedSpectra, whole: Diagnosis, form: MapEstimate, classes: NDArray[np.intp]
+    part: ObservedSpectra, whole: Diagnosis, form: MapEstimate, classes: Annotated[NDArray[np.intp], "k"]
 ) -> tuple[Model, ExcitationStart]:
     """Fit a model form to a part of a recording.
 
     The fit starts from that to the whole recording, which is close: from far away the phases of a response do not lead to the
     optimum, and all else converges sooner.  The correction that simulation adds to a linearized law is also that of the whole
     recording, since it belongs to the law and not to the data.  The correction is simulated anew where the persistent laws are
-    nonlinear, so that both forms are treated alike, and where the classes differ in more than the vibration level.
-
-    Parameters
-    ----------
-    part : ObservedSpectra
-        Spectra of the part, weighted as the whole recording.
-    whole : Diagnosis
-        The diagnosis of the whole recording.
-    form : MapEstimate
-        Its fit of the form to the whole recording.
-    classes : ndarray, shape (n_classes,)
-        For each class of the part, the same class of the whole recording.
-
-    Returns
-    -------
-    Model
-        The form, fitted to the part.
-    ExcitationStart
-        Its fitted excitation in the classes of the whole recording.
+    nonlinear, so that both forms are treated alike, and where the classes differ in more than the vibration level.  The part is
+    weighted as the whole recording, `form` is the fit of the form to the whole, and `classes` has for each class of the part the
+    same class of the whole.  Return the form, fitted to the part, and its excitation in the classes of the whole recording.
     """
     part = replace(part, drive=_with_ground_interpolation(whole, part.drive))
     own = posterior = whole.posterior.part(part, classes)

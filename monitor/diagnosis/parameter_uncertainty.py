@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from monitor.core import Array
@@ -16,20 +18,12 @@ DIFFERS_STDS = 3.0
 """Distance from which an estimate differs from what it is compared with. [standard deviations; convention: three sigma]"""
 
 
-def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array) -> list[Array]:
-    """Compute the standard deviations of every effect's coordinates.
+def coordinate_std(
+    posterior: Posterior, fit: MapEstimate, simulation_std: Annotated[Array, "coordinates"]
+) -> list[Annotated[Array, "p"]]:
+    """Compute the standard deviations of the coordinates of each effect of a fit.
 
-    Parameters
-    ----------
-    posterior : Posterior
-    fit : MapEstimate
-    simulation_std : ndarray, shape (n_coordinates,)
-        Standard deviations of all effects' coordinates by the simulations' random error.
-
-    Returns
-    -------
-    list of ndarray, shape (p,) each
-        One array for each effect of the fit.
+    `simulation_std` has those of all coordinates by the simulations' random error.
     """
     first, out, fitted = 0, [], summarize_fit(posterior, fit)
     fit_std = np.sqrt(np.maximum(np.diag(fit.covariance)[posterior.layout.effects], 0.0))
@@ -40,16 +34,11 @@ def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array
     return out
 
 
-def is_significant(effect: Effect, deviation: Array) -> bool:
+def is_significant(effect: Effect, deviation: Annotated[Array, "p"]) -> bool:
     """Decide if an effect's size differs significantly from that of no effect; an effect without a size always does.
 
-    Of several sizes, as the components of a mode's shape, one is enough.
-
-    Parameters
-    ----------
-    effect : Effect
-    deviation : ndarray, shape (p,)
-        Standard deviations of the effect's coordinates.
+    Of several sizes, as the components of a mode's shape, one is enough.  `deviation` has the standard deviations of the effect's
+    coordinates.
     """
     significant = [
         abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= _SIGNIFICANT_SIZE_STDS * std

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
+from typing import Annotated
 
 import numpy as np
 
@@ -93,15 +94,7 @@ def candidate_starts(
     """List the starts of the search: every effect at every place with a small size, and every shape that must be tried.
 
     Where a nonlinear law is in the model already, no other is tried at its place: it would only compensate for the unknown form
-    of the first one.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    null_fit : MapEstimate
-        Fit without a further effect.
-    excluded : iterable of (str, str)
-        Names and places of effects that are not tried.
+    of the first one.  Effects of the names and places `excluded` are not tried.
     """
     typical = posterior.conditions[posterior.n_classes // 2]
     nonlinear = {
@@ -136,12 +129,8 @@ def find_excess_peaks(
 ) -> list[Peak]:
     """Find the n peaks at which the measured power exceeds the model's most.
 
-    The frequency of a spectral line is interpolated to a small part of a bin.
-
-    Parameters
-    ----------
-    others : sequence of MapEstimate
-        Fits with a further effect each: where one of them explains the power, it is no excess.
+    The frequency of a spectral line is interpolated to a small part of a bin.  `others` are fits with a further effect each:
+    where one of them explains the power, it is no excess.
     """
     c = posterior.observed.spectra.shape[-1]
     shape = (posterior.n_classes, posterior.observed.band.n_bins, c * c)
@@ -163,20 +152,10 @@ def find_excess_peaks(
     return found
 
 
-def line_offset(power: Array, i: int) -> float:
-    """Interpolate the frequency of a spectral line from its power in two neighbouring bins.
+def line_offset(power: Annotated[Array, "bins"], i: int) -> float:
+    """Interpolate the frequency of a spectral line from its power in two neighbouring bins, in segments with Hann's taper.
 
-    Parameters
-    ----------
-    power : ndarray, shape (n_bins,)
-        Power of segments with Hann's taper.
-    i : int
-        Bin in which the line is strongest.
-
-    Returns
-    -------
-    float
-        Distance of the line from bin i, bins.
+    Return its distance from bin i, in which the line is strongest, bins.
     """
     neighbours = power[max(0, i - 1) : i + 2 : 2]
     if power[i] <= 0.0 or neighbours.size < 2:
@@ -190,18 +169,9 @@ def rank_by_score(
 ) -> list[tuple[float, Effect]]:
     """Rank the starts by the gain that the score test predicts, nats, best first, each moved to the predicted size.
 
-    A fit that went far from its prior to explain what it cannot explain hides the effect that would.  So effects are tried
-    beside the prior's structure too.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    null_fit : MapEstimate
-        Fit without a further effect.
-    excluded : iterable of (str, str)
-        Names and places of effects that are not tried.
-    n_beside_prior : int
-        Number of the best effects beside the prior's structure that are fitted from there.
+    Effects of the names and places `excluded` are left out.  A fit that went far from its prior to explain what it cannot explain
+    hides the effect that would.  So effects are tried beside the prior's structure too, of which the best `n_beside_prior` are
+    fitted from there.
     """
     excluded = tuple(excluded)
     gains = expected_gains(posterior, null_fit, candidate_starts(posterior, null_fit, excluded))
@@ -272,15 +242,12 @@ def best_of_each_kind(posterior: Posterior, null_fit: MapEstimate, starts: list[
     return list({effect.name: effect for _, effect in gains}.values())
 
 
-def whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:
+def whitened_slope(
+    posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect
+) -> Annotated[Array, "rows"]:
     """Compute the whitened change of the spectra by a small size of an effect, over that size as a share of the start size.
 
-    Where noise is low, even a small effect's change is far from linear.
-
-    Parameters
-    ----------
-    prediction : Prediction
-        That of the fit.
+    Where noise is low, even a small effect's change is far from linear.  The prediction is that of the fit.
     """
     slight = _scale_size(effect, _RELATIVE_DIFFERENCE ** (1.0 / effect.order))
     assert slight is not None, "nearer to nothing than one that is possible"
@@ -332,10 +299,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
 def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> list[tuple[float, Effect]]:
     """Fit effects with the structure held at its prior mean, then roughly with the structure free, and the best to the end.
 
-    Returns
-    -------
-    list of (float, Effect)
-        Gain of each, nats, and the fitted effect.
+    Return the gain of each, nats, and the fitted effect.
     """
 
     def fitted(effect: Effect) -> MapEstimate:
@@ -349,17 +313,8 @@ def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list
     return [(fit.log_posterior - null_fit.log_posterior, fit.effects[-1]) for fit in fits]
 
 
-def whitened_change(posterior: Posterior, reference: Prediction, changed: Prediction) -> Array:
-    """Compute the whitened change from one prediction to another, shape (rows,).
-
-    Parameters
-    ----------
-    posterior : Posterior
-    reference : Prediction
-        Its spectra whiten the change.
-    changed : Prediction
-        The other prediction.
-    """
+def whitened_change(posterior: Posterior, reference: Prediction, changed: Prediction) -> Annotated[Array, "rows"]:
+    """Compute the change from one prediction to another, whitened by the spectra of the first."""
     change, _ = posterior.whitened(reference.spectra, (changed.spectra - reference.spectra)[None], reference.data)
     if reference.left is None or changed.left is None:
         return change[:, 0]
@@ -405,28 +360,11 @@ def fit_candidate(
     min_log_evidence: float = -np.inf,
     rough: Candidate | None = None,
 ) -> Candidate:
-    """Fit an effect together with the nuisances.
+    """Fit an effect, given at its start size, together with the nuisances.
 
-    Where the fit diverges and ends below a rough one, it is repeated from the rough one.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    null_fit : MapEstimate
-        Fit without the effect.
-    effect : Effect
-        The effect at its start size.
-    quick : bool
-        Fit roughly, for a ranking; no further search can start from such a fit.
-    min_log_evidence : float
-        Evidence below which a candidate does not matter, so that its fit is not repeated from the prior, nats.
-    rough : Candidate, optional
-        A rough fit of the same effect.
-
-    Returns
-    -------
-    Candidate
-        Without evidence (minus infinity) where the fit leads to a structure that cannot be computed.
+    Where the fit diverges and ends below a rough one of the same effect, it is repeated from that.  A `quick` fit is rough, for a
+    ranking; no further search can start from it.  A candidate below `min_log_evidence`, nats, does not matter, and its fit is not
+    repeated from the prior.  The evidence is minus infinity where the fit leads to a structure that cannot be computed.
     """
     try:
         return _fit_candidate(posterior, null_fit, effect, min_log_evidence, rough, quick=quick)
@@ -483,14 +421,8 @@ def _fit_driven_law(
 ) -> Candidate:
     """Fit a nonlinear law together with the nuisances where the motion follows from a measured input.
 
-    The slopes are those of the exact laws.  With those of the linearized laws most fits of softening laws end at once.
-
-    Parameters
-    ----------
-    rough : MapEstimate or None
-        A rough fit of the same law, from which the fit starts.
-    quick : bool
-        Fit roughly, for a ranking.
+    The slopes are those of the exact laws.  With those of the linearized laws most fits of softening laws end at once.  It starts
+    from a `rough` fit of the same law, if there is one.  A `quick` fit is rough, for a ranking.
     """
     if rough is None:
         x, effects = start_beside(posterior, null_fit.x, effect), (*null_fit.effects, effect)
@@ -504,12 +436,12 @@ def _fit_driven_law(
     return score_candidate(posterior, null_fit, fit)
 
 
-def start_beside(posterior: Posterior, x: Array, effect: Effect) -> Array:
-    """Return the parameters with which a fit beside an effect starts, shape (p,).
+def start_beside(posterior: Posterior, x: Annotated[Array, "p"], effect: Effect) -> Annotated[Array, "p"]:
+    """Return the parameters with which a fit beside an effect starts.
 
     The fit without the effect has the stories' secant stiffness at the recording's level.  Where the motion follows from a
-    measured input, a frequency off by a percent is far from any fit.  So a nonlinear law starts beside the stiffness
-    with which it has that secant.
+    measured input, a frequency off by a percent is far from any fit.  So a nonlinear law starts beside the stiffness with which
+    it has that secant.
     """
     if posterior.observed.drive is None or not effect.nonlinear:
         return x

@@ -52,18 +52,9 @@ _SIMULATION_NATS = 1.0
 def run_selection_round(
     posterior: Posterior, fit: MapEstimate, added: Moments, settings: DiagnosisSettings, min_gain: float
 ) -> list[RefittedCandidate]:
-    """Find the best further causes, by evidence, among the candidates with a predicted gain above `min_gain`.
+    """Find the best further causes, by evidence, among the candidates with a predicted gain above `min_gain`, nats.
 
-    Parameters
-    ----------
-    posterior : Posterior
-    fit : MapEstimate
-        With the causes that were accepted.
-    added : Moments
-        What the accepted causes add to the moments of a normal process.
-    settings : DiagnosisSettings
-    min_gain : float
-        Gain that the score test must predict, nats.
+    `added` is what the accepted causes add to the moments of a normal process.
     """
     # A persistent effect may have changed, so it is tried again; a nonlinear one is not, as one law a place is simulated.
     persistent = [e for e in posterior.prior.effects(fit.x) if e.nonlinear or not e.parameters]
@@ -149,15 +140,7 @@ def fit_fully(
 def _shortlist_ambient(
     ranked: list[tuple[float, Effect]], rough: list[Candidate], settings: DiagnosisSettings
 ) -> tuple[dict[tuple[str, str], Effect], float]:
-    """Choose the effects that are fitted fully.
-
-    Returns
-    -------
-    chosen : dict
-        Effects by name and place.
-    min_log_evidence : float
-        Evidence below which a cause does not matter, nats.
-    """
+    """Choose the effects that are fitted fully; return them and the evidence below which a cause does not matter, nats."""
     min_log_evidence = max(rough[0].log_evidence - settings.rival, settings.margin) if rough else 0.0
     near = [c for c in rough if c.may_reach(min_log_evidence)]
     # The rivals of a small effect gain nearly as much, so all of them are fitted.
@@ -253,10 +236,7 @@ def _compare_moments(
 ) -> list[RefittedCandidate]:
     """Add to every candidate's evidence the likelihood of the measured moments, relative to that of the best fit to the spectra.
 
-    Parameters
-    ----------
-    before : Moments
-        What the causes accepted before add to the moments of a normal process.
+    `before` is what the causes accepted before add to the moments of a normal process.
     """
     refitted = [simulated.get(c.key, RefittedCandidate(c, posterior, before)) for c in candidates]
     oriented = [

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -108,17 +108,7 @@ class SimulatedFit:
 def refit_by_simulation(
     posterior: Posterior, null_fit: MapEstimate, candidate: Candidate, effort: Effort = "rough"
 ) -> RefittedCandidate:
-    """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    null_fit : MapEstimate
-        Fit without the candidate.
-    candidate : Candidate
-    effort : {"rough", "fine", "finest"}
-        Number of simulations, see `_ROUNDS`.
-    """
+    """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
     simulated_fit = fit_by_simulation(posterior, candidate.fit, effort)
     softening = any(e.is_softening for e in candidate.fit.effects)
     if (
@@ -149,12 +139,7 @@ def fit_initial_model(
 ) -> tuple[Posterior, MapEstimate, Moments]:
     """Fit the model without a new cause as `fit_linearized` does, with persistent nonlinear laws corrected by simulation.
 
-    Returns
-    -------
-    posterior : Posterior
-    fit : MapEstimate
-    moments : Moments
-        Moments that the persistent laws add to those of a normal process.
+    The moments are those that the persistent laws add to those of a normal process.
     """
     posterior, null_fit = fit_linearized(observed, prior, context, start)
     simulated = (posterior, null_fit, normal_moments(posterior))
@@ -260,15 +245,12 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
     return replace(last.posterior, simulation_std=np.hypot(last.posterior.simulation_std, _MOVE_STD * moved)), last.fit
 
 
-def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple[ComplexArray, ComplexArray, Moments]:
-    """Simulate the offset of the spectra from the linearized ones.
+def _simulate_offset(
+    posterior: Posterior, fit: MapEstimate, seed: int
+) -> tuple[Annotated[ComplexArray, "classes bins c c"], Annotated[ComplexArray, "classes bins c c"], Moments]:
+    """Simulate the offset of the spectra from the linearized ones, with the linearized system as control variate, and without it.
 
-    Returns
-    -------
-    controlled, free : ndarray of complex, shape (n_classes, n_bins, c, c)
-        The offset with the linearized system as control variate, and without it.
-    moments : Moments
-        Moments that the laws add to those of a normal process.
+    The moments are those that the laws add to those of a normal process.
     """
     acting = draw_forces(posterior, fit.x, fit.effects, seed)
     simulated = simulate_spectra(
@@ -278,8 +260,10 @@ def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple
     return simulated.controlled, simulated.free, added
 
 
-def _simulate_slopes(posterior: Posterior, fit: MapEstimate, seed: int) -> ComplexArray:
-    """Simulate the slopes of the offset by the laws' sizes, shape (p, n_classes, n_bins, c, c).
+def _simulate_slopes(
+    posterior: Posterior, fit: MapEstimate, seed: int
+) -> Annotated[ComplexArray, "p classes bins c c"]:
+    """Simulate the slopes of the offset by the laws' sizes.
 
     Slopes by a sensor's sizes are zero here, since the samples give them.
     """
@@ -303,7 +287,7 @@ def _simulate_slopes(posterior: Posterior, fit: MapEstimate, seed: int) -> Compl
     return out
 
 
-def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> ComplexArray:
+def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> Annotated[ComplexArray, "p classes bins c c"]:
     """Return the slopes that the posterior has for the laws of a fit; none for other laws."""
     if isinstance(posterior, CorrectedPosterior) and posterior.laws == tuple(
         (e.name, e.location) for e in fit.effects if e.nonlinear
@@ -312,14 +296,10 @@ def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> ComplexArray:
     return np.zeros((0, *posterior.observed.spectra.shape), dtype=complex)
 
 
-def _spurious_information(posterior: CorrectedPosterior, fit: MapEstimate, slopes: ComplexArray) -> Array:
-    """Compute the spurious information on the sizes by random error in the mean of simulated slopes, shape (p, p).
-
-    Parameters
-    ----------
-    slopes : ndarray of complex, shape (k, p, n_classes, n_bins, c, c)
-        Slopes by each of k simulations.
-    """
+def _spurious_information(
+    posterior: CorrectedPosterior, fit: MapEstimate, slopes: Annotated[ComplexArray, "k p classes bins c c"]
+) -> Annotated[Array, "p p"]:
+    """Compute the spurious information on the sizes by random error in the mean of the slopes by each of k simulations."""
     k, p = slopes.shape[:2]
     if k < 2:
         return np.zeros((p, p))
@@ -330,8 +310,8 @@ def _spurious_information(posterior: CorrectedPosterior, fit: MapEstimate, slope
     return np.asarray(np.einsum("rka,rkb->ab", rows, rows) / (k * (k - 1)))
 
 
-def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Array:
-    """Compute the covariance times the spurious information, shape (n, n)."""
+def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Annotated[Array, "n n"]:
+    """Compute the covariance times the spurious information."""
     whole = np.zeros_like(fit.covariance)
     if isinstance(posterior, CorrectedPosterior) and posterior.spurious_information.any():
         sizes = [e.nonlinear for e in fit.effects for _ in e.parameters]
@@ -340,19 +320,13 @@ def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Array:
     return np.asarray(fit.covariance @ whole)
 
 
-def _largest_share(part: Array) -> float:
-    """Compute the largest share of the information on any size that is spurious.
-
-    Parameters
-    ----------
-    part : ndarray, shape (n, n)
-        See `_spurious_share`.
-    """
+def _largest_share(part: Annotated[Array, "n n"]) -> float:
+    """Compute the largest share of the information on any size that is spurious, from `_spurious_share`."""
     return float(np.abs(np.linalg.eigvals(part)).max())
 
 
-def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Array:
-    """Widen the covariance of estimates whose slopes have random error, shape (n, n).
+def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Annotated[Array, "n n"]:
+    """Widen the covariance of estimates whose slopes have random error.
 
     Such a fit overestimates its information J'J and underestimates its covariance.
     """
@@ -362,24 +336,17 @@ def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Array:
 
 
 def _simulation_scatter(
-    posterior: CorrectedPosterior, fit: MapEstimate, offsets: ComplexArray, free: ComplexArray
-) -> tuple[float, Array]:
+    posterior: CorrectedPosterior,
+    fit: MapEstimate,
+    offsets: Annotated[ComplexArray, "k classes bins c c"],
+    free: Annotated[ComplexArray, "k classes bins c c"],
+) -> tuple[float, Annotated[Array, "p"]]:
     """Estimate the effect of the simulations' random error on the log likelihood and on the sizes.
 
     A nonlinear response is not normal, so a recording's spectra scatter more than the likelihood assumes.  The spectra of
-    simulations without a control variate show this scatter.  A single simulation shows nothing.
-
-    Parameters
-    ----------
-    offsets, free : ndarray of complex, shape (k, n_classes, n_bins, c, c)
-        Offsets of k simulations with and without a control variate.
-
-    Returns
-    -------
-    lost : float
-        Log likelihood lost by the random error of the mean offset, nats.
-    simulation_std : ndarray, shape (p,)
-        Standard deviation that this error adds to the sizes.
+    simulations without a control variate show this scatter.  A single simulation shows nothing.  `offsets` and `free` are of k
+    simulations with and without a control variate.  Return the log likelihood lost by the random error of the mean offset, nats,
+    and the standard deviation that this error adds to the sizes.
     """
     own_sizes, k = posterior.layout.effects, len(offsets)
     if k < 2:

@@ -91,23 +91,8 @@ def diagnose(
 ) -> Diagnosis:
     """Search the catalogue of effects for the causes that explain a recording.
 
-    After a cause is accepted the search is repeated on the extended model, until no effect explains more.
-
-    Parameters
-    ----------
-    observed : ObservedSpectra
-        Spectra of the recording.
-    prior : StructuralPrior
-        The structure, from its file or its baseline.
-    context : Context
-        Channels, sensors and structure.
-    settings : DiagnosisSettings
-    wider : StructuralPrior, optional
-        The prior with persistent effects of the forces, for a calibration, see `_begin`.
-
-    Returns
-    -------
-    Diagnosis
+    After a cause is accepted the search is repeated on the extended model, until no effect explains more.  A calibration gives a
+    `wider` prior too, with persistent effects of the forces, see `_begin`.
     """
     stage, rounds, optima = _begin(observed, prior, context, settings, wider)
     alternatives: Alternatives = ()
@@ -163,12 +148,8 @@ def _begin(
     """Fit the model without causes, then the modes that it lacks.
 
     The wider prior takes the place of `prior` where it explains more of the misfit than it leaves, beyond what its parameters
-    cost and what these modes or one effect of the forces explain: without it every cause would be sought in vain.
-
-    Returns
-    -------
-    stage, rounds, optima
-        As `start_from_modes`.
+    cost and what these modes or one effect of the forces explain: without it every cause would be sought in vain.  Return what
+    `start_from_modes` returns.
     """
     begun = start_from_modes(_first_stage(observed, prior, context, settings), settings)
     stage = begun[0]
@@ -209,14 +190,8 @@ def _gain_by_forces(stage: SearchState) -> float:
 def _search_once(stage: SearchState, settings: DiagnosisSettings) -> tuple[SearchState, list[RefittedCandidate], float]:
     """Run one round of the search, and once more where it came upon a better fit without a further cause.
 
-    Returns
-    -------
-    stage : SearchState
-        Refitted where a better fit was found.
-    candidates : list of RefittedCandidate
-        Further causes, best first.
-    threshold : float
-        Log evidence that the next cause needs, nats.
+    Return the state, refitted where a better fit was found, further causes, best first, and the log evidence that the next cause
+    needs, nats.
     """
     threshold = _acceptance_threshold(stage, settings)
     min_gain = settings.worth * threshold / settings.margin
@@ -251,13 +226,7 @@ def prefer_cause_to_coupling(
     """Find a cause that explains more, beside modes that are not coupled, than the coupling of these modes explains.
 
     A mode that is coupled to the floors moves their frequencies, so that couplings may stand in for a cause in the structure.
-
-    Returns
-    -------
-    stage : SearchState
-        With the modes uncoupled; as it was where there is no such cause.
-    candidates : list of RefittedCandidate
-        The causes, best first; empty where there is none.
+    Return the state with the modes uncoupled, and the causes, best first; the state as it was, and no cause, where there is none.
     """
     posterior, fit = stage.posterior, stage.fit
     if not posterior.prior.is_baseline:  # modes that are coupled and modes that are not are both followed to their ends
@@ -281,16 +250,8 @@ def start_from_modes(
     """Fit from the recording's own modes, where the fit from the drawing leaves lack of fit.
 
     A drawing may be so far off that a fit from it ends in a false optimum, and may lack modes that the recording has.  A baseline
-    is neither.
-
-    Returns
-    -------
-    stage : SearchState
-        With the modes that the model lacks as accepted causes.
-    rounds : list of tuple of Candidate
-        For every such mode the candidates among which it was accepted.
-    optima : tuple of MapEstimate
-        Fits of other stiffnesses that the data cannot tell from the one returned.
+    is neither.  Return the state with the modes that the model lacks as accepted causes, for every such mode the candidates among
+    which it was accepted, and fits of other stiffnesses that the data cannot tell from the one returned.
     """
     posterior, null_fit = stage.posterior, stage.fit
     prior = posterior.prior
@@ -328,11 +289,7 @@ def _follow(
 ) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
     """Remove the modes of a start that others made superfluous, and add those that are still missing.
 
-    Returns
-    -------
-    stage : SearchState
-    rounds : list of tuple of Candidate
-        As `start_from_modes`.
+    Return the state, and the rounds as `start_from_modes`.
     """
     posterior, gain = stage.posterior, start.log_posterior - stage.fit.log_posterior
     accepted = tuple(
@@ -387,11 +344,7 @@ def _add_missing_modes(
 ) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
     """Add modes that the model lacks, until the highest peak left has another cause or none.
 
-    Returns
-    -------
-    stage : SearchState
-    rounds : list of tuple of Candidate
-        For every mode the candidates among which it was accepted.
+    Return the state, and for every mode the candidates among which it was accepted.
     """
     rounds: list[tuple[Candidate, ...]] = []
     while True:
@@ -476,18 +429,8 @@ def _accept_beside_tie(
 ) -> tuple[SearchState, list[RefittedCandidate]] | None:
     """Search, while rivals are tied, for a cause that is there whichever rival is the true cause.
 
-    Parameters
-    ----------
-    stage : SearchState
-        State before any of the rivals.
-    tied : RefittedCandidate
-        The best of the rivals.
-
-    Returns
-    -------
-    tuple of SearchState and list of RefittedCandidate, or None
-        The state with the further cause, and the candidates among which it was found.  None where there is no such cause, or
-        where it is itself tied.
+    The state given is that before any of the rivals, `tied` the best of them.  Return the state with the further cause, and the
+    candidates among which it was found; None where there is no such cause, or where it is itself tied.
     """
     if _n_counted(stage) + 2 > settings.max_causes:
         return None

@@ -7,6 +7,7 @@ forces on them.  Its drift is the difference of two floors' accelerations, integ
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +28,8 @@ _FINER = 8
 class Loop:
     """Force of a story against its drift in the middle of a segment."""
 
-    drift_m: Array
-    """Shape (n,), m."""
-    force_n: Array
-    """Shape (n,), N."""
+    drift_m: Annotated[Array, "n"]
+    force_n: Annotated[Array, "n"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -42,20 +41,17 @@ class StoryLaw:
 
     story: int
     """From 1."""
-    drift_m: Array
-    """RMS drift, shape (2,), m."""
-    stiffness_n_per_m: Array
-    """Secant stiffness, shape (2,), N/m."""
-    stiffness_std: Array
-    """Standard deviations, shape (2,)."""
-    loss: Array
-    """Loss factor: dissipated energy in a cycle over 2 pi times the largest elastic energy, shape (2,)."""
-    loss_std: Array
-    """Standard deviations, shape (2,)."""
-    model_stiffness_n_per_m: Array
-    """The same of the model with its causes, shape (2,), N/m."""
-    model_loss: Array
-    """The same of the model with its causes, shape (2,)."""
+    drift_m: Annotated[Array, "2"]
+    """RMS drift."""
+    stiffness_n_per_m: Annotated[Array, "2"]
+    """Secant stiffness."""
+    stiffness_std: Annotated[Array, "2"]
+    loss: Annotated[Array, "2"]
+    """Loss factor: dissipated energy in a cycle over 2 pi times the largest elastic energy."""
+    loss_std: Annotated[Array, "2"]
+    model_stiffness_n_per_m: Annotated[Array, "2"]
+    """That of the model with its causes, as `model_loss`."""
+    model_loss: Annotated[Array, "2"]
     measured: Loop
     """Loop in the segment with the largest drift."""
     before: Loop
@@ -89,10 +85,7 @@ class StoryLaw:
 def story_laws(diagnosis: Diagnosis) -> tuple[StoryLaw, ...]:
     """Compare the law of every story with the model's before and after the causes.
 
-    Returns
-    -------
-    tuple of StoryLaw
-        Empty where no input was measured, a floor has no sensor, or the stories are no single springs.
+    Empty where no input was measured, a floor has no sensor, or the stories are no single springs.
 
     References
     ----------
@@ -116,8 +109,10 @@ _Series = tuple[ComplexArray, ComplexArray]
 """Transforms of the stories' forces, N/sqrt(Hz), and of their drifts, m/sqrt(Hz), shape (n_segments, n_bins, n) each."""
 
 
-def _forces_and_drifts(posterior: Posterior, fit: MapEstimate, channels: ComplexArray | None) -> _Series:
-    """Compute forces and drifts from the channels' transforms, shape (n_segments, n_bins, c), with the masses of a fit."""
+def _forces_and_drifts(
+    posterior: Posterior, fit: MapEstimate, channels: Annotated[ComplexArray, "segments bins c"] | None
+) -> _Series:
+    """Compute forces and drifts from the channels' transforms with the masses of a fit."""
     e, context, drive = posterior.observed, posterior.context_at(fit.x), posterior.observed.drive
     assert channels is not None
     assert drive is not None
@@ -164,18 +159,13 @@ def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after
 
 
 def _secant(
-    series: _Series, instrument: ComplexArray, j: int, group: NDArray[np.intp]
+    series: _Series, instrument: Annotated[ComplexArray, "segments bins n"], j: int, group: NDArray[np.intp]
 ) -> tuple[float, float, float, float]:
     """Regress the force of story j on its drift over a group of segments.
 
     The noise of the sensors, integrated twice, would make every story seem softer the less it moves.  So the regression is by an
-    instrumental variable: the drift that the model predicts, which has no noise.  The standard deviations are by the
-    jackknife over the segments.
-
-    Returns
-    -------
-    stiffness, its standard deviation : float, N/m
-    loss factor, its standard deviation : float
+    instrumental variable: the drift that the model predicts, which has no noise.  The standard deviations are by the jackknife
+    over the segments.  Return the stiffness in N/m, the loss factor, and after each its standard deviation.
     """
     force, drift = (part[group, :, j] for part in series)
     known = instrument[group, :, j].conj()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 
@@ -40,11 +40,10 @@ class Cause:
 
     effect: Effect
     std: dict[str, float]
-    """Standard deviation of each parameter."""
 
     @classmethod
-    def of(cls, effect: Effect, deviation: Array) -> Self:
-        """Make a cause of an effect and the standard deviations of its coordinates, shape (p,)."""
+    def of(cls, effect: Effect, deviation: Annotated[Array, "p"]) -> Self:
+        """Make a cause of an effect and the standard deviations of its coordinates."""
         std = {}
         for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
             std[p.name] = min(own * p.slope(effect.values()[p.name]), 1e300)
@@ -58,8 +57,8 @@ class FittedCauses:
     posterior: Posterior
     fit: MapEstimate
     n_accepted: int
-    simulation_std: Array
-    """Standard deviations of the effects' sizes by the simulations' random error, shape (p,)."""
+    simulation_std: Annotated[Array, "p"]
+    """Standard deviations of the effects' sizes by the simulations' random error."""
 
     def keep(self, kept: Sequence[bool]) -> Self:
         """Refit with the selected effects only."""
@@ -97,7 +96,6 @@ class Diagnosis:
     final_fit: MapEstimate
     """Fit with the causes (with the most probable alternative where the answer is ambiguous)."""
     settings: DiagnosisSettings
-    """Settings of the diagnosis."""
     rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
     """Candidates of every round of the search."""
     other_optima: tuple[MapEstimate, ...] = field(default=())
@@ -128,21 +126,9 @@ def judge(
 ) -> Diagnosis:
     """Judge the causes that a search ended with: which are stated, and what they leave over.
 
-    Parameters
-    ----------
-    found : FittedCauses
-    null_fit : MapEstimate
-        The model without causes, refitted.
-    alternatives : tuple of (Candidate, float)
-        Candidates of the last round that cannot be told apart, the first of them in the fit.
-    settings : DiagnosisSettings
-    from_elsewhere : bool
-        Whether the search ended because the forces act in another direction than at calibration.
-
-    Returns
-    -------
-    Diagnosis
-        Without the candidates of the search.
+    The first of the alternatives, candidates of the last round that cannot be told apart, is in the fit.  The search may have
+    ended because the forces act in another direction than at calibration, `from_elsewhere`.  The result has no candidates of the
+    search.
     """
     # Beside other causes an effect may have moved to a size that means another one.
     band_hz = found.posterior.observed.band.hz
@@ -195,17 +181,7 @@ def _left_over(found: FittedCauses, settings: DiagnosisSettings) -> tuple[LackOf
 def refine(posterior: Posterior, fit: MapEstimate, n_accepted: int) -> FittedCauses:
     """Refit with laws simulated as finely as a published result needs, without causes that are no longer significant.
 
-    Parameters
-    ----------
-    posterior : Posterior
-    fit : MapEstimate
-        Fit with the accepted causes, followed by the most probable alternative where the answer is ambiguous.
-    n_accepted : int
-        Number of accepted causes.
-
-    Returns
-    -------
-    FittedCauses
+    The fit has the accepted causes, then the most probable alternative where the answer is ambiguous.
     """
     if not has_nonlinear(fit) or posterior.observed.drive is not None:
         return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))

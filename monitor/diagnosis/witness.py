@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -94,18 +94,8 @@ def compare_witnesses(
 ) -> list[Witness]:
     """Compare what every witness measured with what the models say of it.
 
-    Parameters
-    ----------
-    record : WitnessRecord
-        The recording.
-    sensors : sequence of WitnessSensor
-        Witnesses of the structure file.
-    before, extended : Model
-        The refitted model without the causes and with them.
-    context : Context
-        Channels and sensors of the floors.
-    condition : Condition
-        Motion and temperature at which effects of sensors act.
+    `before` and `extended` are the refitted model without the causes and with them; `condition` is the motion and the temperature
+    at which effects of sensors act.
     """
     if not sensors:
         return []
@@ -169,17 +159,12 @@ class _Comparison:
         verdict, words = _judge_rotation(sensor, measured[best], chord[best])
         return Witness(sensor, verdict, words, tuple(measured))
 
-    def _reference(self, sensor: WitnessSensor, k: int) -> tuple[Array, float, float | None]:
+    def _reference(self, sensor: WitnessSensor, k: int) -> tuple[Annotated[Array, "c"], float, float | None]:
         """Choose the motion over which the rotation in mode k is stated.
 
-        Returns
-        -------
-        weights : ndarray, shape (c,)
-            Of the channels; exact where they tell the motion, else by the mode's shape.
-        moved : float
-            The motion in the model's mode of unit modal mass, m.
-        chord : float or None
-            Rotation of the chord of the columns, rad per m of the motion; None where there are no columns.
+        Return the weights of the channels, exact where they tell the motion, else by the mode's shape; the motion in the model's
+        mode of unit modal mass, m; and the rotation of the chord of the columns, rad per m of the motion, None where there are no
+        columns.
         """
         shape, sensors = self.modes.shapes[:, k], self.context.sensors
         if not isinstance(self.structure, ShearFrame):
@@ -197,7 +182,9 @@ class _Comparison:
             weights = float(row @ shape) * seen / float(seen @ seen)
         return weights, float(row @ shape), chord
 
-    def _predicted(self, model: Model, sensor: WitnessSensor, hz: float, weights: Array) -> float | None:
+    def _predicted(
+        self, model: Model, sensor: WitnessSensor, hz: float, weights: Annotated[Array, "c"]
+    ) -> float | None:
         """Predict the rotation over the reference motion in the model's mode nearest to a frequency, rad/m."""
         modes = model.modes()
         shape = modes.shapes[:, int(np.abs(np.log(modes.frequencies_hz / hz)).argmin())]
@@ -230,12 +217,12 @@ class _Comparison:
         return Witness(sensor, verdict, words, tuple(found))
 
     @property
-    def _omega(self) -> Array:
-        """Circular frequencies of the bins, rad/s, shape (n_bins,); that of 0 Hz as of the next."""
+    def _omega(self) -> Annotated[Array, "bins"]:
+        """Circular frequencies of the bins, rad/s; that of 0 Hz as of the next."""
         return np.asarray(2.0 * np.pi * np.maximum(self.data.hz, self.data.hz[1]))
 
-    def _motion(self, sensor: WitnessSensor) -> ComplexArray:
-        """Integrate a witness's readings to rad or m, shape (n_segments, n_bins)."""
+    def _motion(self, sensor: WitnessSensor) -> Annotated[ComplexArray, "segments bins"]:
+        """Integrate a witness's readings to rad or m."""
         readings, omega = self.data.witnesses[sensor.channel], self._omega
         return np.asarray(readings / (1j * omega) if sensor.quantity == "rotation_rate" else readings / -(omega**2))
 
@@ -252,13 +239,8 @@ def _own_frequency(effect: Effect) -> float | None:
 
 def _relative_motion(
     data: WitnessTransforms, effects: Sequence[Effect], context: Context, condition: Condition
-) -> ComplexArray:
-    """Correct the floors' transforms for the effects of their sensors, and subtract the ground's where it was measured.
-
-    Returns
-    -------
-    ndarray, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)
-    """
+) -> Annotated[ComplexArray, "segments bins c"]:
+    """Correct the floors' transforms for their sensors' effects, and subtract the ground's if it was measured, m/s^2/sqrt(Hz)."""
     true = np.asarray(data.floors, dtype=np.complex128)
     for effect in reversed(effects):
         response = effect.response(data.hz, context, condition)
@@ -267,15 +249,16 @@ def _relative_motion(
     return true if data.ground is None else true - data.ground[:, :, None]
 
 
-def _transfer(turned: ComplexArray, moved: ComplexArray, bins: slice, *, signed: bool) -> tuple[float, float, float]:
-    """Estimate the ratio of two motions in a mode's bins, shape (n_segments, n_bins) each.
+def _transfer(
+    turned: Annotated[ComplexArray, "segments bins"],
+    moved: Annotated[ComplexArray, "segments bins"],
+    bins: slice,
+    *,
+    signed: bool,
+) -> tuple[float, float, float]:
+    """Estimate the ratio of two motions in a mode's bins: the part in phase where `signed`, else the magnitude.
 
-    Returns
-    -------
-    ratio, std : float
-        The part in phase where `signed`, else the magnitude; the standard deviation is by the jackknife over the segments.
-    coherence : float
-        Coherent share of the first motion's power.
+    Return it, its standard deviation by the jackknife over the segments, and the coherent share of the first motion's power.
 
     References
     ----------

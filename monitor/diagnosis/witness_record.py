@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -36,14 +37,13 @@ class WitnessSensor:
 class WitnessTransforms:
     """Tapered transforms of half-overlapping segments that the floors and the witnesses cover together."""
 
-    hz: Array
-    """Shape (n_bins,), Hz."""
-    floors: ComplexArray
-    """Accelerations of the floors, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)."""
-    ground: ComplexArray | None
-    """The ground's, shape (n_segments, n_bins); None where it was not measured."""
-    witnesses: dict[str, ComplexArray]
-    """Of each witness in the recording, in m/s^2 or rad/s, over the same segments, shape (n_segments, n_bins)."""
+    hz: Annotated[Array, "bins"]
+    floors: Annotated[ComplexArray, "segments bins c"]
+    """Accelerations of the floors, m/s^2/sqrt(Hz)."""
+    ground: Annotated[ComplexArray, "segments bins"] | None
+    """The ground's; None where it was not measured."""
+    witnesses: dict[str, Annotated[ComplexArray, "segments bins"]]
+    """Of each witness in the recording, in m/s^2 or rad/s, over the same segments."""
     still: frozenset[str]
     """Witnesses that read one value throughout."""
 
@@ -51,12 +51,7 @@ class WitnessTransforms:
 class WitnessRecord:
     """Record of the floors, the ground and the witnesses of a recording, block by block.
 
-    Parameters
-    ----------
-    front_end : FrontEnd
-        Conditioning of the floors, which the witnesses get too.
-    sensors : sequence of WitnessSensor
-        Witnesses; those that the recording does not hold are left out.
+    The witnesses are conditioned as the floors; those that the recording does not hold are left out.
     """
 
     def __init__(self, front_end: FrontEnd, sensors: Sequence[WitnessSensor]) -> None:
@@ -146,7 +141,7 @@ class _Stream:
         self._runs: list[tuple[int, list[Array]]] = []
         self._first: Array | None = None
         self.moves = np.zeros(len(channels), dtype=bool)
-        """Whether a channel ever read another value than its first, shape (k,)."""
+        """Whether a channel ever read another value than its first."""
 
     @property
     def rate_hz(self) -> float | None:
@@ -187,6 +182,6 @@ class _Stream:
         return None
 
 
-def _transform(design: SegmentDesign, samples: Array) -> ComplexArray:
-    """Transform a segment of samples less their mean, shape (n, k)."""
+def _transform(design: SegmentDesign, samples: Annotated[Array, "n k"]) -> Annotated[ComplexArray, "bins k"]:
+    """Transform a segment of samples less their mean."""
     return transform(design, samples - samples.mean(axis=0, dtype=np.float64))

@@ -27,12 +27,7 @@ _FAMILIES: dict[LawFamily, str] = {
 def in_words(effect_name: str, location: str, parameters: ParameterEstimates, reference: StructuralPrior) -> str:
     """State an effect and its size in one sentence, without its full stop; intervals are two standard deviations.
 
-    Parameters
-    ----------
-    effect_name, location, parameters
-        As in diagnosis.json.
-    reference : StructuralPrior
-        The structure that "more" and "less" refer to.
+    The parameters are as in diagnosis.json, and `reference` is the structure that "more" and "less" refer to.
 
     Raises
     ------
@@ -50,11 +45,6 @@ def _sizes(location: str, parameters: ParameterEstimates, reference: StructuralP
 
 def separating_measurement(alternatives: Sequence[Mapping[str, Any]]) -> str | None:
     """State the measurement that would separate rival causes; return None where there are fewer than two of them.
-
-    Parameters
-    ----------
-    alternatives : sequence of mappings
-        With ``effect`` and ``location``, as in diagnosis.json.
 
     Examples
     --------
@@ -99,27 +89,13 @@ def band_in_words(segments: Segments, prior: StructuralPrior) -> list[str]:
 
 
 def law_family(alternatives: Sequence[Mapping[str, Any]]) -> LawFamily | None:
-    """Name the family of laws that all rival causes belong to; None where there is none.
-
-    Parameters
-    ----------
-    alternatives : sequence of mappings
-        With ``effect`` and ``parameters``, as in diagnosis.json.
-    """
+    """Name the family of laws that all rival causes belong to; None where there is none."""
     families = [FORMS[a["effect"]].law_families(a["parameters"]) for a in alternatives]
     return next((name for name in (families[0] if families else ()) if all(name in own for own in families)), None)
 
 
 def class_in_words(alternatives: Sequence[Mapping[str, Any]], reference: StructuralPrior) -> str:
-    """State what rival causes have in common in one sentence, without its full stop.
-
-    Parameters
-    ----------
-    alternatives : sequence of mappings
-        As in diagnosis.json, most probable first.
-    reference : StructuralPrior
-        The structure that "more" and "less" refer to.
-    """
+    """State what rival causes, most probable first, have in common in one sentence, without its full stop."""
     effects = list(dict.fromkeys(a["effect"] for a in alternatives))
     places = _one_of(alternatives)
     if len(effects) == 1 and places and _agree_in_sign(alternatives):
@@ -168,17 +144,7 @@ def _mixture(alternatives: Sequence[Mapping[str, Any]]) -> ParameterEstimates:
 
 
 def headline(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[str, Any]) -> str:
-    """State the verdict in few plain sentences: what was refitted, what was found, and why a gain cannot be had.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Its prior is the structure that "more" and "less" refer to.
-    gain : HeldOutGain
-        Gain of its causes on held-out data.
-    content : mapping
-        diagnosis.json.
-    """
+    """State in few plain sentences what was refitted, what was found, and why no gain can be had; `content` is diagnosis.json."""
     optima = "; or ".join(o["says"] for o in content["other_optima"])
     parts = [refit_headline(content["refit"]), _sentence(optima) if optima else ""]
     parts += [_verdict_in_words(diagnosis, gain, content), _also_fitted_in_words(content, diagnosis.posterior.prior)]
