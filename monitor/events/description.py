@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,14 +35,11 @@ def describe(
     revision: int | None,
     begin_ns: int,
     end_ns: int,
-    before_hz: Array,
+    before_hz: Annotated[Array, "m"],
     note: str = "",
-    saturated: NDArray[np.bool_] | None = None,
+    saturated: Annotated[NDArray[np.bool_], "c"] | None = None,
 ) -> Event:
-    """Measure an event from its samples, and compare it with the site's limits.
-
-    `saturated`, shape (c,), are channels that reached the end of their range.
-    """
+    """Measure an event from its samples, and compare it with the limits; `saturated` channels reached the end of their range."""
     rate_hz, strong = record.rate_hz, record.strong
     drift, std, corner_hz, limits = story_drifts(record, site)
     live = ~record.still
@@ -98,8 +97,8 @@ def describe(
     )
 
 
-def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
-    """Compute the largest dynamic drift of each story and its standard deviation, shape (n,), m, the corner in Hz, and a note.
+def story_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Annotated[Array, "n"], float, str]:
+    """Compute the largest dynamic drift of each story and its standard deviation, m, the corner in Hz, and a note.
 
     Where sensors move as both floors of a story, their accelerations are integrated.  For a story that they do not enclose, as
     the lowest one without a measured ground, the drift follows from the inertia of the floors above over the story's stiffness,
@@ -142,15 +141,10 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
     return drift, std, corner_hz, f"{note}; without a measured ground the lowest story's follows from its stiffness"
 
 
-def drift_accelerations(record: Record, site: Site) -> tuple[NDArray[np.bool_], Array]:
-    """Compute the accelerations of the stories' drifts from the sensors that move as both floors of a story.
-
-    Returns
-    -------
-    told : ndarray of bool, shape (n,)
-        Stories of which sensors tell the drift.
-    accelerations : ndarray, shape (n_samples, n_told), m/s^2
-    """
+def drift_accelerations(
+    record: Record, site: Site
+) -> tuple[Annotated[NDArray[np.bool_], "n"], Annotated[Array, "samples told"]]:
+    """Find the stories both floors of which sensors move as, and compute the accelerations of these stories' drifts, m/s^2."""
     live = ~record.still
     motion = record.floors[:, live]
     if record.ground is not None:
@@ -159,8 +153,8 @@ def drift_accelerations(record: Record, site: Site) -> tuple[NDArray[np.bool_], 
     return told, motion @ weights[:, told]
 
 
-def _weights(record: Record, site: Site) -> tuple[NDArray[np.bool_], Array]:
-    """Find the stories whose drift sensors tell, shape (n,), and the weights on the live channels that give it, shape (c, n)."""
+def _weights(record: Record, site: Site) -> tuple[Annotated[NDArray[np.bool_], "n"], Annotated[Array, "c n"]]:
+    """Find the stories whose drift sensors tell, and the weights on the live channels that give it."""
     sensors, rides = site.sensors[~record.still], site.rides[~record.still]
     # Without a ground they must not move with it.
     weights, *_ = np.linalg.lstsq(sensors.T, site.drifts.T, rcond=None)
@@ -169,15 +163,17 @@ def _weights(record: Record, site: Site) -> tuple[NDArray[np.bool_], Array]:
     return np.asarray(exact & (rigid | (record.ground is not None))), np.asarray(weights)
 
 
-def _made_of(channels: NDArray[np.bool_], record: Record, site: Site) -> NDArray[np.bool_]:
-    """Find the stories whose drift some of the channels enter, shape (n,): by the model all of them enter every drift."""
+def _made_of(
+    channels: Annotated[NDArray[np.bool_], "c"], record: Record, site: Site
+) -> Annotated[NDArray[np.bool_], "n"]:
+    """Find the stories whose drift some of the channels enter: by the model all of them enter every drift."""
     told, weights = _weights(record, site)
     entering = np.abs(weights[channels[~record.still]]).max(axis=0, initial=0.0) > _UNRELATED
     return np.asarray(np.where(told, entering, channels.any()))
 
 
-def inertia_above(record: Record, site: Site) -> Array:
-    """Compute the inertia of all floors above each story, shape (n_samples, n), N, by their absolute accelerations.
+def inertia_above(record: Record, site: Site) -> Annotated[Array, "samples n"]:
+    """Compute the inertia of all floors above each story, N, by their absolute accelerations.
 
     Every floor must have a sensor.  The force of a story, which includes that of its damper, holds up this inertia.
     """
@@ -187,6 +183,6 @@ def inertia_above(record: Record, site: Site) -> Array:
     return np.asarray(np.cumsum(site.masses_kg[:, None] * floors, axis=0).T)
 
 
-def _drifts_by_inertia(record: Record, site: Site) -> Array:
-    """Compute the largest drift of each story as the inertia of all floors above over its stiffness, shape (n,), m."""
+def _drifts_by_inertia(record: Record, site: Site) -> Annotated[Array, "n"]:
+    """Compute the largest drift of each story as the inertia of all floors above over its stiffness, m."""
     return np.asarray(np.abs(inertia_above(record, site)[record.strong]).max(axis=0) / site.stiffness_n_per_m)

@@ -8,6 +8,8 @@ measure.  How wrong the whole is, the sensors tell as well: each is left out in 
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,8 +19,8 @@ from monitor.events.record import Record
 from monitor.events.site import Site
 
 
-def expanded_drifts(record: Record, site: Site) -> tuple[Array, Array]:
-    """Estimate the largest drift of each story and its standard deviation, shape (n,), m.
+def expanded_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Annotated[Array, "n"]]:
+    """Estimate the largest drift of each story and its standard deviation, m.
 
     The standard deviation joins that of the integration, the share by which the estimate of a sensor's motion from the ground and
     the other sensors is wrong at worst, and by how much leaving a sensor out changes the drift itself at most.
@@ -40,8 +42,8 @@ def expanded_drifts(record: Record, site: Site) -> tuple[Array, Array]:
     return drift, np.sqrt(std**2 + (wrong * drift) ** 2 + changed**2)
 
 
-def _floors(record: Record, site: Site, used: NDArray[np.bool_]) -> Array:
-    """Estimate the accelerations of all floors relative to the ground by some of the channels, shape (n_samples, N), m/s^2."""
+def _floors(record: Record, site: Site, used: Annotated[NDArray[np.bool_], "c"]) -> Annotated[Array, "samples floors"]:
+    """Estimate the accelerations of all floors relative to the ground by the channels `used`, m/s^2."""
     assert record.ground is not None
     modal = _driven_modes(record.ground, record.rate_hz, site)
     seen = site.sensors[used] @ site.floor_shapes
@@ -53,8 +55,8 @@ def _floors(record: Record, site: Site, used: NDArray[np.bool_]) -> Array:
     return np.asarray(modal @ site.floor_shapes.T)
 
 
-def _driven_modes(ground: Array, rate_hz: float, site: Site) -> Array:
-    """Compute the modes' accelerations relative to the ground that drives them, shape (n_samples, N)."""
+def _driven_modes(ground: Annotated[Array, "samples"], rate_hz: float, site: Site) -> Annotated[Array, "samples m"]:
+    """Compute the modes' accelerations relative to the ground that drives them."""
     n = ground.size
     s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1.0 / rate_hz)[:, None]
     w, shares = 2.0 * np.pi * site.modes_hz, site.masses_kg @ site.floor_shapes

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,8 +109,8 @@ class EventState:
         """Grid index past the latest sample."""
         return self.first + sum(map(len, self.kept))
 
-    def samples(self, begin: int, end: int) -> Array:
-        """Return the kept samples from one grid index up to another, shape (n, c), m/s^2."""
+    def samples(self, begin: int, end: int) -> Annotated[Array, "n c"]:
+        """Return the kept samples from one grid index up to another, m/s^2."""
         parts, last = list[Array](), self.end
         for piece in reversed(self.kept):
             first = last - len(piece)
@@ -140,32 +141,15 @@ def step(
     first: int,
     t0_ns: int,
     conditioner: Conditioner,
-    values: Array,
+    values: Annotated[Array, "samples c"],
     site: Site,
     saturated: Saturated = none_saturated,
 ) -> tuple[EventState, list[Event]]:
     """Take a span of conditioned samples.
 
-    Parameters
-    ----------
-    state : EventState
-    first : int
-        Grid index of the span's first sample; not that after the last span's where samples are missing.
-    t0_ns : int
-        UTC of grid index 0.
-    conditioner : Conditioner
-        Filter of the samples, with their rate.
-    values : ndarray, shape (n_samples, c), m/s^2
-    site : Site
-        What the site's files say of structure, sensors and limits.
-    saturated : callable
-        Finds the channels that reached the end of their range between two times.
-
-    Returns
-    -------
-    EventState
-    list of Event
-        Preliminary messages and final lines, in order.
+    Grid index `first` is not that after the last span's where samples are missing, and `t0_ns` is the UTC of grid index 0.
+    `saturated` finds the channels that reached the end of their range between two times.  Return preliminary messages and final
+    lines, in order.
     """
     rate_hz = conditioner.rate_hz
     n, told = recognition.step_n(rate_hz), list[Event]()
