@@ -18,6 +18,7 @@ from monitor.diagnosis.score_test import (
     find_excess_peaks,
     fit_candidate,
     fit_roughly,
+    key_of,
     refine_rough_fit,
     score_candidate,
     with_tone_evidence,
@@ -31,6 +32,7 @@ from monitor.inference import (
     linearize,
     maximize_posterior,
 )
+from monitor.model import Effect
 
 _LOCAL_OPTIMUM_NATS = 3.0
 """Shortfall against the best fit of the same form from which a fit is repeated from another start. [nats; judgement]"""
@@ -84,39 +86,13 @@ def eliminate_backward(
         is_last = cause is accepted[-1] and len(fit.effects) == len(kept) and not replaced
         if (len(fit.effects) == 1 or is_last) and not cause.effect.repeatable:
             break  # no later cause is in the model
-        nuisances, i = posterior.layout.nuisances, kept.index(cause)
-        rest = (*fit.effects[:i], *fit.effects[i + 1 :])
-        at_peak: list[Candidate] = []
-        if cause.effect.repeatable:
-            certain, at_peak = _test_roughly(posterior, fit, i, margin)
-            if certain:
-                continue
-        without = maximize_posterior(posterior, join_coordinates(fit.x[nuisances], rest), rest)
-        min_gain = score_candidate(posterior, without, fit, i).log_evidence
-        excluded = {cause.key, *(c.key for c in later), *((e.name, e.location) for e in rest)}
-        # A simulated correction holds for one law only, so a nonlinear cause neither replaces another nor is replaced.
-        linear = [] if cause.effect.nonlinear else [c for c in candidates if not c.effect.nonlinear]
-        min_log_evidence = max(min_gain + lead, margin)
-        if at_peak:
-            fitted = parallel_map(partial(refine_rough_fit, posterior, without), at_peak)
-        else:
-            rivals = [c.effect for c in linear if c.key not in excluded][:_N_ALTERNATIVES]
-            fit_rival = partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence)
-            fitted = parallel_map(fit_rival, rivals)
-        best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
-        if (
-            best is not None
-            and best.log_evidence > min_log_evidence
-            and is_beyond_weak_modes(posterior, without, best.effect, best.log_evidence, margin)
-        ):
-            effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
-            fit = maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects)
-            kept[i], replaced = best, True
-        elif is_beyond_weak_modes(posterior, without, fit.effects[i], min_gain, margin):
+        i = kept.index(cause)
+        tested = _test_cause(posterior, fit, i, _rivals(cause, candidates, fit.effects, later), margin, lead)
+        if tested is None:
             continue
-        else:
-            fit = without
-            del kept[i]
+        fit, rival = tested
+        kept[i : i + 1] = [] if rival is None else [rival]
+        replaced |= rival is not None
         posterior = update_linearization(posterior, fit)
         if isinstance(posterior, CorrectedPosterior):
             posterior = replace(posterior, simulation_std=np.zeros(0))  # it held for the former causes
@@ -124,6 +100,49 @@ def eliminate_backward(
     if not any(e.nonlinear for e in fit.effects) and any(c.effect.nonlinear for c in accepted):
         posterior, fit, _ = fit_persistent_effects(posterior, fit)  # the simulated law was removed
     return posterior, fit, tuple(kept)
+
+
+def _rivals(
+    cause: Candidate, candidates: Sequence[Candidate], effects: Sequence[Effect], later: Sequence[Candidate]
+) -> list[Effect]:
+    """List the effects that are tried in place of a cause: the best of its own round that are not in the model otherwise."""
+    if cause.effect.nonlinear:  # a simulated correction holds for one law only
+        return []
+    known = {*map(key_of, effects), cause.key, *(c.key for c in later)}
+    return [c.effect for c in candidates if not c.effect.nonlinear and c.key not in known][:_N_ALTERNATIVES]
+
+
+def _test_cause(
+    posterior: Posterior, fit: MapEstimate, i: int, rivals: Sequence[Effect], margin: float, lead: float
+) -> tuple[MapEstimate, Candidate | None] | None:
+    """Test if cause i of a fit is needed; None where it is, and no rival fits better.
+
+    Return the fit with the better rival in its place and this, or the fit without both and None.
+    """
+    at_peak: list[Candidate] = []
+    if fit.effects[i].repeatable:
+        certain, at_peak = _test_roughly(posterior, fit, i, margin)
+        if certain:
+            return None
+    nuisances, rest = posterior.layout.nuisances, (*fit.effects[:i], *fit.effects[i + 1 :])
+    without = maximize_posterior(posterior, join_coordinates(fit.x[nuisances], rest), rest)
+    gain = score_candidate(posterior, without, fit, i).log_evidence
+    needed = max(gain + lead, margin)
+    if at_peak:
+        fitted = parallel_map(partial(refine_rough_fit, posterior, without), at_peak)
+    else:
+        fitted = parallel_map(partial(fit_candidate, posterior, without, min_log_evidence=needed), rivals)
+    best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
+    if (
+        best is not None
+        and best.log_evidence > needed
+        and is_beyond_weak_modes(posterior, without, best.effect, best.log_evidence, margin)
+    ):
+        effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
+        return maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects), best
+    if is_beyond_weak_modes(posterior, without, fit.effects[i], gain, margin):
+        return None
+    return without, None
 
 
 def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float) -> tuple[bool, list[Candidate]]:

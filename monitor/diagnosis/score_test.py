@@ -48,6 +48,14 @@ _MAX_START_FACTOR = 20.0
 _MAX_SECANT_CHANGE = 0.9
 """Share of a story's stiffness that a law may take away where a fit starts. [ratio; judgement: the rest is positive]"""
 
+Key = tuple[str, str]
+"""Name and place of an effect."""
+
+
+def key_of(effect: Effect) -> Key:
+    """Return the name and the place of an effect."""
+    return effect.name, effect.location
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Candidate:
@@ -61,9 +69,9 @@ class Candidate:
     """Gain `delta_log_posterior` less half the logarithm of the information for every parameter, nats."""
 
     @property
-    def key(self) -> tuple[str, str]:
+    def key(self) -> Key:
         """Name and place of the effect."""
-        return self.effect.name, self.effect.location
+        return key_of(self.effect)
 
     def without_slopes(self) -> Candidate:
         """Return the candidate with a fit from which no further search can start."""
@@ -88,31 +96,29 @@ def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
     return sorted(finite, key=lambda c: -c.log_evidence)
 
 
-def candidate_starts(
-    posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[tuple[str, str]] = ()
-) -> list[Effect]:
+def candidate_starts(posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[Key] = ()) -> list[Effect]:
     """List the starts of the search: every effect at every place with a small size, and every shape that must be tried.
 
     Where a nonlinear law is in the model already, no other is tried at its place: it would only compensate for the unknown form
     of the first one.  Effects of the names and places `excluded` are not tried.
     """
-    typical = posterior.conditions[posterior.n_classes // 2]
-    nonlinear = {
-        (name, e.location) for e in null_fit.effects if e.nonlinear for name, kind in EFFECTS.items() if kind.nonlinear
-    }
-    skip, found = {*excluded, *nonlinear}, find_excess_peaks(posterior, null_fit)
+    context, typical = posterior.context, posterior.conditions[posterior.n_classes // 2]
+    occupied = {e.location for e in null_fit.effects if e.nonlinear}
+    skip, peaks = set(excluded), find_excess_peaks(posterior, null_fit)
     out: list[Effect] = []
-    for name, kind in EFFECTS.items():
-        if posterior.observed.drive is not None and (kind.family == "excitation" or kind.stationary_only):
-            continue  # the input is measured; another one would only compensate for errors of the model's response
-        if posterior.observed.drive is None and kind.driven_only:
-            continue
-        for place in (p for k in kind.places for p in locations(k, posterior.context)):
-            if kind.repeatable or (name, place) not in skip:
-                out.extend(kind.starts(place, posterior.context, typical))
-                near = (kind.at_peak(place, peak, posterior.context, typical) for peak in found)
-                out.extend(e for e in near if e is not None)
-    return [e for e in out if _is_applicable(e, posterior.context) and e.is_plausible(posterior.observed.band.hz)]
+    for kind in _tried_kinds(driven=posterior.observed.drive is not None):
+        for place in (p for k in kind.places for p in locations(k, context)):
+            if kind.repeatable or ((kind.name, place) not in skip and not (kind.nonlinear and place in occupied)):
+                out += kind.starts(place, context, typical)
+                out += filter(None, (kind.at_peak(place, peak, context, typical) for peak in peaks))
+    return [e for e in out if _is_applicable(e, context) and e.is_plausible(posterior.observed.band.hz)]
+
+
+def _tried_kinds(*, driven: bool) -> list[type[Effect]]:
+    """List the kinds of effects that are tried: beside a measured input no other one, nor what needs stationary motion."""
+    if driven:  # another input would only compensate for errors of the model's response
+        return [kind for kind in EFFECTS.values() if kind.family != "excitation" and not kind.stationary_only]
+    return [kind for kind in EFFECTS.values() if not kind.driven_only]
 
 
 def _is_applicable(effect: Effect, context: Context) -> bool:
@@ -165,7 +171,7 @@ def line_offset(power: Annotated[Array, "bins"], i: int) -> float:
 
 
 def rank_by_score(
-    posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[tuple[str, str]], n_beside_prior: int
+    posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[Key], n_beside_prior: int
 ) -> list[tuple[float, Effect]]:
     """Rank the starts by the gain that the score test predicts, nats, best first, each moved to the predicted size.
 
@@ -342,13 +348,10 @@ def _scale_size(effect: Effect, factor: float) -> Effect | None:
 
 def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect]]:
     """Keep the best start of every effect and place."""
-    keys: set[tuple[str, str]] = set()
-    out = []
-    for gain, effect in ranked:
-        if (effect.name, effect.location) not in keys:
-            keys.add((effect.name, effect.location))
-            out.append((gain, effect))
-    return out
+    best: dict[Key, tuple[float, Effect]] = {}
+    for item in ranked:
+        best.setdefault(key_of(item[1]), item)
+    return list(best.values())
 
 
 def fit_candidate(

@@ -254,12 +254,7 @@ def start_from_modes(
     which it was accepted, and fits of other stiffnesses that the data cannot tell from the one returned.
     """
     posterior, null_fit = stage.posterior, stage.fit
-    prior = posterior.prior
-    # Persistent effects whose size is fitted change what the modes are compared with, unless they are of the forces.
-    is_changed = any(effect.parameters and effect.family != "excitation" for effect in prior.model.effects)
-    if posterior.observed.drive is not None or prior.is_baseline or is_changed:
-        return stage, [], ()
-    if not find_lack_of_fit(posterior, null_fit, settings):
+    if not _may_be_far_off(posterior) or not find_lack_of_fit(posterior, null_fit, settings):
         return stage, [], ()
     found = fit_from_modes(posterior)
     if not found or found[0][1] < null_fit.log_posterior + settings.margin:
@@ -282,6 +277,13 @@ def start_from_modes(
         if own > evidences[first] - settings.rival and not has_same_structure(posterior, end.fit, ends[first][0].fit)
     )
     return *ends[first], others
+
+
+def _may_be_far_off(posterior: Posterior) -> bool:
+    """Decide if the structure may be far from its prior, with modes to which the recording's own can be compared."""
+    # Persistent effects whose size is fitted change what the modes are compared with, unless they are of the forces.
+    is_changed = any(e.parameters and e.family != "excitation" for e in posterior.prior.model.effects)
+    return not (posterior.observed.drive is not None or posterior.prior.is_baseline or is_changed)
 
 
 def _follow(

@@ -322,9 +322,10 @@ def _judge_other_motion(
     what = f"{_motion_in_words(sensor)} of {f'floor {sensor.floor}' if sensor.floor else 'the ground'}"
     own = [m for m in found if m.of.startswith("mode ")]
     others = [m for m in found if m not in own]
-    unit = "rad per m" if sensor.quantity == "rotation_rate" else "m per m"
     largest = max(own, key=lambda m: m.ratio, default=None)
-    usual = "" if largest is None else f"in the model's modes at most {largest.ratio:.2g} {unit} ({largest.of})"
+    usual = (
+        "" if largest is None else f"in the model's modes at most {largest.ratio:.2g} {_unit(sensor)} ({largest.of})"
+    )
     if not others:
         rest = f"the model has no mode besides that {sensor.channel} could see"
         return None, f"{what}: {usual or 'no mode lies in the band'}; {rest}"
@@ -332,28 +333,36 @@ def _judge_other_motion(
     # them what is certain: where the structure moves little, noise makes any ratio.
     certain = max((m.ratio - DIFFERS_STDS * m.std for m in own), default=0.0)
     least = 1.0 if sensor.quantity == "acceleration" else _FACTOR * max(certain, 0.0)
-    told: list[tuple[Verdict, str]] = []
+    told = []
     for mode in others:
         near = next((m for m in own if abs(m.frequency_hz - mode.frequency_hz) < apart_hz), None)
-        name = f"the {mode.of.replace('_', ' ')} at {mode.frequency_hz:.2f} Hz"
-        if near is not None:
-            told.append(("cannot say", f"{name} is too near to {near.of} to be told from it"))
-            continue
-        verdict = _placed(mode.ratio, mode.std, least, np.inf)
-        if verdict == "agrees" and mode.ratio - DIFFERS_STDS * mode.std < least:  # a magnitude of noise is never 0
-            verdict = "cannot say"
-        ratio = interval({"value": mode.ratio, "std": mode.std}, 1.0, unit)
-        size = f"{ratio} (coherence {mode.coherence:.2f})"
-        kind = _kind(sensor)
-        words = {
-            "agrees": f"in {name} {size}: it is {kind}",
-            "contradicts": f"in {name} {size}: it is not {kind}",
-            "cannot say": f"in {name} {size}, which does not tell whether it is {kind}",
-        }[verdict]
-        told.append((verdict, words))
+        told.append(_judge_other_mode(sensor, mode, near, least))
     verdicts = [v for v, _ in told]
     whole: Verdict = next((v for v in ("agrees", "contradicts") if v in verdicts), "cannot say")
     return whole, f"{what}: {'; '.join(w for _, w in told)}" + (f"; {usual}" if usual else "")
+
+
+def _judge_other_mode(
+    sensor: WitnessSensor, mode: WitnessedMode, near: WitnessedMode | None, least: float
+) -> tuple[Verdict, str]:
+    """Say whether a mode that the model does not have is of the sensor's axis, in which it then moves by `least` over the floors.
+
+    `near` is the mode of the model from which it cannot be told.
+    """
+    name = f"the {mode.of.replace('_', ' ')} at {mode.frequency_hz:.2f} Hz"
+    if near is not None:
+        return "cannot say", f"{name} is too near to {near.of} to be told from it"
+    verdict = _placed(mode.ratio, mode.std, least, np.inf)
+    if verdict == "agrees" and mode.ratio - DIFFERS_STDS * mode.std < least:  # a magnitude of noise is never 0
+        verdict = "cannot say"
+    ratio = interval({"value": mode.ratio, "std": mode.std}, 1.0, _unit(sensor))
+    says = {"agrees": ": it is", "contradicts": ": it is not", "cannot say": ", which does not tell whether it is"}
+    return verdict, f"in {name} {ratio} (coherence {mode.coherence:.2f}){says[verdict]} {_kind(sensor)}"
+
+
+def _unit(sensor: WitnessSensor) -> str:
+    """Name the unit of a witness's motion over that of the structure."""
+    return "rad per m" if sensor.quantity == "rotation_rate" else "m per m"
 
 
 def _motion_in_words(sensor: WitnessSensor) -> str:

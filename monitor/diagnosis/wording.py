@@ -9,6 +9,7 @@ import numpy as np
 
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.drawing_refit import refit_headline
+from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import Segments
 from monitor.model import FORMS, FittedSizes, LawFamily, ModelDiscrepancy, ParameterEstimates, StructuralPrior
@@ -165,25 +166,28 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
         case "ambiguous":
             rivals = class_in_words(content["alternatives"], reference)
             return _sentence((f"{causes}; besides, " if causes else "") + rivals) + _limits_of_gain(gain)
-    explained = "".join(f"{_sentence(m.says)} " for m in diagnosis.left_over if m.is_explained)
-    unexplained = [m for m in diagnosis.left_over if not m.is_explained]
+    return _unexplained_in_words(diagnosis.left_over, gain, causes)
+
+
+def _unexplained_in_words(left_over: Sequence[LackOfFit], gain: HeldOutGain, causes: str) -> str:
+    """State what the causes, in words, leave over."""
+    explained = "".join(f"{_sentence(m.says)} " for m in left_over if m.is_explained)
+    unexplained = [m.where for m in left_over if not m.is_explained]
     if explained and not unexplained:
         return (explained + (_sentence(f"besides, {causes}") if causes else "")).rstrip()
     worst = ""
     if unexplained:
-        where = unexplained[0].where
-        worst = (
-            f" at {where.removeprefix('f = ')}"
-            if where.startswith("f = ")
-            else f" with what stood at calibration, {where},"
-        )
-    changed = any(m.changes for m in diagnosis.left_over)
-    if not causes or not (changed or gain.withheld or gain.is_significant):
-        return f"{explained}Something is wrong{worst} that no known effect explains."
-    why = ""
-    if not gain.is_significant:
-        why = f" (no gain on held-out data: {gain.withheld or 'the motion changed within the recording'})"
-    return f"{explained}Something is wrong{worst} that no known effect explains. Besides, {causes}{why}."
+        band = unexplained[0].removeprefix("f = ")
+        in_a_band = band != unexplained[0]
+        worst = f" at {band}" if in_a_band else f" with what stood at calibration, {band},"
+    said = f"{explained}Something is wrong{worst} that no known effect explains."
+    if gain.is_significant:
+        return f"{said} Besides, {causes}." if causes else said
+    changed = any(m.changes for m in left_over)
+    if not causes or not (changed or gain.withheld):
+        return said
+    why = gain.withheld or "the motion changed within the recording"
+    return f"{said} Besides, {causes} (no gain on held-out data: {why})."
 
 
 def _causes_in_words(causes: Sequence[Mapping[str, Any]], reference: StructuralPrior) -> str:

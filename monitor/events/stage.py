@@ -300,43 +300,63 @@ def _follow(
     """Follow events through the last judged step, of which the frames have `found` something, or during an event."""
     known = state.recognition
     assert known is not None
-    settings, rate_hz = site.settings, state.rate_hz
-    n = recognition.step_n(rate_hz)
-    end, first = state.judged, state.judged - n
-    going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
-    half, told = n // 2, list[Event]()
-    starts = [first - half, first]
-    for k, at in enumerate(starts):
-        if going is None and found.raised[k] >= recognition.FRAMES_IN_A_ROW:
-            # All frames in a row belong to the event, also those that did not confirm it yet.
-            begin = max(at - (found.raised[k] - 1) * half, state.first)
-            frames = state.samples(max(state.first, at - 2 * half), at + n)
-            if len(frames) == 2 * n and recognition.is_whole(
-                known.long_term, frames, rate_hz, cutoff_hz, settings, one_direction=site.is_chain
-            ):
-                going = Strong(begin, at + n)
-        elif going is not None and found.loud[k]:
-            going = replace(going, end=at + n)
+    before = state.strong if not state.strong or state.strong[-1].closed else state.strong[:-1]
+    going = _grown(state, found, cutoff_hz, site)
+    n = recognition.step_n(state.rate_hz)
     # Of a recording that begins with a few seconds of quiet before strong motion, a test's, the windows are judged.
     if (going is not None or known.raised) and recognition.is_settled(known):
-        state = replace(state, marks=(*state.marks, (first, end)))
-    # What is refused holds the average too, and no event ends it.
-    if going is None and known.raised * half >= settings.longest_s * rate_hz:
-        state = replace(state, recognition=recognition.begin_anew(known))
-    before = state.strong if not state.strong or state.strong[-1].closed else state.strong[:-1]
+        state = replace(state, marks=(*state.marks, (state.judged - n, state.judged)))
+    told = list[Event]()
     if going is not None:
-        quiet_s, length_s = (end - going.end) / rate_hz, (end - going.begin) / rate_hz
-        if quiet_s >= recognition.STEP_S and not going.told:
-            told.append(_describe(state, going, None, site, saturated))
-            going = replace(going, told=True)
-        if quiet_s >= settings.merge_s:
-            going = replace(going, closed=True)
-        elif length_s >= settings.longest_s:
-            note = f"it went on: cut after {settings.longest_s:g} s"
-            going = replace(going, closed=True, end=end, note=note)
-            state = replace(state, recognition=recognition.begin_anew(known))
-    strong = before if going is None else (*before, going)
-    return _tell_final(replace(state, strong=strong), end, site, told, saturated)
+        state, going, told = _judged_end(state, going, site, saturated)
+        before = (*before, going)
+    # What is refused holds the average too, and no event ends it.
+    elif known.raised * (n // 2) >= site.settings.longest_s * state.rate_hz:
+        state = replace(state, recognition=recognition.begin_anew(known))
+    return _tell_final(replace(state, strong=before), state.judged, site, told, saturated)
+
+
+def _grown(state: EventState, found: recognition.Trigger, cutoff_hz: float, site: Site) -> Strong | None:
+    """Return the event that the last judged step begins or carries on; None where none goes on."""
+    going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
+    n = recognition.step_n(state.rate_hz)
+    half = n // 2
+    for at, raised, loud in zip((state.judged - n - half, state.judged - n), found.raised, found.loud, strict=True):
+        if going is not None:
+            going = replace(going, end=at + n) if loud else going
+        elif raised >= recognition.FRAMES_IN_A_ROW:
+            frames = state.samples(max(state.first, at - 2 * half), at + n)
+            assert state.recognition is not None
+            if len(frames) == 2 * n and recognition.is_whole(
+                state.recognition.long_term,
+                frames,
+                state.rate_hz,
+                cutoff_hz,
+                site.settings,
+                one_direction=site.is_chain,
+            ):
+                # All frames in a row belong to the event, also those that did not confirm it yet.
+                going = Strong(max(at - (raised - 1) * half, state.first), at + n)
+    return going
+
+
+def _judged_end(
+    state: EventState, going: Strong, site: Site, saturated: Saturated
+) -> tuple[EventState, Strong, list[Event]]:
+    """Send the preliminary message of an event once its motion ends, and close it after enough quiet motion, or too long."""
+    settings, rate_hz, told = site.settings, state.rate_hz, list[Event]()
+    quiet_s, length_s = (state.judged - going.end) / rate_hz, (state.judged - going.begin) / rate_hz
+    if quiet_s >= recognition.STEP_S and not going.told:
+        told.append(_describe(state, going, None, site, saturated))
+        going = replace(going, told=True)
+    if quiet_s >= settings.merge_s:
+        going = replace(going, closed=True)
+    elif length_s >= settings.longest_s:
+        note = f"it went on: cut after {settings.longest_s:g} s"
+        going = replace(going, closed=True, end=state.judged, note=note)
+        assert state.recognition is not None
+        state = replace(state, recognition=recognition.begin_anew(state.recognition))
+    return state, going, told
 
 
 def _tell_final(
