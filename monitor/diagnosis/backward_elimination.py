@@ -43,10 +43,7 @@ _N_ALTERNATIVES = 3
 def find_better_null_fit(
     posterior: Posterior, fit: MapEstimate, candidates: Sequence[RefittedCandidate]
 ) -> tuple[Posterior, MapEstimate] | None:
-    """Find a better fit without the candidates' causes, from where their fits ended; None where no start is better.
-
-    Without this refit the candidate would get credit for the improvement.
-    """
+    """Find a better fit without a further cause, which would get credit for it, from where the candidates' fits ended."""
     starts = [(p.candidate.fit.x[: fit.x.size], p.candidate.fit.effects[:-1]) for p in candidates]
     log_posteriors = [sum(posterior.score(*start)) for start in starts]
     if not starts or not max(log_posteriors) > fit.log_posterior + _LOCAL_OPTIMUM_NATS:
@@ -57,10 +54,7 @@ def find_better_null_fit(
 
 
 def update_linearization(posterior: Posterior, fit: MapEstimate) -> Posterior:
-    """Linearize nonlinear laws at the motion of the fitted model.
-
-    A posterior that simulation corrected is returned unchanged, since the correction holds at the simulated motion.
-    """
+    """Linearize nonlinear laws at the motion of a fit, unless simulation corrected the posterior, at its own motion."""
     if isinstance(posterior, CorrectedPosterior):
         return posterior
     return replace(posterior, conditions=linearize(posterior, fit.x, fit.effects))
@@ -115,10 +109,7 @@ def _rivals(
 def _test_cause(
     posterior: Posterior, fit: MapEstimate, i: int, rivals: Sequence[Effect], margin: float, lead: float
 ) -> tuple[MapEstimate, Candidate | None] | None:
-    """Test if cause i of a fit is needed; None where it is, and no rival fits better.
-
-    Return the fit with the better rival in its place and this, or the fit without both and None.
-    """
+    """Test cause i of a fit: None where it is needed, else the fit with a better rival for it and this, or without both."""
     at_peak: list[Candidate] = []
     if fit.effects[i].repeatable:
         certain, at_peak = _test_roughly(posterior, fit, i, margin)
@@ -171,10 +162,7 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
 def fit_subset(
     posterior: Posterior, fit: MapEstimate, simulation_std: Annotated[Array, "p"], kept: Sequence[bool]
 ) -> tuple[MapEstimate, Annotated[Array, "q"]]:
-    """Refit with the effects that are `kept`; return the fit and the standard deviations of their coordinates.
-
-    `simulation_std` has those of all effects' coordinates, by the simulations' random error.
-    """
+    """Refit with the effects that are `kept`; return the fit and, of these effects' coordinates, the `simulation_std`."""
     effects = tuple(e for e, stays in zip(fit.effects, kept, strict=True) if stays)
     sizes = np.array([stays for e, stays in zip(fit.effects, kept, strict=True) for _ in e.parameters], dtype=bool)
     return maximize_posterior(

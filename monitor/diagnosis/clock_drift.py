@@ -125,10 +125,7 @@ def state_clock_drifts(diagnosis: Diagnosis, drifts: tuple[ClockDrift, ...]) -> 
         for d in drifts
     )
     return replace(
-        diagnosis,
-        verdict="unexplained",
-        misfit=(*said, *diagnosis.misfit),
-        left_over=(*said, *diagnosis.left_over),
+        diagnosis, verdict="unexplained", misfit=(*said, *diagnosis.misfit), left_over=(*said, *diagnosis.left_over)
     )
 
 

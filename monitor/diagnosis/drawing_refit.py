@@ -110,10 +110,7 @@ def _in_words(name: str, relative: dict[str, float], words: tuple[str, str]) -> 
 
 
 def refit_headline(rows: Sequence[dict[str, Any]]) -> str:
-    """State the parameters that lie beyond the drawing's tolerance: stiffnesses before masses, largest differences first.
-
-    Empty without any rows.
-    """
+    """State the parameters beyond the drawing's tolerance, stiffnesses before masses, largest differences first; may be empty."""
     if not rows:
         return ""
     stated = [row for row in rows if row["tolerance"] is not None]

@@ -181,10 +181,7 @@ def _scaled_to_power(posterior: Posterior, start: ModalStart) -> tuple[Annotated
 
 
 def _assignment_costs(posterior: Posterior, modes: tuple[IdentifiedMode, ...]) -> Annotated[Array, "model identified"]:
-    """Compute the cost, nats, of every identified mode as the counterpart of every mode of the model in the band.
-
-    Impossible pairs have an infinite cost.
-    """
+    """Compute the cost, nats, of each identified mode as counterpart of each mode of the model in the band; maybe infinite."""
     drawn, prior, band = posterior.prior.model.modes(), posterior.prior, posterior.observed.band
     n = int(np.count_nonzero(drawn.frequencies_hz < band.hz[-1]))
     shapes = (posterior.context.sensors @ drawn.shapes[:, :n]).T
@@ -201,10 +198,7 @@ def _assignment_costs(posterior: Posterior, modes: tuple[IdentifiedMode, ...]) -
 
 
 def _best_assignments(costs: Annotated[Array, "model identified"]) -> list[tuple[int | None, ...]]:
-    """List the cheapest assignments of identified modes to the model's, cheapest first.
-
-    The order of frequencies is kept.  A mode of the model may have no counterpart.
-    """
+    """List the cheapest assignments of identified modes to the model's, in the order of frequencies; some modes may have none."""
     kept: list[tuple[float, tuple[int | None, ...]]] = [(0.0, ())]
     for row in costs:
         longer: list[tuple[float, tuple[int | None, ...]]] = []

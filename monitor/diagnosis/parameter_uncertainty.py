@@ -21,10 +21,7 @@ DIFFERS_STDS = 3.0
 def coordinate_std(
     posterior: Posterior, fit: MapEstimate, simulation_std: Annotated[Array, "coordinates"]
 ) -> list[Annotated[Array, "p"]]:
-    """Compute the standard deviations of the coordinates of each effect of a fit.
-
-    `simulation_std` has those of all coordinates by the simulations' random error.
-    """
+    """Compute the standard deviations of each effect's coordinates; `simulation_std` are by the simulations' random error."""
     first, out, fitted = 0, [], summarize_fit(posterior, fit)
     fit_std = np.sqrt(np.maximum(np.diag(fit.covariance)[posterior.layout.effects], 0.0))
     for effect in fit.effects:

@@ -78,10 +78,7 @@ class Candidate:
         return replace(self, fit=self.fit.without_slopes())
 
     def may_reach(self, min_log_evidence: float) -> bool:
-        """Decide if a better fit may reach an evidence.
-
-        A rough fit is assumed to find half of the whole gain, or all but `_ROUGH_FIT_NATS`.
-        """
+        """Decide if a better fit may reach an evidence: a rough one finds half of the gain, or all but `_ROUGH_FIT_NATS`."""
         return self.log_evidence + max(self.delta_log_posterior, _ROUGH_FIT_NATS) > min_log_evidence
 
 
@@ -303,10 +300,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
 
 
 def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> list[tuple[float, Effect]]:
-    """Fit effects with the structure held at its prior mean, then roughly with the structure free, and the best to the end.
-
-    Return the gain of each, nats, and the fitted effect.
-    """
+    """Fit effects with the structure at its prior mean, then roughly with it free, the best to the end; return gains, nats."""
 
     def fitted(effect: Effect) -> MapEstimate:
         near = _fit_at_prior(posterior, null_fit, effect)[1]

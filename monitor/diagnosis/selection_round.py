@@ -67,8 +67,7 @@ def run_selection_round(
     else:
         valid = _fit_driven(posterior, fit, ranked, [effect for _, effect in starts], settings)
     return sorted(
-        simulate_contenders(posterior, fit, best_first(valid), added, settings),
-        key=lambda p: -p.candidate.log_evidence,
+        simulate_contenders(posterior, fit, best_first(valid), added, settings), key=lambda p: -p.candidate.log_evidence
     )
 
 
@@ -120,11 +119,7 @@ def _fit_driven(
 
 
 def fit_fully(
-    posterior: Posterior,
-    fit: MapEstimate,
-    effects: dict[Key, Effect],
-    rough: list[Candidate],
-    min_log_evidence: float,
+    posterior: Posterior, fit: MapEstimate, effects: dict[Key, Effect], rough: list[Candidate], min_log_evidence: float
 ) -> dict[Key, Candidate]:
     """Fit effects, given by name and place, from their rough fits."""
     rough_by_key = {c.key: c for c in rough}

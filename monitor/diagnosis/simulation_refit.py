@@ -263,10 +263,7 @@ def _simulate_offset(
 def _simulate_slopes(
     posterior: Posterior, fit: MapEstimate, seed: int
 ) -> Annotated[ComplexArray, "p classes bins c c"]:
-    """Simulate the slopes of the offset by the laws' sizes.
-
-    Slopes by a sensor's sizes are zero here, since the samples give them.
-    """
+    """Simulate the slopes of the offset by the laws' sizes; by sensors' sizes they are zero, since the samples give these."""
     laws = [(i, e) for i, e in enumerate(e for e in fit.effects for _ in e.parameters) if e.nonlinear]
     out = np.zeros((len(laws), *posterior.observed.spectra.shape), dtype=complex)
     acting = draw_forces(posterior, fit.x, fit.effects, seed)
@@ -326,10 +323,7 @@ def _largest_share(part: Annotated[Array, "n n"]) -> float:
 
 
 def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Annotated[Array, "n n"]:
-    """Widen the covariance of estimates whose slopes have random error.
-
-    Such a fit overestimates its information J'J and underestimates its covariance.
-    """
+    """Widen the covariance of estimates whose slopes have random error, as such a fit overestimates its information J'J."""
     part = _spurious_share(posterior, fit)
     wider = np.linalg.inv(np.eye(len(part)) - part * min(1.0, _MAX_NOISE_INFORMATION / max(_largest_share(part), 1e-9)))
     return np.asarray(wider @ fit.covariance @ wider.T)

@@ -9,17 +9,9 @@ import numpy as np
 
 from monitor.core import BadInputError, parallel_map
 from monitor.diagnosis.ambiguity import predict_the_same, probabilities, tied_candidates
-from monitor.diagnosis.backward_elimination import (
-    eliminate_backward,
-    find_better_null_fit,
-    update_linearization,
-)
+from monitor.diagnosis.backward_elimination import eliminate_backward, find_better_null_fit, update_linearization
 from monitor.diagnosis.initial_fit import FAR, fit_ambient_forces, fit_exact_slopes, fit_ground_interpolation
-from monitor.diagnosis.lack_of_fit import (
-    find_lack_of_fit,
-    find_other_direction,
-    lack_of_fit_cost,
-)
+from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction, lack_of_fit_cost
 from monitor.diagnosis.missing_modes import (
     couple_modes,
     find_missing_mode,
@@ -41,20 +33,9 @@ from monitor.diagnosis.score_test import (
 )
 from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.simulation_refit import (
-    RefittedCandidate,
-    fit_by_simulation,
-    fit_initial_model,
-)
+from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_by_simulation, fit_initial_model
 from monitor.diagnosis.verdict import Alternatives, Diagnosis, has_nonlinear, is_independent_of_direction, judge, refine
-from monitor.inference import (
-    CorrectedPosterior,
-    MapEstimate,
-    Moments,
-    ObservedSpectra,
-    Posterior,
-    maximize_posterior,
-)
+from monitor.inference import CorrectedPosterior, MapEstimate, Moments, ObservedSpectra, Posterior, maximize_posterior
 from monitor.model import Context, StructuralPrior
 
 _N_GROUND_TESTS = 2
@@ -289,10 +270,7 @@ def _may_be_far_off(posterior: Posterior) -> bool:
 def _follow(
     stage: SearchState, start: MapEstimate, settings: DiagnosisSettings
 ) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
-    """Remove the modes of a start that others made superfluous, and add those that are still missing.
-
-    Return the state, and the rounds as `start_from_modes`.
-    """
+    """Remove the modes of a start that others made superfluous, and add those still missing; results as of `start_from_modes`."""
     posterior, gain = stage.posterior, start.log_posterior - stage.fit.log_posterior
     accepted = tuple(
         Candidate(effect, start, gain, gain - evidence_cost(posterior, start, i))
@@ -344,10 +322,7 @@ def _n_counted(stage: SearchState) -> int:
 def _add_missing_modes(
     stage: SearchState, settings: DiagnosisSettings
 ) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
-    """Add modes that the model lacks, until the highest peak left has another cause or none.
-
-    Return the state, and for every mode the candidates among which it was accepted.
-    """
+    """Add modes that the model lacks until the highest peak left has another cause or none; return candidates for each too."""
     rounds: list[tuple[Candidate, ...]] = []
     while True:
         found = find_missing_modes(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))

@@ -69,11 +69,7 @@ class FittedCauses:
         if has_nonlinear(self.fit) and not has_nonlinear(fit):
             posterior, fit, _ = fit_persistent_effects(posterior, fit)
         return replace(
-            self,
-            posterior=posterior,
-            fit=fit,
-            n_accepted=sum(kept[: self.n_accepted]),
-            simulation_std=simulation_std,
+            self, posterior=posterior, fit=fit, n_accepted=sum(kept[: self.n_accepted]), simulation_std=simulation_std
         )
 
 
@@ -196,10 +192,7 @@ def refine(posterior: Posterior, fit: MapEstimate, n_accepted: int) -> FittedCau
 
 
 def _keep_confirmed_elsewhere(found: FittedCauses, settings: DiagnosisSettings) -> FittedCauses:
-    """Keep only the causes that bands without lack of fit confirm too.
-
-    In bands with unexplained lack of fit a search finds tones, oscillators and laws that do not exist.
-    """
+    """Keep only causes that bands without lack of fit confirm too: in others a search finds tones and laws that do not exist."""
     posterior, fit = found.posterior, found.fit
     wrong = wrong_bins(posterior, fit, settings)
     if not found.n_accepted or not wrong.any() or posterior.observed.drive is not None:
@@ -240,11 +233,7 @@ def is_independent_of_direction(effect: Effect) -> bool:
 
 
 def _verdict(
-    share: float,
-    left_over: Sequence[LackOfFit],
-    stated: Sequence[Effect],
-    ambiguous: bool,
-    settings: DiagnosisSettings,
+    share: float, left_over: Sequence[LackOfFit], stated: Sequence[Effect], ambiguous: bool, settings: DiagnosisSettings
 ) -> Verdict:
     """Choose the verdict from the share of lack of fit that is left over, the stated causes and their ambiguity."""
     # The exact form of a nonlinear law far from rest is not known; the small misfit that this leaves is no cause of its own.

@@ -345,10 +345,7 @@ def _judge_other_motion(
 def _judge_other_mode(
     sensor: WitnessSensor, mode: WitnessedMode, near: WitnessedMode | None, least: float
 ) -> tuple[Verdict, str]:
-    """Say whether a mode that the model does not have is of the sensor's axis, in which it then moves by `least` over the floors.
-
-    `near` is the mode of the model from which it cannot be told.
-    """
+    """Say whether a mode that the model lacks is of the sensor's axis, moving by `least`; from the mode `near` it is not told."""
     name = f"the {mode.of.replace('_', ' ')} at {mode.frequency_hz:.2f} Hz"
     if near is not None:
         return "cannot say", f"{name} is too near to {near.of} to be told from it"

@@ -57,10 +57,7 @@ def early_loss(
 def _peaks(
     part: Annotated[Array, "samples c"], site: Site, near_hz: Annotated[Array, "m"], rate_hz: float
 ) -> tuple[Annotated[Array, "m"], Annotated[Array, "m"]]:
-    """Fit the peak of each mode in a stretch of motion.
-
-    Return the logarithms of the frequencies and their variances; NaN where no peak can be fitted.
-    """
+    """Fit each mode's peak in a stretch of motion; return logarithms of frequencies and variances, NaN where no peak is fitted."""
     n, c = part.shape
     ln_hz, variance = np.full(near_hz.size, np.nan), np.full(near_hz.size, np.nan)
     if n < 2:

@@ -76,10 +76,7 @@ class RecognitionState:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frames:
-    """Power of the two frames that each of k steps of samples completes.
-
-    Frame i of a step begins ``(i - 1) / 2`` frames after the step's first sample.
-    """
+    """Power of the two frames that each of k steps of samples completes; frame i begins ``(i - 1) / 2`` frames after the step."""
 
     power: Annotated[Array, "k 2 c b"]
     """Power in each band, in arbitrary units."""
@@ -171,10 +168,7 @@ def measure(
 def pass_quiet(
     state: RecognitionState, frames: Frames, own: int, settings: EventSettings, *, saturated: bool = False
 ) -> RecognitionState | None:
-    """Take all steps at once; None where one of them is above the threshold, or asks for more than this.
-
-    The state is that after `step` for each of them, to the last bit.
-    """
+    """Take all steps at once, as `step` to the last bit; None where one is above the threshold, or asks for more than this."""
     if state.raised or not state.steps or settings.level_m_s2 is not None:
         return None
     from monitor.events.kernels import average_while_quiet
@@ -352,10 +346,7 @@ def _pieces(span: Annotated[Array, "samples c"], n: int) -> tuple[Annotated[Arra
 
 @lru_cache(maxsize=8)
 def _shares(n: int, rate_hz: float, cutoff_hz: float) -> Annotated[Array, "b b"]:
-    """Compute the mean power of a piece in each band by that of a whole frame in each band.
-
-    The taper of a piece is shorter, so that its power leaks farther.
-    """
+    """Compute the power of a piece in each band by that of a frame in each band: the shorter taper of a piece leaks farther."""
     bands = _bands(n, rate_hz, cutoff_hz)
     widths = np.diff([*bands.edges, bands.end])
     taper = _pieces(np.zeros((n, 1)), n)[1]

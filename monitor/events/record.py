@@ -53,10 +53,7 @@ def make_record(
     strong: slice,
     site: Site,
 ) -> Record:
-    """Put the conditioned samples of an event, in which lost ones are held, and the measured ground motion on one grid.
-
-    `t_ns` is the UTC of the first sample, less the delay of the filter.
-    """
+    """Put conditioned samples of an event and the measured ground motion on one grid; the filter's delay is taken off `t_ns`."""
     rate_hz, corners_hz = conditioner.rate_hz, np.array(_CORNERS) * site.lowest_hz
     return Record(
         t_ns=t_ns,
