@@ -49,7 +49,7 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     e, mean = posterior.observed, posterior.mean(fit.x, fit.effects)
     if e.drive is None or mean is None:
         return None
-    effects = (*posterior.prior.effects(fit.x), *fit.effects)
+    effects = posterior.effects(fit.x, fit.effects)
     system, shape = posterior.system(fit.x, effects), posterior.model(fit.x, effects).modes().shapes[:, 0].real
     mass = system.mass
     first = float(posterior.model(fit.x, effects).modes().frequencies_hz[0])
@@ -129,7 +129,7 @@ def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | Non
     known = posterior.prior
     at_reference = posterior.layout.with_structure(fit.x, known.mean)
     drawn = posterior.model(at_reference, known.effects(known.mean)).modes().frequencies_hz
-    found = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects)).modes().frequencies_hz[: drawn.size]
+    found = posterior.model(fit.x, posterior.effects(fit.x, fit.effects)).modes().frequencies_hz[: drawn.size]
     drawn_ratios, ratios = drawn[1:] / drawn[0], found[1:] / found[0]
     change = ratios / drawn_ratios - 1.0
     std = np.sqrt(np.maximum(_ratio_variance(posterior, fit, ratios), 1e-18)) / drawn_ratios
@@ -151,7 +151,7 @@ def _ratio_variance(posterior: Posterior, fit: MapEstimate, ratios: Annotated[Ar
     for i in range(fit.x.size):
         moved, h = fit.x.copy(), 1e-5 * max(1.0, abs(fit.x[i]))
         moved[i] += h
-        effects = (*posterior.prior.effects(moved), *with_coordinates(fit.effects, moved[posterior.layout.effects]))
+        effects = posterior.effects(moved, with_coordinates(fit.effects, moved[posterior.layout.effects]))
         f = posterior.model(moved, effects).modes().frequencies_hz[: ratios.size + 1]
         slopes[:, i] = (f[1:] / f[0] - ratios) / h
     return np.asarray(np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes))

@@ -18,6 +18,7 @@ from monitor.diagnosis.score_test import (
     find_excess_peaks,
     fit_candidate,
     fit_roughly,
+    fit_with,
     key_of,
     refine_rough_fit,
     score_candidate,
@@ -115,8 +116,7 @@ def _test_cause(
         certain, at_peak = _test_roughly(posterior, fit, i, margin)
         if certain:
             return None
-    nuisances, rest = posterior.layout.nuisances, (*fit.effects[:i], *fit.effects[i + 1 :])
-    without = maximize_posterior(posterior, join_coordinates(fit.x[nuisances], rest), rest)
+    without = fit_with(posterior, fit, (*fit.effects[:i], *fit.effects[i + 1 :]))
     gain = score_candidate(posterior, without, fit, i).log_evidence
     needed = max(gain + lead, margin)
     if at_peak:
@@ -130,7 +130,7 @@ def _test_cause(
         and is_beyond_weak_modes(posterior, without, best.effect, best.log_evidence, margin)
     ):
         effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
-        return maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects), best
+        return fit_with(posterior, best.fit, effects), best
     if is_beyond_weak_modes(posterior, without, fit.effects[i], gain, margin):
         return None
     return without, None
@@ -165,6 +165,4 @@ def fit_subset(
     """Refit with the effects that are `kept`; return the fit and, of these effects' coordinates, the `simulation_std`."""
     effects = tuple(e for e, stays in zip(fit.effects, kept, strict=True) if stays)
     sizes = np.array([stays for e, stays in zip(fit.effects, kept, strict=True) for _ in e.parameters], dtype=bool)
-    return maximize_posterior(
-        posterior, join_coordinates(fit.x[posterior.layout.nuisances], effects), effects
-    ), simulation_std[sizes]
+    return fit_with(posterior, fit, effects), simulation_std[sizes]

@@ -51,7 +51,7 @@ def refit_form(
     shared = by_level and not any(e.nonlinear for e in posterior.prior.model.effects)
     start = ExcitationStart.at(whole.posterior, form.x).select(classes)
     x = np.concatenate([form.x[layout.structure], start.vector, form.x[layout.effects]])
-    if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
+    if part.drive is None and any(e.conditional for e in posterior.effects(x, effects)):
         own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
     most = _MAX_STEPS_DRIVEN if part.drive is not None else _MAX_STEPS_AMBIENT
     fit = maximize_posterior(own, x, effects, iterations=most)
@@ -69,7 +69,7 @@ def _with_ground_interpolation(whole: Diagnosis, drive: Drive | None) -> Drive |
 
 def fitted_model(posterior: Posterior, fit: MapEstimate) -> Model:
     """Build the model at a fit, with persistent and extra effects and with the modal damping ratios of the fit."""
-    effects = (*posterior.prior.effects(fit.x), *fit.effects)
+    effects = posterior.effects(fit.x, fit.effects)
     model, damping = posterior.model(fit.x, effects), posterior.system(fit.x, effects).damping
     modes = model.modes()
     modal = np.einsum("ai,ab,bi->i", modes.shapes, damping, modes.shapes)

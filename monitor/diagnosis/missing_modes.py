@@ -334,7 +334,7 @@ def is_credible(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     in a structure that has other modes which its model lacks, and then explains the recording without being stated.
     """
     i = range(len(fit.effects))[i]
-    others = (*posterior.prior.effects(fit.x), *fit.effects[:i], *fit.effects[i + 1 :])
+    others = posterior.effects(fit.x, (*fit.effects[:i], *fit.effects[i + 1 :]))
     return any(e.repeatable for e in others) or is_distinct(posterior, fit, i)
 
 

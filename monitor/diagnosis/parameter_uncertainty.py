@@ -51,7 +51,7 @@ def summarize_fit(posterior: Posterior, fit: MapEstimate) -> FittedModel:
     return FittedModel(
         structure=posterior.context_at(fit.x).structure,
         condition=posterior.conditions[posterior.n_classes // 2],
-        effects=(*posterior.prior.effects(fit.x), *fit.effects),
+        effects=posterior.effects(fit.x, fit.effects),
         correction_rms=float(np.sqrt((correction**2).mean())) if correction.size else 0.0,
         bin_hz=posterior.observed.band.bin_hz,
     )

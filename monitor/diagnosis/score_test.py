@@ -50,11 +50,18 @@ _MAX_SECANT_CHANGE = 0.9
 
 Key = tuple[str, str]
 """Name and place of an effect."""
+Ranked = list[tuple[float, Effect]]
+"""Effects with the gain that is predicted of each, nats."""
 
 
 def key_of(effect: Effect) -> Key:
     """Return the name and the place of an effect."""
     return effect.name, effect.location
+
+
+def fit_with(posterior: Posterior, fit: MapEstimate, effects: tuple[Effect, ...]) -> MapEstimate:
+    """Fit with other effects, beginning at the nuisances of a fit and at the effects' own sizes."""
+    return maximize_posterior(posterior, join_coordinates(fit.x[posterior.layout.nuisances], effects), effects)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -167,9 +174,7 @@ def line_offset(power: Annotated[Array, "bins"], i: int) -> float:
     return float((2.0 * ratio - 1.0) / (ratio + 1.0) * (1 if neighbours[1] > neighbours[0] else -1))
 
 
-def rank_by_score(
-    posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[Key], n_beside_prior: int
-) -> list[tuple[float, Effect]]:
+def rank_by_score(posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[Key], n_beside_prior: int) -> Ranked:
     """Rank the starts by the gain that the score test predicts, nats, best first, each moved to the predicted size.
 
     Effects of the names and places `excluded` are left out.  A fit that went far from its prior to explain what it cannot explain
@@ -193,7 +198,7 @@ def rank_by_score(
     return sorted((item for item in gains if np.isfinite(item[0])), key=lambda item: -item[0])
 
 
-def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]) -> list[tuple[float, Effect]]:
+def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]) -> Ranked:
     """Predict the gain of every start about one fit, nats; leave out those of which none can be predicted.
 
     The change of the spectra by a small effect, less the part that the nuisances explain, is compared with the residual.
@@ -207,7 +212,7 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
     nuisance_slope = tangent.along(residual) - precision @ (null_fit.x - mean)
     driven = posterior.observed.drive is not None
 
-    def predict_gain(effect: Effect) -> list[tuple[float, Effect]]:
+    def predict_gain(effect: Effect) -> Ranked:
         if effect.proportional and not driven:
             out, v = [], whitened_slope(posterior, null_fit, prediction, effect)
         else:
@@ -299,7 +304,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
     return held, maximize_posterior(held, x, effects, iterations=FAR, frozen=unused)
 
 
-def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> list[tuple[float, Effect]]:
+def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> Ranked:
     """Fit effects with the structure at its prior mean, then roughly with it free, the best to the end; return gains, nats."""
 
     def fitted(effect: Effect) -> MapEstimate:
@@ -340,7 +345,7 @@ def _scale_size(effect: Effect, factor: float) -> Effect | None:
     return effect.at(x)
 
 
-def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect]]:
+def best_of_each(ranked: Ranked) -> Ranked:
     """Keep the best start of every effect and place."""
     best: dict[Key, tuple[float, Effect]] = {}
     for item in ranked:

@@ -13,6 +13,7 @@ from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
     Candidate,
     Key,
+    Ranked,
     best_first,
     best_of_each,
     fit_candidate,
@@ -85,9 +86,7 @@ def is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
     return effect.nonlinear or is_significant(effect, std[std.size - len(effect.parameters) :])
 
 
-def fit_ambient(
-    posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
-) -> list[Candidate]:
+def fit_ambient(posterior: Posterior, fit: MapEstimate, ranked: Ranked, settings: DiagnosisSettings) -> list[Candidate]:
     """Fit the best effects fully, and return those that are valid causes.
 
     A rough fit that turns out to be no valid cause keeps no other effect out: the effects that it outdid are fitted too.
@@ -108,7 +107,7 @@ def fit_ambient(
 def _fit_driven(
     posterior: Posterior,
     fit: MapEstimate,
-    ranked: list[tuple[float, Effect]],
+    ranked: Ranked,
     starts: list[Effect],
     settings: DiagnosisSettings,
 ) -> list[Candidate]:
@@ -134,7 +133,7 @@ def fit_fully(
 
 
 def _shortlist_ambient(
-    ranked: list[tuple[float, Effect]], rough: list[Candidate], settings: DiagnosisSettings
+    ranked: Ranked, rough: list[Candidate], settings: DiagnosisSettings
 ) -> tuple[dict[Key, Effect], float]:
     """Choose the effects that are fitted fully; return them and the evidence below which a cause does not matter, nats."""
     min_log_evidence = max(rough[0].log_evidence - settings.rival, settings.margin) if rough else 0.0
@@ -147,7 +146,7 @@ def _shortlist_ambient(
 
 
 def _fit_driven_roughly(
-    posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], starts: list[Effect]
+    posterior: Posterior, fit: MapEstimate, ranked: Ranked, starts: list[Effect]
 ) -> list[Candidate]:
     """Fit roughly, where the ground is measured, the best few effects of all kinds, and the best kinds at every place.
 
@@ -168,9 +167,7 @@ def _fit_driven_roughly(
     return list(best.values())
 
 
-def _shortlist_driven(
-    ranked: list[tuple[float, Effect]], rough: list[Candidate], settings: DiagnosisSettings
-) -> dict[Key, Effect]:
+def _shortlist_driven(ranked: Ranked, rough: list[Candidate], settings: DiagnosisSettings) -> dict[Key, Effect]:
     """Choose as `_shortlist_ambient` where the ground is measured: the best few rough fits, and the best kind at every place.
 
     A response separates kinds so clearly that few need a closer look, but its score test predicts too much gain for most.

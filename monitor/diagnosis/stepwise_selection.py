@@ -458,8 +458,10 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
     modes kept their damping ratios, or the structure kept its damping matrix.
     """
     posterior = update_linearization(posterior, fit)
-    before = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects[:-1])).modes().frequencies_hz
-    after = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects)).modes().frequencies_hz
+    before, after = (
+        posterior.model(fit.x, posterior.effects(fit.x, effects)).modes().frequencies_hz
+        for effects in (fit.effects[:-1], fit.effects)
+    )
     change = np.nan_to_num(np.log(after / before), nan=_NO_FREQUENCY)
     ratios = replace(posterior, prior=posterior.prior.with_looser_damping(change))
     known = posterior.damped_as_built or isinstance(posterior, CorrectedPosterior)

@@ -6,6 +6,7 @@ forces on them.  Its drift is the difference of two floors' accelerations, integ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -16,6 +17,7 @@ from monitor.core import Array, ComplexArray
 from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import MapEstimate, Posterior
+from monitor.model import Condition, Context, Effect
 from monitor.signals import taper
 
 _LEAST_SEGMENTS = 6
@@ -116,13 +118,9 @@ def _forces_and_drifts(
     e, context, drive = posterior.observed, posterior.context_at(fit.x), posterior.observed.drive
     assert channels is not None
     assert drive is not None
-    effects = (*posterior.prior.effects(fit.x), *fit.effects)
+    effects = posterior.effects(fit.x, fit.effects)
     n, hz = context.structure.n_dofs, e.band.hz
-    true = np.asarray(channels, dtype=np.complex128)
-    for effect in reversed(effects):
-        response = effect.response(hz, context, posterior.conditions[0])
-        if response is not None:
-            true = np.asarray(np.linalg.solve(response, true[..., None])[..., 0], dtype=np.complex128)
+    true = true_motion(channels, effects, hz, context, posterior.conditions[0])
     floors = true @ np.linalg.inv(context.sensors).T
     inputs = drive.measured(e.band)
     system = posterior.system(fit.x, effects)
@@ -132,6 +130,22 @@ def _forces_and_drifts(
     relative = floors - (inputs @ drive.rides)[..., None]
     displaced = relative / -((2.0 * np.pi * hz[:, None]) ** 2)
     return np.asarray(acting @ np.linalg.inv(drifts)), np.asarray(displaced @ drifts.T)
+
+
+def true_motion(
+    channels: Annotated[ComplexArray, "segments bins c"],
+    effects: Sequence[Effect],
+    hz: Annotated[Array, "bins"],
+    context: Context,
+    condition: Condition,
+) -> Annotated[ComplexArray, "segments bins c"]:
+    """Take what effects of the sensors do to the channels' transforms out of them."""
+    true = np.asarray(channels, dtype=np.complex128)
+    for effect in reversed(effects):
+        response = effect.response(hz, context, condition)
+        if response is not None:
+            true = np.asarray(np.linalg.solve(response, true[..., None])[..., 0], dtype=np.complex128)
+    return true
 
 
 def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after: _Series) -> StoryLaw:

@@ -23,10 +23,10 @@ from monitor.diagnosis.lack_of_fit import (
 )
 from monitor.diagnosis.missing_modes import as_seen, is_credible, is_stated
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
-from monitor.diagnosis.score_test import Candidate, evidence_cost
+from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_with
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_persistent_effects, refine_fit
-from monitor.inference import MapEstimate, Posterior, join_coordinates, maximize_posterior
+from monitor.inference import MapEstimate, Posterior, maximize_posterior
 from monitor.model import Effect
 
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
@@ -203,8 +203,7 @@ def _keep_confirmed_elsewhere(found: FittedCauses, settings: DiagnosisSettings) 
     def is_confirmed(i: int) -> bool:
         if i >= found.n_accepted:
             return True
-        others = (*fit.effects[:i], *fit.effects[i + 1 :])
-        without = maximize_posterior(elsewhere, join_coordinates(whole.x[posterior.layout.nuisances], others), others)
+        without = fit_with(elsewhere, whole, (*fit.effects[:i], *fit.effects[i + 1 :]))
         gain = whole.log_posterior - without.log_posterior
         return gain - evidence_cost(elsewhere, whole, i) > settings.margin
 

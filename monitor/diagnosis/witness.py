@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
+from monitor.diagnosis.story_forces import true_motion
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
 from monitor.model import Condition, Context, Effect, Model, ShearFrame, interval
 
@@ -68,6 +69,11 @@ class Witness:
     says: str
     modes: tuple[WitnessedMode, ...] = ()
 
+    @classmethod
+    def silent(cls, sensor: WitnessSensor, why: str) -> Self:
+        """Make a witness that cannot say anything."""
+        return cls(sensor, "cannot say", f"{sensor.channel} cannot say: {why}")
+
     def to_plain(self) -> dict[str, Any]:
         """Return the entry of diagnosis.json."""
         unit = "rad/m" if self.sensor.quantity == "rotation_rate" else "m/m"
@@ -104,7 +110,7 @@ def compare_witnesses(
     # Where the rate is so low that no mode lies in the band, there are hardly any bins.
     if data is None or len(data.floors) < _LEAST_JACKKNIFE or len(data.hz) <= 2 * _HALF_WIDTH:
         why = "too few segments of the recording hold the floors, the witnesses and a mode at one rate"
-        return [Witness(s, "cannot say", f"{s.channel} cannot say: {why}") for s in sensors]
+        return [Witness.silent(sensor, why) for sensor in sensors]
     comparison = _Comparison(data, before, extended, context, condition)
     return [comparison.judge(sensor) for sensor in sensors]
 
@@ -116,7 +122,8 @@ class _Comparison:
         self, data: WitnessTransforms, before: Model, extended: Model, context: Context, condition: Condition
     ) -> None:
         self.data, self.before, self.extended, self.context = data, before, extended, context
-        self.floors = _relative_motion(data, extended.effects, context, condition)
+        true = true_motion(data.floors, extended.effects, data.hz, context, condition)
+        self.floors = true if data.ground is None else true - data.ground[:, :, None]
         self.modes, self.structure = extended.modes(), extended.structure
         last_hz = float(data.hz[-1 - _HALF_WIDTH])
         self.numbers = [k for k, hz in enumerate(self.modes.frequencies_hz.tolist()) if hz < last_hz]
@@ -126,15 +133,13 @@ class _Comparison:
     def judge(self, sensor: WitnessSensor) -> Witness:
         """Compare one witness with the models."""
         if sensor.channel not in self.data.witnesses:
-            why = "the recording does not hold it at the rate of the floors"
-            return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: {why}")
+            return Witness.silent(sensor, "the recording does not hold it at the rate of the floors")
         if sensor.channel in self.data.still:
-            return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: it does not move")
+            return Witness.silent(sensor, "it does not move")
         is_frame = isinstance(self.structure, ShearFrame)
         if sensor.quantity == "rotation_rate" and (sensor.axis == "y" if is_frame else sensor.floor > 0):
             if is_frame and self.structure.story_heights_m is None:
-                why = "angles of joints and columns need story_heights_m in the structure file"
-                return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: {why}")
+                return Witness.silent(sensor, "angles of joints and columns need story_heights_m in the structure file")
             return self._judge_rotation_in_modes(sensor)
         return self._judge_motion_in_modes(sensor)
 
@@ -152,7 +157,7 @@ class _Comparison:
             measured.append(WitnessedMode(f"mode {k + 1}", hz, ratio, std, coherence, *by_model))
             chord.append(one_chord)
         if not measured:
-            return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: no mode lies in the band")
+            return Witness.silent(sensor, "no mode lies in the band")
         # Of modes in which the structure moves little there, hardly anything is told.
         scales = [max(c or 0.0, abs(m.predicted or 0.0)) or 1.0 for m, c in zip(measured, chord, strict=True)]
         best = int(np.argmin([m.std / scale for m, scale in zip(measured, scales, strict=True)]))
@@ -235,18 +240,6 @@ class _Comparison:
 def _own_frequency(effect: Effect) -> float | None:
     """Return the frequency of a mode or an oscillator that an effect adds, Hz; None for other effects."""
     return effect.values().get("frequency_hz") if effect.family == "structure" else None
-
-
-def _relative_motion(
-    data: WitnessTransforms, effects: Sequence[Effect], context: Context, condition: Condition
-) -> Annotated[ComplexArray, "segments bins c"]:
-    """Correct the floors' transforms for their sensors' effects, and subtract the ground's if it was measured, m/s^2/sqrt(Hz)."""
-    true = np.asarray(data.floors, dtype=np.complex128)
-    for effect in reversed(effects):
-        response = effect.response(data.hz, context, condition)
-        if response is not None:
-            true = np.asarray(np.linalg.solve(response, true[..., None])[..., 0], dtype=np.complex128)
-    return true if data.ground is None else true - data.ground[:, :, None]
 
 
 def _transfer(

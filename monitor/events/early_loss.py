@@ -57,7 +57,7 @@ def early_loss(
 def _peaks(
     part: Annotated[Array, "samples c"], site: Site, near_hz: Annotated[Array, "m"], rate_hz: float
 ) -> tuple[Annotated[Array, "m"], Annotated[Array, "m"]]:
-    """Fit each mode's peak in a stretch of motion; return logarithms of frequencies and variances, NaN where no peak is fitted."""
+    """Fit each mode's peak in a stretch of motion; return logarithms of frequencies and variances, NaN where none is."""
     n, c = part.shape
     ln_hz, variance = np.full(near_hz.size, np.nan), np.full(near_hz.size, np.nan)
     if n < 2:
