@@ -29,6 +29,10 @@ _LENIENT_SHARE = 0.5
 judgement]"""
 
 
+Misfit = Annotated[Array, "bands c c"]
+Bands = Annotated[Array, "bands"]
+
+
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
     """Difference between measured and modelled spectra at one place."""
@@ -46,7 +50,7 @@ class LackOfFit:
     """Whether nothing can be said of the structure beside it."""
 
 
-def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Annotated[Array, "bands c c"]:
+def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Misfit:
     """Compute how much more misfit the later half of a recording shows than the earlier half.
 
     Each half is compared with the model's spectra of its own classes, and every force has its own level in each half.  So a
@@ -74,9 +78,7 @@ def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Annotated[Array, "
     return np.asarray((z[0] - z[1]) / np.sqrt(2.0) / _scatter_between_segments(posterior, prediction))
 
 
-def residual_bands(
-    posterior: Posterior, fitted: MapEstimate
-) -> tuple[Annotated[Array, "bands c c"], Annotated[Array, "bands"]]:
+def residual_bands(posterior: Posterior, fitted: MapEstimate) -> tuple[Misfit, Bands]:
     """Compute the misfit in bands, in standard deviations, and the middles of the bands, Hz.
 
     The diagonal is too much (positive) or too little power in the whitened channels; below the diagonal is the real and above it
@@ -88,9 +90,7 @@ def residual_bands(
     return z / _scatter_between_segments(posterior, posterior.predict(fitted.x, fitted.effects)), hz
 
 
-def _sum_in_bands(
-    residual: Annotated[Array, "rows"], n_classes: int, posterior: Posterior
-) -> tuple[Annotated[Array, "bands c c"], Annotated[Array, "bands"]]:
+def _sum_in_bands(residual: Annotated[Array, "rows"], n_classes: int, posterior: Posterior) -> tuple[Misfit, Bands]:
     """Sum the rows of a whitened residual in bands; results as of `residual_bands`."""
     c = posterior.observed.spectra.shape[-1]
     bins = posterior.observed.band.n_bins
@@ -114,9 +114,7 @@ def _bins_per_band(band: Band) -> int:
     return max(1, round(_TEST_BAND_HZ / band.bin_hz))
 
 
-def _deviations(
-    posterior: Posterior, fitted: MapEstimate
-) -> tuple[Annotated[Array, "bands c c"], Annotated[Array, "bands c c"], Annotated[Array, "bands"]]:
+def _deviations(posterior: Posterior, fitted: MapEstimate) -> tuple[Misfit, Misfit, Bands]:
     """Compute `residual_bands` in units of the random error of the comparison, `drift_bands`, and the bands' middles.
 
     A simulation has as much random error as the recording.
@@ -355,12 +353,7 @@ def _factor(ln_density: float) -> str:
 
 
 def _list_deviations(
-    z: Annotated[Array, "bands c c"],
-    hz: Annotated[Array, "bands"],
-    posterior: Posterior,
-    settings: DiagnosisSettings,
-    *,
-    changes: bool = False,
+    z: Misfit, hz: Bands, posterior: Posterior, settings: DiagnosisSettings, *, changes: bool = False
 ) -> tuple[LackOfFit, ...]:
     """Describe every entry of `z` that exceeds the threshold; `changes` as in `LackOfFit`."""
     when = ", more so late in the recording than early" if changes else ""

@@ -70,9 +70,8 @@ def resonances(posterior: Posterior, x: Annotated[Array, "p"], effects: Sequence
     uncoupled = np.eye(system.mass.shape[0])
     uncoupled[:n, :n] = shapes
     eigenvalues, shapes = eigh(system.stiffness, system.mass)
-    share = (
-        np.abs(uncoupled.T @ system.mass @ shapes) / np.sqrt(np.diag(uncoupled.T @ system.mass @ uncoupled))[:, None]
-    )
+    norms = np.sqrt(np.diag(uncoupled.T @ system.mass @ uncoupled))
+    share = np.abs(uncoupled.T @ system.mass @ shapes) / norms[:, None]
     belongs = linear_sum_assignment(share, maximize=True)[1]
     forces = np.r_[np.ones(n), [mode.force_ratio for mode in system.coupled]]  # over the floors' mean
     acting = system.forced(n)
@@ -115,12 +114,8 @@ def as_seen(
 def effects_at_peak(posterior: Posterior, fit: MapEstimate, peak: Peak) -> list[Effect]:
     """List the effects that a peak which the model lacks may have as its cause, at their first sizes."""
     typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
-    near = (
-        kind.at_peak(place, peak, context, typical)
-        for kind in EFFECTS.values()
-        for of in kind.places
-        for place in locations(of, context)
-    )
+    places = ((kind, place) for kind in EFFECTS.values() for of in kind.places for place in locations(of, context))
+    near = (kind.at_peak(place, peak, context, typical) for kind, place in places)
     found = [_scaled_to_peak(posterior, fit, effect, peak) for effect in near if effect is not None]
     return found + [c for c in (effect.coupled(context) for effect in found) if c is not None]
 

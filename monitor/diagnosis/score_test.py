@@ -226,10 +226,8 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
             # Phases of a driven response differ much between two fits, so whole changes rank better (docs/measured-frames.md).
             v = whitened_change(posterior, prediction, moved)
         along = tangent.along(v)
-        information, score = (
-            float(v @ v - along @ normal @ along),
-            float(v @ residual - along @ normal @ nuisance_slope),
-        )
+        information = float(v @ v - along @ normal @ along)
+        score = float(v @ residual - along @ normal @ nuisance_slope)
         scaled = None if information < 1e-9 else _scale_amplitude(effect, score / information)
         if scaled is None:
             return out
@@ -404,14 +402,12 @@ def _fit_candidate(
     found = score_candidate(posterior, null_fit, fitted(*start, frozen=frozen))
     if not quick and far_from_prior(posterior, null_fit):
         near = _fit_at_prior(posterior, null_fit, effect)[1]
-        promising = (
+        better = (
             found.may_reach(min_log_evidence) or sum(posterior.score(near.x, near.effects)) > found.fit.log_posterior
         )
-        if promising or not effect.proportional:
-            other = score_candidate(
-                posterior, null_fit, maximize_posterior(posterior, near.x, near.effects, iterations=FAR)
-            )
-            found = max(found, other, key=lambda c: c.log_evidence)
+        if better or not effect.proportional:
+            other = maximize_posterior(posterior, near.x, near.effects, iterations=FAR)
+            found = max(found, score_candidate(posterior, null_fit, other), key=lambda c: c.log_evidence)
     if rough is not None and found.log_evidence < rough.log_evidence:
         repeated = score_candidate(posterior, null_fit, fitted(rough.fit.x, rough.fit.effects))
         found = max(found, repeated, key=lambda c: c.log_evidence)

@@ -105,11 +105,7 @@ def fit_ambient(posterior: Posterior, fit: MapEstimate, ranked: Ranked, settings
 
 
 def _fit_driven(
-    posterior: Posterior,
-    fit: MapEstimate,
-    ranked: Ranked,
-    starts: list[Effect],
-    settings: DiagnosisSettings,
+    posterior: Posterior, fit: MapEstimate, ranked: Ranked, starts: list[Effect], settings: DiagnosisSettings
 ) -> list[Candidate]:
     """Fit the best effects fully where the ground is measured, and return those that are valid causes."""
     rough = _fit_driven_roughly(posterior, fit, ranked, starts)
@@ -249,10 +245,8 @@ def choose_orientation(
     refitted: RefittedCandidate, before: Moments, measured: MeasuredMoments
 ) -> tuple[RefittedCandidate, float]:
     """Choose the orientation of a candidate's law that fits the measured moments best; return candidate and log likelihood."""
-    unchanged, mirror = (
-        measured.log_likelihood(refitted.moments, refitted.variance_ratio),
-        refitted.candidate.effect.mirrored(),
-    )
+    unchanged = measured.log_likelihood(refitted.moments, refitted.variance_ratio)
+    mirror = refitted.candidate.effect.mirrored()
     if mirror is None:
         return refitted, unchanged
     mirrored_moments = refitted.moments.mirrored(before)
@@ -262,11 +256,9 @@ def choose_orientation(
     old = refitted.candidate.fit
     x = join_coordinates(old.x[: -len(mirror.parameters)], (mirror,))
     candidate = replace(refitted.candidate, effect=mirror, fit=replace(old, effects=(*old.effects[:-1], mirror), x=x))
-    posterior = (
-        refitted.posterior.mirrored(mirror)
-        if isinstance(refitted.posterior, CorrectedPosterior)
-        else refitted.posterior
-    )
+    posterior = refitted.posterior
+    if isinstance(posterior, CorrectedPosterior):
+        posterior = posterior.mirrored(mirror)
     return replace(refitted, candidate=candidate, posterior=posterior, moments=mirrored_moments), mirrored_likelihood
 
 

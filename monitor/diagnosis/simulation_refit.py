@@ -16,7 +16,7 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.diagnosis.score_test import Candidate, score_candidate
+from monitor.diagnosis.score_test import Candidate, key_of, score_candidate
 from monitor.inference import (
     CorrectedPosterior,
     MapEstimate,
@@ -34,7 +34,7 @@ from monitor.inference import (
     simulate_spectra,
     with_coordinates,
 )
-from monitor.model import Context, StructuralPrior, loaded
+from monitor.model import Context, Effect, StructuralPrior, loaded
 
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
@@ -110,25 +110,18 @@ def refit_by_simulation(
 ) -> RefittedCandidate:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
     simulated_fit = fit_by_simulation(posterior, candidate.fit, effort)
-    softening = any(e.is_softening for e in candidate.fit.effects)
-    if (
-        softening
-        and effort == "rough"
-        and np.abs(simulated_fit.posterior.relative[0]).max() > _MAX_SOFTENING_CORRECTION
-    ):
+    softening = effort == "rough" and any(e.is_softening for e in candidate.fit.effects)
+    if softening and np.abs(simulated_fit.posterior.relative[0]).max() > _MAX_SOFTENING_CORRECTION:
         weaker = fit_by_simulation(posterior, _weaken_laws(posterior, candidate.fit), effort)
         simulated_fit = max(simulated_fit, weaker, key=lambda m: m.fit.log_posterior)
     lost, variance_ratio = simulated_fit.posterior.lost, 1.0 + 1.0 / simulated_fit.simulations
     better = score_candidate(simulated_fit.posterior, null_fit, simulated_fit.fit)
     simulated = isinstance(posterior, CorrectedPosterior) and candidate.key in posterior.laws
-    if (
-        not simulated
-        and better.delta_log_posterior < candidate.delta_log_posterior <= better.delta_log_posterior + lost
-    ):  # the difference is within the simulations' random error
+    gain = better.delta_log_posterior + lost
+    # The difference may be within the simulations' random error.
+    if not simulated and better.delta_log_posterior < candidate.delta_log_posterior <= gain:
         return RefittedCandidate(candidate, posterior, simulated_fit.moments, variance_ratio)
-    better = replace(
-        better, delta_log_posterior=better.delta_log_posterior + lost, log_evidence=better.log_evidence + lost
-    )
+    better = replace(better, delta_log_posterior=gain, log_evidence=better.log_evidence + lost)
     return RefittedCandidate(
         better, simulated_fit.posterior, simulated_fit.moments, variance_ratio, float(np.sqrt(2.0 * lost))
     )
@@ -142,14 +135,12 @@ def fit_initial_model(
     The moments are those that the persistent laws add to those of a normal process.
     """
     posterior, null_fit = fit_linearized(observed, prior, context, start)
-    simulated = (posterior, null_fit, normal_moments(posterior))
+    simulated = linear = posterior, null_fit, normal_moments(posterior)
     for _ in range(_N_REFITS):
         simulated = fit_persistent_effects(*simulated[:2])
     # Near the strongest motion that a law allows, forces fitted to its linear form make the exact law diverge.  Then the
     # linear form is kept.
-    return max(
-        simulated, (posterior, null_fit, normal_moments(posterior)), key=lambda candidate: candidate[1].log_posterior
-    )
+    return max(simulated, linear, key=lambda candidate: candidate[1].log_posterior)
 
 
 def fit_persistent_effects(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate, Moments]:
@@ -221,10 +212,8 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
 
     The last move of the sizes adds to their standard deviation.  Where the fit gets worse, the first fit is kept.
     """
-    if (
-        isinstance(posterior, CorrectedPosterior) and posterior.simulation_std.size == fit.n_effect
-    ):  # simulated finely already, with all its effects
-        near, start = posterior, fit
+    if isinstance(posterior, CorrectedPosterior) and posterior.simulation_std.size == fit.n_effect:
+        near, start = posterior, fit  # simulated finely already, with all its effects
     else:
         simulated_fit = fit_by_simulation(posterior, fit)
         near, start = simulated_fit.posterior, simulated_fit.fit
@@ -267,9 +256,11 @@ def _simulate_slopes(
     laws = [(i, e) for i, e in enumerate(e for e in fit.effects for _ in e.parameters) if e.nonlinear]
     out = np.zeros((len(laws), *posterior.observed.spectra.shape), dtype=complex)
     acting = draw_forces(posterior, fit.x, fit.effects, seed)
-    offset = linearization_error(
-        posterior, fit.x, fit.effects, acting, simulate_exact(posterior, fit.x, fit.effects, acting)
-    )
+
+    def offset_at(x: Array, effects: tuple[Effect, ...]) -> ComplexArray:
+        return linearization_error(posterior, x, effects, acting, simulate_exact(posterior, x, effects, acting))
+
+    offset = offset_at(fit.x, fit.effects)
     for slope, (i, effect) in zip(out, laws, strict=True):
         if effect.family == "sensor":
             continue
@@ -277,18 +268,14 @@ def _simulate_slopes(
         sizes = x[posterior.layout.effects]
         step = _SIZE_DIFFERENCE * abs(sizes[i])
         sizes[i] += step
-        effects = with_coordinates(fit.effects, sizes)
-        slope[:] = (
-            linearization_error(posterior, x, effects, acting, simulate_exact(posterior, x, effects, acting)) - offset
-        ) / step
+        slope[:] = (offset_at(x, with_coordinates(fit.effects, sizes)) - offset) / step
     return out
 
 
 def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> Annotated[ComplexArray, "p classes bins c c"]:
     """Return the slopes that the posterior has for the laws of a fit; none for other laws."""
-    if isinstance(posterior, CorrectedPosterior) and posterior.laws == tuple(
-        (e.name, e.location) for e in fit.effects if e.nonlinear
-    ):
+    laws = tuple(key_of(e) for e in fit.effects if e.nonlinear)
+    if isinstance(posterior, CorrectedPosterior) and posterior.laws == laws:
         return posterior.slopes_by_size
     return np.zeros((0, *posterior.observed.spectra.shape), dtype=complex)
 

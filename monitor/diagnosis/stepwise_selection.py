@@ -88,9 +88,8 @@ def diagnose(
                 break
             rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
         tied = tied_candidates(candidates, settings.rival)
-        if not any(is_independent_of_direction(p.candidate.effect) for p in tied) and shows_other_direction(
-            stage, settings
-        ):
+        of_forces = not any(is_independent_of_direction(p.candidate.effect) for p in tied)
+        if of_forces and shows_other_direction(stage, settings):
             from_elsewhere = True  # no cause would be stated
             break
         if lacks_modes(stage.posterior, stage.fit):
@@ -113,9 +112,8 @@ def diagnose(
     posterior, fit, accepted = eliminate_backward(
         stage.posterior, stage.fit, stage.accepted, rounds, settings.margin, settings.rival
     )
-    found = judge(
-        refine(posterior, fit, len(accepted)), stage.null_fit, alternatives, settings, from_elsewhere=from_elsewhere
-    )
+    causes = refine(posterior, fit, len(accepted))
+    found = judge(causes, stage.null_fit, alternatives, settings, from_elsewhere=from_elsewhere)
     return replace(found, candidates=rounds[0] if rounds else (), rounds=tuple(rounds), other_optima=optima)
 
 
@@ -184,11 +182,8 @@ def _search_once(stage: SearchState, settings: DiagnosisSettings) -> tuple[Searc
         return stage, candidates, threshold
     posterior, fit = better
     stage = replace(stage, posterior=posterior, fit=fit, null_fit=stage.null_fit if stage.accepted else fit)
-    return (
-        stage,
-        run_selection_round(posterior, fit, stage.moments, settings, min_gain),
-        _acceptance_threshold(stage, settings),
-    )
+    candidates = run_selection_round(posterior, fit, stage.moments, settings, min_gain)
+    return stage, candidates, _acceptance_threshold(stage, settings)
 
 
 def sufficient_candidates(
@@ -272,10 +267,8 @@ def _follow(
 ) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
     """Remove the modes of a start that others made superfluous, and add those still missing; results as of `start_from_modes`."""
     posterior, gain = stage.posterior, start.log_posterior - stage.fit.log_posterior
-    accepted = tuple(
-        Candidate(effect, start, gain, gain - evidence_cost(posterior, start, i))
-        for i, effect in enumerate(start.effects)
-    )
+    costs = (evidence_cost(posterior, start, i) for i in range(len(start.effects)))
+    accepted = tuple(Candidate(e, start, gain, gain - cost) for e, cost in zip(start.effects, costs, strict=True))
     posterior = update_linearization(posterior, start)
     posterior, fit, accepted = eliminate_backward(
         posterior, start, accepted, [(c,) for c in accepted], settings.margin, settings.rival
@@ -343,14 +336,11 @@ def _add_missing_modes(
 
 def _acceptance_threshold(stage: SearchState, settings: DiagnosisSettings) -> float:
     """Compute the log evidence that the next cause needs, nats."""
-    if (
-        stage.posterior.observed.drive is not None
-    ):  # most of the lack of fit is in the response, which the misfit in bands does not count
-        return stage.margin
-    return max(
-        stage.margin,
-        settings.share * lack_of_fit_cost(stage.posterior, find_lack_of_fit(stage.posterior, stage.fit, settings)),
-    )
+    posterior = stage.posterior
+    if posterior.observed.drive is not None:
+        return stage.margin  # most of the lack of fit is in the response, which the misfit in bands does not count
+    cost = lack_of_fit_cost(posterior, find_lack_of_fit(posterior, stage.fit, settings))
+    return max(stage.margin, settings.share * cost)
 
 
 def _refit_ground_interpolation(
@@ -393,11 +383,8 @@ def _accept(stage: SearchState, best: RefittedCandidate, settings: DiagnosisSett
         simulated_fit = fit_by_simulation(posterior, fit)
         posterior, fit, added = simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
     if best.candidate.effect.nonlinear:
-        margin = max(
-            margin,
-            settings.aftermath * best.candidate.delta_log_posterior,
-            settings.margin + DIFFERS_STDS * best.log_evidence_std,
-        )
+        error = settings.aftermath * best.candidate.delta_log_posterior
+        margin = max(margin, error, settings.margin + DIFFERS_STDS * best.log_evidence_std)
     return SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
 
 

@@ -77,11 +77,8 @@ class StoryLaw:
             found.append(f"its loss factor grows by {100.0 * abs(gained):.1f} % {more} than the model's")
         low, high = 1e3 * self.drift_m
         span = f"from {low:.2g} to {high:.2g} mm of RMS drift story {self.story}"
-        if found:
-            return f"{span} {' and '.join(found)}"
-        return (
-            f"{span} changes with the level as the model does, to within {100.0 * visible / k:.2g} % of its stiffness"
-        )
+        alike = f"changes with the level as the model does, to within {100.0 * visible / k:.2g} % of its stiffness"
+        return f"{span} {' and '.join(found) or alike}"
 
 
 def story_laws(diagnosis: Diagnosis) -> tuple[StoryLaw, ...]:
@@ -153,9 +150,8 @@ def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after
     power = (np.abs(measured[1][:, :, j]) ** 2).sum(axis=1)
     order, third = np.argsort(power), max(2, power.size // 3)
     groups = order[:third], order[-third:]
-    (k, k_std, eta, eta_std), (model_k, _, model_eta, _) = (
-        np.array([_secant(series, after[1], j, group) for group in groups]).T for series in (measured, after)
-    )
+    k, k_std, eta, eta_std = np.array([_secant(measured, after[1], j, group) for group in groups]).T
+    model_k, _, model_eta, _ = np.array([_secant(after, after[1], j, group) for group in groups]).T
     bin_hz, largest = posterior.observed.band.bin_hz, int(order[-1])
     return StoryLaw(
         story=j + 1,

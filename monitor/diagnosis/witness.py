@@ -316,9 +316,9 @@ def _judge_other_motion(
     own = [m for m in found if m.of.startswith("mode ")]
     others = [m for m in found if m not in own]
     largest = max(own, key=lambda m: m.ratio, default=None)
-    usual = (
-        "" if largest is None else f"in the model's modes at most {largest.ratio:.2g} {_unit(sensor)} ({largest.of})"
-    )
+    usual = ""
+    if largest is not None:
+        usual = f"in the model's modes at most {largest.ratio:.2g} {_unit(sensor)} ({largest.of})"
     if not others:
         rest = f"the model has no mode besides that {sensor.channel} could see"
         return None, f"{what}: {usual or 'no mode lies in the band'}; {rest}"
@@ -326,20 +326,18 @@ def _judge_other_motion(
     # them what is certain: where the structure moves little, noise makes any ratio.
     certain = max((m.ratio - DIFFERS_STDS * m.std for m in own), default=0.0)
     least = 1.0 if sensor.quantity == "acceleration" else _FACTOR * max(certain, 0.0)
-    told = []
-    for mode in others:
-        near = next((m for m in own if abs(m.frequency_hz - mode.frequency_hz) < apart_hz), None)
-        told.append(_judge_other_mode(sensor, mode, near, least))
+    told = [_judge_other_mode(sensor, mode, own, apart_hz, least) for mode in others]
     verdicts = [v for v, _ in told]
     whole: Verdict = next((v for v in ("agrees", "contradicts") if v in verdicts), "cannot say")
     return whole, f"{what}: {'; '.join(w for _, w in told)}" + (f"; {usual}" if usual else "")
 
 
 def _judge_other_mode(
-    sensor: WitnessSensor, mode: WitnessedMode, near: WitnessedMode | None, least: float
+    sensor: WitnessSensor, mode: WitnessedMode, own: Sequence[WitnessedMode], apart_hz: float, least: float
 ) -> tuple[Verdict, str]:
-    """Say whether a mode that the model lacks is of the sensor's axis, moving by `least`; from the mode `near` it is not told."""
+    """Say whether a mode that is none of the model's `own` is of the sensor's axis, and so moves by `least` that way."""
     name = f"the {mode.of.replace('_', ' ')} at {mode.frequency_hz:.2f} Hz"
+    near = next((m for m in own if abs(m.frequency_hz - mode.frequency_hz) < apart_hz), None)
     if near is not None:
         return "cannot say", f"{name} is too near to {near.of} to be told from it"
     verdict = _placed(mode.ratio, mode.std, least, np.inf)

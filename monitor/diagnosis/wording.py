@@ -175,11 +175,10 @@ def _unexplained_in_words(left_over: Sequence[LackOfFit], gain: HeldOutGain, cau
     unexplained = [m.where for m in left_over if not m.is_explained]
     if explained and not unexplained:
         return (explained + (_sentence(f"besides, {causes}") if causes else "")).rstrip()
-    worst = ""
-    if unexplained:
-        band = unexplained[0].removeprefix("f = ")
-        in_a_band = band != unexplained[0]
-        worst = f" at {band}" if in_a_band else f" with what stood at calibration, {band},"
+    worst = unexplained[0] if unexplained else ""
+    if worst:
+        band = worst.removeprefix("f = ")
+        worst = f" at {band}" if band != worst else f" with what stood at calibration, {band},"
     said = f"{explained}Something is wrong{worst} that no known effect explains."
     if gain.is_significant:
         return f"{said} Besides, {causes}." if causes else said
