@@ -20,7 +20,7 @@ from monitor.events.motion import (
     response_spectrum,
     unknown_motion,
 )
-from monitor.events.record import Record
+from monitor.events.record import Record, relative_motion
 from monitor.events.site import Site
 
 _UNRELATED = 1e-9
@@ -67,7 +67,7 @@ def describe(
     loss, loss_std, early = np.full(site.n_stories, np.nan), np.full(site.n_stories, np.nan), ""
     if revision is not None:
         loss, loss_std, early = early_loss(record, site, near_hz)
-    relative = record.floors if record.ground is None else record.floors - record.ground[:, None] * site.rides
+    relative = relative_motion(record, site)
     return judge(
         Event(
             id=id,
@@ -145,12 +145,8 @@ def drift_accelerations(
     record: Record, site: Site
 ) -> tuple[Annotated[NDArray[np.bool_], "n"], Annotated[Array, "samples told"]]:
     """Find the stories both floors of which sensors move as, and compute the accelerations of these stories' drifts, m/s^2."""
-    live = ~record.still
-    motion = record.floors[:, live]
-    if record.ground is not None:
-        motion = motion - record.ground[:, None] * site.rides[live]
     told, weights = _weights(record, site)
-    return told, motion @ weights[:, told]
+    return told, relative_motion(record, site)[:, ~record.still] @ weights[:, told]
 
 
 def _weights(record: Record, site: Site) -> tuple[Annotated[NDArray[np.bool_], "n"], Annotated[Array, "c n"]]:

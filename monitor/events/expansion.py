@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.events.motion import integrated, peak_drifts
-from monitor.events.record import Record
+from monitor.events.record import Record, relative_motion
 from monitor.events.site import Site
 
 
@@ -30,7 +30,7 @@ def expanded_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], 
     floors = _floors(record, site, everything)
     drift, std, _ = peak_drifts(floors @ site.drifts.T, rate_hz, record.corners_hz, record.strong)
     corner_hz, wrong, changed = float(record.corners_hz[0]), 0.0, np.zeros(site.n_stories)
-    measured = record.floors - record.ground[:, None] * site.rides
+    measured = relative_motion(record, site)
     for left_out in range(len(everything)):
         others = everything.copy()
         others[left_out] = False
@@ -49,7 +49,7 @@ def _floors(record: Record, site: Site, used: Annotated[NDArray[np.bool_], "c"])
     seen = site.sensors[used] @ site.floor_shapes
     n_seen = int(np.linalg.matrix_rank(seen[:, : used.sum()])) if used.any() else 0
     if n_seen:
-        measured = (record.floors - record.ground[:, None] * site.rides)[:, used]
+        measured = relative_motion(record, site)[:, used]
         measured = measured - measured[: max(record.strong.start, 1)].mean(axis=0)
         modal[:, :n_seen] = (measured - modal[:, n_seen:] @ seen[:, n_seen:].T) @ np.linalg.pinv(seen[:, :n_seen]).T
     return np.asarray(modal @ site.floor_shapes.T)

@@ -66,6 +66,11 @@ def make_record(
     )
 
 
+def relative_motion(record: Record, site: Site) -> Annotated[Array, "n c"]:
+    """Return the floors' motion, less that of the ground where it was measured, m/s^2."""
+    return record.floors if record.ground is None else record.floors - record.ground[:, None] * site.rides
+
+
 def _still_channels(
     values: Annotated[Array, "n c"], strong: slice, rate_hz: float
 ) -> Annotated[NDArray[np.bool_], "c"]:

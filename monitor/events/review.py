@@ -15,7 +15,7 @@ from monitor.events.description import drift_accelerations, inertia_above
 from monitor.events.ground import Ground, GroundState
 from monitor.events.motion import integrated
 from monitor.events.recognition import STEP_S
-from monitor.events.record import Record, make_record
+from monitor.events.record import Record, make_record, relative_motion
 from monitor.events.site import Site
 from monitor.signals import Conditioner, FrontEnd, alignment, conditioned
 
@@ -197,7 +197,7 @@ def _first_mode(record: Record, site: Site) -> FirstMode | None:
     if not site.modes_hz.size:
         return None
     near_hz, rate_hz = float(site.modes_hz[0]), record.rate_hz
-    relative = record.floors - record.ground[:, None] * site.rides
+    relative = relative_motion(record, site)
     project = np.linalg.pinv(site.shapes)[:, 0] * site.shapes[0, np.abs(site.shapes[0]).argmax()]
     absolute = record.floors @ project
     columns = np.column_stack([absolute, relative @ project, relative @ project])
