@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import compress
 from typing import Annotated
 
 import numpy as np
@@ -45,28 +46,28 @@ def describe(
     live = ~record.still
     if saturated is None or not saturated.size:
         saturated = np.zeros(live.size, dtype=bool)
-    cut_off = tuple(name for name, cut in zip(site.channels, saturated, strict=True) if cut)
-    bounds = (
-        f"{', '.join(cut_off)} reached the end of the range: peaks and drifts made of it are lower bounds"
-        if cut_off
-        else ""
-    )
+    cut_off, gone = tuple(compress(site.channels, saturated)), ", ".join(compress(site.channels, record.still))
     std = np.where(_made_of(saturated, record, site), np.nan, std)
     floors = tuple(
         floor_motion(name, record.floors[:, i], rate_hz, corner_hz, strong) if live[i] else unknown_motion(name)
         for i, name in enumerate(site.channels)
     )
-    gone = ", ".join(name for name, known in zip(site.channels, live, strict=True) if not known)
-    gone = f"{gone} gave no motion, and nothing is told from it" if gone else ""
     ground = None if record.ground is None else floor_motion("ground", record.ground, rate_hz, corner_hz, strong)
     heights = np.full(site.n_stories, np.nan) if site.heights_m is None else site.heights_m
     near_hz = np.where(np.isfinite(before_hz), before_hz, site.modes_hz)
     after = np.full(site.modes_hz.size, np.nan)
-    if revision is not None and len(record.floors) - strong.stop > rate_hz / site.lowest_hz:
-        after = modal_frequencies(record.floors[strong.stop :, live], site.shapes[:, live], near_hz, rate_hz)
-    loss, loss_std, early = np.full(site.n_stories, np.nan), np.full(site.n_stories, np.nan), ""
+    loss = loss_std = np.full(site.n_stories, np.nan)
+    notes = [note]
+    if cut_off:
+        notes.append(f"{', '.join(cut_off)} reached the end of the range: peaks and drifts made of it are lower bounds")
+    if gone:
+        notes.append(f"{gone} gave no motion, and nothing is told from it")
+    notes.append(limits)
     if revision is not None:
         loss, loss_std, early = early_loss(record, site, near_hz)
+        notes.append(early)
+        if len(record.floors) - strong.stop > rate_hz / site.lowest_hz:
+            after = modal_frequencies(record.floors[strong.stop :, live], site.shapes[:, live], near_hz, rate_hz)
     relative = relative_motion(record, site)
     return judge(
         Event(
@@ -77,9 +78,7 @@ def describe(
             floors=floors,
             ground=ground,
             spectrum=None if record.ground is None else response_spectrum(record.ground, rate_hz),
-            instrumental_intensity=None
-            if ground is None
-            else instrumental_intensity(ground.peak_m_s2, ground.peak_m_s),
+            instrumental_intensity=ground and instrumental_intensity(ground.peak_m_s2, ground.peak_m_s),
             corner_hz=corner_hz,
             drift_m=drift,
             drift_std_m=std,
@@ -91,7 +90,7 @@ def describe(
             loss_std=loss_std,
             verdict=None,
             saturated=cut_off,
-            note="; ".join(filter(None, (note, bounds, gone, limits, early))),
+            note="; ".join(filter(None, notes)),
         ),
         site,
     )
@@ -114,6 +113,7 @@ def story_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Ann
         )
         return drift, std, corner_hz, f"no drifts: {known}"
     told, accelerations = drift_accelerations(record, site)
+    rest = ~told
     if told.any():
         drift[told], std[told], corner_hz = peak_drifts(accelerations, record.rate_hz, record.corners_hz, record.strong)
     note = f"drifts are dynamic, above {corner_hz:.2g} Hz: a permanent one is not seen"
@@ -121,24 +121,19 @@ def story_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Ann
         return drift, std, corner_hz, note
     if record.ground is not None and live.all() and site.damping.size:
         # The file states the sensors; one that fails in the motion may do so where the structure does.
-        by_model = expanded_drifts(record, site)
-        drift[~told], std[~told] = by_model[0][~told], by_model[1][~told]
-        gone = ", ".join(name for name, known in zip(site.names, told, strict=True) if not known)
-        return (
-            drift,
-            std,
-            corner_hz,
-            f"{note}; without a sensor on every floor the model and the ground tell those of {gone}",
-        )
-    if np.linalg.matrix_rank(sensors) < sensors.shape[1]:
-        why = "without a sensor on every floor, or without a measured ground, some are not known"
-        return drift, std, corner_hz, f"{note}; {why}"
-    by_inertia = _drifts_by_inertia(record, site)
-    if not told.any():
-        return drift, std, corner_hz, f"{note}; without a measured ground the drift of the one story is not known"
-    error = np.abs(by_inertia[told] / drift[told] - 1.0).max()
-    drift[~told], std[~told] = by_inertia[~told], error * by_inertia[~told]
-    return drift, std, corner_hz, f"{note}; without a measured ground the lowest story's follows from its stiffness"
+        drift[rest], std[rest] = (values[rest] for values in expanded_drifts(record, site))
+        gone = ", ".join(compress(site.names, rest))
+        limits = f"without a sensor on every floor the model and the ground tell those of {gone}"
+    elif np.linalg.matrix_rank(sensors) < sensors.shape[1]:
+        limits = "without a sensor on every floor, or without a measured ground, some are not known"
+    elif not told.any():
+        limits = "without a measured ground the drift of the one story is not known"
+    else:
+        by_inertia = _drifts_by_inertia(record, site)
+        error = np.abs(by_inertia[told] / drift[told] - 1.0).max()
+        drift[rest], std[rest] = by_inertia[rest], error * by_inertia[rest]
+        limits = "without a measured ground the lowest story's follows from its stiffness"
+    return drift, std, corner_hz, f"{note}; {limits}"
 
 
 def drift_accelerations(

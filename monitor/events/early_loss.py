@@ -39,18 +39,13 @@ def early_loss(
         return nothing, nothing, ""
     if record.still.any():
         return nothing, nothing, "without every sensor no loss is told yet"
-    before, after = (
-        _peaks(part, site, near_hz, record.rate_hz)
-        for part in (record.floors[: strong.start], record.floors[strong.stop :])
-    )
+    before = _peaks(record.floors[: strong.start], site, near_hz, record.rate_hz)
+    after = _peaks(record.floors[strong.stop :], site, near_hz, record.rate_hz)
     ratio, variance = 2.0 * (after[0] - before[0]), 4.0 * (before[1] + after[1])
     told = np.isfinite(ratio)
     if told.sum() < n:
-        return (
-            nothing,
-            nothing,
-            f"the motion beside it shows {told.sum()} of the modes, too few to tell a loss of {n} stories yet",
-        )
+        why = f"the motion beside it shows {told.sum()} of the modes, too few to tell a loss of {n} stories yet"
+        return nothing, nothing, why
     return *_losses(ratio[told], variance[told], told, site), ""
 
 

@@ -234,9 +234,8 @@ def step(
     if settings.level_m_s2 is not None and frames.peaks is not None:
         level = settings.level_m_s2
         voted = _lower_median(frames.peaks[k]).tolist()
-        above, loud = (
-            [a or v >= x for a, v in zip(b, voted, strict=True)] for b, x in ((above, level), (loud, 0.5 * level))
-        )
+        above = [a or v >= level for a, v in zip(above, voted, strict=True)]
+        loud = [a or v >= 0.5 * level for a, v in zip(loud, voted, strict=True)]
     row, raised = [], state.raised
     for is_above in above:
         raised = raised + 1 if is_above else 0

@@ -166,9 +166,8 @@ def step(
     while state.settling and state.judged + n <= end:
         state = _settle(state)
     while state.judged + n <= end:
-        state, new = _judge(
-            state, min((end - state.judged) // n, _TOGETHER_STEPS), conditioner.cutoff_hz, site, saturated
-        )
+        count = min((end - state.judged) // n, _TOGETHER_STEPS)
+        state, new = _judge(state, count, conditioner.cutoff_hz, site, saturated)
         told += new
     return _forget(_with_alarms(state, told, site), site), told
 
@@ -182,10 +181,8 @@ def finish(state: EventState, site: Site, saturated: Saturated = none_saturated)
 def window(state: EventState, result: WindowResult, site: Site) -> tuple[EventState, list[Event]]:
     """Take what a window tells of stiffness and frequencies, and tell the lasting loss of events where an hour has passed."""
     begin_ns = result.t_end_ns - round(result.window_s * 1e9)
-    if (
-        state.recent and begin_ns < state.recent[-1].end_ns and not state.awaiting
-    ):  # as mostly: none that overlaps is kept
-        return state, []
+    if state.recent and begin_ns < state.recent[-1].end_ns and not state.awaiting:
+        return state, []  # as mostly: none that overlaps is kept
     reading = reading_of(result)
     if reading is None:
         return state, []
@@ -319,21 +316,17 @@ def _follow(
 def _grown(state: EventState, found: recognition.Trigger, cutoff_hz: float, site: Site) -> Strong | None:
     """Return the event that the last judged step begins or carries on; None where none goes on."""
     going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
-    n = recognition.step_n(state.rate_hz)
+    known, rate_hz = state.recognition, state.rate_hz
+    assert known is not None
+    n = recognition.step_n(rate_hz)
     half = n // 2
     for at, raised, loud in zip((state.judged - n - half, state.judged - n), found.raised, found.loud, strict=True):
         if going is not None:
             going = replace(going, end=at + n) if loud else going
         elif raised >= recognition.FRAMES_IN_A_ROW:
-            frames = state.samples(max(state.first, at - 2 * half), at + n)
-            assert state.recognition is not None
+            frames = state.samples(max(state.first, at - n), at + n)
             if len(frames) == 2 * n and recognition.is_whole(
-                state.recognition.long_term,
-                frames,
-                state.rate_hz,
-                cutoff_hz,
-                site.settings,
-                one_direction=site.is_chain,
+                known.long_term, frames, rate_hz, cutoff_hz, site.settings, one_direction=site.is_chain
             ):
                 # All frames in a row belong to the event, also those that did not confirm it yet.
                 going = Strong(max(at - (raised - 1) * half, state.first), at + n)
