@@ -66,7 +66,9 @@ def run_selection_round(
     if posterior.observed.drive is None:
         valid = fit_ambient(posterior, fit, ranked, settings)
     else:
-        valid = _fit_driven(posterior, fit, ranked, [effect for _, effect in starts], settings)
+        rough = _fit_driven_roughly(posterior, fit, ranked, [effect for _, effect in starts])
+        fitted = fit_fully(posterior, fit, _shortlist_driven(ranked, rough, settings), rough, -np.inf)
+        valid = [c for c in fitted.values() if is_valid_cause(posterior, c)]
     return sorted(
         simulate_contenders(posterior, fit, best_first(valid), added, settings), key=lambda p: -p.candidate.log_evidence
     )
@@ -102,15 +104,6 @@ def fit_ambient(posterior: Posterior, fit: MapEstimate, ranked: Ranked, settings
         if not rough or rough[0].key not in invalid:
             return list(valid.values())
         rough = [c for c in rough if c.key not in invalid]
-
-
-def _fit_driven(
-    posterior: Posterior, fit: MapEstimate, ranked: Ranked, starts: list[Effect], settings: DiagnosisSettings
-) -> list[Candidate]:
-    """Fit the best effects fully where the ground is measured, and return those that are valid causes."""
-    rough = _fit_driven_roughly(posterior, fit, ranked, starts)
-    fitted = fit_fully(posterior, fit, _shortlist_driven(ranked, rough, settings), rough, -np.inf)
-    return [c for c in fitted.values() if is_valid_cause(posterior, c)]
 
 
 def fit_fully(
@@ -238,7 +231,10 @@ def _compare_moments(
     if not oriented:
         return []
     first = max(oriented, key=lambda pair: pair[0].candidate.log_evidence)[1]
-    return [_add_evidence(p, likelihood - first) for p, likelihood in oriented]
+    return [
+        replace(p, candidate=replace(p.candidate, log_evidence=p.candidate.log_evidence + (nats - first)))
+        for p, nats in oriented
+    ]
 
 
 def choose_orientation(
@@ -260,8 +256,3 @@ def choose_orientation(
     if isinstance(posterior, CorrectedPosterior):
         posterior = posterior.mirrored(mirror)
     return replace(refitted, candidate=candidate, posterior=posterior, moments=mirrored_moments), mirrored_likelihood
-
-
-def _add_evidence(refitted: RefittedCandidate, nats: float) -> RefittedCandidate:
-    """Add `nats` to a candidate's evidence."""
-    return replace(refitted, candidate=replace(refitted.candidate, log_evidence=refitted.candidate.log_evidence + nats))

@@ -36,6 +36,8 @@ from monitor.inference import (
 )
 from monitor.model import Context, Effect, StructuralPrior, loaded
 
+Spectra = Annotated[ComplexArray, "classes bins c c"]
+Simulations = Annotated[ComplexArray, "k classes bins c c"]
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
 _MIN_SIMULATIONS = 3
@@ -234,9 +236,7 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
     return replace(last.posterior, simulation_std=np.hypot(last.posterior.simulation_std, _MOVE_STD * moved)), last.fit
 
 
-def _simulate_offset(
-    posterior: Posterior, fit: MapEstimate, seed: int
-) -> tuple[Annotated[ComplexArray, "classes bins c c"], Annotated[ComplexArray, "classes bins c c"], Moments]:
+def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple[Spectra, Spectra, Moments]:
     """Simulate the offset of the spectra from the linearized ones, with the linearized system as control variate, and without it.
 
     The moments are those that the laws add to those of a normal process.
@@ -317,10 +317,7 @@ def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Annotated[Array
 
 
 def _simulation_scatter(
-    posterior: CorrectedPosterior,
-    fit: MapEstimate,
-    offsets: Annotated[ComplexArray, "k classes bins c c"],
-    free: Annotated[ComplexArray, "k classes bins c c"],
+    posterior: CorrectedPosterior, fit: MapEstimate, offsets: Simulations, free: Simulations
 ) -> tuple[float, Annotated[Array, "p"]]:
     """Estimate the effect of the simulations' random error on the log likelihood and on the sizes.
 

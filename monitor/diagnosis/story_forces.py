@@ -104,13 +104,12 @@ def story_laws(diagnosis: Diagnosis) -> tuple[StoryLaw, ...]:
     return tuple(_law(j, posterior, measured, before, after) for j in range(n))
 
 
+Channels = Annotated[ComplexArray, "segments bins c"]
 _Series = tuple[ComplexArray, ComplexArray]
 """Transforms of the stories' forces, N/sqrt(Hz), and of their drifts, m/sqrt(Hz), shape (n_segments, n_bins, n) each."""
 
 
-def _forces_and_drifts(
-    posterior: Posterior, fit: MapEstimate, channels: Annotated[ComplexArray, "segments bins c"] | None
-) -> _Series:
+def _forces_and_drifts(posterior: Posterior, fit: MapEstimate, channels: Channels | None) -> _Series:
     """Compute forces and drifts from the channels' transforms with the masses of a fit."""
     e, context, drive = posterior.observed, posterior.context_at(fit.x), posterior.observed.drive
     assert channels is not None
@@ -130,12 +129,8 @@ def _forces_and_drifts(
 
 
 def true_motion(
-    channels: Annotated[ComplexArray, "segments bins c"],
-    effects: Sequence[Effect],
-    hz: Annotated[Array, "bins"],
-    context: Context,
-    condition: Condition,
-) -> Annotated[ComplexArray, "segments bins c"]:
+    channels: Channels, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
+) -> Channels:
     """Take what effects of the sensors do to the channels' transforms out of them."""
     true = np.asarray(channels, dtype=np.complex128)
     for effect in reversed(effects):

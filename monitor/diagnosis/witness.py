@@ -39,6 +39,7 @@ NOT_DETERMINED = 1e300
 """Standard deviation where none can be told. [1; definition: JSON has no infinity]"""
 
 Verdict = Literal["agrees", "contradicts", "cannot say"]
+Motion = Annotated[ComplexArray, "segments bins"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +227,7 @@ class _Comparison:
         """Circular frequencies of the bins, rad/s; that of 0 Hz as of the next."""
         return np.asarray(2.0 * np.pi * np.maximum(self.data.hz, self.data.hz[1]))
 
-    def _motion(self, sensor: WitnessSensor) -> Annotated[ComplexArray, "segments bins"]:
+    def _motion(self, sensor: WitnessSensor) -> Motion:
         """Integrate a witness's readings to rad or m."""
         readings, omega = self.data.witnesses[sensor.channel], self._omega
         return np.asarray(readings / (1j * omega) if sensor.quantity == "rotation_rate" else readings / -(omega**2))
@@ -242,13 +243,7 @@ def _own_frequency(effect: Effect) -> float | None:
     return effect.values().get("frequency_hz") if effect.family == "structure" else None
 
 
-def _transfer(
-    turned: Annotated[ComplexArray, "segments bins"],
-    moved: Annotated[ComplexArray, "segments bins"],
-    bins: slice,
-    *,
-    signed: bool,
-) -> tuple[float, float, float]:
+def _transfer(turned: Motion, moved: Motion, bins: slice, *, signed: bool) -> tuple[float, float, float]:
     """Estimate the ratio of two motions in a mode's bins: the part in phase where `signed`, else the magnitude.
 
     Return it, its standard deviation by the jackknife over the segments, and the coherent share of the first motion's power.
