@@ -50,12 +50,10 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     if e.drive is None or mean is None:
         return None
     effects = posterior.effects(fit.x, fit.effects)
-    system, shape = posterior.system(fit.x, effects), posterior.model(fit.x, effects).modes().shapes[:, 0].real
-    mass = system.mass
-    first = float(posterior.model(fit.x, effects).modes().frequencies_hz[0])
-    sensors = posterior.context.sensors
+    system, modes = posterior.system(fit.x, effects), posterior.model(fit.x, effects).modes()
+    first, shape, sensors = float(modes.frequencies_hz[0]), modes.shapes[:, 0].real, posterior.context.sensors
     # Maps the channels to the first mode's coordinate, which is the top floor's motion in that mode.
-    to_mode = np.linalg.pinv(sensors).T @ mass @ shape * shape[0]
+    to_mode = np.linalg.pinv(sensors).T @ system.mass @ shape * shape[0]
     in_band = (e.band.hz > _FIRST_MODE_BAND[0] * first) & (e.band.hz < _FIRST_MODE_BAND[1] * first)
     w = 2.0 * np.pi * e.band.hz[in_band]
     inputs = e.drive.measured(e.band)[:, in_band]

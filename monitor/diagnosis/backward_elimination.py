@@ -123,12 +123,9 @@ def _test_cause(
         fitted = parallel_map(partial(refine_rough_fit, posterior, without), at_peak)
     else:
         fitted = parallel_map(partial(fit_candidate, posterior, without, min_log_evidence=needed), rivals)
-    best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
-    if (
-        best is not None
-        and best.log_evidence > needed
-        and is_beyond_weak_modes(posterior, without, best.effect, best.log_evidence, margin)
-    ):
+    found = best_first(with_tone_evidence(posterior, c) for c in fitted)
+    best = found[0] if found and found[0].log_evidence > needed else None
+    if best and is_beyond_weak_modes(posterior, without, best.effect, best.log_evidence, margin):
         effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
         return fit_with(posterior, best.fit, effects), best
     if is_beyond_weak_modes(posterior, without, fit.effects[i], gain, margin):

@@ -62,9 +62,8 @@ class _Profile:
         slot = np.rint((self.t_s - self.t_s[0]) / step_s).astype(int)
         n = next_fast_len(_STEPS_A_CYCLE * (int(slot[-1]) + 1))
         out = np.zeros(relative.size)
-        for hz, spectra in zip(
-            self.hz, self.others, strict=True
-        ):  # one after the other: all at once are too large for a day
+        # One after the other: all at once are too large for a day.
+        for hz, spectra in zip(self.hz, self.others, strict=True):
             at_times = np.zeros((n, spectra.shape[1]), dtype=complex)
             np.add.at(at_times, slot, spectra)
             phases = np.rint(hz * relative * step_s * n).astype(int)

@@ -15,7 +15,7 @@ from monitor.diagnosis.drawing_refit import withdraw_other_structure
 from monitor.diagnosis.fold_refit import refit_form
 from monitor.diagnosis.predictive_score import Score, csd_error, score
 from monitor.diagnosis.repetition import find_repetition, state_repetition
-from monitor.diagnosis.verdict import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis, Verdict
 from monitor.inference import MapEstimate, Segments, classify
 from monitor.model import Effect
 
@@ -262,9 +262,8 @@ def _cut_blocks(segments: Segments) -> _Blocks:
     n = int(min(_MAX_HELD_OUT_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
     n = _N_FOLDS * (n // _N_FOLDS) or 2
     length = (end - start) / n
-    first, last = (
-        np.floor((segments.t_s + d - start) / length + e).astype(int) for d, e in ((-half, 1e-9), (half, -1e-9))
-    )
+    first = np.floor((segments.t_s - half - start) / length + 1e-9).astype(int)
+    last = np.floor((segments.t_s + half - start) / length - 1e-9).astype(int)
     return _Blocks(np.where(first == last, first, -1), n, float(length))
 
 
@@ -312,12 +311,5 @@ def confirms(diagnosis: Diagnosis, effects: Sequence[Effect], gain: HeldOutGain)
 
 def without_any_cause(diagnosis: Diagnosis) -> Diagnosis:
     """Withdraw all causes."""
-    return replace(
-        diagnosis,
-        verdict="unexplained" if diagnosis.misfit else "none",
-        causes=(),
-        also_fitted=(),
-        alternatives=(),
-        left_over=diagnosis.misfit,
-        final_fit=diagnosis.null_fit,
-    )
+    verdict: Verdict = "unexplained" if diagnosis.misfit else "none"
+    return replace(diagnosis.without_causes(diagnosis.misfit), verdict=verdict)

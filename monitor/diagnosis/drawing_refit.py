@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -83,16 +82,7 @@ def withdraw_other_structure(diagnosis: Diagnosis) -> Diagnosis:
     if diagnosis.verdict != "unexplained":
         return diagnosis
     other = find_other_structure(diagnosis.posterior, diagnosis.final_fit, diagnosis.settings)
-    if other is None:
-        return diagnosis
-    return replace(
-        diagnosis,
-        causes=(),
-        also_fitted=(),
-        alternatives=(),
-        left_over=(other, *diagnosis.misfit),
-        final_fit=diagnosis.null_fit,
-    )
+    return diagnosis if other is None else diagnosis.without_causes((other, *diagnosis.misfit))
 
 
 def _hides_structure(diagnosis: Diagnosis) -> bool:

@@ -60,11 +60,10 @@ def fit_linearized(
     if observed.drive is not None:
         prior = prior.with_any_noise()
     posterior = make_posterior(observed, prior.without_nonlinear(), context)
-    null_fit = (
-        maximize_posterior(posterior, first_guess(posterior), iterations=FAR)
-        if observed.drive is None
-        else _fit_from_heavy_damping(posterior)
-    )
+    if observed.drive is None:
+        null_fit = maximize_posterior(posterior, first_guess(posterior), iterations=FAR)
+    else:
+        null_fit = _fit_from_heavy_damping(posterior)
     posterior, null_fit = fit_ground_interpolation(posterior, null_fit)
     posterior = replace(posterior, conditions=linearize(posterior, null_fit.x, ()))
     x = posterior.layout.with_structure(null_fit.x, prior.with_linear(null_fit.x[posterior.layout.structure]))

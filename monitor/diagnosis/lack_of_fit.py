@@ -54,8 +54,8 @@ def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Misfit:
     """Compute how much more misfit the later half of a recording shows than the earlier half.
 
     Each half is compared with the model's spectra of its own classes, and every force has its own level in each half.  So a
-    change of level or of the weather is no drift, nor is wind that comes and goes floor by floor.  Return standard deviations,
-    arranged as by `residual_bands`.
+    change of level or of the weather is no drift, nor is wind that comes and goes floor by floor.  Results as of
+    `residual_bands`.
     """
     e = posterior.observed
     prediction = posterior.predict(fitted.x, fitted.effects)
@@ -128,8 +128,7 @@ def _scatter_between_segments(posterior: Posterior, prediction: Prediction) -> A
 
     The model's error about the response to an earthquake is not stationary: a few strong segments cause most of it, so a band has
     fewer independent pieces of information than segments (overdispersion; P. McCullagh, J. A. Nelder, Generalized Linear Models
-    (1989), section 4.5).  Return ratios of standard deviations, at least 1, arranged as by `residual_bands`; a single 1 without a
-    measured ground.
+    (1989), section 4.5).  Return ratios of standard deviations, at least 1; a single 1 without measured ground.
     """
     if prediction.left is None:
         return np.ones(1)

@@ -273,8 +273,7 @@ def is_beyond_weak_modes(
     """Decide if the log evidence of a cause is more than a further mode, too weak to be found, may leave to it.
 
     Beside a baseline the structure is known, and the cause is compared with such modes themselves: it must have its evidence
-    beside any mode at the highest peaks left.  The fit is without the cause, which has the log evidence `evidence`; a cause needs
-    `needed`, nats.
+    beside any mode at the highest peaks left.  The fit is without the cause; a cause needs the log evidence `needed`, nats.
     """
     if evidence < needed or evidence >= needed + cost_of_weak_modes(posterior, fit, effect):
         return evidence >= needed

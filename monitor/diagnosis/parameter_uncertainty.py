@@ -22,20 +22,16 @@ def coordinate_std(
     posterior: Posterior, fit: MapEstimate, simulation_std: Annotated[Array, "coordinates"]
 ) -> list[Annotated[Array, "p"]]:
     """Compute the standard deviations of each effect's coordinates; `simulation_std` are by the simulations' random error."""
-    first, out, fitted = 0, [], summarize_fit(posterior, fit)
+    fitted, ends = summarize_fit(posterior, fit), np.cumsum([len(e.parameters) for e in fit.effects])[:-1]
     fit_std = np.sqrt(np.maximum(np.diag(fit.covariance)[posterior.layout.effects], 0.0))
-    for effect in fit.effects:
-        these = slice(first, first + len(effect.parameters))
-        out.append(np.hypot(fit_std[these], np.hypot(simulation_std[these], effect.form_std_in(fitted))))
-        first = these.stop
-    return out
+    own = zip(fit.effects, np.split(fit_std, ends), np.split(simulation_std, ends), strict=False)
+    return [np.hypot(std, np.hypot(by_chance, effect.form_std_in(fitted))) for effect, std, by_chance in own]
 
 
 def is_significant(effect: Effect, deviation: Annotated[Array, "p"]) -> bool:
     """Decide if an effect's size differs significantly from that of no effect; an effect without a size always does.
 
-    Of several sizes, as the components of a mode's shape, one is enough.  `deviation` has the standard deviations of the effect's
-    coordinates.
+    Of several sizes, as the components of a mode's shape, one is enough.  `deviation` is that of the coordinates.
     """
     significant = [
         abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= _SIGNIFICANT_SIZE_STDS * std

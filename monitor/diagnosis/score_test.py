@@ -177,9 +177,8 @@ def line_offset(power: Annotated[Array, "bins"], i: int) -> float:
 def rank_by_score(posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[Key], n_beside_prior: int) -> Ranked:
     """Rank the starts by the gain that the score test predicts, nats, best first, each moved to the predicted size.
 
-    Effects of the names and places `excluded` are left out.  A fit that went far from its prior to explain what it cannot explain
-    hides the effect that would.  So effects are tried beside the prior's structure too, of which the best `n_beside_prior` are
-    fitted from there.
+    Those `excluded` are left out.  A fit that went far from its prior to explain what it cannot explain hides the effect that
+    would.  So effects are tried beside the prior's structure too, of which the best `n_beside_prior` are fitted from there.
     """
     excluded = tuple(excluded)
     gains = expected_gains(posterior, null_fit, candidate_starts(posterior, null_fit, excluded))

@@ -69,9 +69,8 @@ def run_selection_round(
         rough = _fit_driven_roughly(posterior, fit, ranked, [effect for _, effect in starts])
         fitted = fit_fully(posterior, fit, _shortlist_driven(ranked, rough, settings), rough, -np.inf)
         valid = [c for c in fitted.values() if is_valid_cause(posterior, c)]
-    return sorted(
-        simulate_contenders(posterior, fit, best_first(valid), added, settings), key=lambda p: -p.candidate.log_evidence
-    )
+    contenders = simulate_contenders(posterior, fit, best_first(valid), added, settings)
+    return sorted(contenders, key=lambda p: -p.candidate.log_evidence)
 
 
 def is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:

@@ -101,6 +101,11 @@ class Diagnosis:
     simulation_std: Array = field(default_factory=lambda: np.zeros(0))
     """As `FittedCauses.simulation_std`, of the final fit's effects."""
 
+    def without_causes(self, left_over: tuple[LackOfFit, ...]) -> Diagnosis:
+        """Withdraw all causes, which leaves the model without them and what it leaves over."""
+        withdrawn = replace(self, causes=(), also_fitted=(), alternatives=())
+        return replace(withdrawn, left_over=left_over, final_fit=self.null_fit)
+
     def without_last_cause(self) -> Diagnosis:
         """Withdraw the cause that was found last, or the alternatives of an ambiguous answer, and judge the others anew."""
         found = FittedCauses(
@@ -122,9 +127,8 @@ def judge(
 ) -> Diagnosis:
     """Judge the causes that a search ended with: which are stated, and what they leave over.
 
-    The first of the alternatives, candidates of the last round that cannot be told apart, is in the fit.  The search may have
-    ended because the forces act in another direction than at calibration, `from_elsewhere`.  The result has no candidates of the
-    search.
+    The first of the alternatives, candidates of the last round that cannot be told apart, is in the fit.  Where the search ended
+    because the forces act in another direction than at calibration, they come `from_elsewhere`.
     """
     # Beside other causes an effect may have moved to a size that means another one.
     band_hz = found.posterior.observed.band.hz

@@ -79,16 +79,9 @@ class Witness:
         """Return the entry of diagnosis.json."""
         unit = "rad/m" if self.sensor.quantity == "rotation_rate" else "m/m"
         keys = ("of", "frequency_hz", "ratio", "std", "coherence", "predicted", "predicted_before")
-        return {
-            "channel": self.sensor.channel,
-            "quantity": self.sensor.quantity,
-            "axis": self.sensor.axis,
-            "floor": self.sensor.floor,
-            "verdict": self.verdict,
-            "says": self.says,
-            "unit": unit,
-            "modes": [{key: getattr(mode, key) for key in keys} for mode in self.modes],
-        }
+        modes = [{key: getattr(mode, key) for key in keys} for mode in self.modes]
+        sensor = {key: getattr(self.sensor, key) for key in ("channel", "quantity", "axis", "floor")}
+        return {**sensor, "verdict": self.verdict, "says": self.says, "unit": unit, "modes": modes}
 
 
 def compare_witnesses(
@@ -169,8 +162,7 @@ class _Comparison:
         """Choose the motion over which the rotation in mode k is stated.
 
         Return the weights of the channels, exact where they tell the motion, else by the mode's shape; the motion in the model's
-        mode of unit modal mass, m; and the rotation of the chord of the columns, rad per m of the motion, None where there are no
-        columns.
+        mode of unit modal mass, m; and the rotation of the columns' chord, rad per m of the motion, None without columns.
         """
         shape, sensors = self.modes.shapes[:, k], self.context.sensors
         if not isinstance(self.structure, ShearFrame):
@@ -216,9 +208,8 @@ class _Comparison:
             bins = self._bins(hz)
             largest = int((np.abs(self.floors[:, bins]) ** 2).sum(axis=(0, 1)).argmax())
             moved = self.floors[:, :, largest] if own is None else own
-            found.append(
-                WitnessedMode(name, hz, *_transfer(self._motion(sensor), moved / -(self._omega**2), bins, signed=False))
-            )
+            told = _transfer(self._motion(sensor), moved / -(self._omega**2), bins, signed=False)
+            found.append(WitnessedMode(name, hz, *told))
         verdict, words = _judge_other_motion(sensor, found, 3.0 * float(self.data.hz[1]))
         return Witness(sensor, verdict, words, tuple(found))
 
