@@ -53,14 +53,9 @@ def reading_of(result: WindowResult) -> AmbientReading | None:
 
 def mean_frequencies(readings: Sequence[AmbientReading], n_modes: int) -> Annotated[Array, "n_modes"]:
     """Average the frequencies of the model's modes over windows; NaN for a mode in none of them."""
-    out = np.full(n_modes, np.nan)
-    for k in range(n_modes):
-        found = [
-            float(hz) for r in readings for hz, mode in zip(r.frequencies_hz, r.model_mode, strict=True) if mode == k
-        ]
-        if found:
-            out[k] = float(np.mean(found))
-    return out
+    pairs = [(mode, float(hz)) for r in readings for mode, hz in zip(r.model_mode, r.frequencies_hz, strict=True)]
+    by_mode = ([hz for mode, hz in pairs if mode == k] for k in range(n_modes))
+    return np.array([float(np.mean(found)) if found else np.nan for found in by_mode])
 
 
 def lasting_loss(
@@ -78,9 +73,9 @@ def lasting_loss(
     if min(len(before), len(after)) < _FEWEST:
         where = "before" if len(before) < _FEWEST else "after"
         return nothing, nothing, f"too few windows {where} it to tell a lasting loss"
-    means, variances = zip(*(_mean(side) for side in (before, after)), strict=True)
-    kept = 1.0 - means[0]
-    loss, std = 1.0 - (1.0 - means[1]) / kept, np.sqrt(variances[0] + variances[1]) / kept
+    (lost_before, variance_before), (lost_after, variance_after) = _mean(before), _mean(after)
+    kept = 1.0 - lost_before
+    loss, std = 1.0 - (1.0 - lost_after) / kept, np.sqrt(variance_before + variance_after) / kept
     levels = [float(np.mean([r.rms_m_s2 for r in side])) for side in (before, after)]
     ratio = levels[1] / levels[0] if levels[0] > 0.0 else 1.0
     apart = ratio > _LEVELS_APART or ratio < 1.0 / _LEVELS_APART

@@ -40,9 +40,8 @@ class Compared:
 def compared(event: Event, limit: LimitTable) -> Compared:
     """Return what a limit is compared with."""
     if limit.drift_ratio is not None:
-        shares = np.divide(
-            event.drift_std_m, event.drift_m, out=np.zeros_like(event.drift_m), where=event.drift_m > 0.0
-        )
+        drift, std = event.drift_m, event.drift_std_m
+        shares = np.divide(std, drift, out=np.zeros_like(drift), where=drift > 0.0)
         largest = event.drift_ratio * (1.0 + 2.0 * shares)
         largest = np.where(event.is_bound & np.isfinite(event.drift_ratio), np.inf, largest)
         return Compared("drift ratio", limit.drift_ratio, event.drift_ratio, event.drift_ratio, largest)

@@ -68,10 +68,8 @@ class Site:
     def content(self) -> dict[str, Any]:
         """Return the content as plain values, of which `read` makes the same site."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        settings = self.settings.model_dump(mode="json")
-        return {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in values.items()} | {
-            "settings": settings
-        }
+        plain = {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in values.items()}
+        return plain | {"settings": self.settings.model_dump(mode="json")}
 
     @classmethod
     def read(cls, content: dict[str, Any]) -> Site:
