@@ -53,6 +53,7 @@ def describe(
         for i, name in enumerate(site.channels)
     )
     ground = None if record.ground is None else floor_motion("ground", record.ground, rate_hz, corner_hz, strong)
+    intensity = None if ground is None else instrumental_intensity(ground.peak_m_s2, ground.peak_m_s)
     heights = np.full(site.n_stories, np.nan) if site.heights_m is None else site.heights_m
     near_hz = np.where(np.isfinite(before_hz), before_hz, site.modes_hz)
     after = np.full(site.modes_hz.size, np.nan)
@@ -78,7 +79,7 @@ def describe(
             floors=floors,
             ground=ground,
             spectrum=None if record.ground is None else response_spectrum(record.ground, rate_hz),
-            instrumental_intensity=ground and instrumental_intensity(ground.peak_m_s2, ground.peak_m_s),
+            instrumental_intensity=intensity,
             corner_hz=corner_hz,
             drift_m=drift,
             drift_std_m=std,
