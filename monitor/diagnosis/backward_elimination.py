@@ -82,7 +82,8 @@ def eliminate_backward(
         if (len(fit.effects) == 1 or is_last) and not cause.effect.repeatable:
             break  # no later cause is in the model
         i = kept.index(cause)
-        tested = _test_cause(posterior, fit, i, _rivals(cause, candidates, fit.effects, later), margin, lead)
+        rivals = _rivals(cause, candidates, (*fit.effects[:i], *fit.effects[i + 1 :]), later)
+        tested = _test_cause(posterior, fit, i, rivals, margin, lead)
         if tested is None:
             continue
         fit, rival = tested
@@ -98,12 +99,12 @@ def eliminate_backward(
 
 
 def _rivals(
-    cause: Candidate, candidates: Sequence[Candidate], effects: Sequence[Effect], later: Sequence[Candidate]
+    cause: Candidate, candidates: Sequence[Candidate], others: Sequence[Effect], later: Sequence[Candidate]
 ) -> list[Effect]:
-    """List the effects that are tried in place of a cause: the best of its own round that are not in the model otherwise."""
+    """List the effects that are tried in place of a cause: the best of its own round that are not among the others."""
     if cause.effect.nonlinear:  # a simulated correction holds for one law only
         return []
-    known = {*map(key_of, effects), cause.key, *(c.key for c in later)}
+    known = {*map(key_of, others), cause.key, *(c.key for c in later)}
     return [c.effect for c in candidates if not c.effect.nonlinear and c.key not in known][:_N_ALTERNATIVES]
 
 
