@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from monitor.core import Array
@@ -14,35 +16,21 @@ _SAME_PREDICTION_NATS = 1.0
 
 
 def tied_candidates(candidates: list[RefittedCandidate], rival: float) -> list[RefittedCandidate]:
-    """Select the candidates whose log odds against the best one exceed ``-rival``, best first.
-
-    Parameters
-    ----------
-    candidates : list of RefittedCandidate
-        In any order.
-    rival : float
-        Log odds from which the best candidate is distinguished from another one, nats.
-    """
+    """Select the candidates whose log odds against the best one exceed ``-rival``, nats, best first."""
     candidates = sorted(candidates, key=lambda p: -p.candidate.log_evidence)
     if not candidates:
         return []
     return [p for p, odds in zip(candidates, _log_odds(candidates), strict=True) if odds > -rival]
 
 
-def probabilities(tied: list[RefittedCandidate]) -> Array:
-    """Compute the probability of each tied candidate, shape (n,).
-
-    Parameters
-    ----------
-    tied : list of RefittedCandidate
-        The only possible causes, the best one first.
-    """
+def probabilities(tied: list[RefittedCandidate]) -> Annotated[Array, "n"]:
+    """Compute the probability of each tied candidate, best first, as if they were the only possible causes."""
     odds = np.exp(_log_odds(tied))
     return np.asarray(odds / odds.sum())
 
 
-def _log_odds(ordered: list[RefittedCandidate]) -> Array:
-    """Compute the log odds of candidates against the first one, which is the best, shape (n,), nats.
+def _log_odds(ordered: list[RefittedCandidate]) -> Annotated[Array, "n"]:
+    """Compute the log odds of candidates against the first one, which is the best, nats.
 
     Random error of the evidence moderates the odds towards even (D. MacKay, Neural Computation 4 (1992) 720).
     """

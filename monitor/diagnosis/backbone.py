@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -30,35 +31,29 @@ _MIN_CHANGE_STDS = 6.0
 class Backbone:
     """Backbone curve: the first frequency of every segment that shows it clearly, by the amplitude of the motion."""
 
-    amplitude_m: Array
-    """Peak displacement of the top floor in the first mode relative to the ground, sqrt(2) x RMS, shape (n,), ascending."""
-    hz: Array
-    """First frequency of the measured motion, shape (n,), Hz."""
-    model_hz: Array
-    """First frequency of the model's response, shape (n,), Hz."""
+    amplitude_m: Annotated[Array, "n"]
+    """Peak displacement of the top floor in the first mode relative to the ground, sqrt(2) x RMS; ascending."""
+    hz: Annotated[Array, "n"]
+    """First frequency of the measured motion."""
+    model_hz: Annotated[Array, "n"]
+    """First frequency of the model's response."""
 
 
 def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     """Estimate the first mode's frequency in every segment.
 
     In each segment ``y'' + 2 zeta w y' + w^2 y = gamma u`` is solved by least squares in the frequency domain.  Here y is the
-    floors' motion relative to the ground in the first mode, and u is the force of all inputs on that mode.
-
-    Returns
-    -------
-    Backbone or None
-        None where too few segments show the mode, or where no input was measured.
+    floors' motion relative to the ground in the first mode, and u is the force of all inputs on that mode.  None where too few
+    segments show the mode, or where no input was measured.
     """
     e, mean = posterior.observed, posterior.mean(fit.x, fit.effects)
     if e.drive is None or mean is None:
         return None
-    effects = (*posterior.prior.effects(fit.x), *fit.effects)
-    system, shape = posterior.system(fit.x, effects), posterior.model(fit.x, effects).modes().shapes[:, 0].real
-    mass = system.mass
-    first = float(posterior.model(fit.x, effects).modes().frequencies_hz[0])
-    sensors = posterior.context.sensors
+    effects = posterior.effects(fit.x, fit.effects)
+    system, modes = posterior.system(fit.x, effects), posterior.model(fit.x, effects).modes()
+    first, shape, sensors = float(modes.frequencies_hz[0]), modes.shapes[:, 0].real, posterior.context.sensors
     # Maps the channels to the first mode's coordinate, which is the top floor's motion in that mode.
-    to_mode = np.linalg.pinv(sensors).T @ mass @ shape * shape[0]
+    to_mode = np.linalg.pinv(sensors).T @ system.mass @ shape * shape[0]
     in_band = (e.band.hz > _FIRST_MODE_BAND[0] * first) & (e.band.hz < _FIRST_MODE_BAND[1] * first)
     w = 2.0 * np.pi * e.band.hz[in_band]
     inputs = e.drive.measured(e.band)[:, in_band]
@@ -76,22 +71,12 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     return Backbone(*columns)
 
 
-def _fit_oscillator(y: ComplexArray, force: ComplexArray, w: Array) -> tuple[float, float, float]:
-    """Fit an oscillator's equation of motion to a mode's acceleration.
+def _fit_oscillator(
+    y: Annotated[ComplexArray, "bins"], force: Annotated[ComplexArray, "bins"], w: Annotated[Array, "bins"]
+) -> tuple[float, float, float]:
+    """Fit an oscillator's equation of motion to a mode's acceleration relative to the ground, `y`, under a force of any unit.
 
-    Parameters
-    ----------
-    y : ndarray of complex, shape (n_bins,)
-        Acceleration relative to the ground.
-    force : ndarray of complex, shape (n_bins,)
-        Force on the mode, of any unit.
-    w : ndarray, shape (n_bins,)
-        Circular frequency, rad/s.
-
-    Returns
-    -------
-    tuple of float
-        Frequency in Hz, root of the summed power of the displacement, and share of the power that the fit leaves unexplained.
+    Return the frequency in Hz, the root of the summed power of the displacement, and the share of the power left unexplained.
     """
     a = np.column_stack([y / -(w**2), y / (1j * w), force])
     parts, target = np.concatenate([a.real, a.imag]), -np.concatenate([y.real, y.imag])
@@ -102,8 +87,8 @@ def _fit_oscillator(y: ComplexArray, force: ComplexArray, w: Array) -> tuple[flo
     return omega / (2.0 * np.pi), size, unexplained
 
 
-def median_with_std(values: Array) -> tuple[float, float]:
-    """Compute the median of values, shape (n,), and the standard deviation of the median, from their scatter."""
+def median_with_std(values: Annotated[Array, "n"]) -> tuple[float, float]:
+    """Compute the median of values, and its standard deviation from their scatter."""
     middle = float(np.median(values))
     return middle, _MEDIAN_STD_FACTOR * float(np.median(np.abs(values - middle))) / np.sqrt(values.size)
 
@@ -135,17 +120,14 @@ def find_level_dependence(found: Backbone | None) -> LackOfFit | None:
 def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | None:
     """Test if the frequency ratios differ from those of the drawing, or of the baseline where there is one.
 
-    Returns
-    -------
-    LackOfFit or None
-        None where the fitted model keeps the ratios, has one mode or no extra effects, or no input was measured.
+    None where the fitted model keeps the ratios, has one mode or no extra effects, or no input was measured.
     """
     if posterior.observed.drive is None or not fit.effects or posterior.context.structure.n_dofs < 2:
         return None
     known = posterior.prior
     at_reference = posterior.layout.with_structure(fit.x, known.mean)
     drawn = posterior.model(at_reference, known.effects(known.mean)).modes().frequencies_hz
-    found = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects)).modes().frequencies_hz[: drawn.size]
+    found = posterior.model(fit.x, posterior.effects(fit.x, fit.effects)).modes().frequencies_hz[: drawn.size]
     drawn_ratios, ratios = drawn[1:] / drawn[0], found[1:] / found[0]
     change = ratios / drawn_ratios - 1.0
     std = np.sqrt(np.maximum(_ratio_variance(posterior, fit, ratios), 1e-18)) / drawn_ratios
@@ -161,19 +143,13 @@ def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | Non
     )
 
 
-def _ratio_variance(posterior: Posterior, fit: MapEstimate, ratios: Array) -> Array:
-    """Compute the variance of the frequency ratios from their slopes by the fitted parameters, shape (n_ratios,).
-
-    Parameters
-    ----------
-    ratios : ndarray, shape (n_ratios,)
-        Frequencies of the fitted model from the second mode on, over the first.
-    """
+def _ratio_variance(posterior: Posterior, fit: MapEstimate, ratios: Annotated[Array, "r"]) -> Annotated[Array, "r"]:
+    """Compute the variance of the ratios of frequencies, from the second on, to the first, by their slopes."""
     slopes = np.zeros((ratios.size, fit.x.size))
     for i in range(fit.x.size):
         moved, h = fit.x.copy(), 1e-5 * max(1.0, abs(fit.x[i]))
         moved[i] += h
-        effects = (*posterior.prior.effects(moved), *with_coordinates(fit.effects, moved[posterior.layout.effects]))
+        effects = posterior.effects(moved, with_coordinates(fit.effects, moved[posterior.layout.effects]))
         f = posterior.model(moved, effects).modes().frequencies_hz[: ratios.size + 1]
         slopes[:, i] = (f[1:] / f[0] - ratios) / h
     return np.asarray(np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from monitor.diagnosis.score_test import (
     find_excess_peaks,
     fit_candidate,
     fit_roughly,
+    fit_with,
+    key_of,
     refine_rough_fit,
     score_candidate,
     with_tone_evidence,
@@ -30,6 +33,7 @@ from monitor.inference import (
     linearize,
     maximize_posterior,
 )
+from monitor.model import Effect
 
 _LOCAL_OPTIMUM_NATS = 3.0
 """Shortfall against the best fit of the same form from which a fit is repeated from another start. [nats; judgement]"""
@@ -40,22 +44,7 @@ _N_ALTERNATIVES = 3
 def find_better_null_fit(
     posterior: Posterior, fit: MapEstimate, candidates: Sequence[RefittedCandidate]
 ) -> tuple[Posterior, MapEstimate] | None:
-    """Find a better fit without the candidates' causes, starting from where the candidates' fits ended.
-
-    Without this refit the candidate would get credit for the improvement.
-
-    Parameters
-    ----------
-    fit : MapEstimate
-        The present fit without a further cause.
-    candidates : sequence of RefittedCandidate
-        Fits with one further cause each.
-
-    Returns
-    -------
-    tuple of Posterior and MapEstimate, or None
-        None where no start is better than `fit`.
-    """
+    """Find a better fit without a further cause, which would get credit for it, from where the candidates' fits ended."""
     starts = [(p.candidate.fit.x[: fit.x.size], p.candidate.fit.effects[:-1]) for p in candidates]
     log_posteriors = [sum(posterior.score(*start)) for start in starts]
     if not starts or not max(log_posteriors) > fit.log_posterior + _LOCAL_OPTIMUM_NATS:
@@ -66,10 +55,7 @@ def find_better_null_fit(
 
 
 def update_linearization(posterior: Posterior, fit: MapEstimate) -> Posterior:
-    """Linearize nonlinear laws at the motion of the fitted model.
-
-    A posterior that simulation corrected is returned unchanged, since the correction holds at the simulated motion.
-    """
+    """Linearize nonlinear laws at the motion of a fit, unless simulation corrected the posterior, at its own motion."""
     if isinstance(posterior, CorrectedPosterior):
         return posterior
     return replace(posterior, conditions=linearize(posterior, fit.x, fit.effects))
@@ -85,25 +71,9 @@ def eliminate_backward(
 ) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...]]:
     """Remove the causes that later ones made superfluous, and replace a cause where a rival fits better now.
 
-    Parameters
-    ----------
-    fit : MapEstimate
-        Fit with the accepted causes, followed by the most probable alternative where the answer is ambiguous.
-    accepted : sequence of Candidate
-        Accepted causes in the order of their acceptance.
-    rounds : sequence of sequences of Candidate
-        For every cause the candidates among which it was accepted, then the candidates of the alternatives.
-    margin : float
-        Log evidence that a cause needs, nats.
-    lead : float
-        Log evidence that a rival must have beyond that of the cause which it replaces, nats.
-
-    Returns
-    -------
-    posterior : Posterior
-    fit : MapEstimate
-    kept : tuple of Candidate
-        The causes that remain.
+    The fit has the accepted causes, in the order of their acceptance, then the most probable alternative where the answer is
+    ambiguous.  `rounds` has for every cause the candidates among which it was accepted, then those of the alternatives.  A cause
+    needs the log evidence `margin`, a rival `lead` beyond that of the cause which it replaces, nats.
     """
     later = rounds[len(accepted)] if len(fit.effects) > len(accepted) else ()
     kept, replaced = list(accepted), False
@@ -111,39 +81,14 @@ def eliminate_backward(
         is_last = cause is accepted[-1] and len(fit.effects) == len(kept) and not replaced
         if (len(fit.effects) == 1 or is_last) and not cause.effect.repeatable:
             break  # no later cause is in the model
-        nuisances, i = posterior.layout.nuisances, kept.index(cause)
-        rest = (*fit.effects[:i], *fit.effects[i + 1 :])
-        at_peak: list[Candidate] = []
-        if cause.effect.repeatable:
-            certain, at_peak = _test_roughly(posterior, fit, i, margin)
-            if certain:
-                continue
-        without = maximize_posterior(posterior, join_coordinates(fit.x[nuisances], rest), rest)
-        min_gain = score_candidate(posterior, without, fit, i).log_evidence
-        excluded = {cause.key, *(c.key for c in later), *((e.name, e.location) for e in rest)}
-        # A simulated correction holds for one law only, so a nonlinear cause neither replaces another nor is replaced.
-        linear = [] if cause.effect.nonlinear else [c for c in candidates if not c.effect.nonlinear]
-        min_log_evidence = max(min_gain + lead, margin)
-        if at_peak:
-            fitted = parallel_map(partial(refine_rough_fit, posterior, without), at_peak)
-        else:
-            rivals = [c.effect for c in linear if c.key not in excluded][:_N_ALTERNATIVES]
-            fit_rival = partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence)
-            fitted = parallel_map(fit_rival, rivals)
-        best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
-        if (
-            best is not None
-            and best.log_evidence > min_log_evidence
-            and is_beyond_weak_modes(posterior, without, best.effect, best.log_evidence, margin)
-        ):
-            effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
-            fit = maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects)
-            kept[i], replaced = best, True
-        elif is_beyond_weak_modes(posterior, without, fit.effects[i], min_gain, margin):
+        i = kept.index(cause)
+        rivals = _rivals(cause, candidates, (*fit.effects[:i], *fit.effects[i + 1 :]), later)
+        tested = _test_cause(posterior, fit, i, rivals, margin, lead)
+        if tested is None:
             continue
-        else:
-            fit = without
-            del kept[i]
+        fit, rival = tested
+        kept[i : i + 1] = [] if rival is None else [rival]
+        replaced |= rival is not None
         posterior = update_linearization(posterior, fit)
         if isinstance(posterior, CorrectedPosterior):
             posterior = replace(posterior, simulation_std=np.zeros(0))  # it held for the former causes
@@ -153,20 +98,47 @@ def eliminate_backward(
     return posterior, fit, tuple(kept)
 
 
+def _rivals(
+    cause: Candidate, candidates: Sequence[Candidate], others: Sequence[Effect], later: Sequence[Candidate]
+) -> list[Effect]:
+    """List the effects that are tried in place of a cause: the best of its own round that are not among the others."""
+    if cause.effect.nonlinear:  # a simulated correction holds for one law only
+        return []
+    known = {*map(key_of, others), cause.key, *(c.key for c in later)}
+    return [c.effect for c in candidates if not c.effect.nonlinear and c.key not in known][:_N_ALTERNATIVES]
+
+
+def _test_cause(
+    posterior: Posterior, fit: MapEstimate, i: int, rivals: Sequence[Effect], margin: float, lead: float
+) -> tuple[MapEstimate, Candidate | None] | None:
+    """Test cause i of a fit: None where it is needed, else the fit with a better rival for it and this, or without both."""
+    at_peak: list[Candidate] = []
+    if fit.effects[i].repeatable:
+        certain, at_peak = _test_roughly(posterior, fit, i, margin)
+        if certain:
+            return None
+    without = fit_with(posterior, fit, (*fit.effects[:i], *fit.effects[i + 1 :]))
+    gain = score_candidate(posterior, without, fit, i).log_evidence
+    needed = max(gain + lead, margin)
+    if at_peak:
+        fitted = parallel_map(partial(refine_rough_fit, posterior, without), at_peak)
+    else:
+        fitted = parallel_map(partial(fit_candidate, posterior, without, min_log_evidence=needed), rivals)
+    found = best_first(with_tone_evidence(posterior, c) for c in fitted)
+    best = found[0] if found and found[0].log_evidence > needed else None
+    if best and is_beyond_weak_modes(posterior, without, best.effect, best.log_evidence, margin):
+        effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
+        return fit_with(posterior, best.fit, effects), best
+    if is_beyond_weak_modes(posterior, without, fit.effects[i], gain, margin):
+        return None
+    return without, None
+
+
 def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float) -> tuple[bool, list[Candidate]]:
-    """Test a mode that the model lacks by rough fits, since such modes may be many and most are beyond doubt.
+    """Test mode i of a fit, one that the model lacks, by rough fits, since such modes may be many and most are beyond doubt.
 
-    Parameters
-    ----------
-    i : int
-        Index of the mode among the fit's effects.
-
-    Returns
-    -------
-    certain : bool
-        Whether the mode is needed beyond doubt and no other cause of its peak comes near it.
-    rivals : list of Candidate
-        The best other cause of the peak, roughly fitted; empty where none comes near the mode.
+    Return whether the mode is needed beyond doubt and no other cause of its peak comes near it, and the best other cause of the
+    peak, roughly fitted; empty where none comes near the mode.
     """
     rest = (*fit.effects[:i], *fit.effects[i + 1 :])
     x = join_coordinates(fit.x[posterior.layout.nuisances], rest)
@@ -186,25 +158,9 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
 
 
 def fit_subset(
-    posterior: Posterior, fit: MapEstimate, simulation_std: Array, kept: Sequence[bool]
-) -> tuple[MapEstimate, Array]:
-    """Refit with some of the effects only.
-
-    Parameters
-    ----------
-    simulation_std : ndarray, shape (n_coordinates,)
-        Standard deviation of the effects' coordinates by the simulations' random error.
-    kept : sequence of bool
-        Says for every effect if it stays.
-
-    Returns
-    -------
-    fit : MapEstimate
-    simulation_std : ndarray
-        The same standard deviations, of the remaining effects.
-    """
+    posterior: Posterior, fit: MapEstimate, simulation_std: Annotated[Array, "p"], kept: Sequence[bool]
+) -> tuple[MapEstimate, Annotated[Array, "q"]]:
+    """Refit with the effects that are `kept`; return the fit and, of these effects' coordinates, the `simulation_std`."""
     effects = tuple(e for e, stays in zip(fit.effects, kept, strict=True) if stays)
     sizes = np.array([stays for e, stays in zip(fit.effects, kept, strict=True) for _ in e.parameters], dtype=bool)
-    return maximize_posterior(
-        posterior, join_coordinates(fit.x[posterior.layout.nuisances], effects), effects
-    ), simulation_std[sizes]
+    return fit_with(posterior, fit, effects), simulation_std[sizes]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy.fft import ifft, next_fast_len
@@ -43,11 +44,11 @@ class ClockDrift:
 class _Profile:
     """Log likelihood of a recording as a function of the rate of one channel's clock."""
 
-    others: ComplexArray
-    """Coherences of that channel with the whitened others by segment, shape (n_bins, n_segments, c - 1)."""
-    hz: Array
-    t_s: Array
-    """Middle of every segment, shape (n_segments,)."""
+    others: Annotated[ComplexArray, "bins segments others"]
+    """Coherences of that channel with the whitened others by segment."""
+    hz: Annotated[Array, "bins"]
+    t_s: Annotated[Array, "segments"]
+    """Middle of every segment."""
     segment_s: float
 
     def at(self, relative: float) -> float:
@@ -55,48 +56,35 @@ class _Profile:
         turn = np.exp(2j * np.pi * relative * self.hz[:, None] * self.t_s)
         return float(self._likelihood(np.einsum("fsl,fs->fl", self.others, turn)))
 
-    def over(self, relative: Array) -> Array:
-        """Compute the log likelihood at many rates, shape (n,), with the phases of an FFT, which are coarser."""
+    def over(self, relative: Annotated[Array, "n"]) -> Annotated[Array, "n"]:
+        """Compute the log likelihood at many rates, with the phases of an FFT, which are coarser."""
         step_s = 0.5 * self.segment_s
         slot = np.rint((self.t_s - self.t_s[0]) / step_s).astype(int)
         n = next_fast_len(_STEPS_A_CYCLE * (int(slot[-1]) + 1))
         out = np.zeros(relative.size)
-        for hz, spectra in zip(
-            self.hz, self.others, strict=True
-        ):  # one after the other: all at once are too large for a day
+        # One after the other: all at once are too large for a day.
+        for hz, spectra in zip(self.hz, self.others, strict=True):
             at_times = np.zeros((n, spectra.shape[1]), dtype=complex)
             np.add.at(at_times, slot, spectra)
             phases = np.rint(hz * relative * step_s * n).astype(int)
             out += self._likelihood(n * ifft(at_times, axis=0)[phases, None])
         return out
 
-    def _likelihood(self, coherent: ComplexArray) -> Array:
-        """Sum up the log likelihood from the coherent sums over the segments, shape (..., n_bins, c - 1)."""
+    def _likelihood(self, coherent: Annotated[ComplexArray, "... bins others"]) -> Array:
+        """Sum up the log likelihood from the coherent sums over the segments."""
         incoherent = np.maximum(1.0 - (np.abs(coherent) ** 2).sum(axis=-1), np.finfo(float).eps)
         freedom = self.t_s.size - self.others.shape[2]  # the others' coefficients are fitted
         return np.asarray(-information_weight() * freedom * np.log(incoherent).sum(axis=-1))
 
 
 def correct_clock_drifts(segments: Segments, settings: DiagnosisSettings) -> tuple[Segments, tuple[ClockDrift, ...]]:
-    """Correct the segments for channels whose clocks drift from the others'.
+    """Correct the segments for channels whose clocks drift from the others'; return them and the drifts, most significant first.
 
     The delay of such a channel grows from segment to segment, which turns the phase of its cross-spectra in proportion to
     frequency and time.  The rate that makes the channels most coherent is the most probable one, whatever the structure: the
-    likelihood is that of normal segments whose covariance is free at each frequency.  The clocks are taken to agree at the
-    recording's start.  A drift of less than a sample over the recording is none: sensors are not synchronized better.
-
-    Parameters
-    ----------
-    segments : Segments
-    settings : DiagnosisSettings
-        The gain must exceed the margin of a cause.
-
-    Returns
-    -------
-    segments : Segments
-        Those given where no clock drifts.
-    drifts : tuple of ClockDrift
-        Most significant first.
+    likelihood is that of normal segments whose covariance is free at each frequency.  Its gain must exceed the margin of a cause.
+    The clocks are taken to agree at the recording's start.  A drift of less than a sample over the recording is none: sensors are
+    not synchronized better.
 
     References
     ----------
@@ -136,10 +124,7 @@ def state_clock_drifts(diagnosis: Diagnosis, drifts: tuple[ClockDrift, ...]) -> 
         for d in drifts
     )
     return replace(
-        diagnosis,
-        verdict="unexplained",
-        misfit=(*said, *diagnosis.misfit),
-        left_over=(*said, *diagnosis.left_over),
+        diagnosis, verdict="unexplained", misfit=(*said, *diagnosis.misfit), left_over=(*said, *diagnosis.left_over)
     )
 
 

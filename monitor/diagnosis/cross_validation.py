@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from monitor.diagnosis.drawing_refit import withdraw_other_structure
 from monitor.diagnosis.fold_refit import refit_form
 from monitor.diagnosis.predictive_score import Score, csd_error, score
 from monitor.diagnosis.repetition import find_repetition, state_repetition
-from monitor.diagnosis.verdict import Diagnosis
+from monitor.diagnosis.verdict import Diagnosis, Verdict
 from monitor.inference import MapEstimate, Segments, classify
 from monitor.model import Effect
 
@@ -87,23 +87,22 @@ class HeldOutGain:
 class _Blocks:
     """Division of a recording into contiguous blocks."""
 
-    of_segment: NDArray[np.intp]
-    """Block of every segment, -1 for one that straddles a border, shape (n_segments,)."""
+    of_segment: Annotated[NDArray[np.intp], "segments"]
+    """Block of every segment, -1 for one that straddles a border."""
     n: int
     length_s: float
-    """Length of a block, s."""
 
     @property
     def folds(self) -> int:
         """Number of fits by which every block is held out once."""
         return min(_N_FOLDS, self.n)
 
-    def held(self, fold: int) -> NDArray[np.bool_]:
-        """Select the segments that a fold holds out, shape (n_segments,)."""
+    def held(self, fold: int) -> Annotated[NDArray[np.bool_], "segments"]:
+        """Select the segments that a fold holds out."""
         return np.asarray((self.of_segment >= 0) & (self.of_segment % self.folds == fold))
 
-    def others(self, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Select the segments that a fold is fitted to, shape (n_segments,)."""
+    def others(self, held: Annotated[NDArray[np.bool_], "segments"]) -> Annotated[NDArray[np.bool_], "segments"]:
+        """Select the segments that a fold is fitted to."""
         return (self.of_segment >= 0) & ~held
 
 
@@ -113,8 +112,8 @@ class _Folds:
 
     segments: Segments
     blocks: _Blocks
-    parts: tuple[NDArray[np.bool_], ...]
-    """Masks of the segments that are held out together, shape (n_segments,) each; none where the recording is too short."""
+    parts: tuple[Annotated[NDArray[np.bool_], "segments"], ...]
+    """Masks of the segments that are held out together; none where the recording is too short."""
 
     @classmethod
     def of(cls, segments: Segments) -> Self:
@@ -183,20 +182,9 @@ class _Scored:
 def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
     """Measure the gain of a diagnosis's extended model over the old form on blocks that neither was fitted to.
 
-    The recording is cut into contiguous blocks.  Both forms are scored on every fourth of them, fitted to the others, four
-    times over (every second one where the recording is short).  A segment that straddles a border belongs to no block.
-
-    Parameters
-    ----------
-    segments : Segments
-        The recording that was diagnosed.
-    diagnosis : Diagnosis
-        The diagnosis of the whole recording.
-
-    Returns
-    -------
-    HeldOutGain
-        With a text in place of numbers where nothing was added to the model, or the recording is too short.
+    The recording is cut into contiguous blocks.  Both forms are scored on every fourth of them, fitted to the others, four times
+    over (every second one where the recording is short).  A segment that straddles a border belongs to no block.  A text stands
+    in place of numbers where nothing was added to the model, or the recording is too short.
 
     References
     ----------
@@ -215,17 +203,16 @@ def calibration_nats(diagnosis: Diagnosis, without: MapEstimate) -> float:
     return prior.log_density(diagnosis.final_fit.x[structure]) - prior.log_density(without.x[structure])
 
 
-def _summarize_scores(nats: Array, samples: Array, spectra: ComplexArray, blocks: _Blocks) -> HeldOutGain:
+def _summarize_scores(
+    nats: Annotated[Array, "2 blocks"],
+    samples: Annotated[Array, "blocks"],
+    spectra: Annotated[ComplexArray, "folds 2 2 bins c c"],
+    blocks: _Blocks,
+) -> HeldOutGain:
     """Sum up the blocks' scores.
 
-    Parameters
-    ----------
-    nats : ndarray, shape (2, n_blocks)
-        Log likelihood of the old and of the extended form.
-    samples : ndarray, shape (n_blocks,)
-        Sample instants.
-    spectra : ndarray of complex, shape (n_folds, 2, 2, n_bins, c, c)
-        For every part held out, and the old and the extended form, measured and modelled cross-spectra.
+    `nats` has the old and the extended form; `spectra` has for every part held out, and for both forms, measured and modelled
+    cross-spectra.
     """
     total, whole = samples.sum(), spectra.sum(axis=0)
     ci95 = _bootstrap_interval(nats[1] - nats[0], samples)
@@ -242,15 +229,8 @@ def _summarize_scores(nats: Array, samples: Array, spectra: ComplexArray, blocks
     )
 
 
-def _bootstrap_interval(gains: Array, samples: Array) -> tuple[float, float]:
+def _bootstrap_interval(gains: Annotated[Array, "blocks"], samples: Annotated[Array, "blocks"]) -> tuple[float, float]:
     """Bootstrap the 95 % interval of the gain per sample instant, resampling whole blocks.
-
-    Parameters
-    ----------
-    gains : ndarray, shape (n_blocks,)
-        Gain of every block, nats.
-    samples : ndarray, shape (n_blocks,)
-        Sample instants of every block.
 
     References
     ----------
@@ -282,9 +262,8 @@ def _cut_blocks(segments: Segments) -> _Blocks:
     n = int(min(_MAX_HELD_OUT_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
     n = _N_FOLDS * (n // _N_FOLDS) or 2
     length = (end - start) / n
-    first, last = (
-        np.floor((segments.t_s + d - start) / length + e).astype(int) for d, e in ((-half, 1e-9), (half, -1e-9))
-    )
+    first = np.floor((segments.t_s - half - start) / length + 1e-9).astype(int)
+    last = np.floor((segments.t_s + half - start) / length - 1e-9).astype(int)
     return _Blocks(np.where(first == last, first, -1), n, float(length))
 
 
@@ -293,21 +272,8 @@ def confirm_on_held_out(segments: Segments, diagnosis: Diagnosis) -> tuple[Diagn
 
     Those that remain must gain over the model without the last of them, without the last two, and so on, and without any.  A
     false last cause may hide behind the gain of true ones, or predict so badly that their gain is lost with it.  In a recording
-    that repeats itself nothing can be held out, and no cause is confirmed.
-
-    Parameters
-    ----------
-    segments : Segments
-        The recording that was diagnosed.
-    diagnosis : Diagnosis
-        The diagnosis of the whole recording.
-
-    Returns
-    -------
-    Diagnosis
-        Diagnosis with the causes that held-out data confirm.
-    HeldOutGain
-        Gain of these causes together; zero if all are withdrawn.
+    that repeats itself nothing can be held out, and no cause is confirmed.  Return the diagnosis with the causes that held-out
+    data confirm, and the gain of these together, zero if all are withdrawn.
     """
     if (period_s := find_repetition(segments)) is not None:
         return state_repetition(diagnosis, period_s), HeldOutGain(
@@ -345,12 +311,5 @@ def confirms(diagnosis: Diagnosis, effects: Sequence[Effect], gain: HeldOutGain)
 
 def without_any_cause(diagnosis: Diagnosis) -> Diagnosis:
     """Withdraw all causes."""
-    return replace(
-        diagnosis,
-        verdict="unexplained" if diagnosis.misfit else "none",
-        causes=(),
-        also_fitted=(),
-        alternatives=(),
-        left_over=diagnosis.misfit,
-        final_fit=diagnosis.null_fit,
-    )
+    verdict: Verdict = "unexplained" if diagnosis.misfit else "none"
+    return replace(diagnosis.without_causes(diagnosis.misfit), verdict=verdict)

@@ -20,12 +20,8 @@ recorded]"""
 def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
     """Compute every story's damage index with stiffness refitted alone, and with stiffness refitted beside the causes.
 
-    Changes of stiffness do not count as causes here, since the index is to show them.
-
-    Returns
-    -------
-    dict
-        ``without`` and ``with`` the causes: lists of shape (n_stories,), 0.2 = 20 % lost; empty where nothing was added.
+    Changes of stiffness do not count as causes here, since the index is to show them.  The keys ``without`` and ``with`` (the
+    causes) hold lists of a number for each story, 0.2 = 20 % lost; empty where nothing was added.
     """
     causes = tuple(e for e in diagnosis.final_fit.effects if not e.is_stiffness_loss)
     if not diagnosis.final_fit.effects:

@@ -14,20 +14,9 @@ _ONE_SIDED_95 = 1.645
 
 
 def detectable_losses(posterior: Posterior, fit: MapEstimate, margin: float) -> list[float | None]:
-    """Compute the smallest loss of each story that the search would find in 95 % of recordings like this one.
+    """Compute the smallest relative loss of each story that the search would find in 95 % of recordings like this one.
 
-    Parameters
-    ----------
-    posterior : Posterior
-    fit : MapEstimate
-        The final fit, of a diagnosis that names no cause.
-    margin : float
-        Log evidence that a cause needs, nats.
-
-    Returns
-    -------
-    list of float or None
-        Relative loss of each story; None where no loss would be found.
+    `fit` is the final one, without causes, which need the log evidence `margin`, nats.  None where no loss would be found.
     """
     (kind,) = (kind for kind in EFFECTS.values() if kind.is_stiffness_loss)
     typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -19,24 +18,13 @@ _MAX_STATED = 3
 """Most parameters that the headline names; the list has them all. [count; judgement]"""
 
 
-def refit(diagnosis: Diagnosis, tolerance: Array, story_names: Sequence[str]) -> list[dict[str, Any]]:
-    """Compare the refitted stiffnesses and masses with those of the structure file.
+def refit(diagnosis: Diagnosis, tolerance: Annotated[Array, "p+n"], story_names: Sequence[str]) -> list[dict[str, Any]]:
+    """Compare the stiffnesses and masses that were refitted without a baseline with those of the structure file.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        A diagnosis without a baseline, so that its prior is the drawing.
-    tolerance : ndarray, shape (p + n,)
-        Relative half width of the ranges that the structure file states for stiffnesses, then masses; NaN where it states none.
-    story_names : sequence of str
-        Name of every stiffness, shape (p,).
-
-    Returns
-    -------
-    list of dict
-        Key `refit` of diagnosis.json: a mapping for each stiffness, then each mass.  Without a stated tolerance
-        `beyond_tolerance` means that the parameter differs from the drawing by more than its interval.  Empty where nothing can
-        be said of the structure.
+    `tolerance` is the relative half width of the ranges that the structure file states for stiffnesses, then masses; NaN where it
+    states none.  Return the key `refit` of diagnosis.json: a mapping for each stiffness, then each mass.  Without a stated
+    tolerance `beyond_tolerance` means that the parameter differs from the drawing by more than its interval.  Empty where nothing
+    can be said of the structure.
     """
     if _hides_structure(diagnosis):
         return []
@@ -72,13 +60,9 @@ def refit(diagnosis: Diagnosis, tolerance: Array, story_names: Sequence[str]) ->
 
 
 def other_optima(diagnosis: Diagnosis, story_names: Sequence[str]) -> list[dict[str, Any]]:
-    """Describe other stiffnesses that explain the recording as well as those of `refit`.
+    """Describe other stiffnesses that explain the recording as well as those of `refit`: key `other_optima` of diagnosis.json.
 
-    Returns
-    -------
-    list of dict
-        Key `other_optima` of diagnosis.json: the stiffnesses, and a sentence without its full stop on where they differ most.
-        Empty where nothing can be said of the structure.
+    Each has a sentence without its full stop on where they differ most.  Empty where nothing can be said of the structure.
     """
     if _hides_structure(diagnosis):
         return []
@@ -98,16 +82,7 @@ def withdraw_other_structure(diagnosis: Diagnosis) -> Diagnosis:
     if diagnosis.verdict != "unexplained":
         return diagnosis
     other = find_other_structure(diagnosis.posterior, diagnosis.final_fit, diagnosis.settings)
-    if other is None:
-        return diagnosis
-    return replace(
-        diagnosis,
-        causes=(),
-        also_fitted=(),
-        alternatives=(),
-        left_over=(other, *diagnosis.misfit),
-        final_fit=diagnosis.null_fit,
-    )
+    return diagnosis if other is None else diagnosis.without_causes((other, *diagnosis.misfit))
 
 
 def _hides_structure(diagnosis: Diagnosis) -> bool:
@@ -125,10 +100,7 @@ def _in_words(name: str, relative: dict[str, float], words: tuple[str, str]) -> 
 
 
 def refit_headline(rows: Sequence[dict[str, Any]]) -> str:
-    """State the parameters that lie beyond the drawing's tolerance: stiffnesses before masses, largest differences first.
-
-    Empty without any rows.
-    """
+    """State the parameters beyond the drawing's tolerance, stiffnesses before masses, largest differences first; may be empty."""
     if not rows:
         return ""
     stated = [row for row in rows if row["tolerance"] is not None]

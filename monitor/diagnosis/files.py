@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import tomlkit
@@ -41,24 +41,9 @@ def content(
 ) -> dict[str, Any]:
     """Collect the content of diagnosis.json.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        The diagnosis of the recording.
-    gain : HeldOutGain
-        Its gain on held-out data.
-    known : iterable of Effect
-        Effects that the structure file itself states, which are no finding of the calibration.
-    ddi_effect : mapping
-        See `monitor.diagnosis.damage_index_effect`.
-    refit : sequence of mappings
-        See `monitor.diagnosis.drawing_refit`; empty with a baseline.
-    detectable_loss : sequence of float or None
-        Smallest loss of each story that would have been found, see `monitor.diagnosis.detectable_loss.detectable_losses`.
-    optima : sequence of mappings
-        See `monitor.diagnosis.drawing_refit.other_optima`; empty with a baseline.
-    laws : sequence of StoryLaw
-        See `monitor.diagnosis.story_laws`.
+    `known` are the effects that the structure file itself states, which are no finding of the calibration.  `ddi_effect`,
+    `refit`, `detectable_loss`, `optima` and `laws` are as of `monitor.diagnosis.ddi_effect`, `refit`, `detectable_losses`,
+    `other_optima` and `story_laws`; with a baseline nothing is refitted, and there are no other optima.
     """
     prior = diagnosis.posterior.prior
     causes = [_cause(c.effect, c.std, prior) for c in diagnosis.causes]
@@ -179,8 +164,8 @@ def _standing_misfit(prior: StructuralPrior) -> dict[str, Any] | None:
     return None if error is None else {"bands_hz": error.doubtful_hz(), "says": contradicted(error)}
 
 
-def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:
-    """Convert standard deviations of an effect's coordinates, shape (p,), to values and standard deviations of its parameters."""
+def _sizes(effect: Effect, deviation: Annotated[Array, "p"]) -> dict[str, dict[str, float]]:
+    """Convert standard deviations of an effect's coordinates to values and standard deviations of its parameters."""
     out = {}
     for p, d in zip(effect.parameters, deviation.tolist(), strict=True):
         value = float(effect.values()[p.name])
@@ -201,13 +186,7 @@ def _gain(gain: HeldOutGain) -> dict[str, Any]:
 
 
 def model_to_plain(model: Model, reference_degc: float | None) -> dict[str, Any]:
-    """Convert a fitted model to plain lists and numbers for JSON.
-
-    Parameters
-    ----------
-    reference_degc : float or None
-        Temperature at which the model's stiffnesses hold, degC.
-    """
+    """Convert a fitted model, whose stiffnesses hold at `reference_degc`, to plain lists and numbers for JSON."""
     return {
         "stiffness_n_per_m": _plain(model.structure.stiffness_n_per_m),
         "masses_kg": _plain(model.structure.masses_kg),
@@ -219,14 +198,7 @@ def model_to_plain(model: Model, reference_degc: float | None) -> dict[str, Any]
 
 
 def model_from_plain(content: Mapping[str, Any], drawn: Model) -> Model:
-    """Build the fitted model from the content that `model_to_plain` returned.
-
-    Parameters
-    ----------
-    content : mapping
-        Plain lists and numbers.
-    drawn : Model
-        Model of the structure file, on which the fitted one is built.
+    """Build the fitted model from the content that `model_to_plain` returned, on the model of the structure file.
 
     Raises
     ------
@@ -252,14 +224,7 @@ def model_from_plain(content: Mapping[str, Any], drawn: Model) -> Model:
 def structure_text(text: str, model: Model, reference_degc: float | None = None) -> str:
     """Write a fitted model into the text of a structure file; all other tables and all comments stay as they are.
 
-    Parameters
-    ----------
-    text : str
-        The structure file.
-    model : Model
-        The fitted model.
-    reference_degc : float, optional
-        Temperature at which the model's stiffnesses hold, degC; written where an effect depends on it.
+    The temperature at which the model's stiffnesses hold, `reference_degc`, is written where an effect depends on it.
     """
     document = tomlkit.parse(text)
     table: Any = document["structure"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,32 +31,16 @@ _MIN_DAMPING = 1e-9
 
 
 def refit_form(
-    part: ObservedSpectra, whole: Diagnosis, form: MapEstimate, classes: NDArray[np.intp]
+    part: ObservedSpectra, whole: Diagnosis, form: MapEstimate, classes: Annotated[NDArray[np.intp], "k"]
 ) -> tuple[Model, ExcitationStart]:
     """Fit a model form to a part of a recording.
 
     The fit starts from that to the whole recording, which is close: from far away the phases of a response do not lead to the
     optimum, and all else converges sooner.  The correction that simulation adds to a linearized law is also that of the whole
     recording, since it belongs to the law and not to the data.  The correction is simulated anew where the persistent laws are
-    nonlinear, so that both forms are treated alike, and where the classes differ in more than the vibration level.
-
-    Parameters
-    ----------
-    part : ObservedSpectra
-        Spectra of the part, weighted as the whole recording.
-    whole : Diagnosis
-        The diagnosis of the whole recording.
-    form : MapEstimate
-        Its fit of the form to the whole recording.
-    classes : ndarray, shape (n_classes,)
-        For each class of the part, the same class of the whole recording.
-
-    Returns
-    -------
-    Model
-        The form, fitted to the part.
-    ExcitationStart
-        Its fitted excitation in the classes of the whole recording.
+    nonlinear, so that both forms are treated alike, and where the classes differ in more than the vibration level.  The part is
+    weighted as the whole recording, `form` is the fit of the form to the whole, and `classes` has for each class of the part the
+    same class of the whole.  Return the form, fitted to the part, and its excitation in the classes of the whole recording.
     """
     part = replace(part, drive=_with_ground_interpolation(whole, part.drive))
     own = posterior = whole.posterior.part(part, classes)
@@ -66,7 +51,7 @@ def refit_form(
     shared = by_level and not any(e.nonlinear for e in posterior.prior.model.effects)
     start = ExcitationStart.at(whole.posterior, form.x).select(classes)
     x = np.concatenate([form.x[layout.structure], start.vector, form.x[layout.effects]])
-    if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
+    if part.drive is None and any(e.conditional for e in posterior.effects(x, effects)):
         own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
     most = _MAX_STEPS_DRIVEN if part.drive is not None else _MAX_STEPS_AMBIENT
     fit = maximize_posterior(own, x, effects, iterations=most)
@@ -84,7 +69,7 @@ def _with_ground_interpolation(whole: Diagnosis, drive: Drive | None) -> Drive |
 
 def fitted_model(posterior: Posterior, fit: MapEstimate) -> Model:
     """Build the model at a fit, with persistent and extra effects and with the modal damping ratios of the fit."""
-    effects = (*posterior.prior.effects(fit.x), *fit.effects)
+    effects = posterior.effects(fit.x, fit.effects)
     model, damping = posterior.model(fit.x, effects), posterior.system(fit.x, effects).damping
     modes = model.modes()
     modal = np.einsum("ai,ab,bi->i", modes.shapes, damping, modes.shapes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -30,30 +31,16 @@ def learn_prior(
     known: StructuralPrior,
     context: Context,
     settings: DiagnosisSettings,
-    start: Array | None = None,
-) -> tuple[StructuralPrior, Array]:
+    start: Annotated[Array, "nuisances"] | None = None,
+) -> tuple[StructuralPrior, Annotated[Array, "nuisances"]]:
     """Learn the prior of later diagnoses from healthy data and from the prior of the structure file.
 
     First the model form alone is fitted.  Then the stiffnesses are held, and persistent effects of the structure are held as well
     as they are known.  A symmetric correction of the stiffness matrix within the modes in the band takes up the remaining lack of
     fit, together with the mass ratios.  So the data determine every free direction, and the posterior is close to normal.  Bands
     that contradict the model even so are kept, and count less from then on.  Where the healthy recording could judge a part of
-    its band only, later diagnoses compare in that part only: beyond it the modes are still the drawing's.
-
-    Parameters
-    ----------
-    observed : ObservedSpectra
-        Spectra of the healthy recording.
-    known : StructuralPrior
-        Prior from the structure file.
-    start : ndarray, shape (n_nuisance,), optional
-        Parameters of another fit, see `fit_linearized`.
-
-    Returns
-    -------
-    prior : StructuralPrior
-    x : ndarray, shape (n_nuisance,)
-        Parameters of the model form alone.
+    its band only, later diagnoses compare in that part only: beyond it the modes are still the drawing's.  Return the prior, and
+    the parameters of the model form alone.  `start` are parameters of another fit, see `fit_linearized`.
     """
     _, first_fit, _ = fit_initial_model(observed, known, context, start)
     layout = ParameterLayout.of(known)
@@ -101,7 +88,7 @@ def learn_prior(
     return learnt, first_fit.x
 
 
-def _covariance(posterior: Posterior, x: Array) -> Array:
-    """Compute the covariance of parameters whose posterior has changed since their fit, shape (p, p)."""
+def _covariance(posterior: Posterior, x: Annotated[Array, "p"]) -> Annotated[Array, "p p"]:
+    """Compute the covariance of parameters whose posterior has changed since their fit."""
     slopes = posterior.linearized(x, (), posterior.predict(x, ()))[0]
     return inverse(slopes.information + posterior.normal_prior(x, ())[1])

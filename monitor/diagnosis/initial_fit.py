@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import get_args
+from typing import Annotated, get_args
 
 import numpy as np
 
@@ -46,36 +46,24 @@ _INITIAL_MODEL_ERROR = 0.5
 
 
 def fit_linearized(
-    observed: ObservedSpectra, prior: StructuralPrior, context: Context, start: Array | None = None
+    observed: ObservedSpectra,
+    prior: StructuralPrior,
+    context: Context,
+    start: Annotated[Array, "nuisances"] | None = None,
 ) -> tuple[Posterior, MapEstimate]:
     """Fit the model without extra effects, with nonlinear laws linearized at the fitted motion.
 
     The first fit is without the persistent laws that depend on the motion.  With them the fit is made twice, since their
-    linearization needs the motion of the fitted model.
-
-    Parameters
-    ----------
-    observed : ObservedSpectra
-        Spectra of the recording.
-    prior : StructuralPrior
-        Prior of the structure, persistent effects included.
-    start : ndarray, shape (n_nuisance,), optional
-        Parameters of another fit to the recording, from which it is fitted too; the better fit is taken.
-
-    Returns
-    -------
-    posterior : Posterior
-        With the motion of every class.
-    fit : MapEstimate
+    linearization needs the motion of the fitted model.  The posterior has the motion of every class.  From the parameters `start`
+    of another fit to the recording it is fitted too, and the better fit is taken.
     """
     if observed.drive is not None:
         prior = prior.with_any_noise()
     posterior = make_posterior(observed, prior.without_nonlinear(), context)
-    null_fit = (
-        maximize_posterior(posterior, first_guess(posterior), iterations=FAR)
-        if observed.drive is None
-        else _fit_from_heavy_damping(posterior)
-    )
+    if observed.drive is None:
+        null_fit = maximize_posterior(posterior, first_guess(posterior), iterations=FAR)
+    else:
+        null_fit = _fit_from_heavy_damping(posterior)
     posterior, null_fit = fit_ground_interpolation(posterior, null_fit)
     posterior = replace(posterior, conditions=linearize(posterior, null_fit.x, ()))
     x = posterior.layout.with_structure(null_fit.x, prior.with_linear(null_fit.x[posterior.layout.structure]))
@@ -146,8 +134,8 @@ def fit_exact_slopes(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior,
     return posterior, fit
 
 
-def first_guess(posterior: Posterior) -> Array:
-    """Guess the forces and the levels of the classes as the start of a fit, shape (p,).
+def first_guess(posterior: Posterior) -> Annotated[Array, "p"]:
+    """Guess the forces and the levels of the classes as the start of a fit.
 
     With measured ground motion the forces are small, and the levels are those of the model's error as a share of the power.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,10 @@ _LENIENT_SHARE = 0.5
 judgement]"""
 
 
+Misfit = Annotated[Array, "bands c c"]
+Bands = Annotated[Array, "bands"]
+
+
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
     """Difference between measured and modelled spectra at one place."""
@@ -37,7 +42,6 @@ class LackOfFit:
     size: float
     """Standard deviations."""
     says: str
-    """Description in words."""
     changes: bool = False
     """Whether the difference changes within the recording."""
     is_explained: bool = False
@@ -46,16 +50,12 @@ class LackOfFit:
     """Whether nothing can be said of the structure beside it."""
 
 
-def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
+def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Misfit:
     """Compute how much more misfit the later half of a recording shows than the earlier half.
 
     Each half is compared with the model's spectra of its own classes, and every force has its own level in each half.  So a
-    change of level or of the weather is no drift, nor is wind that comes and goes floor by floor.
-
-    Returns
-    -------
-    ndarray, shape (n_bands, c, c)
-        Standard deviations, arranged as by `residual_bands`.
+    change of level or of the weather is no drift, nor is wind that comes and goes floor by floor.  Results as of
+    `residual_bands`.
     """
     e = posterior.observed
     prediction = posterior.predict(fitted.x, fitted.effects)
@@ -78,17 +78,11 @@ def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
     return np.asarray((z[0] - z[1]) / np.sqrt(2.0) / _scatter_between_segments(posterior, prediction))
 
 
-def residual_bands(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array]:
-    """Compute the misfit in bands.
+def residual_bands(posterior: Posterior, fitted: MapEstimate) -> tuple[Misfit, Bands]:
+    """Compute the misfit in bands, in standard deviations, and the middles of the bands, Hz.
 
-    Returns
-    -------
-    z : ndarray, shape (n_bands, c, c)
-        Standard deviations.  The diagonal is too much (positive) or too little power in the whitened channels; below the diagonal
-        is the real and above it the imaginary part of their coherence.  Beside a measured ground the unit is their scatter
-        between segments.
-    hz : ndarray, shape (n_bands,)
-        Middles of the bands, Hz.
+    The diagonal is too much (positive) or too little power in the whitened channels; below the diagonal is the real and above it
+    the imaginary part of their coherence.  Beside a measured ground the unit is their scatter between segments.
     """
     z, hz = _sum_in_bands(fitted.residual, posterior.n_classes, posterior)
     if posterior.observed.drive is None:
@@ -96,14 +90,8 @@ def residual_bands(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Ar
     return z / _scatter_between_segments(posterior, posterior.predict(fitted.x, fitted.effects)), hz
 
 
-def _sum_in_bands(residual: Array, n_classes: int, posterior: Posterior) -> tuple[Array, Array]:
-    """Sum whitened rows in bands; arguments and results as of `residual_bands`.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (n_classes * n_bins * c * c,)
-        Whitened residual of the spectra.
-    """
+def _sum_in_bands(residual: Annotated[Array, "rows"], n_classes: int, posterior: Posterior) -> tuple[Misfit, Bands]:
+    """Sum the rows of a whitened residual in bands; results as of `residual_bands`."""
     c = posterior.observed.spectra.shape[-1]
     bins = posterior.observed.band.n_bins
     rows = residual.reshape(n_classes, bins, c * c)
@@ -126,7 +114,7 @@ def _bins_per_band(band: Band) -> int:
     return max(1, round(_TEST_BAND_HZ / band.bin_hz))
 
 
-def _deviations(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array, Array]:
+def _deviations(posterior: Posterior, fitted: MapEstimate) -> tuple[Misfit, Misfit, Bands]:
     """Compute `residual_bands` in units of the random error of the comparison, `drift_bands`, and the bands' middles.
 
     A simulation has as much random error as the recording.
@@ -140,12 +128,7 @@ def _scatter_between_segments(posterior: Posterior, prediction: Prediction) -> A
 
     The model's error about the response to an earthquake is not stationary: a few strong segments cause most of it, so a band has
     fewer independent pieces of information than segments (overdispersion; P. McCullagh, J. A. Nelder, Generalized Linear Models
-    (1989), section 4.5).
-
-    Returns
-    -------
-    ndarray, shape (n_bands, c, c) or (1,)
-        Ratios of standard deviations, at least 1, arranged as by `residual_bands`; 1 without a measured ground.
+    (1989), section 4.5).  Return ratios of standard deviations, at least 1; a single 1 without measured ground.
     """
     if prediction.left is None:
         return np.ones(1)
@@ -167,8 +150,10 @@ def find_lack_of_fit(posterior: Posterior, fitted: MapEstimate, settings: Diagno
     return tuple(sorted(_list_deviations(z, hz, posterior, settings) + late, key=lambda m: -m.size))
 
 
-def wrong_bins(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> NDArray[np.bool_]:
-    """Select the frequency bins that lie in bands where the model is wrong, shape (n_bins,)."""
+def wrong_bins(
+    posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
+) -> Annotated[NDArray[np.bool_], "bins"]:
+    """Select the frequency bins that lie in bands where the model is wrong."""
     z, drift, _ = _deviations(posterior, fitted)
     wrong = (np.maximum(np.abs(z), np.abs(drift)) > settings.misfit).any(axis=(1, 2))
     bins = np.repeat(wrong, _bins_per_band(posterior.observed.band))
@@ -188,13 +173,7 @@ def lack_of_fit_cost(posterior: Posterior, misfit: Sequence[LackOfFit]) -> float
 def estimate_model_discrepancy(
     posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
 ) -> ModelDiscrepancy | None:
-    """Estimate the lack of fit to healthy data that remains when all known effects are in the model.
-
-    Returns
-    -------
-    ModelDiscrepancy or None
-        None where the model explains the data.
-    """
+    """Estimate the lack of fit to healthy data that remains with all known effects; None where the model explains the data."""
     e = posterior.observed
     z, drifts, hz = _deviations(posterior, fitted)
     late = np.abs(drifts).max(axis=(1, 2), initial=0.0)
@@ -234,19 +213,10 @@ def unexplained_share(
     misfit: Sequence[LackOfFit],
     left_over: Sequence[LackOfFit],
 ) -> float:
-    """Compute the share of the lack of fit of the model without causes that remains with the causes.
+    """Compute the share of the lack of fit without causes (`misfit`) that remains with the causes of a fit (`left_over`).
 
     Without measured ground motion the squared deviations are compared.  With it the deviations themselves are compared, all in
     units of the final model's error: the error that the model without causes was fitted with hides most of its lack of fit.
-
-    Parameters
-    ----------
-    at : MapEstimate
-        Fit with the causes.
-    null_fit : MapEstimate
-        Fit without causes.
-    misfit, left_over : sequence of LackOfFit
-        Lack of fit without and with the causes.
     """
     if posterior.observed.drive is None:
         return sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
@@ -295,15 +265,10 @@ def find_other_direction(posterior: Posterior, fitted: MapEstimate, settings: Di
     Where the forces act in a direction that is not measured, the floors follow the modes that the model lacks.  The forces on
     these modes are then no longer independent of each other, as the model takes them to be, and changes of the structure may
     imitate what that does to the spectra.  Coupled modes move the floors, so that the fitted forces on the floors vanish but for
-    some; the force on modes that are not coupled grows over that on the floors, on all of them alike.
-    Where calibration's own forces differ from floor to floor as much as that, as forces that stand for a shaken base do, they
-    tell no direction, and another recording's need not be the same.
-
-    Returns
-    -------
-    LackOfFit or None
-        None where the change of the forces costs no more of their prior density, beyond what chance makes of it, than a cause
-        must gain.
+    some; the force on modes that are not coupled grows over that on the floors, on all of them alike.  Where calibration's own
+    forces differ from floor to floor as much as that, as forces that stand for a shaken base do, they tell no direction, and
+    another recording's need not be the same.  None where the change of the forces costs no more of their prior density, beyond
+    what chance makes of it, than a cause must gain.
     """
     known, forces = posterior.prior.ln_forces, fitted.x[posterior.layout.forces]
     if known is None or not knows_direction(posterior) or _is_unlikely(known, known.size - 1, settings):
@@ -357,13 +322,8 @@ def find_other_structure(posterior: Posterior, fitted: MapEstimate, settings: Di
     """Find that a fit from the structure file alone has led to another structure than that of the file.
 
     Where the motion is not that of the model, as under forces that act across the measured direction, stiffnesses and masses
-    follow it.
-
-    Returns
-    -------
-    LackOfFit or None
-        None where the distance from the file costs no more prior density, beyond what chance makes of it, than a cause must gain;
-        with a baseline; and where an input was measured, whose response separates stiffnesses from all else.
+    follow it.  None where the distance from the file costs no more prior density, beyond what chance makes of it, than a cause
+    must gain; with a baseline; and where an input was measured, whose response separates stiffnesses from all else.
     """
     if posterior.prior.is_baseline or posterior.observed.drive is not None:
         return None
@@ -392,9 +352,9 @@ def _factor(ln_density: float) -> str:
 
 
 def _list_deviations(
-    z: Array, hz: Array, posterior: Posterior, settings: DiagnosisSettings, *, changes: bool = False
+    z: Misfit, hz: Bands, posterior: Posterior, settings: DiagnosisSettings, *, changes: bool = False
 ) -> tuple[LackOfFit, ...]:
-    """Describe every entry of `z`, shape (n_bands, c, c), that exceeds the threshold; `changes` as in `LackOfFit`."""
+    """Describe every entry of `z` that exceeds the threshold; `changes` as in `LackOfFit`."""
     when = ", more so late in the recording than early" if changes else ""
     names = posterior.context.channels
     out = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import eigh
@@ -52,16 +53,10 @@ class Resonance:
     """Index of the extra effect whose mode it is; None for a mode of the model before these effects."""
 
 
-def resonances(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> list[Resonance]:
+def resonances(posterior: Posterior, x: Annotated[Array, "p"], effects: Sequence[Effect]) -> list[Resonance]:
     """List the modes of a fitted model: its own, coupled ones and others.
 
     Of the modes of a coupled system one belongs to every mode of the uncoupled system: that with most of its motion in it.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n_x,)
-    effects : sequence of Effect
-        Extra effects, beside the persistent ones.
     """
     everything, context = posterior.effects(x, effects), posterior.context_at(x)
     n_before, condition = len(everything) - len(effects), posterior.conditions[posterior.n_classes // 2]
@@ -75,9 +70,8 @@ def resonances(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> lis
     uncoupled = np.eye(system.mass.shape[0])
     uncoupled[:n, :n] = shapes
     eigenvalues, shapes = eigh(system.stiffness, system.mass)
-    share = (
-        np.abs(uncoupled.T @ system.mass @ shapes) / np.sqrt(np.diag(uncoupled.T @ system.mass @ uncoupled))[:, None]
-    )
+    norms = np.sqrt(np.diag(uncoupled.T @ system.mass @ uncoupled))
+    share = np.abs(uncoupled.T @ system.mass @ shapes) / norms[:, None]
     belongs = linear_sum_assignment(share, maximize=True)[1]
     forces = np.r_[np.ones(n), [mode.force_ratio for mode in system.coupled]]  # over the floors' mean
     acting = system.forced(n)
@@ -93,15 +87,12 @@ def resonances(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> lis
     return found
 
 
-def as_seen(posterior: Posterior, fit: MapEstimate, i: int, std: Array) -> tuple[Effect, Array]:
-    """Return effect i of a fit as the recording shows it, with the standard deviations of its coordinates.
+def as_seen(
+    posterior: Posterior, fit: MapEstimate, i: int, std: Annotated[Array, "p"]
+) -> tuple[Effect, Annotated[Array, "q"]]:
+    """Return effect i of a fit as the recording shows it, and the standard deviations of its coordinates; `std` are its own ones.
 
     A coupled mode is stated by the frequency, damping and shape of the coupled system's mode.
-
-    Parameters
-    ----------
-    std : ndarray, shape (p,)
-        Standard deviations of the effect's own coordinates.
     """
     effects = fit.effects
 
@@ -123,12 +114,8 @@ def as_seen(posterior: Posterior, fit: MapEstimate, i: int, std: Array) -> tuple
 def effects_at_peak(posterior: Posterior, fit: MapEstimate, peak: Peak) -> list[Effect]:
     """List the effects that a peak which the model lacks may have as its cause, at their first sizes."""
     typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
-    near = (
-        kind.at_peak(place, peak, context, typical)
-        for kind in EFFECTS.values()
-        for of in kind.places
-        for place in locations(of, context)
-    )
+    places = ((kind, place) for kind in EFFECTS.values() for of in kind.places for place in locations(of, context))
+    near = (kind.at_peak(place, peak, context, typical) for kind, place in places)
     found = [_scaled_to_peak(posterior, fit, effect, peak) for effect in near if effect is not None]
     return found + [c for c in (effect.coupled(context) for effect in found) if c is not None]
 
@@ -145,8 +132,10 @@ def _scaled_to_peak(posterior: Posterior, fit: MapEstimate, effect: Effect, peak
     return effect.at(np.r_[effect.coordinates[:2], factor * effect.coordinates[2:]]) if factor > 0.0 else effect
 
 
-def _spectra_of(posterior: Posterior, fit: MapEstimate, modes: Sequence[ExtraMode], force: float) -> ComplexArray:
-    """Compute the cross-spectra of modes under forces of a density, N^2/Hz, in the middle class, shape (n_bins, c, c)."""
+def _spectra_of(
+    posterior: Posterior, fit: MapEstimate, modes: Sequence[ExtraMode], force: float
+) -> Annotated[ComplexArray, "bins c c"]:
+    """Compute the cross-spectra of modes under forces of a density, N^2/Hz, in the middle class."""
     everything, band = posterior.effects(fit.x, fit.effects), posterior.observed.band
     condition = posterior.conditions[posterior.n_classes // 2]
     return extra_mode_spectra(modes, everything, force, band, posterior.context_at(fit.x), condition)
@@ -172,22 +161,9 @@ def find_missing_modes(
     """Find the causes of the highest peaks that the model lacks, as long as the causes are modes of the structure.
 
     A mode is compared with a machine and with something that swings on a floor, at every floor.  Modes that rough fits show
-    beyond doubt are found at several peaks, and fitted together; any other is fitted alone, with its rivals.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    fit : MapEstimate
-        With the causes found so far.
-    settings : DiagnosisSettings
-    threshold : float
-        Log evidence that a mode needs, nats.
-
-    Returns
-    -------
-    list of list of Candidate
-        For every mode the candidates at its peak, the mode first; the last mode's fit has all of them.  Empty where no mode is
-        the cause of the highest peak, or a rival may be.
+    beyond doubt are found at several peaks, and fitted together; any other is fitted alone, with its rivals.  A mode needs the
+    log evidence `threshold`, nats.  Return for every mode the candidates at its peak, the mode first; the last mode's fit has all
+    of them.  Empty where no mode is the cause of the highest peak, or a rival may be.
     """
     looked: list[list[Candidate]] = []
     stories = posterior.layout.stiffness.stop - posterior.layout.stiffness.start
@@ -255,13 +231,7 @@ def _is_plausible_mode(posterior: Posterior, candidate: Candidate, i: int) -> bo
 def find_missing_mode(
     posterior: Posterior, fit: MapEstimate, settings: DiagnosisSettings, threshold: float
 ) -> list[Candidate]:
-    """Find the cause of the highest peak that the model lacks, if it is a mode of the structure, by full fits.
-
-    Returns
-    -------
-    list of Candidate
-        As `find_missing_modes`.
-    """
+    """Find the cause of the highest peak, if it is a mode of the structure, by full fits, as `find_missing_modes`."""
     (peak,) = find_excess_peaks(posterior, fit, 1)
     rough = fit_roughly(posterior, fit, effects_at_peak(posterior, fit, peak))
     if not rough or not (rough[0].effect.repeatable or lacks_modes(posterior, fit)):
@@ -303,16 +273,7 @@ def is_beyond_weak_modes(
     """Decide if the log evidence of a cause is more than a further mode, too weak to be found, may leave to it.
 
     Beside a baseline the structure is known, and the cause is compared with such modes themselves: it must have its evidence
-    beside any mode at the highest peaks left.
-
-    Parameters
-    ----------
-    fit : MapEstimate
-        Fit without the cause.
-    effect : Effect
-        The cause at its fitted size.
-    evidence, needed : float
-        Log evidence of the cause, and what a cause needs, nats.
+    beside any mode at the highest peaks left.  The fit is without the cause; a cause needs the log evidence `needed`, nats.
     """
     if evidence < needed or evidence >= needed + cost_of_weak_modes(posterior, fit, effect):
         return evidence >= needed
@@ -367,7 +328,7 @@ def is_credible(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     in a structure that has other modes which its model lacks, and then explains the recording without being stated.
     """
     i = range(len(fit.effects))[i]
-    others = (*posterior.prior.effects(fit.x), *fit.effects[:i], *fit.effects[i + 1 :])
+    others = posterior.effects(fit.x, (*fit.effects[:i], *fit.effects[i + 1 :]))
     return any(e.repeatable for e in others) or is_distinct(posterior, fit, i)
 
 
@@ -422,13 +383,11 @@ def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
     return found if found.n_effect > fit.n_effect and is_better else None
 
 
-def uncouple_modes(posterior: Posterior, fit: MapEstimate, start: Array) -> MapEstimate | None:
+def uncouple_modes(posterior: Posterior, fit: MapEstimate, start: Annotated[Array, "nuisances"]) -> MapEstimate | None:
     """Refit the modes that the model lacks without coupling, as they are seen; return None where none is coupled.
 
-    Parameters
-    ----------
-    start : ndarray, shape (n_nuisance,)
-        Parameters of the model and of the excitation to start from: those of the coupled fit have followed the coupling.
+    The fit starts from `start`, parameters of the model and of the excitation: those of the coupled fit have followed the
+    coupling.
     """
     is_coupled = [e.is_coupled(posterior.context) for e in fit.effects]
     if not any(is_coupled):
@@ -454,6 +413,6 @@ def _overlap(one: ExtraMode, other: ExtraMode, resolution_hz: float) -> bool:
     return abs(one.frequency_hz - other.frequency_hz) < half_widths + resolution_hz
 
 
-def mac(one: Array, other: Array) -> float:
-    """Compute the modal assurance criterion of two real shapes, shape (c,) each."""
+def mac(one: Annotated[Array, "c"], other: Annotated[Array, "c"]) -> float:
+    """Compute the modal assurance criterion of two real shapes."""
     return float((one @ other) ** 2 / ((one @ one) * (other @ other)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -48,12 +49,12 @@ _SAME_STIFFNESS = 0.02
 class ModalStart:
     """Stiffnesses and masses with which the model has some of the recording's modes, and the modes that the model lacks."""
 
-    structure: Array
-    """Logarithms of stiffnesses, then of masses, shape (p + n,)."""
+    structure: Annotated[Array, "p+n"]
+    """Logarithms of stiffnesses, then of masses."""
     cost: float
     """Half the sum of squared deviations from the modes and from the prior, nats."""
-    damping: Array
-    """Logarithms of the damping ratios of all modes of the model, shape (n,)."""
+    damping: Annotated[Array, "n"]
+    """Logarithms of the damping ratios of all modes of the model."""
     missing: tuple[Effect, ...]
     """Modes that the model lacks, at their first sizes."""
 
@@ -64,11 +65,13 @@ class IdentifiedMode:
 
     frequency_hz: float
     damping_ratio: float
-    shape: Array
-    """Shape (c,); the largest component is 1."""
+    shape: Annotated[Array, "c"]
+    """The largest component is 1."""
 
 
-def identify_modes(observed: ObservedSpectra, drawn: Modes, sensors: Array) -> tuple[IdentifiedMode, ...]:
+def identify_modes(
+    observed: ObservedSpectra, drawn: Modes, sensors: Annotated[Array, "c n"]
+) -> tuple[IdentifiedMode, ...]:
     """Identify the modes of a recording in its averaged spectra, lowest frequency first.
 
     The correlation functions, inverse transforms of the spectra, take the place of lag sums in the subspace identification.
@@ -123,11 +126,8 @@ def find_modal_starts(posterior: Posterior) -> tuple[ModalStart, ...]:
 def fit_from_modes(posterior: Posterior) -> tuple[tuple[MapEstimate, float], ...]:
     """Fit the spectra from every start by the recording's modes, best first.
 
-    Returns
-    -------
-    tuple of (MapEstimate, float)
-        The fit, with the modes that the model lacks as effects, and its log evidence: the log posterior less the cost of the
-        effects' parameters, nats.
+    Return each fit, with the modes that the model lacks as effects, and its log evidence: the log posterior less the cost of the
+    effects' parameters, nats.
     """
 
     def fitted(start: ModalStart) -> MapEstimate:
@@ -148,12 +148,7 @@ def _with_evidence(posterior: Posterior, fit: MapEstimate) -> tuple[MapEstimate,
     """Refit with those modes only that can be told from the model's, unless all of them explain more.
 
     A structure may turn and sway at nearly the same frequencies, and without its torsion no stiffness explains the spectra.
-
-    Returns
-    -------
-    fit : MapEstimate
-    evidence : float
-        Its log evidence, nats.
+    Return the fit and its log evidence, nats.
     """
     kept = tuple(e for i, e in enumerate(fit.effects) if is_distinct(posterior, fit, i))
     whole = fit, log_evidence(posterior, fit)
@@ -163,8 +158,8 @@ def _with_evidence(posterior: Posterior, fit: MapEstimate) -> tuple[MapEstimate,
     return max((fit, log_evidence(posterior, fit)), whole, key=lambda pair: pair[1])
 
 
-def _scaled_to_power(posterior: Posterior, start: ModalStart) -> tuple[Array, tuple[Effect, ...]]:
-    """Guess the excitation of a start, shape (p,), and scale the modes that the model lacks to the measured power."""
+def _scaled_to_power(posterior: Posterior, start: ModalStart) -> tuple[Annotated[Array, "p"], tuple[Effect, ...]]:
+    """Guess the excitation of a start, and scale the modes that the model lacks to the measured power."""
     layout, mean = posterior.layout, posterior.prior.mean.copy()
     mean[: layout.masses.stop], mean[layout.damping] = start.structure, start.damping
     x = first_guess(replace(posterior, prior=replace(posterior.prior, mean=mean)))
@@ -185,14 +180,8 @@ def _scaled_to_power(posterior: Posterior, start: ModalStart) -> tuple[Array, tu
     return x, tuple(scaled)
 
 
-def _assignment_costs(posterior: Posterior, modes: tuple[IdentifiedMode, ...]) -> Array:
-    """Compute the cost of every identified mode as the counterpart of every mode of the model in the band.
-
-    Returns
-    -------
-    ndarray, shape (n_model, n_identified), nats
-        Infinite for pairs that are impossible.
-    """
+def _assignment_costs(posterior: Posterior, modes: tuple[IdentifiedMode, ...]) -> Annotated[Array, "model identified"]:
+    """Compute the cost, nats, of each identified mode as counterpart of each mode of the model in the band; maybe infinite."""
     drawn, prior, band = posterior.prior.model.modes(), posterior.prior, posterior.observed.band
     n = int(np.count_nonzero(drawn.frequencies_hz < band.hz[-1]))
     shapes = (posterior.context.sensors @ drawn.shapes[:, :n]).T
@@ -208,11 +197,8 @@ def _assignment_costs(posterior: Posterior, modes: tuple[IdentifiedMode, ...]) -
     return out
 
 
-def _best_assignments(costs: Array) -> list[tuple[int | None, ...]]:
-    """List the cheapest assignments of identified modes to the model's, cheapest first.
-
-    The order of frequencies is kept.  A mode of the model may have no counterpart.
-    """
+def _best_assignments(costs: Annotated[Array, "model identified"]) -> list[tuple[int | None, ...]]:
+    """List the cheapest assignments of identified modes to the model's, in the order of frequencies; some modes may have none."""
     kept: list[tuple[float, tuple[int | None, ...]]] = [(0.0, ())]
     for row in costs:
         longer: list[tuple[float, tuple[int | None, ...]]] = []

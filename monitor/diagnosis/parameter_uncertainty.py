@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from monitor.core import Array
@@ -16,40 +18,20 @@ DIFFERS_STDS = 3.0
 """Distance from which an estimate differs from what it is compared with. [standard deviations; convention: three sigma]"""
 
 
-def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array) -> list[Array]:
-    """Compute the standard deviations of every effect's coordinates.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    fit : MapEstimate
-    simulation_std : ndarray, shape (n_coordinates,)
-        Standard deviations of all effects' coordinates by the simulations' random error.
-
-    Returns
-    -------
-    list of ndarray, shape (p,) each
-        One array for each effect of the fit.
-    """
-    first, out, fitted = 0, [], summarize_fit(posterior, fit)
+def coordinate_std(
+    posterior: Posterior, fit: MapEstimate, simulation_std: Annotated[Array, "coordinates"]
+) -> list[Annotated[Array, "p"]]:
+    """Compute the standard deviations of each effect's coordinates; `simulation_std` are by the simulations' random error."""
+    fitted, ends = summarize_fit(posterior, fit), np.cumsum([len(e.parameters) for e in fit.effects])[:-1]
     fit_std = np.sqrt(np.maximum(np.diag(fit.covariance)[posterior.layout.effects], 0.0))
-    for effect in fit.effects:
-        these = slice(first, first + len(effect.parameters))
-        out.append(np.hypot(fit_std[these], np.hypot(simulation_std[these], effect.form_std_in(fitted))))
-        first = these.stop
-    return out
+    own = zip(fit.effects, np.split(fit_std, ends), np.split(simulation_std, ends), strict=False)
+    return [np.hypot(std, np.hypot(by_chance, effect.form_std_in(fitted))) for effect, std, by_chance in own]
 
 
-def is_significant(effect: Effect, deviation: Array) -> bool:
+def is_significant(effect: Effect, deviation: Annotated[Array, "p"]) -> bool:
     """Decide if an effect's size differs significantly from that of no effect; an effect without a size always does.
 
-    Of several sizes, as the components of a mode's shape, one is enough.
-
-    Parameters
-    ----------
-    effect : Effect
-    deviation : ndarray, shape (p,)
-        Standard deviations of the effect's coordinates.
+    Of several sizes, as the components of a mode's shape, one is enough.  `deviation` is that of the coordinates.
     """
     significant = [
         abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= _SIGNIFICANT_SIZE_STDS * std
@@ -65,7 +47,7 @@ def summarize_fit(posterior: Posterior, fit: MapEstimate) -> FittedModel:
     return FittedModel(
         structure=posterior.context_at(fit.x).structure,
         condition=posterior.conditions[posterior.n_classes // 2],
-        effects=(*posterior.prior.effects(fit.x), *fit.effects),
+        effects=posterior.effects(fit.x, fit.effects),
         correction_rms=float(np.sqrt((correction**2).mean())) if correction.size else 0.0,
         bin_hz=posterior.observed.band.bin_hz,
     )

@@ -8,6 +8,7 @@ noise level common to all channels.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +22,16 @@ from monitor.model import Context, Model
 class Score:
     """Score of one model on one recording."""
 
-    nats: Array
-    """Tempered log likelihood of every segment, shape (n_segments,)."""
+    nats: Annotated[Array, "segments"]
+    """Tempered log likelihood of every segment."""
     samples: int
     """Number of sample instants, at the rate of the processing."""
     band_hz: tuple[float, float]
     """Lowest and highest frequency of the band in which the recording can be judged."""
-    measured: ComplexArray
-    """Mean cross-spectra of the segments, shape (n_bins, c, c)."""
-    modelled: ComplexArray
-    """The model's cross-spectra, averaged over the classes as the segments are, shape (n_bins, c, c)."""
+    measured: Annotated[ComplexArray, "bins c c"]
+    """Mean cross-spectra of the segments."""
+    modelled: Annotated[ComplexArray, "bins c c"]
+    """The model's cross-spectra, averaged over the classes as the segments are."""
 
     @property
     def csd_error(self) -> float:
@@ -48,33 +49,16 @@ def score(
     model: Model,
     context: Context,
     reference_degc: float | None = None,
-    held: NDArray[np.bool_] | None = None,
+    held: Annotated[NDArray[np.bool_], "segments"] | None = None,
     near: ExcitationStart | None = None,
 ) -> Score:
     """Score a model on a recording.
 
-    Band, segments, classes and samples depend on the recording and on ``[processing]`` alone, so that the scores of two
-    models may be subtracted.
-
-    Parameters
-    ----------
-    segments : Segments
-        The recording.
-    model : Model
-        Structure and effects, which stay as they are.
-    context : Context
-        Channels and the sensor matrix; the structure is taken from `model`.
-    reference_degc : float, optional
-        Temperature at which the model's stiffnesses hold, degC.
-    held : ndarray of bool, shape (n_segments,), optional
-        The segments that count (default all).  Levels and noise are fitted to the whole recording all the same.
-    near : ExcitationStart, optional
-        An excitation close to the recording's, from which the fit starts.  The fit is quicker, and the score is the same
-        within far less than a nat, unless `near` holds what was simulated with more care than `score` takes.
-
-    Returns
-    -------
-    Score
+    Band, segments, classes and samples depend on the recording and on ``[processing]`` alone, so that the scores of two models
+    may be subtracted.  Structure and effects of the model stay as they are; its structure takes the place of that of `context`,
+    and its stiffnesses hold at `reference_degc`.  Of the segments those `held` count, by default all; levels and noise are fitted
+    to the whole recording all the same.  From `near`, an excitation close to the recording's, the fit is quicker, and the score
+    is the same within far less than a nat, unless `near` holds what was simulated with more care than `score` takes.
 
     References
     ----------
@@ -96,13 +80,8 @@ def score(
     return Score(nats, _sample_instants(segments, held), band_hz, measured, modelled)
 
 
-def csd_error(measured: ComplexArray, modelled: ComplexArray) -> float:
-    """Compute the squared Frobenius norm of measured less modelled cross-spectra over that of the measured ones.
-
-    Parameters
-    ----------
-    measured, modelled : ndarray of complex, shape (n_bins, c, c)
-        Both norms are summed over the bins.
+def csd_error(measured: Annotated[ComplexArray, "bins c c"], modelled: Annotated[ComplexArray, "bins c c"]) -> float:
+    """Compute the squared Frobenius norm of measured less modelled cross-spectra, over all bins, over that of the measured ones.
 
     Examples
     --------
@@ -118,17 +97,15 @@ def _sample_instants(segments: Segments, held: NDArray[np.bool_]) -> int:
     return round(0.5 * np.count_nonzero(held) * segments.resampled_hz / segments.band.bin_hz)
 
 
-def _segment_nats(x: ComplexArray, observed: ObservedSpectra, scatter: ComplexArray) -> Array:
-    """Compute the log likelihood of every segment under the spectra of its class, shape (n_segments,), nats.
+def _segment_nats(
+    x: Annotated[ComplexArray, "segments bins c"],
+    observed: ObservedSpectra,
+    scatter: Annotated[ComplexArray, "classes bins c c"],
+) -> Annotated[Array, "segments"]:
+    """Compute the log likelihood of every segment under the spectra of its class, nats.
 
-    The sum over the segments is the log likelihood of the classes' mean spectra.
-
-    Parameters
-    ----------
-    x : ndarray of complex, shape (n_segments, n_bins, c)
-        Transforms less their mean under the model.
-    scatter : ndarray of complex, shape (n_classes, n_bins, c, c)
-        The model's cross-spectra about that mean.
+    `x` are transforms less their mean under the model, `scatter` the model's cross-spectra about that mean.  The sum over the
+    segments is the log likelihood of the classes' mean spectra.
     """
     out = np.empty(x.shape[0])
     for spectra, members in zip(scatter, observed.members, strict=True):

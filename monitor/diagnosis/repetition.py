@@ -19,14 +19,9 @@ than half]"""
 def find_repetition(segments: Segments) -> float | None:
     """Find the time after which a recording repeats itself, s; return None where it does not.
 
-    Segments of one distance in time are compared, bin by bin and each with its phase.  All of them must repeat by the same
-    delay, over at least half the recording.  Every bin and every segment counts alike, so that neither a tone, a mode nor a
-    strong motion repeats by itself.
-
-    Parameters
-    ----------
-    segments : Segments
-        A gap in them is no matter.
+    Segments of one distance in time are compared, bin by bin and each with its phase.  All of them must repeat by the same delay,
+    over at least half the recording.  Every bin and every segment counts alike, so that neither a tone, a mode nor a strong
+    motion repeats by itself.  A gap between the segments is no matter.
 
     References
     ----------

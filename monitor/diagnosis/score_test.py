@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
+from typing import Annotated
 
 import numpy as np
 
@@ -47,6 +48,21 @@ _MAX_START_FACTOR = 20.0
 _MAX_SECANT_CHANGE = 0.9
 """Share of a story's stiffness that a law may take away where a fit starts. [ratio; judgement: the rest is positive]"""
 
+Key = tuple[str, str]
+"""Name and place of an effect."""
+Ranked = list[tuple[float, Effect]]
+"""Effects with the gain that is predicted of each, nats."""
+
+
+def key_of(effect: Effect) -> Key:
+    """Return the name and the place of an effect."""
+    return effect.name, effect.location
+
+
+def fit_with(posterior: Posterior, fit: MapEstimate, effects: tuple[Effect, ...]) -> MapEstimate:
+    """Fit with other effects, beginning at the nuisances of a fit and at the effects' own sizes."""
+    return maximize_posterior(posterior, join_coordinates(fit.x[posterior.layout.nuisances], effects), effects)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Candidate:
@@ -60,19 +76,16 @@ class Candidate:
     """Gain `delta_log_posterior` less half the logarithm of the information for every parameter, nats."""
 
     @property
-    def key(self) -> tuple[str, str]:
+    def key(self) -> Key:
         """Name and place of the effect."""
-        return self.effect.name, self.effect.location
+        return key_of(self.effect)
 
     def without_slopes(self) -> Candidate:
         """Return the candidate with a fit from which no further search can start."""
         return replace(self, fit=self.fit.without_slopes())
 
     def may_reach(self, min_log_evidence: float) -> bool:
-        """Decide if a better fit may reach an evidence.
-
-        A rough fit is assumed to find half of the whole gain, or all but `_ROUGH_FIT_NATS`.
-        """
+        """Decide if a better fit may reach an evidence: a rough one finds half of the gain, or all but `_ROUGH_FIT_NATS`."""
         return self.log_evidence + max(self.delta_log_posterior, _ROUGH_FIT_NATS) > min_log_evidence
 
 
@@ -87,39 +100,29 @@ def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
     return sorted(finite, key=lambda c: -c.log_evidence)
 
 
-def candidate_starts(
-    posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[tuple[str, str]] = ()
-) -> list[Effect]:
+def candidate_starts(posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[Key] = ()) -> list[Effect]:
     """List the starts of the search: every effect at every place with a small size, and every shape that must be tried.
 
     Where a nonlinear law is in the model already, no other is tried at its place: it would only compensate for the unknown form
-    of the first one.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    null_fit : MapEstimate
-        Fit without a further effect.
-    excluded : iterable of (str, str)
-        Names and places of effects that are not tried.
+    of the first one.  Effects of the names and places `excluded` are not tried.
     """
-    typical = posterior.conditions[posterior.n_classes // 2]
-    nonlinear = {
-        (name, e.location) for e in null_fit.effects if e.nonlinear for name, kind in EFFECTS.items() if kind.nonlinear
-    }
-    skip, found = {*excluded, *nonlinear}, find_excess_peaks(posterior, null_fit)
+    context, typical = posterior.context, posterior.conditions[posterior.n_classes // 2]
+    occupied = {e.location for e in null_fit.effects if e.nonlinear}
+    skip, peaks = set(excluded), find_excess_peaks(posterior, null_fit)
     out: list[Effect] = []
-    for name, kind in EFFECTS.items():
-        if posterior.observed.drive is not None and (kind.family == "excitation" or kind.stationary_only):
-            continue  # the input is measured; another one would only compensate for errors of the model's response
-        if posterior.observed.drive is None and kind.driven_only:
-            continue
-        for place in (p for k in kind.places for p in locations(k, posterior.context)):
-            if kind.repeatable or (name, place) not in skip:
-                out.extend(kind.starts(place, posterior.context, typical))
-                near = (kind.at_peak(place, peak, posterior.context, typical) for peak in found)
-                out.extend(e for e in near if e is not None)
-    return [e for e in out if _is_applicable(e, posterior.context) and e.is_plausible(posterior.observed.band.hz)]
+    for kind in _tried_kinds(driven=posterior.observed.drive is not None):
+        for place in (p for k in kind.places for p in locations(k, context)):
+            if kind.repeatable or ((kind.name, place) not in skip and not (kind.nonlinear and place in occupied)):
+                out += kind.starts(place, context, typical)
+                out += filter(None, (kind.at_peak(place, peak, context, typical) for peak in peaks))
+    return [e for e in out if _is_applicable(e, context) and e.is_plausible(posterior.observed.band.hz)]
+
+
+def _tried_kinds(*, driven: bool) -> list[type[Effect]]:
+    """List the kinds of effects that are tried: beside a measured input no other one, nor what needs stationary motion."""
+    if driven:  # another input would only compensate for errors of the model's response
+        return [kind for kind in EFFECTS.values() if kind.family != "excitation" and not kind.stationary_only]
+    return [kind for kind in EFFECTS.values() if not kind.driven_only]
 
 
 def _is_applicable(effect: Effect, context: Context) -> bool:
@@ -136,12 +139,8 @@ def find_excess_peaks(
 ) -> list[Peak]:
     """Find the n peaks at which the measured power exceeds the model's most.
 
-    The frequency of a spectral line is interpolated to a small part of a bin.
-
-    Parameters
-    ----------
-    others : sequence of MapEstimate
-        Fits with a further effect each: where one of them explains the power, it is no excess.
+    The frequency of a spectral line is interpolated to a small part of a bin.  `others` are fits with a further effect each:
+    where one of them explains the power, it is no excess.
     """
     c = posterior.observed.spectra.shape[-1]
     shape = (posterior.n_classes, posterior.observed.band.n_bins, c * c)
@@ -163,20 +162,10 @@ def find_excess_peaks(
     return found
 
 
-def line_offset(power: Array, i: int) -> float:
-    """Interpolate the frequency of a spectral line from its power in two neighbouring bins.
+def line_offset(power: Annotated[Array, "bins"], i: int) -> float:
+    """Interpolate the frequency of a spectral line from its power in two neighbouring bins, in segments with Hann's taper.
 
-    Parameters
-    ----------
-    power : ndarray, shape (n_bins,)
-        Power of segments with Hann's taper.
-    i : int
-        Bin in which the line is strongest.
-
-    Returns
-    -------
-    float
-        Distance of the line from bin i, bins.
+    Return its distance from bin i, in which the line is strongest, bins.
     """
     neighbours = power[max(0, i - 1) : i + 2 : 2]
     if power[i] <= 0.0 or neighbours.size < 2:
@@ -185,23 +174,11 @@ def line_offset(power: Array, i: int) -> float:
     return float((2.0 * ratio - 1.0) / (ratio + 1.0) * (1 if neighbours[1] > neighbours[0] else -1))
 
 
-def rank_by_score(
-    posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[tuple[str, str]], n_beside_prior: int
-) -> list[tuple[float, Effect]]:
+def rank_by_score(posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[Key], n_beside_prior: int) -> Ranked:
     """Rank the starts by the gain that the score test predicts, nats, best first, each moved to the predicted size.
 
-    A fit that went far from its prior to explain what it cannot explain hides the effect that would.  So effects are tried
-    beside the prior's structure too.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    null_fit : MapEstimate
-        Fit without a further effect.
-    excluded : iterable of (str, str)
-        Names and places of effects that are not tried.
-    n_beside_prior : int
-        Number of the best effects beside the prior's structure that are fitted from there.
+    Those `excluded` are left out.  A fit that went far from its prior to explain what it cannot explain hides the effect that
+    would.  So effects are tried beside the prior's structure too, of which the best `n_beside_prior` are fitted from there.
     """
     excluded = tuple(excluded)
     gains = expected_gains(posterior, null_fit, candidate_starts(posterior, null_fit, excluded))
@@ -220,7 +197,7 @@ def rank_by_score(
     return sorted((item for item in gains if np.isfinite(item[0])), key=lambda item: -item[0])
 
 
-def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]) -> list[tuple[float, Effect]]:
+def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]) -> Ranked:
     """Predict the gain of every start about one fit, nats; leave out those of which none can be predicted.
 
     The change of the spectra by a small effect, less the part that the nuisances explain, is compared with the residual.
@@ -234,7 +211,7 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
     nuisance_slope = tangent.along(residual) - precision @ (null_fit.x - mean)
     driven = posterior.observed.drive is not None
 
-    def predict_gain(effect: Effect) -> list[tuple[float, Effect]]:
+    def predict_gain(effect: Effect) -> Ranked:
         if effect.proportional and not driven:
             out, v = [], whitened_slope(posterior, null_fit, prediction, effect)
         else:
@@ -248,10 +225,8 @@ def expected_gains(posterior: Posterior, null_fit: MapEstimate, candidates: list
             # Phases of a driven response differ much between two fits, so whole changes rank better (docs/measured-frames.md).
             v = whitened_change(posterior, prediction, moved)
         along = tangent.along(v)
-        information, score = (
-            float(v @ v - along @ normal @ along),
-            float(v @ residual - along @ normal @ nuisance_slope),
-        )
+        information = float(v @ v - along @ normal @ along)
+        score = float(v @ residual - along @ normal @ nuisance_slope)
         scaled = None if information < 1e-9 else _scale_amplitude(effect, score / information)
         if scaled is None:
             return out
@@ -272,15 +247,12 @@ def best_of_each_kind(posterior: Posterior, null_fit: MapEstimate, starts: list[
     return list({effect.name: effect for _, effect in gains}.values())
 
 
-def whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:
+def whitened_slope(
+    posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect
+) -> Annotated[Array, "rows"]:
     """Compute the whitened change of the spectra by a small size of an effect, over that size as a share of the start size.
 
-    Where noise is low, even a small effect's change is far from linear.
-
-    Parameters
-    ----------
-    prediction : Prediction
-        That of the fit.
+    Where noise is low, even a small effect's change is far from linear.  The prediction is that of the fit.
     """
     slight = _scale_size(effect, _RELATIVE_DIFFERENCE ** (1.0 / effect.order))
     assert slight is not None, "nearer to nothing than one that is possible"
@@ -329,14 +301,8 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
     return held, maximize_posterior(held, x, effects, iterations=FAR, frozen=unused)
 
 
-def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> list[tuple[float, Effect]]:
-    """Fit effects with the structure held at its prior mean, then roughly with the structure free, and the best to the end.
-
-    Returns
-    -------
-    list of (float, Effect)
-        Gain of each, nats, and the fitted effect.
-    """
+def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list[Effect]) -> Ranked:
+    """Fit effects with the structure at its prior mean, then roughly with it free, the best to the end; return gains, nats."""
 
     def fitted(effect: Effect) -> MapEstimate:
         near = _fit_at_prior(posterior, null_fit, effect)[1]
@@ -349,17 +315,8 @@ def _gains_from_prior(posterior: Posterior, null_fit: MapEstimate, effects: list
     return [(fit.log_posterior - null_fit.log_posterior, fit.effects[-1]) for fit in fits]
 
 
-def whitened_change(posterior: Posterior, reference: Prediction, changed: Prediction) -> Array:
-    """Compute the whitened change from one prediction to another, shape (rows,).
-
-    Parameters
-    ----------
-    posterior : Posterior
-    reference : Prediction
-        Its spectra whiten the change.
-    changed : Prediction
-        The other prediction.
-    """
+def whitened_change(posterior: Posterior, reference: Prediction, changed: Prediction) -> Annotated[Array, "rows"]:
+    """Compute the change from one prediction to another, whitened by the spectra of the first."""
     change, _ = posterior.whitened(reference.spectra, (changed.spectra - reference.spectra)[None], reference.data)
     if reference.left is None or changed.left is None:
         return change[:, 0]
@@ -385,15 +342,12 @@ def _scale_size(effect: Effect, factor: float) -> Effect | None:
     return effect.at(x)
 
 
-def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect]]:
+def best_of_each(ranked: Ranked) -> Ranked:
     """Keep the best start of every effect and place."""
-    keys: set[tuple[str, str]] = set()
-    out = []
-    for gain, effect in ranked:
-        if (effect.name, effect.location) not in keys:
-            keys.add((effect.name, effect.location))
-            out.append((gain, effect))
-    return out
+    best: dict[Key, tuple[float, Effect]] = {}
+    for item in ranked:
+        best.setdefault(key_of(item[1]), item)
+    return list(best.values())
 
 
 def fit_candidate(
@@ -405,28 +359,11 @@ def fit_candidate(
     min_log_evidence: float = -np.inf,
     rough: Candidate | None = None,
 ) -> Candidate:
-    """Fit an effect together with the nuisances.
+    """Fit an effect, given at its start size, together with the nuisances.
 
-    Where the fit diverges and ends below a rough one, it is repeated from the rough one.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    null_fit : MapEstimate
-        Fit without the effect.
-    effect : Effect
-        The effect at its start size.
-    quick : bool
-        Fit roughly, for a ranking; no further search can start from such a fit.
-    min_log_evidence : float
-        Evidence below which a candidate does not matter, so that its fit is not repeated from the prior, nats.
-    rough : Candidate, optional
-        A rough fit of the same effect.
-
-    Returns
-    -------
-    Candidate
-        Without evidence (minus infinity) where the fit leads to a structure that cannot be computed.
+    Where the fit diverges and ends below a rough one of the same effect, it is repeated from that.  A `quick` fit is rough, for a
+    ranking; no further search can start from it.  A candidate below `min_log_evidence`, nats, does not matter, and its fit is not
+    repeated from the prior.  The evidence is minus infinity where the fit leads to a structure that cannot be computed.
     """
     try:
         return _fit_candidate(posterior, null_fit, effect, min_log_evidence, rough, quick=quick)
@@ -464,14 +401,12 @@ def _fit_candidate(
     found = score_candidate(posterior, null_fit, fitted(*start, frozen=frozen))
     if not quick and far_from_prior(posterior, null_fit):
         near = _fit_at_prior(posterior, null_fit, effect)[1]
-        promising = (
+        better = (
             found.may_reach(min_log_evidence) or sum(posterior.score(near.x, near.effects)) > found.fit.log_posterior
         )
-        if promising or not effect.proportional:
-            other = score_candidate(
-                posterior, null_fit, maximize_posterior(posterior, near.x, near.effects, iterations=FAR)
-            )
-            found = max(found, other, key=lambda c: c.log_evidence)
+        if better or not effect.proportional:
+            other = maximize_posterior(posterior, near.x, near.effects, iterations=FAR)
+            found = max(found, score_candidate(posterior, null_fit, other), key=lambda c: c.log_evidence)
     if rough is not None and found.log_evidence < rough.log_evidence:
         repeated = score_candidate(posterior, null_fit, fitted(rough.fit.x, rough.fit.effects))
         found = max(found, repeated, key=lambda c: c.log_evidence)
@@ -483,14 +418,8 @@ def _fit_driven_law(
 ) -> Candidate:
     """Fit a nonlinear law together with the nuisances where the motion follows from a measured input.
 
-    The slopes are those of the exact laws.  With those of the linearized laws most fits of softening laws end at once.
-
-    Parameters
-    ----------
-    rough : MapEstimate or None
-        A rough fit of the same law, from which the fit starts.
-    quick : bool
-        Fit roughly, for a ranking.
+    The slopes are those of the exact laws.  With those of the linearized laws most fits of softening laws end at once.  It starts
+    from a `rough` fit of the same law, if there is one.  A `quick` fit is rough, for a ranking.
     """
     if rough is None:
         x, effects = start_beside(posterior, null_fit.x, effect), (*null_fit.effects, effect)
@@ -504,12 +433,12 @@ def _fit_driven_law(
     return score_candidate(posterior, null_fit, fit)
 
 
-def start_beside(posterior: Posterior, x: Array, effect: Effect) -> Array:
-    """Return the parameters with which a fit beside an effect starts, shape (p,).
+def start_beside(posterior: Posterior, x: Annotated[Array, "p"], effect: Effect) -> Annotated[Array, "p"]:
+    """Return the parameters with which a fit beside an effect starts.
 
     The fit without the effect has the stories' secant stiffness at the recording's level.  Where the motion follows from a
-    measured input, a frequency off by a percent is far from any fit.  So a nonlinear law starts beside the stiffness
-    with which it has that secant.
+    measured input, a frequency off by a percent is far from any fit.  So a nonlinear law starts beside the stiffness with which
+    it has that secant.
     """
     if posterior.observed.drive is None or not effect.nonlinear:
         return x

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.diagnosis.score_test import Candidate, score_candidate
+from monitor.diagnosis.score_test import Candidate, key_of, score_candidate
 from monitor.inference import (
     CorrectedPosterior,
     MapEstimate,
@@ -34,8 +34,10 @@ from monitor.inference import (
     simulate_spectra,
     with_coordinates,
 )
-from monitor.model import Context, StructuralPrior, loaded
+from monitor.model import Context, Effect, StructuralPrior, loaded
 
+Spectra = Annotated[ComplexArray, "classes bins c c"]
+Simulations = Annotated[ComplexArray, "k classes bins c c"]
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
 _MIN_SIMULATIONS = 3
@@ -108,37 +110,20 @@ class SimulatedFit:
 def refit_by_simulation(
     posterior: Posterior, null_fit: MapEstimate, candidate: Candidate, effort: Effort = "rough"
 ) -> RefittedCandidate:
-    """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    null_fit : MapEstimate
-        Fit without the candidate.
-    candidate : Candidate
-    effort : {"rough", "fine", "finest"}
-        Number of simulations, see `_ROUNDS`.
-    """
+    """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
     simulated_fit = fit_by_simulation(posterior, candidate.fit, effort)
-    softening = any(e.is_softening for e in candidate.fit.effects)
-    if (
-        softening
-        and effort == "rough"
-        and np.abs(simulated_fit.posterior.relative[0]).max() > _MAX_SOFTENING_CORRECTION
-    ):
+    softening = effort == "rough" and any(e.is_softening for e in candidate.fit.effects)
+    if softening and np.abs(simulated_fit.posterior.relative[0]).max() > _MAX_SOFTENING_CORRECTION:
         weaker = fit_by_simulation(posterior, _weaken_laws(posterior, candidate.fit), effort)
         simulated_fit = max(simulated_fit, weaker, key=lambda m: m.fit.log_posterior)
     lost, variance_ratio = simulated_fit.posterior.lost, 1.0 + 1.0 / simulated_fit.simulations
     better = score_candidate(simulated_fit.posterior, null_fit, simulated_fit.fit)
     simulated = isinstance(posterior, CorrectedPosterior) and candidate.key in posterior.laws
-    if (
-        not simulated
-        and better.delta_log_posterior < candidate.delta_log_posterior <= better.delta_log_posterior + lost
-    ):  # the difference is within the simulations' random error
+    gain = better.delta_log_posterior + lost
+    # The difference may be within the simulations' random error.
+    if not simulated and better.delta_log_posterior < candidate.delta_log_posterior <= gain:
         return RefittedCandidate(candidate, posterior, simulated_fit.moments, variance_ratio)
-    better = replace(
-        better, delta_log_posterior=better.delta_log_posterior + lost, log_evidence=better.log_evidence + lost
-    )
+    better = replace(better, delta_log_posterior=gain, log_evidence=better.log_evidence + lost)
     return RefittedCandidate(
         better, simulated_fit.posterior, simulated_fit.moments, variance_ratio, float(np.sqrt(2.0 * lost))
     )
@@ -149,22 +134,15 @@ def fit_initial_model(
 ) -> tuple[Posterior, MapEstimate, Moments]:
     """Fit the model without a new cause as `fit_linearized` does, with persistent nonlinear laws corrected by simulation.
 
-    Returns
-    -------
-    posterior : Posterior
-    fit : MapEstimate
-    moments : Moments
-        Moments that the persistent laws add to those of a normal process.
+    The moments are those that the persistent laws add to those of a normal process.
     """
     posterior, null_fit = fit_linearized(observed, prior, context, start)
-    simulated = (posterior, null_fit, normal_moments(posterior))
+    simulated = linear = posterior, null_fit, normal_moments(posterior)
     for _ in range(_N_REFITS):
         simulated = fit_persistent_effects(*simulated[:2])
     # Near the strongest motion that a law allows, forces fitted to its linear form make the exact law diverge.  Then the
     # linear form is kept.
-    return max(
-        simulated, (posterior, null_fit, normal_moments(posterior)), key=lambda candidate: candidate[1].log_posterior
-    )
+    return max(simulated, linear, key=lambda candidate: candidate[1].log_posterior)
 
 
 def fit_persistent_effects(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate, Moments]:
@@ -236,10 +214,8 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
 
     The last move of the sizes adds to their standard deviation.  Where the fit gets worse, the first fit is kept.
     """
-    if (
-        isinstance(posterior, CorrectedPosterior) and posterior.simulation_std.size == fit.n_effect
-    ):  # simulated finely already, with all its effects
-        near, start = posterior, fit
+    if isinstance(posterior, CorrectedPosterior) and posterior.simulation_std.size == fit.n_effect:
+        near, start = posterior, fit  # simulated finely already, with all its effects
     else:
         simulated_fit = fit_by_simulation(posterior, fit)
         near, start = simulated_fit.posterior, simulated_fit.fit
@@ -260,15 +236,10 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
     return replace(last.posterior, simulation_std=np.hypot(last.posterior.simulation_std, _MOVE_STD * moved)), last.fit
 
 
-def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple[ComplexArray, ComplexArray, Moments]:
-    """Simulate the offset of the spectra from the linearized ones.
+def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple[Spectra, Spectra, Moments]:
+    """Simulate the offset of the spectra from the linearized ones, with the linearized system as control variate, and without it.
 
-    Returns
-    -------
-    controlled, free : ndarray of complex, shape (n_classes, n_bins, c, c)
-        The offset with the linearized system as control variate, and without it.
-    moments : Moments
-        Moments that the laws add to those of a normal process.
+    The moments are those that the laws add to those of a normal process.
     """
     acting = draw_forces(posterior, fit.x, fit.effects, seed)
     simulated = simulate_spectra(
@@ -278,17 +249,18 @@ def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple
     return simulated.controlled, simulated.free, added
 
 
-def _simulate_slopes(posterior: Posterior, fit: MapEstimate, seed: int) -> ComplexArray:
-    """Simulate the slopes of the offset by the laws' sizes, shape (p, n_classes, n_bins, c, c).
-
-    Slopes by a sensor's sizes are zero here, since the samples give them.
-    """
+def _simulate_slopes(
+    posterior: Posterior, fit: MapEstimate, seed: int
+) -> Annotated[ComplexArray, "p classes bins c c"]:
+    """Simulate the slopes of the offset by the laws' sizes; by sensors' sizes they are zero, since the samples give these."""
     laws = [(i, e) for i, e in enumerate(e for e in fit.effects for _ in e.parameters) if e.nonlinear]
     out = np.zeros((len(laws), *posterior.observed.spectra.shape), dtype=complex)
     acting = draw_forces(posterior, fit.x, fit.effects, seed)
-    offset = linearization_error(
-        posterior, fit.x, fit.effects, acting, simulate_exact(posterior, fit.x, fit.effects, acting)
-    )
+
+    def offset_at(x: Array, effects: tuple[Effect, ...]) -> ComplexArray:
+        return linearization_error(posterior, x, effects, acting, simulate_exact(posterior, x, effects, acting))
+
+    offset = offset_at(fit.x, fit.effects)
     for slope, (i, effect) in zip(out, laws, strict=True):
         if effect.family == "sensor":
             continue
@@ -296,30 +268,22 @@ def _simulate_slopes(posterior: Posterior, fit: MapEstimate, seed: int) -> Compl
         sizes = x[posterior.layout.effects]
         step = _SIZE_DIFFERENCE * abs(sizes[i])
         sizes[i] += step
-        effects = with_coordinates(fit.effects, sizes)
-        slope[:] = (
-            linearization_error(posterior, x, effects, acting, simulate_exact(posterior, x, effects, acting)) - offset
-        ) / step
+        slope[:] = (offset_at(x, with_coordinates(fit.effects, sizes)) - offset) / step
     return out
 
 
-def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> ComplexArray:
+def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> Annotated[ComplexArray, "p classes bins c c"]:
     """Return the slopes that the posterior has for the laws of a fit; none for other laws."""
-    if isinstance(posterior, CorrectedPosterior) and posterior.laws == tuple(
-        (e.name, e.location) for e in fit.effects if e.nonlinear
-    ):
+    laws = tuple(key_of(e) for e in fit.effects if e.nonlinear)
+    if isinstance(posterior, CorrectedPosterior) and posterior.laws == laws:
         return posterior.slopes_by_size
     return np.zeros((0, *posterior.observed.spectra.shape), dtype=complex)
 
 
-def _spurious_information(posterior: CorrectedPosterior, fit: MapEstimate, slopes: ComplexArray) -> Array:
-    """Compute the spurious information on the sizes by random error in the mean of simulated slopes, shape (p, p).
-
-    Parameters
-    ----------
-    slopes : ndarray of complex, shape (k, p, n_classes, n_bins, c, c)
-        Slopes by each of k simulations.
-    """
+def _spurious_information(
+    posterior: CorrectedPosterior, fit: MapEstimate, slopes: Annotated[ComplexArray, "k p classes bins c c"]
+) -> Annotated[Array, "p p"]:
+    """Compute the spurious information on the sizes by random error in the mean of the slopes by each of k simulations."""
     k, p = slopes.shape[:2]
     if k < 2:
         return np.zeros((p, p))
@@ -330,8 +294,8 @@ def _spurious_information(posterior: CorrectedPosterior, fit: MapEstimate, slope
     return np.asarray(np.einsum("rka,rkb->ab", rows, rows) / (k * (k - 1)))
 
 
-def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Array:
-    """Compute the covariance times the spurious information, shape (n, n)."""
+def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Annotated[Array, "n n"]:
+    """Compute the covariance times the spurious information."""
     whole = np.zeros_like(fit.covariance)
     if isinstance(posterior, CorrectedPosterior) and posterior.spurious_information.any():
         sizes = [e.nonlinear for e in fit.effects for _ in e.parameters]
@@ -340,46 +304,27 @@ def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Array:
     return np.asarray(fit.covariance @ whole)
 
 
-def _largest_share(part: Array) -> float:
-    """Compute the largest share of the information on any size that is spurious.
-
-    Parameters
-    ----------
-    part : ndarray, shape (n, n)
-        See `_spurious_share`.
-    """
+def _largest_share(part: Annotated[Array, "n n"]) -> float:
+    """Compute the largest share of the information on any size that is spurious, from `_spurious_share`."""
     return float(np.abs(np.linalg.eigvals(part)).max())
 
 
-def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Array:
-    """Widen the covariance of estimates whose slopes have random error, shape (n, n).
-
-    Such a fit overestimates its information J'J and underestimates its covariance.
-    """
+def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Annotated[Array, "n n"]:
+    """Widen the covariance of estimates whose slopes have random error, as such a fit overestimates its information J'J."""
     part = _spurious_share(posterior, fit)
     wider = np.linalg.inv(np.eye(len(part)) - part * min(1.0, _MAX_NOISE_INFORMATION / max(_largest_share(part), 1e-9)))
     return np.asarray(wider @ fit.covariance @ wider.T)
 
 
 def _simulation_scatter(
-    posterior: CorrectedPosterior, fit: MapEstimate, offsets: ComplexArray, free: ComplexArray
-) -> tuple[float, Array]:
+    posterior: CorrectedPosterior, fit: MapEstimate, offsets: Simulations, free: Simulations
+) -> tuple[float, Annotated[Array, "p"]]:
     """Estimate the effect of the simulations' random error on the log likelihood and on the sizes.
 
     A nonlinear response is not normal, so a recording's spectra scatter more than the likelihood assumes.  The spectra of
-    simulations without a control variate show this scatter.  A single simulation shows nothing.
-
-    Parameters
-    ----------
-    offsets, free : ndarray of complex, shape (k, n_classes, n_bins, c, c)
-        Offsets of k simulations with and without a control variate.
-
-    Returns
-    -------
-    lost : float
-        Log likelihood lost by the random error of the mean offset, nats.
-    simulation_std : ndarray, shape (p,)
-        Standard deviation that this error adds to the sizes.
+    simulations without a control variate show this scatter.  A single simulation shows nothing.  `offsets` and `free` are of k
+    simulations with and without a control variate.  Return the log likelihood lost by the random error of the mean offset, nats,
+    and the standard deviation that this error adds to the sizes.
     """
     own_sizes, k = posterior.layout.effects, len(offsets)
     if k < 2:

@@ -9,17 +9,9 @@ import numpy as np
 
 from monitor.core import BadInputError, parallel_map
 from monitor.diagnosis.ambiguity import predict_the_same, probabilities, tied_candidates
-from monitor.diagnosis.backward_elimination import (
-    eliminate_backward,
-    find_better_null_fit,
-    update_linearization,
-)
+from monitor.diagnosis.backward_elimination import eliminate_backward, find_better_null_fit, update_linearization
 from monitor.diagnosis.initial_fit import FAR, fit_ambient_forces, fit_exact_slopes, fit_ground_interpolation
-from monitor.diagnosis.lack_of_fit import (
-    find_lack_of_fit,
-    find_other_direction,
-    lack_of_fit_cost,
-)
+from monitor.diagnosis.lack_of_fit import find_lack_of_fit, find_other_direction, lack_of_fit_cost
 from monitor.diagnosis.missing_modes import (
     couple_modes,
     find_missing_mode,
@@ -41,20 +33,9 @@ from monitor.diagnosis.score_test import (
 )
 from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.simulation_refit import (
-    RefittedCandidate,
-    fit_by_simulation,
-    fit_initial_model,
-)
+from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_by_simulation, fit_initial_model
 from monitor.diagnosis.verdict import Alternatives, Diagnosis, has_nonlinear, is_independent_of_direction, judge, refine
-from monitor.inference import (
-    CorrectedPosterior,
-    MapEstimate,
-    Moments,
-    ObservedSpectra,
-    Posterior,
-    maximize_posterior,
-)
+from monitor.inference import CorrectedPosterior, MapEstimate, Moments, ObservedSpectra, Posterior, maximize_posterior
 from monitor.model import Context, StructuralPrior
 
 _N_GROUND_TESTS = 2
@@ -91,23 +72,8 @@ def diagnose(
 ) -> Diagnosis:
     """Search the catalogue of effects for the causes that explain a recording.
 
-    After a cause is accepted the search is repeated on the extended model, until no effect explains more.
-
-    Parameters
-    ----------
-    observed : ObservedSpectra
-        Spectra of the recording.
-    prior : StructuralPrior
-        The structure, from its file or its baseline.
-    context : Context
-        Channels, sensors and structure.
-    settings : DiagnosisSettings
-    wider : StructuralPrior, optional
-        The prior with persistent effects of the forces, for a calibration, see `_begin`.
-
-    Returns
-    -------
-    Diagnosis
+    After a cause is accepted the search is repeated on the extended model, until no effect explains more.  A calibration gives a
+    `wider` prior too, with persistent effects of the forces, see `_begin`.
     """
     stage, rounds, optima = _begin(observed, prior, context, settings, wider)
     alternatives: Alternatives = ()
@@ -122,9 +88,8 @@ def diagnose(
                 break
             rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
         tied = tied_candidates(candidates, settings.rival)
-        if not any(is_independent_of_direction(p.candidate.effect) for p in tied) and shows_other_direction(
-            stage, settings
-        ):
+        of_forces = not any(is_independent_of_direction(p.candidate.effect) for p in tied)
+        if of_forces and shows_other_direction(stage, settings):
             from_elsewhere = True  # no cause would be stated
             break
         if lacks_modes(stage.posterior, stage.fit):
@@ -147,9 +112,8 @@ def diagnose(
     posterior, fit, accepted = eliminate_backward(
         stage.posterior, stage.fit, stage.accepted, rounds, settings.margin, settings.rival
     )
-    found = judge(
-        refine(posterior, fit, len(accepted)), stage.null_fit, alternatives, settings, from_elsewhere=from_elsewhere
-    )
+    causes = refine(posterior, fit, len(accepted))
+    found = judge(causes, stage.null_fit, alternatives, settings, from_elsewhere=from_elsewhere)
     return replace(found, candidates=rounds[0] if rounds else (), rounds=tuple(rounds), other_optima=optima)
 
 
@@ -163,12 +127,8 @@ def _begin(
     """Fit the model without causes, then the modes that it lacks.
 
     The wider prior takes the place of `prior` where it explains more of the misfit than it leaves, beyond what its parameters
-    cost and what these modes or one effect of the forces explain: without it every cause would be sought in vain.
-
-    Returns
-    -------
-    stage, rounds, optima
-        As `start_from_modes`.
+    cost and what these modes or one effect of the forces explain: without it every cause would be sought in vain.  Return what
+    `start_from_modes` returns.
     """
     begun = start_from_modes(_first_stage(observed, prior, context, settings), settings)
     stage = begun[0]
@@ -209,14 +169,8 @@ def _gain_by_forces(stage: SearchState) -> float:
 def _search_once(stage: SearchState, settings: DiagnosisSettings) -> tuple[SearchState, list[RefittedCandidate], float]:
     """Run one round of the search, and once more where it came upon a better fit without a further cause.
 
-    Returns
-    -------
-    stage : SearchState
-        Refitted where a better fit was found.
-    candidates : list of RefittedCandidate
-        Further causes, best first.
-    threshold : float
-        Log evidence that the next cause needs, nats.
+    Return the state, refitted where a better fit was found, further causes, best first, and the log evidence that the next cause
+    needs, nats.
     """
     threshold = _acceptance_threshold(stage, settings)
     min_gain = settings.worth * threshold / settings.margin
@@ -228,11 +182,8 @@ def _search_once(stage: SearchState, settings: DiagnosisSettings) -> tuple[Searc
         return stage, candidates, threshold
     posterior, fit = better
     stage = replace(stage, posterior=posterior, fit=fit, null_fit=stage.null_fit if stage.accepted else fit)
-    return (
-        stage,
-        run_selection_round(posterior, fit, stage.moments, settings, min_gain),
-        _acceptance_threshold(stage, settings),
-    )
+    candidates = run_selection_round(posterior, fit, stage.moments, settings, min_gain)
+    return stage, candidates, _acceptance_threshold(stage, settings)
 
 
 def sufficient_candidates(
@@ -251,13 +202,7 @@ def prefer_cause_to_coupling(
     """Find a cause that explains more, beside modes that are not coupled, than the coupling of these modes explains.
 
     A mode that is coupled to the floors moves their frequencies, so that couplings may stand in for a cause in the structure.
-
-    Returns
-    -------
-    stage : SearchState
-        With the modes uncoupled; as it was where there is no such cause.
-    candidates : list of RefittedCandidate
-        The causes, best first; empty where there is none.
+    Return the state with the modes uncoupled, and the causes, best first; the state as it was, and no cause, where there is none.
     """
     posterior, fit = stage.posterior, stage.fit
     if not posterior.prior.is_baseline:  # modes that are coupled and modes that are not are both followed to their ends
@@ -281,24 +226,11 @@ def start_from_modes(
     """Fit from the recording's own modes, where the fit from the drawing leaves lack of fit.
 
     A drawing may be so far off that a fit from it ends in a false optimum, and may lack modes that the recording has.  A baseline
-    is neither.
-
-    Returns
-    -------
-    stage : SearchState
-        With the modes that the model lacks as accepted causes.
-    rounds : list of tuple of Candidate
-        For every such mode the candidates among which it was accepted.
-    optima : tuple of MapEstimate
-        Fits of other stiffnesses that the data cannot tell from the one returned.
+    is neither.  Return the state with the modes that the model lacks as accepted causes, for every such mode the candidates among
+    which it was accepted, and fits of other stiffnesses that the data cannot tell from the one returned.
     """
     posterior, null_fit = stage.posterior, stage.fit
-    prior = posterior.prior
-    # Persistent effects whose size is fitted change what the modes are compared with, unless they are of the forces.
-    is_changed = any(effect.parameters and effect.family != "excitation" for effect in prior.model.effects)
-    if posterior.observed.drive is not None or prior.is_baseline or is_changed:
-        return stage, [], ()
-    if not find_lack_of_fit(posterior, null_fit, settings):
+    if not _may_be_far_off(posterior) or not find_lack_of_fit(posterior, null_fit, settings):
         return stage, [], ()
     found = fit_from_modes(posterior)
     if not found or found[0][1] < null_fit.log_posterior + settings.margin:
@@ -323,22 +255,20 @@ def start_from_modes(
     return *ends[first], others
 
 
+def _may_be_far_off(posterior: Posterior) -> bool:
+    """Decide if the structure may be far from its prior, with modes to which the recording's own can be compared."""
+    # Persistent effects whose size is fitted change what the modes are compared with, unless they are of the forces.
+    is_changed = any(e.parameters and e.family != "excitation" for e in posterior.prior.model.effects)
+    return not (posterior.observed.drive is not None or posterior.prior.is_baseline or is_changed)
+
+
 def _follow(
     stage: SearchState, start: MapEstimate, settings: DiagnosisSettings
 ) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
-    """Remove the modes of a start that others made superfluous, and add those that are still missing.
-
-    Returns
-    -------
-    stage : SearchState
-    rounds : list of tuple of Candidate
-        As `start_from_modes`.
-    """
+    """Remove the modes of a start that others made superfluous, and add those still missing; results as of `start_from_modes`."""
     posterior, gain = stage.posterior, start.log_posterior - stage.fit.log_posterior
-    accepted = tuple(
-        Candidate(effect, start, gain, gain - evidence_cost(posterior, start, i))
-        for i, effect in enumerate(start.effects)
-    )
+    costs = (evidence_cost(posterior, start, i) for i in range(len(start.effects)))
+    accepted = tuple(Candidate(e, start, gain, gain - cost) for e, cost in zip(start.effects, costs, strict=True))
     posterior = update_linearization(posterior, start)
     posterior, fit, accepted = eliminate_backward(
         posterior, start, accepted, [(c,) for c in accepted], settings.margin, settings.rival
@@ -385,14 +315,7 @@ def _n_counted(stage: SearchState) -> int:
 def _add_missing_modes(
     stage: SearchState, settings: DiagnosisSettings
 ) -> tuple[SearchState, list[tuple[Candidate, ...]]]:
-    """Add modes that the model lacks, until the highest peak left has another cause or none.
-
-    Returns
-    -------
-    stage : SearchState
-    rounds : list of tuple of Candidate
-        For every mode the candidates among which it was accepted.
-    """
+    """Add modes that the model lacks until the highest peak left has another cause or none; return candidates for each too."""
     rounds: list[tuple[Candidate, ...]] = []
     while True:
         found = find_missing_modes(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))
@@ -413,14 +336,11 @@ def _add_missing_modes(
 
 def _acceptance_threshold(stage: SearchState, settings: DiagnosisSettings) -> float:
     """Compute the log evidence that the next cause needs, nats."""
-    if (
-        stage.posterior.observed.drive is not None
-    ):  # most of the lack of fit is in the response, which the misfit in bands does not count
-        return stage.margin
-    return max(
-        stage.margin,
-        settings.share * lack_of_fit_cost(stage.posterior, find_lack_of_fit(stage.posterior, stage.fit, settings)),
-    )
+    posterior = stage.posterior
+    if posterior.observed.drive is not None:
+        return stage.margin  # most of the lack of fit is in the response, which the misfit in bands does not count
+    cost = lack_of_fit_cost(posterior, find_lack_of_fit(posterior, stage.fit, settings))
+    return max(stage.margin, settings.share * cost)
 
 
 def _refit_ground_interpolation(
@@ -463,11 +383,8 @@ def _accept(stage: SearchState, best: RefittedCandidate, settings: DiagnosisSett
         simulated_fit = fit_by_simulation(posterior, fit)
         posterior, fit, added = simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
     if best.candidate.effect.nonlinear:
-        margin = max(
-            margin,
-            settings.aftermath * best.candidate.delta_log_posterior,
-            settings.margin + DIFFERS_STDS * best.log_evidence_std,
-        )
+        error = settings.aftermath * best.candidate.delta_log_posterior
+        margin = max(margin, error, settings.margin + DIFFERS_STDS * best.log_evidence_std)
     return SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
 
 
@@ -476,18 +393,8 @@ def _accept_beside_tie(
 ) -> tuple[SearchState, list[RefittedCandidate]] | None:
     """Search, while rivals are tied, for a cause that is there whichever rival is the true cause.
 
-    Parameters
-    ----------
-    stage : SearchState
-        State before any of the rivals.
-    tied : RefittedCandidate
-        The best of the rivals.
-
-    Returns
-    -------
-    tuple of SearchState and list of RefittedCandidate, or None
-        The state with the further cause, and the candidates among which it was found.  None where there is no such cause, or
-        where it is itself tied.
+    The state given is that before any of the rivals, `tied` the best of them.  Return the state with the further cause, and the
+    candidates among which it was found; None where there is no such cause, or where it is itself tied.
     """
     if _n_counted(stage) + 2 > settings.max_causes:
         return None
@@ -538,8 +445,10 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
     modes kept their damping ratios, or the structure kept its damping matrix.
     """
     posterior = update_linearization(posterior, fit)
-    before = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects[:-1])).modes().frequencies_hz
-    after = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects)).modes().frequencies_hz
+    before, after = (
+        posterior.model(fit.x, posterior.effects(fit.x, effects)).modes().frequencies_hz
+        for effects in (fit.effects[:-1], fit.effects)
+    )
     change = np.nan_to_num(np.log(after / before), nan=_NO_FREQUENCY)
     ratios = replace(posterior, prior=posterior.prior.with_looser_damping(change))
     known = posterior.damped_as_built or isinstance(posterior, CorrectedPosterior)

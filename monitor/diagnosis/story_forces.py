@@ -6,7 +6,9 @@ forces on them.  Its drift is the difference of two floors' accelerations, integ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from monitor.core import Array, ComplexArray
 from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import MapEstimate, Posterior
+from monitor.model import Condition, Context, Effect
 from monitor.signals import taper
 
 _LEAST_SEGMENTS = 6
@@ -27,10 +30,8 @@ _FINER = 8
 class Loop:
     """Force of a story against its drift in the middle of a segment."""
 
-    drift_m: Array
-    """Shape (n,), m."""
-    force_n: Array
-    """Shape (n,), N."""
+    drift_m: Annotated[Array, "n"]
+    force_n: Annotated[Array, "n"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -42,20 +43,17 @@ class StoryLaw:
 
     story: int
     """From 1."""
-    drift_m: Array
-    """RMS drift, shape (2,), m."""
-    stiffness_n_per_m: Array
-    """Secant stiffness, shape (2,), N/m."""
-    stiffness_std: Array
-    """Standard deviations, shape (2,)."""
-    loss: Array
-    """Loss factor: dissipated energy in a cycle over 2 pi times the largest elastic energy, shape (2,)."""
-    loss_std: Array
-    """Standard deviations, shape (2,)."""
-    model_stiffness_n_per_m: Array
-    """The same of the model with its causes, shape (2,), N/m."""
-    model_loss: Array
-    """The same of the model with its causes, shape (2,)."""
+    drift_m: Annotated[Array, "2"]
+    """RMS drift."""
+    stiffness_n_per_m: Annotated[Array, "2"]
+    """Secant stiffness."""
+    stiffness_std: Annotated[Array, "2"]
+    loss: Annotated[Array, "2"]
+    """Loss factor: dissipated energy in a cycle over 2 pi times the largest elastic energy."""
+    loss_std: Annotated[Array, "2"]
+    model_stiffness_n_per_m: Annotated[Array, "2"]
+    """That of the model with its causes, as `model_loss`."""
+    model_loss: Annotated[Array, "2"]
     measured: Loop
     """Loop in the segment with the largest drift."""
     before: Loop
@@ -79,20 +77,14 @@ class StoryLaw:
             found.append(f"its loss factor grows by {100.0 * abs(gained):.1f} % {more} than the model's")
         low, high = 1e3 * self.drift_m
         span = f"from {low:.2g} to {high:.2g} mm of RMS drift story {self.story}"
-        if found:
-            return f"{span} {' and '.join(found)}"
-        return (
-            f"{span} changes with the level as the model does, to within {100.0 * visible / k:.2g} % of its stiffness"
-        )
+        alike = f"changes with the level as the model does, to within {100.0 * visible / k:.2g} % of its stiffness"
+        return f"{span} {' and '.join(found) or alike}"
 
 
 def story_laws(diagnosis: Diagnosis) -> tuple[StoryLaw, ...]:
     """Compare the law of every story with the model's before and after the causes.
 
-    Returns
-    -------
-    tuple of StoryLaw
-        Empty where no input was measured, a floor has no sensor, or the stories are no single springs.
+    Empty where no input was measured, a floor has no sensor, or the stories are no single springs.
 
     References
     ----------
@@ -112,22 +104,19 @@ def story_laws(diagnosis: Diagnosis) -> tuple[StoryLaw, ...]:
     return tuple(_law(j, posterior, measured, before, after) for j in range(n))
 
 
+Channels = Annotated[ComplexArray, "segments bins c"]
 _Series = tuple[ComplexArray, ComplexArray]
 """Transforms of the stories' forces, N/sqrt(Hz), and of their drifts, m/sqrt(Hz), shape (n_segments, n_bins, n) each."""
 
 
-def _forces_and_drifts(posterior: Posterior, fit: MapEstimate, channels: ComplexArray | None) -> _Series:
-    """Compute forces and drifts from the channels' transforms, shape (n_segments, n_bins, c), with the masses of a fit."""
+def _forces_and_drifts(posterior: Posterior, fit: MapEstimate, channels: Channels | None) -> _Series:
+    """Compute forces and drifts from the channels' transforms with the masses of a fit."""
     e, context, drive = posterior.observed, posterior.context_at(fit.x), posterior.observed.drive
     assert channels is not None
     assert drive is not None
-    effects = (*posterior.prior.effects(fit.x), *fit.effects)
+    effects = posterior.effects(fit.x, fit.effects)
     n, hz = context.structure.n_dofs, e.band.hz
-    true = np.asarray(channels, dtype=np.complex128)
-    for effect in reversed(effects):
-        response = effect.response(hz, context, posterior.conditions[0])
-        if response is not None:
-            true = np.asarray(np.linalg.solve(response, true[..., None])[..., 0], dtype=np.complex128)
+    true = true_motion(channels, effects, hz, context, posterior.conditions[0])
     floors = true @ np.linalg.inv(context.sensors).T
     inputs = drive.measured(e.band)
     system = posterior.system(fit.x, effects)
@@ -139,14 +128,25 @@ def _forces_and_drifts(posterior: Posterior, fit: MapEstimate, channels: Complex
     return np.asarray(acting @ np.linalg.inv(drifts)), np.asarray(displaced @ drifts.T)
 
 
+def true_motion(
+    channels: Channels, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
+) -> Channels:
+    """Take what effects of the sensors do to the channels' transforms out of them."""
+    true = np.asarray(channels, dtype=np.complex128)
+    for effect in reversed(effects):
+        response = effect.response(hz, context, condition)
+        if response is not None:
+            true = np.asarray(np.linalg.solve(response, true[..., None])[..., 0], dtype=np.complex128)
+    return true
+
+
 def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after: _Series) -> StoryLaw:
     """Describe the law of the story of index j."""
     power = (np.abs(measured[1][:, :, j]) ** 2).sum(axis=1)
     order, third = np.argsort(power), max(2, power.size // 3)
     groups = order[:third], order[-third:]
-    (k, k_std, eta, eta_std), (model_k, _, model_eta, _) = (
-        np.array([_secant(series, after[1], j, group) for group in groups]).T for series in (measured, after)
-    )
+    k, k_std, eta, eta_std = np.array([_secant(measured, after[1], j, group) for group in groups]).T
+    model_k, _, model_eta, _ = np.array([_secant(after, after[1], j, group) for group in groups]).T
     bin_hz, largest = posterior.observed.band.bin_hz, int(order[-1])
     return StoryLaw(
         story=j + 1,
@@ -164,18 +164,13 @@ def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after
 
 
 def _secant(
-    series: _Series, instrument: ComplexArray, j: int, group: NDArray[np.intp]
+    series: _Series, instrument: Annotated[ComplexArray, "segments bins n"], j: int, group: NDArray[np.intp]
 ) -> tuple[float, float, float, float]:
     """Regress the force of story j on its drift over a group of segments.
 
     The noise of the sensors, integrated twice, would make every story seem softer the less it moves.  So the regression is by an
-    instrumental variable: the drift that the model predicts, which has no noise.  The standard deviations are by the
-    jackknife over the segments.
-
-    Returns
-    -------
-    stiffness, its standard deviation : float, N/m
-    loss factor, its standard deviation : float
+    instrumental variable: the drift that the model predicts, which has no noise.  The standard deviations are by the jackknife
+    over the segments.  Return the stiffness in N/m, the loss factor, and after each its standard deviation.
     """
     force, drift = (part[group, :, j] for part in series)
     known = instrument[group, :, j].conj()

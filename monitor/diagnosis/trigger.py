@@ -54,18 +54,7 @@ class WatchState:
 def step(
     state: WatchState, result: WindowResult, settings: WatchSettings, window_s: float
 ) -> tuple[WatchState, Request | None]:
-    """Advance the state by one window; return a request when an episode has brought enough data, or ends before.
-
-    Parameters
-    ----------
-    state : WatchState
-        State before the window.
-    result : WindowResult
-        Result of the window.
-    settings : WatchSettings
-    window_s : float
-        Length of a window, s.
-    """
+    """Advance the state by one window; return a request when an episode has brought enough data, or ends before."""
     if result.skipped is not None:
         return state, None
     t_ns, window_ns = result.t_end_ns, round(window_s * 1e9)

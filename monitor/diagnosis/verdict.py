@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 
@@ -23,10 +23,10 @@ from monitor.diagnosis.lack_of_fit import (
 )
 from monitor.diagnosis.missing_modes import as_seen, is_credible, is_stated
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
-from monitor.diagnosis.score_test import Candidate, evidence_cost
+from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_with
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_persistent_effects, refine_fit
-from monitor.inference import MapEstimate, Posterior, join_coordinates, maximize_posterior
+from monitor.inference import MapEstimate, Posterior, maximize_posterior
 from monitor.model import Effect
 
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
@@ -40,11 +40,10 @@ class Cause:
 
     effect: Effect
     std: dict[str, float]
-    """Standard deviation of each parameter."""
 
     @classmethod
-    def of(cls, effect: Effect, deviation: Array) -> Self:
-        """Make a cause of an effect and the standard deviations of its coordinates, shape (p,)."""
+    def of(cls, effect: Effect, deviation: Annotated[Array, "p"]) -> Self:
+        """Make a cause of an effect and the standard deviations of its coordinates."""
         std = {}
         for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
             std[p.name] = min(own * p.slope(effect.values()[p.name]), 1e300)
@@ -58,8 +57,8 @@ class FittedCauses:
     posterior: Posterior
     fit: MapEstimate
     n_accepted: int
-    simulation_std: Array
-    """Standard deviations of the effects' sizes by the simulations' random error, shape (p,)."""
+    simulation_std: Annotated[Array, "p"]
+    """Standard deviations of the effects' sizes by the simulations' random error."""
 
     def keep(self, kept: Sequence[bool]) -> Self:
         """Refit with the selected effects only."""
@@ -70,11 +69,7 @@ class FittedCauses:
         if has_nonlinear(self.fit) and not has_nonlinear(fit):
             posterior, fit, _ = fit_persistent_effects(posterior, fit)
         return replace(
-            self,
-            posterior=posterior,
-            fit=fit,
-            n_accepted=sum(kept[: self.n_accepted]),
-            simulation_std=simulation_std,
+            self, posterior=posterior, fit=fit, n_accepted=sum(kept[: self.n_accepted]), simulation_std=simulation_std
         )
 
 
@@ -97,7 +92,6 @@ class Diagnosis:
     final_fit: MapEstimate
     """Fit with the causes (with the most probable alternative where the answer is ambiguous)."""
     settings: DiagnosisSettings
-    """Settings of the diagnosis."""
     rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
     """Candidates of every round of the search."""
     other_optima: tuple[MapEstimate, ...] = field(default=())
@@ -106,6 +100,11 @@ class Diagnosis:
     """Effects of the final fit that are no causes, as they cannot be told from modes that were missing at calibration."""
     simulation_std: Array = field(default_factory=lambda: np.zeros(0))
     """As `FittedCauses.simulation_std`, of the final fit's effects."""
+
+    def without_causes(self, left_over: tuple[LackOfFit, ...]) -> Diagnosis:
+        """Withdraw all causes, which leaves the model without them and what it leaves over."""
+        withdrawn = replace(self, causes=(), also_fitted=(), alternatives=())
+        return replace(withdrawn, left_over=left_over, final_fit=self.null_fit)
 
     def without_last_cause(self) -> Diagnosis:
         """Withdraw the cause that was found last, or the alternatives of an ambiguous answer, and judge the others anew."""
@@ -128,21 +127,8 @@ def judge(
 ) -> Diagnosis:
     """Judge the causes that a search ended with: which are stated, and what they leave over.
 
-    Parameters
-    ----------
-    found : FittedCauses
-    null_fit : MapEstimate
-        The model without causes, refitted.
-    alternatives : tuple of (Candidate, float)
-        Candidates of the last round that cannot be told apart, the first of them in the fit.
-    settings : DiagnosisSettings
-    from_elsewhere : bool
-        Whether the search ended because the forces act in another direction than at calibration.
-
-    Returns
-    -------
-    Diagnosis
-        Without the candidates of the search.
+    The first of the alternatives, candidates of the last round that cannot be told apart, is in the fit.  Where the search ended
+    because the forces act in another direction than at calibration, they come `from_elsewhere`.
     """
     # Beside other causes an effect may have moved to a size that means another one.
     band_hz = found.posterior.observed.band.hz
@@ -195,17 +181,7 @@ def _left_over(found: FittedCauses, settings: DiagnosisSettings) -> tuple[LackOf
 def refine(posterior: Posterior, fit: MapEstimate, n_accepted: int) -> FittedCauses:
     """Refit with laws simulated as finely as a published result needs, without causes that are no longer significant.
 
-    Parameters
-    ----------
-    posterior : Posterior
-    fit : MapEstimate
-        Fit with the accepted causes, followed by the most probable alternative where the answer is ambiguous.
-    n_accepted : int
-        Number of accepted causes.
-
-    Returns
-    -------
-    FittedCauses
+    The fit has the accepted causes, then the most probable alternative where the answer is ambiguous.
     """
     if not has_nonlinear(fit) or posterior.observed.drive is not None:
         return FittedCauses(posterior, fit, n_accepted, np.zeros(fit.n_effect))
@@ -220,10 +196,7 @@ def refine(posterior: Posterior, fit: MapEstimate, n_accepted: int) -> FittedCau
 
 
 def _keep_confirmed_elsewhere(found: FittedCauses, settings: DiagnosisSettings) -> FittedCauses:
-    """Keep only the causes that bands without lack of fit confirm too.
-
-    In bands with unexplained lack of fit a search finds tones, oscillators and laws that do not exist.
-    """
+    """Keep only causes that bands without lack of fit confirm too: in others a search finds tones and laws that do not exist."""
     posterior, fit = found.posterior, found.fit
     wrong = wrong_bins(posterior, fit, settings)
     if not found.n_accepted or not wrong.any() or posterior.observed.drive is not None:
@@ -234,8 +207,7 @@ def _keep_confirmed_elsewhere(found: FittedCauses, settings: DiagnosisSettings) 
     def is_confirmed(i: int) -> bool:
         if i >= found.n_accepted:
             return True
-        others = (*fit.effects[:i], *fit.effects[i + 1 :])
-        without = maximize_posterior(elsewhere, join_coordinates(whole.x[posterior.layout.nuisances], others), others)
+        without = fit_with(elsewhere, whole, (*fit.effects[:i], *fit.effects[i + 1 :]))
         gain = whole.log_posterior - without.log_posterior
         return gain - evidence_cost(elsewhere, whole, i) > settings.margin
 
@@ -264,11 +236,7 @@ def is_independent_of_direction(effect: Effect) -> bool:
 
 
 def _verdict(
-    share: float,
-    left_over: Sequence[LackOfFit],
-    stated: Sequence[Effect],
-    ambiguous: bool,
-    settings: DiagnosisSettings,
+    share: float, left_over: Sequence[LackOfFit], stated: Sequence[Effect], ambiguous: bool, settings: DiagnosisSettings
 ) -> Verdict:
     """Choose the verdict from the share of lack of fit that is left over, the stated causes and their ambiguity."""
     # The exact form of a nonlinear law far from rest is not known; the small misfit that this leaves is no cause of its own.

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.diagnosis.parameter_uncertainty import DIFFERS_STDS
+from monitor.diagnosis.story_forces import true_motion
 from monitor.diagnosis.witness_record import WitnessRecord, WitnessSensor, WitnessTransforms
 from monitor.model import Condition, Context, Effect, Model, ShearFrame, interval
 
@@ -38,6 +39,7 @@ NOT_DETERMINED = 1e300
 """Standard deviation where none can be told. [1; definition: JSON has no infinity]"""
 
 Verdict = Literal["agrees", "contradicts", "cannot say"]
+Motion = Annotated[ComplexArray, "segments bins"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,20 +70,18 @@ class Witness:
     says: str
     modes: tuple[WitnessedMode, ...] = ()
 
+    @classmethod
+    def silent(cls, sensor: WitnessSensor, why: str) -> Self:
+        """Make a witness that cannot say anything."""
+        return cls(sensor, "cannot say", f"{sensor.channel} cannot say: {why}")
+
     def to_plain(self) -> dict[str, Any]:
         """Return the entry of diagnosis.json."""
         unit = "rad/m" if self.sensor.quantity == "rotation_rate" else "m/m"
         keys = ("of", "frequency_hz", "ratio", "std", "coherence", "predicted", "predicted_before")
-        return {
-            "channel": self.sensor.channel,
-            "quantity": self.sensor.quantity,
-            "axis": self.sensor.axis,
-            "floor": self.sensor.floor,
-            "verdict": self.verdict,
-            "says": self.says,
-            "unit": unit,
-            "modes": [{key: getattr(mode, key) for key in keys} for mode in self.modes],
-        }
+        modes = [{key: getattr(mode, key) for key in keys} for mode in self.modes]
+        sensor = {key: getattr(self.sensor, key) for key in ("channel", "quantity", "axis", "floor")}
+        return {**sensor, "verdict": self.verdict, "says": self.says, "unit": unit, "modes": modes}
 
 
 def compare_witnesses(
@@ -94,18 +94,8 @@ def compare_witnesses(
 ) -> list[Witness]:
     """Compare what every witness measured with what the models say of it.
 
-    Parameters
-    ----------
-    record : WitnessRecord
-        The recording.
-    sensors : sequence of WitnessSensor
-        Witnesses of the structure file.
-    before, extended : Model
-        The refitted model without the causes and with them.
-    context : Context
-        Channels and sensors of the floors.
-    condition : Condition
-        Motion and temperature at which effects of sensors act.
+    `before` and `extended` are the refitted model without the causes and with them; `condition` is the motion and the temperature
+    at which effects of sensors act.
     """
     if not sensors:
         return []
@@ -114,7 +104,7 @@ def compare_witnesses(
     # Where the rate is so low that no mode lies in the band, there are hardly any bins.
     if data is None or len(data.floors) < _LEAST_JACKKNIFE or len(data.hz) <= 2 * _HALF_WIDTH:
         why = "too few segments of the recording hold the floors, the witnesses and a mode at one rate"
-        return [Witness(s, "cannot say", f"{s.channel} cannot say: {why}") for s in sensors]
+        return [Witness.silent(sensor, why) for sensor in sensors]
     comparison = _Comparison(data, before, extended, context, condition)
     return [comparison.judge(sensor) for sensor in sensors]
 
@@ -126,7 +116,8 @@ class _Comparison:
         self, data: WitnessTransforms, before: Model, extended: Model, context: Context, condition: Condition
     ) -> None:
         self.data, self.before, self.extended, self.context = data, before, extended, context
-        self.floors = _relative_motion(data, extended.effects, context, condition)
+        true = true_motion(data.floors, extended.effects, data.hz, context, condition)
+        self.floors = true if data.ground is None else true - data.ground[:, :, None]
         self.modes, self.structure = extended.modes(), extended.structure
         last_hz = float(data.hz[-1 - _HALF_WIDTH])
         self.numbers = [k for k, hz in enumerate(self.modes.frequencies_hz.tolist()) if hz < last_hz]
@@ -136,15 +127,13 @@ class _Comparison:
     def judge(self, sensor: WitnessSensor) -> Witness:
         """Compare one witness with the models."""
         if sensor.channel not in self.data.witnesses:
-            why = "the recording does not hold it at the rate of the floors"
-            return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: {why}")
+            return Witness.silent(sensor, "the recording does not hold it at the rate of the floors")
         if sensor.channel in self.data.still:
-            return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: it does not move")
+            return Witness.silent(sensor, "it does not move")
         is_frame = isinstance(self.structure, ShearFrame)
         if sensor.quantity == "rotation_rate" and (sensor.axis == "y" if is_frame else sensor.floor > 0):
             if is_frame and self.structure.story_heights_m is None:
-                why = "angles of joints and columns need story_heights_m in the structure file"
-                return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: {why}")
+                return Witness.silent(sensor, "angles of joints and columns need story_heights_m in the structure file")
             return self._judge_rotation_in_modes(sensor)
         return self._judge_motion_in_modes(sensor)
 
@@ -162,24 +151,18 @@ class _Comparison:
             measured.append(WitnessedMode(f"mode {k + 1}", hz, ratio, std, coherence, *by_model))
             chord.append(one_chord)
         if not measured:
-            return Witness(sensor, "cannot say", f"{sensor.channel} cannot say: no mode lies in the band")
+            return Witness.silent(sensor, "no mode lies in the band")
         # Of modes in which the structure moves little there, hardly anything is told.
         scales = [max(c or 0.0, abs(m.predicted or 0.0)) or 1.0 for m, c in zip(measured, chord, strict=True)]
         best = int(np.argmin([m.std / scale for m, scale in zip(measured, scales, strict=True)]))
         verdict, words = _judge_rotation(sensor, measured[best], chord[best])
         return Witness(sensor, verdict, words, tuple(measured))
 
-    def _reference(self, sensor: WitnessSensor, k: int) -> tuple[Array, float, float | None]:
+    def _reference(self, sensor: WitnessSensor, k: int) -> tuple[Annotated[Array, "c"], float, float | None]:
         """Choose the motion over which the rotation in mode k is stated.
 
-        Returns
-        -------
-        weights : ndarray, shape (c,)
-            Of the channels; exact where they tell the motion, else by the mode's shape.
-        moved : float
-            The motion in the model's mode of unit modal mass, m.
-        chord : float or None
-            Rotation of the chord of the columns, rad per m of the motion; None where there are no columns.
+        Return the weights of the channels, exact where they tell the motion, else by the mode's shape; the motion in the model's
+        mode of unit modal mass, m; and the rotation of the columns' chord, rad per m of the motion, None without columns.
         """
         shape, sensors = self.modes.shapes[:, k], self.context.sensors
         if not isinstance(self.structure, ShearFrame):
@@ -197,7 +180,9 @@ class _Comparison:
             weights = float(row @ shape) * seen / float(seen @ seen)
         return weights, float(row @ shape), chord
 
-    def _predicted(self, model: Model, sensor: WitnessSensor, hz: float, weights: Array) -> float | None:
+    def _predicted(
+        self, model: Model, sensor: WitnessSensor, hz: float, weights: Annotated[Array, "c"]
+    ) -> float | None:
         """Predict the rotation over the reference motion in the model's mode nearest to a frequency, rad/m."""
         modes = model.modes()
         shape = modes.shapes[:, int(np.abs(np.log(modes.frequencies_hz / hz)).argmin())]
@@ -223,19 +208,18 @@ class _Comparison:
             bins = self._bins(hz)
             largest = int((np.abs(self.floors[:, bins]) ** 2).sum(axis=(0, 1)).argmax())
             moved = self.floors[:, :, largest] if own is None else own
-            found.append(
-                WitnessedMode(name, hz, *_transfer(self._motion(sensor), moved / -(self._omega**2), bins, signed=False))
-            )
+            told = _transfer(self._motion(sensor), moved / -(self._omega**2), bins, signed=False)
+            found.append(WitnessedMode(name, hz, *told))
         verdict, words = _judge_other_motion(sensor, found, 3.0 * float(self.data.hz[1]))
         return Witness(sensor, verdict, words, tuple(found))
 
     @property
-    def _omega(self) -> Array:
-        """Circular frequencies of the bins, rad/s, shape (n_bins,); that of 0 Hz as of the next."""
+    def _omega(self) -> Annotated[Array, "bins"]:
+        """Circular frequencies of the bins, rad/s; that of 0 Hz as of the next."""
         return np.asarray(2.0 * np.pi * np.maximum(self.data.hz, self.data.hz[1]))
 
-    def _motion(self, sensor: WitnessSensor) -> ComplexArray:
-        """Integrate a witness's readings to rad or m, shape (n_segments, n_bins)."""
+    def _motion(self, sensor: WitnessSensor) -> Motion:
+        """Integrate a witness's readings to rad or m."""
         readings, omega = self.data.witnesses[sensor.channel], self._omega
         return np.asarray(readings / (1j * omega) if sensor.quantity == "rotation_rate" else readings / -(omega**2))
 
@@ -250,32 +234,10 @@ def _own_frequency(effect: Effect) -> float | None:
     return effect.values().get("frequency_hz") if effect.family == "structure" else None
 
 
-def _relative_motion(
-    data: WitnessTransforms, effects: Sequence[Effect], context: Context, condition: Condition
-) -> ComplexArray:
-    """Correct the floors' transforms for the effects of their sensors, and subtract the ground's where it was measured.
+def _transfer(turned: Motion, moved: Motion, bins: slice, *, signed: bool) -> tuple[float, float, float]:
+    """Estimate the ratio of two motions in a mode's bins: the part in phase where `signed`, else the magnitude.
 
-    Returns
-    -------
-    ndarray, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)
-    """
-    true = np.asarray(data.floors, dtype=np.complex128)
-    for effect in reversed(effects):
-        response = effect.response(data.hz, context, condition)
-        if response is not None:
-            true = np.asarray(np.linalg.solve(response, true[..., None])[..., 0], dtype=np.complex128)
-    return true if data.ground is None else true - data.ground[:, :, None]
-
-
-def _transfer(turned: ComplexArray, moved: ComplexArray, bins: slice, *, signed: bool) -> tuple[float, float, float]:
-    """Estimate the ratio of two motions in a mode's bins, shape (n_segments, n_bins) each.
-
-    Returns
-    -------
-    ratio, std : float
-        The part in phase where `signed`, else the magnitude; the standard deviation is by the jackknife over the segments.
-    coherence : float
-        Coherent share of the first motion's power.
+    Return it, its standard deviation by the jackknife over the segments, and the coherent share of the first motion's power.
 
     References
     ----------
@@ -339,9 +301,10 @@ def _judge_other_motion(
     what = f"{_motion_in_words(sensor)} of {f'floor {sensor.floor}' if sensor.floor else 'the ground'}"
     own = [m for m in found if m.of.startswith("mode ")]
     others = [m for m in found if m not in own]
-    unit = "rad per m" if sensor.quantity == "rotation_rate" else "m per m"
     largest = max(own, key=lambda m: m.ratio, default=None)
-    usual = "" if largest is None else f"in the model's modes at most {largest.ratio:.2g} {unit} ({largest.of})"
+    usual = ""
+    if largest is not None:
+        usual = f"in the model's modes at most {largest.ratio:.2g} {_unit(sensor)} ({largest.of})"
     if not others:
         rest = f"the model has no mode besides that {sensor.channel} could see"
         return None, f"{what}: {usual or 'no mode lies in the band'}; {rest}"
@@ -349,28 +312,31 @@ def _judge_other_motion(
     # them what is certain: where the structure moves little, noise makes any ratio.
     certain = max((m.ratio - DIFFERS_STDS * m.std for m in own), default=0.0)
     least = 1.0 if sensor.quantity == "acceleration" else _FACTOR * max(certain, 0.0)
-    told: list[tuple[Verdict, str]] = []
-    for mode in others:
-        near = next((m for m in own if abs(m.frequency_hz - mode.frequency_hz) < apart_hz), None)
-        name = f"the {mode.of.replace('_', ' ')} at {mode.frequency_hz:.2f} Hz"
-        if near is not None:
-            told.append(("cannot say", f"{name} is too near to {near.of} to be told from it"))
-            continue
-        verdict = _placed(mode.ratio, mode.std, least, np.inf)
-        if verdict == "agrees" and mode.ratio - DIFFERS_STDS * mode.std < least:  # a magnitude of noise is never 0
-            verdict = "cannot say"
-        ratio = interval({"value": mode.ratio, "std": mode.std}, 1.0, unit)
-        size = f"{ratio} (coherence {mode.coherence:.2f})"
-        kind = _kind(sensor)
-        words = {
-            "agrees": f"in {name} {size}: it is {kind}",
-            "contradicts": f"in {name} {size}: it is not {kind}",
-            "cannot say": f"in {name} {size}, which does not tell whether it is {kind}",
-        }[verdict]
-        told.append((verdict, words))
+    told = [_judge_other_mode(sensor, mode, own, apart_hz, least) for mode in others]
     verdicts = [v for v, _ in told]
     whole: Verdict = next((v for v in ("agrees", "contradicts") if v in verdicts), "cannot say")
     return whole, f"{what}: {'; '.join(w for _, w in told)}" + (f"; {usual}" if usual else "")
+
+
+def _judge_other_mode(
+    sensor: WitnessSensor, mode: WitnessedMode, own: Sequence[WitnessedMode], apart_hz: float, least: float
+) -> tuple[Verdict, str]:
+    """Say whether a mode that is none of the model's `own` is of the sensor's axis, and so moves by `least` that way."""
+    name = f"the {mode.of.replace('_', ' ')} at {mode.frequency_hz:.2f} Hz"
+    near = next((m for m in own if abs(m.frequency_hz - mode.frequency_hz) < apart_hz), None)
+    if near is not None:
+        return "cannot say", f"{name} is too near to {near.of} to be told from it"
+    verdict = _placed(mode.ratio, mode.std, least, np.inf)
+    if verdict == "agrees" and mode.ratio - DIFFERS_STDS * mode.std < least:  # a magnitude of noise is never 0
+        verdict = "cannot say"
+    ratio = interval({"value": mode.ratio, "std": mode.std}, 1.0, _unit(sensor))
+    says = {"agrees": ": it is", "contradicts": ": it is not", "cannot say": ", which does not tell whether it is"}
+    return verdict, f"in {name} {ratio} (coherence {mode.coherence:.2f}){says[verdict]} {_kind(sensor)}"
+
+
+def _unit(sensor: WitnessSensor) -> str:
+    """Name the unit of a witness's motion over that of the structure."""
+    return "rad per m" if sensor.quantity == "rotation_rate" else "m per m"
 
 
 def _motion_in_words(sensor: WitnessSensor) -> str:

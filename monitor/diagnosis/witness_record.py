@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -36,14 +37,13 @@ class WitnessSensor:
 class WitnessTransforms:
     """Tapered transforms of half-overlapping segments that the floors and the witnesses cover together."""
 
-    hz: Array
-    """Shape (n_bins,), Hz."""
-    floors: ComplexArray
-    """Accelerations of the floors, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)."""
-    ground: ComplexArray | None
-    """The ground's, shape (n_segments, n_bins); None where it was not measured."""
-    witnesses: dict[str, ComplexArray]
-    """Of each witness in the recording, in m/s^2 or rad/s, over the same segments, shape (n_segments, n_bins)."""
+    hz: Annotated[Array, "bins"]
+    floors: Annotated[ComplexArray, "segments bins c"]
+    """Accelerations of the floors, m/s^2/sqrt(Hz)."""
+    ground: Annotated[ComplexArray, "segments bins"] | None
+    """The ground's; None where it was not measured."""
+    witnesses: dict[str, Annotated[ComplexArray, "segments bins"]]
+    """Of each witness in the recording, in m/s^2 or rad/s, over the same segments."""
     still: frozenset[str]
     """Witnesses that read one value throughout."""
 
@@ -51,12 +51,7 @@ class WitnessTransforms:
 class WitnessRecord:
     """Record of the floors, the ground and the witnesses of a recording, block by block.
 
-    Parameters
-    ----------
-    front_end : FrontEnd
-        Conditioning of the floors, which the witnesses get too.
-    sensors : sequence of WitnessSensor
-        Witnesses; those that the recording does not hold are left out.
+    The witnesses are conditioned as the floors; those that the recording does not hold are left out.
     """
 
     def __init__(self, front_end: FrontEnd, sensors: Sequence[WitnessSensor]) -> None:
@@ -102,35 +97,25 @@ class WitnessRecord:
 
         Streams of another sample rate than the floors' are left out, since the lowpass would delay them differently.
         """
-        floors = self._streams.get((ACCELERATION, False))
+        floors, ground = (self._streams.get((topic, False)) for topic in (ACCELERATION, GROUND))
         if floors is None or floors.design is None or GROUND in self._unusable:
             return None
-        ground = self._streams.get((GROUND, False))
-        others = [s for (_, is_witness), s in self._streams.items() if is_witness and s is not None]
-        used = [s for s in (ground, *others) if s is not None and s.rate_hz == floors.rate_hz]
-        if ground is not None and ground not in used:
+        witnesses = [s for (_, is_witness), s in self._streams.items() if is_witness and s is not None]
+        beside = [s for s in (ground, *witnesses) if s is not None and s.rate_hz == floors.rate_hz]
+        if ground is not None and ground not in beside:
             return None
         rate_hz = floors.design.rate_hz
         n = max(2, round(segment_s * rate_hz))
         design = SegmentDesign(rate_hz, n, min(n // 2 + 1, int(floors.design.cutoff_hz * n / rate_hz) + 1))
         hz = np.asarray(np.arange(design.n_bins) * design.step_hz)
-        rows = []
-        for t_ns, samples in floors.runs():
-            # The first half segment holds the filter's transient.
-            for first in range(n // 2, len(samples) - n + 1, n // 2):
-                begin_ns = t_ns + round(first / rate_hz * 1e9)
-                parts = [stream.cut(begin_ns, design, hz) for stream in used]
-                whole = [part for part in parts if part is not None]
-                if len(whole) == len(used):
-                    rows.append([_transform(design, samples[first : first + n]), *whole])
+        rows = _common_segments(floors, beside, design, hz)
         if not rows:
             return None
         moved, *rest = (np.stack(parts) for parts in zip(*rows, strict=True))
-        found = dict(zip(map(id, used), rest, strict=True))
-        table = None if ground is None else found[id(ground)][:, :, 0]
-        witnesses = {name: found[id(s)][:, :, k] for s in others if id(s) in found for k, name in enumerate(s.channels)}
-        still = frozenset(name for s in others for name, moves in zip(s.channels, s.moves, strict=True) if not moves)
-        return WitnessTransforms(hz, moved, table, witnesses, still)
+        by_stream = [(s, series) for s, series in zip(beside, rest, strict=True) if s is not ground]
+        found = {name: series[:, :, k] for s, series in by_stream for k, name in enumerate(s.channels)}
+        still = frozenset(name for s in witnesses for name, moves in zip(s.channels, s.moves, strict=True) if not moves)
+        return WitnessTransforms(hz, moved, None if ground is None else rest[0][:, :, 0], found, still)
 
 
 class _Stream:
@@ -146,7 +131,7 @@ class _Stream:
         self._runs: list[tuple[int, list[Array]]] = []
         self._first: Array | None = None
         self.moves = np.zeros(len(channels), dtype=bool)
-        """Whether a channel ever read another value than its first, shape (k,)."""
+        """Whether a channel ever read another value than its first."""
 
     @property
     def rate_hz(self) -> float | None:
@@ -187,6 +172,21 @@ class _Stream:
         return None
 
 
-def _transform(design: SegmentDesign, samples: Array) -> ComplexArray:
-    """Transform a segment of samples less their mean, shape (n, k)."""
+def _transform(design: SegmentDesign, samples: Annotated[Array, "n k"]) -> Annotated[ComplexArray, "bins k"]:
+    """Transform a segment of samples less their mean."""
     return transform(design, samples - samples.mean(axis=0, dtype=np.float64))
+
+
+def _common_segments(
+    floors: _Stream, beside: Sequence[_Stream], design: SegmentDesign, hz: Array
+) -> list[list[ComplexArray]]:
+    """Transform the half-overlapping segments of the floors that all streams beside them cover, each with theirs."""
+    n, out = design.n, []
+    for t_ns, samples in floors.runs():
+        # The first half segment holds the filter's transient.
+        for first in range(n // 2, len(samples) - n + 1, n // 2):
+            begin_ns = t_ns + round(first / design.rate_hz * 1e9)
+            parts = [part for stream in beside if (part := stream.cut(begin_ns, design, hz)) is not None]
+            if len(parts) == len(beside):
+                out.append([_transform(design, samples[first : first + n]), *parts])
+    return out

@@ -9,6 +9,7 @@ import numpy as np
 
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.drawing_refit import refit_headline
+from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import Segments
 from monitor.model import FORMS, FittedSizes, LawFamily, ModelDiscrepancy, ParameterEstimates, StructuralPrior
@@ -27,12 +28,7 @@ _FAMILIES: dict[LawFamily, str] = {
 def in_words(effect_name: str, location: str, parameters: ParameterEstimates, reference: StructuralPrior) -> str:
     """State an effect and its size in one sentence, without its full stop; intervals are two standard deviations.
 
-    Parameters
-    ----------
-    effect_name, location, parameters
-        As in diagnosis.json.
-    reference : StructuralPrior
-        The structure that "more" and "less" refer to.
+    The parameters are as in diagnosis.json, and `reference` is the structure that "more" and "less" refer to.
 
     Raises
     ------
@@ -50,11 +46,6 @@ def _sizes(location: str, parameters: ParameterEstimates, reference: StructuralP
 
 def separating_measurement(alternatives: Sequence[Mapping[str, Any]]) -> str | None:
     """State the measurement that would separate rival causes; return None where there are fewer than two of them.
-
-    Parameters
-    ----------
-    alternatives : sequence of mappings
-        With ``effect`` and ``location``, as in diagnosis.json.
 
     Examples
     --------
@@ -99,27 +90,13 @@ def band_in_words(segments: Segments, prior: StructuralPrior) -> list[str]:
 
 
 def law_family(alternatives: Sequence[Mapping[str, Any]]) -> LawFamily | None:
-    """Name the family of laws that all rival causes belong to; None where there is none.
-
-    Parameters
-    ----------
-    alternatives : sequence of mappings
-        With ``effect`` and ``parameters``, as in diagnosis.json.
-    """
+    """Name the family of laws that all rival causes belong to; None where there is none."""
     families = [FORMS[a["effect"]].law_families(a["parameters"]) for a in alternatives]
     return next((name for name in (families[0] if families else ()) if all(name in own for own in families)), None)
 
 
 def class_in_words(alternatives: Sequence[Mapping[str, Any]], reference: StructuralPrior) -> str:
-    """State what rival causes have in common in one sentence, without its full stop.
-
-    Parameters
-    ----------
-    alternatives : sequence of mappings
-        As in diagnosis.json, most probable first.
-    reference : StructuralPrior
-        The structure that "more" and "less" refer to.
-    """
+    """State what rival causes, most probable first, have in common in one sentence, without its full stop."""
     effects = list(dict.fromkeys(a["effect"] for a in alternatives))
     places = _one_of(alternatives)
     if len(effects) == 1 and places and _agree_in_sign(alternatives):
@@ -168,17 +145,7 @@ def _mixture(alternatives: Sequence[Mapping[str, Any]]) -> ParameterEstimates:
 
 
 def headline(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[str, Any]) -> str:
-    """State the verdict in few plain sentences: what was refitted, what was found, and why a gain cannot be had.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Its prior is the structure that "more" and "less" refer to.
-    gain : HeldOutGain
-        Gain of its causes on held-out data.
-    content : mapping
-        diagnosis.json.
-    """
+    """State in few plain sentences what was refitted, what was found, and why no gain can be had; `content` is diagnosis.json."""
     optima = "; or ".join(o["says"] for o in content["other_optima"])
     parts = [refit_headline(content["refit"]), _sentence(optima) if optima else ""]
     parts += [_verdict_in_words(diagnosis, gain, content), _also_fitted_in_words(content, diagnosis.posterior.prior)]
@@ -199,25 +166,27 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
         case "ambiguous":
             rivals = class_in_words(content["alternatives"], reference)
             return _sentence((f"{causes}; besides, " if causes else "") + rivals) + _limits_of_gain(gain)
-    explained = "".join(f"{_sentence(m.says)} " for m in diagnosis.left_over if m.is_explained)
-    unexplained = [m for m in diagnosis.left_over if not m.is_explained]
+    return _unexplained_in_words(diagnosis.left_over, gain, causes)
+
+
+def _unexplained_in_words(left_over: Sequence[LackOfFit], gain: HeldOutGain, causes: str) -> str:
+    """State what the causes, in words, leave over."""
+    explained = "".join(f"{_sentence(m.says)} " for m in left_over if m.is_explained)
+    unexplained = [m.where for m in left_over if not m.is_explained]
     if explained and not unexplained:
         return (explained + (_sentence(f"besides, {causes}") if causes else "")).rstrip()
-    worst = ""
-    if unexplained:
-        where = unexplained[0].where
-        worst = (
-            f" at {where.removeprefix('f = ')}"
-            if where.startswith("f = ")
-            else f" with what stood at calibration, {where},"
-        )
-    changed = any(m.changes for m in diagnosis.left_over)
-    if not causes or not (changed or gain.withheld or gain.is_significant):
-        return f"{explained}Something is wrong{worst} that no known effect explains."
-    why = ""
-    if not gain.is_significant:
-        why = f" (no gain on held-out data: {gain.withheld or 'the motion changed within the recording'})"
-    return f"{explained}Something is wrong{worst} that no known effect explains. Besides, {causes}{why}."
+    worst = unexplained[0] if unexplained else ""
+    if worst:
+        band = worst.removeprefix("f = ")
+        worst = f" at {band}" if band != worst else f" with what stood at calibration, {band},"
+    said = f"{explained}Something is wrong{worst} that no known effect explains."
+    if gain.is_significant:
+        return f"{said} Besides, {causes}." if causes else said
+    changed = any(m.changes for m in left_over)
+    if not causes or not (changed or gain.withheld):
+        return said
+    why = gain.withheld or "the motion changed within the recording"
+    return f"{said} Besides, {causes} (no gain on held-out data: {why})."
 
 
 def _causes_in_words(causes: Sequence[Mapping[str, Any]], reference: StructuralPrior) -> str:

@@ -50,16 +50,7 @@ def follow(
 ) -> tuple[EventAlarm, ...]:
     """Raise the alarm of an event that exceeds a limit, or raise it again where more is exceeded than before.
 
-    Parameters
-    ----------
-    alarms : tuple of EventAlarm
-        Alarms so far, oldest first.
-    event : Event
-        The event, as told now.
-    exceeded : sequence of (int, int)
-        Limits exceeded and the stories, from 0.
-    most : int
-        Most alarms that are kept.
+    Of the `alarms`, oldest first, no more than `most` are kept.  `exceeded` are limits and stories, from 0.
 
     Examples
     --------

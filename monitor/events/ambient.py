@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -21,14 +22,13 @@ class AmbientReading:
 
     begin_ns: int
     end_ns: int
-    frequencies_hz: Array
-    """Shape (k,)."""
-    model_mode: Array
-    """Shape (k,): index of each frequency's mode of the model, from 0."""
-    loss: Array
-    """Shape (n,): damage index of each story, without a baseline the change from the structure file."""
-    variance: Array
-    """Shape (n,): the part of its variance that windows do not share."""
+    frequencies_hz: Annotated[Array, "k"]
+    model_mode: Annotated[Array, "k"]
+    """Index of each frequency's mode of the model, from 0."""
+    loss: Annotated[Array, "n"]
+    """Damage index of each story, without a baseline the change from the structure file."""
+    variance: Annotated[Array, "n"]
+    """The part of its variance that windows do not share."""
     rms_m_s2: float
 
 
@@ -51,32 +51,21 @@ def reading_of(result: WindowResult) -> AmbientReading | None:
     )
 
 
-def mean_frequencies(readings: Sequence[AmbientReading], n_modes: int) -> Array:
-    """Average the frequencies of the model's modes over windows, shape (n_modes,); NaN for a mode in none of them."""
-    out = np.full(n_modes, np.nan)
-    for k in range(n_modes):
-        found = [
-            float(hz) for r in readings for hz, mode in zip(r.frequencies_hz, r.model_mode, strict=True) if mode == k
-        ]
-        if found:
-            out[k] = float(np.mean(found))
-    return out
+def mean_frequencies(readings: Sequence[AmbientReading], n_modes: int) -> Annotated[Array, "n_modes"]:
+    """Average the frequencies of the model's modes over windows; NaN for a mode in none of them."""
+    pairs = [(mode, float(hz)) for r in readings for mode, hz in zip(r.model_mode, r.frequencies_hz, strict=True)]
+    by_mode = ([hz for mode, hz in pairs if mode == k] for k in range(n_modes))
+    return np.array([float(np.mean(found)) if found else np.nan for found in by_mode])
 
 
 def lasting_loss(
     before: Sequence[AmbientReading], after: Sequence[AmbientReading], n_stories: int
-) -> tuple[Array, Array, str]:
+) -> tuple[Annotated[Array, "n"], Annotated[Array, "n"], str]:
     """Compare the stiffness after with that before, by windows of ambient motion that do not overlap.
 
     The baseline's own error is in both and cancels.  The standard deviation is that which the windows state, or that of their
-    scatter if this is larger.
-
-    Returns
-    -------
-    loss, std : ndarray, shape (n_stories,)
-        Relative to the stiffness before; NaN where there are too few windows.
-    note : str
-        What limits the comparison, in words.
+    scatter if this is larger.  Return loss and standard deviation relative to the stiffness before, NaN where there are too few
+    windows, and what limits the comparison, in words.
     """
     nothing = np.full(n_stories, np.nan)
     if not n_stories:
@@ -84,9 +73,9 @@ def lasting_loss(
     if min(len(before), len(after)) < _FEWEST:
         where = "before" if len(before) < _FEWEST else "after"
         return nothing, nothing, f"too few windows {where} it to tell a lasting loss"
-    means, variances = zip(*(_mean(side) for side in (before, after)), strict=True)
-    kept = 1.0 - means[0]
-    loss, std = 1.0 - (1.0 - means[1]) / kept, np.sqrt(variances[0] + variances[1]) / kept
+    (lost_before, variance_before), (lost_after, variance_after) = _mean(before), _mean(after)
+    kept = 1.0 - lost_before
+    loss, std = 1.0 - (1.0 - lost_after) / kept, np.sqrt(variance_before + variance_after) / kept
     levels = [float(np.mean([r.rms_m_s2 for r in side])) for side in (before, after)]
     ratio = levels[1] / levels[0] if levels[0] > 0.0 else 1.0
     apart = ratio > _LEVELS_APART or ratio < 1.0 / _LEVELS_APART
@@ -94,8 +83,8 @@ def lasting_loss(
     return loss, std, note
 
 
-def _mean(readings: Sequence[AmbientReading]) -> tuple[Array, Array]:
-    """Average the windows' losses; return the mean and its variance, shape (n,) each."""
+def _mean(readings: Sequence[AmbientReading]) -> tuple[Annotated[Array, "n"], Annotated[Array, "n"]]:
+    """Average the windows' losses; return the mean and its variance."""
     losses = np.array([r.loss for r in readings])
     n = len(readings)
     stated = np.array([r.variance for r in readings]).mean(axis=0) / n

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import compress
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +21,7 @@ from monitor.events.motion import (
     response_spectrum,
     unknown_motion,
 )
-from monitor.events.record import Record
+from monitor.events.record import Record, relative_motion
 from monitor.events.site import Site
 
 _UNRELATED = 1e-9
@@ -33,42 +36,40 @@ def describe(
     revision: int | None,
     begin_ns: int,
     end_ns: int,
-    before_hz: Array,
+    before_hz: Annotated[Array, "m"],
     note: str = "",
-    saturated: NDArray[np.bool_] | None = None,
+    saturated: Annotated[NDArray[np.bool_], "c"] | None = None,
 ) -> Event:
-    """Measure an event from its samples, and compare it with the site's limits.
-
-    `saturated`, shape (c,), are channels that reached the end of their range.
-    """
+    """Measure an event from its samples, and compare it with the limits; `saturated` channels reached the end of their range."""
     rate_hz, strong = record.rate_hz, record.strong
     drift, std, corner_hz, limits = story_drifts(record, site)
     live = ~record.still
     if saturated is None or not saturated.size:
         saturated = np.zeros(live.size, dtype=bool)
-    cut_off = tuple(name for name, cut in zip(site.channels, saturated, strict=True) if cut)
-    bounds = (
-        f"{', '.join(cut_off)} reached the end of the range: peaks and drifts made of it are lower bounds"
-        if cut_off
-        else ""
-    )
+    cut_off, gone = tuple(compress(site.channels, saturated)), ", ".join(compress(site.channels, record.still))
     std = np.where(_made_of(saturated, record, site), np.nan, std)
     floors = tuple(
         floor_motion(name, record.floors[:, i], rate_hz, corner_hz, strong) if live[i] else unknown_motion(name)
         for i, name in enumerate(site.channels)
     )
-    gone = ", ".join(name for name, known in zip(site.channels, live, strict=True) if not known)
-    gone = f"{gone} gave no motion, and nothing is told from it" if gone else ""
     ground = None if record.ground is None else floor_motion("ground", record.ground, rate_hz, corner_hz, strong)
+    intensity = None if ground is None else instrumental_intensity(ground.peak_m_s2, ground.peak_m_s)
     heights = np.full(site.n_stories, np.nan) if site.heights_m is None else site.heights_m
     near_hz = np.where(np.isfinite(before_hz), before_hz, site.modes_hz)
     after = np.full(site.modes_hz.size, np.nan)
-    if revision is not None and len(record.floors) - strong.stop > rate_hz / site.lowest_hz:
-        after = modal_frequencies(record.floors[strong.stop :, live], site.shapes[:, live], near_hz, rate_hz)
-    loss, loss_std, early = np.full(site.n_stories, np.nan), np.full(site.n_stories, np.nan), ""
+    loss = loss_std = np.full(site.n_stories, np.nan)
+    notes = [note]
+    if cut_off:
+        notes.append(f"{', '.join(cut_off)} reached the end of the range: peaks and drifts made of it are lower bounds")
+    if gone:
+        notes.append(f"{gone} gave no motion, and nothing is told from it")
+    notes.append(limits)
     if revision is not None:
         loss, loss_std, early = early_loss(record, site, near_hz)
-    relative = record.floors if record.ground is None else record.floors - record.ground[:, None] * site.rides
+        notes.append(early)
+        if len(record.floors) - strong.stop > rate_hz / site.lowest_hz:
+            after = modal_frequencies(record.floors[strong.stop :, live], site.shapes[:, live], near_hz, rate_hz)
+    relative = relative_motion(record, site)
     return judge(
         Event(
             id=id,
@@ -78,9 +79,7 @@ def describe(
             floors=floors,
             ground=ground,
             spectrum=None if record.ground is None else response_spectrum(record.ground, rate_hz),
-            instrumental_intensity=None
-            if ground is None
-            else instrumental_intensity(ground.peak_m_s2, ground.peak_m_s),
+            instrumental_intensity=intensity,
             corner_hz=corner_hz,
             drift_m=drift,
             drift_std_m=std,
@@ -92,14 +91,14 @@ def describe(
             loss_std=loss_std,
             verdict=None,
             saturated=cut_off,
-            note="; ".join(filter(None, (note, bounds, gone, limits, early))),
+            note="; ".join(filter(None, notes)),
         ),
         site,
     )
 
 
-def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
-    """Compute the largest dynamic drift of each story and its standard deviation, shape (n,), m, the corner in Hz, and a note.
+def story_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Annotated[Array, "n"], float, str]:
+    """Compute the largest dynamic drift of each story and its standard deviation, m, the corner in Hz, and a note.
 
     Where sensors move as both floors of a story, their accelerations are integrated.  For a story that they do not enclose, as
     the lowest one without a measured ground, the drift follows from the inertia of the floors above over the story's stiffness,
@@ -115,6 +114,7 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
         )
         return drift, std, corner_hz, f"no drifts: {known}"
     told, accelerations = drift_accelerations(record, site)
+    rest = ~told
     if told.any():
         drift[told], std[told], corner_hz = peak_drifts(accelerations, record.rate_hz, record.corners_hz, record.strong)
     note = f"drifts are dynamic, above {corner_hz:.2g} Hz: a permanent one is not seen"
@@ -122,45 +122,31 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
         return drift, std, corner_hz, note
     if record.ground is not None and live.all() and site.damping.size:
         # The file states the sensors; one that fails in the motion may do so where the structure does.
-        by_model = expanded_drifts(record, site)
-        drift[~told], std[~told] = by_model[0][~told], by_model[1][~told]
-        gone = ", ".join(name for name, known in zip(site.names, told, strict=True) if not known)
-        return (
-            drift,
-            std,
-            corner_hz,
-            f"{note}; without a sensor on every floor the model and the ground tell those of {gone}",
-        )
-    if np.linalg.matrix_rank(sensors) < sensors.shape[1]:
-        why = "without a sensor on every floor, or without a measured ground, some are not known"
-        return drift, std, corner_hz, f"{note}; {why}"
-    by_inertia = _drifts_by_inertia(record, site)
-    if not told.any():
-        return drift, std, corner_hz, f"{note}; without a measured ground the drift of the one story is not known"
-    error = np.abs(by_inertia[told] / drift[told] - 1.0).max()
-    drift[~told], std[~told] = by_inertia[~told], error * by_inertia[~told]
-    return drift, std, corner_hz, f"{note}; without a measured ground the lowest story's follows from its stiffness"
+        drift[rest], std[rest] = (values[rest] for values in expanded_drifts(record, site))
+        gone = ", ".join(compress(site.names, rest))
+        limits = f"without a sensor on every floor the model and the ground tell those of {gone}"
+    elif np.linalg.matrix_rank(sensors) < sensors.shape[1]:
+        limits = "without a sensor on every floor, or without a measured ground, some are not known"
+    elif not told.any():
+        limits = "without a measured ground the drift of the one story is not known"
+    else:
+        by_inertia = _drifts_by_inertia(record, site)
+        error = np.abs(by_inertia[told] / drift[told] - 1.0).max()
+        drift[rest], std[rest] = by_inertia[rest], error * by_inertia[rest]
+        limits = "without a measured ground the lowest story's follows from its stiffness"
+    return drift, std, corner_hz, f"{note}; {limits}"
 
 
-def drift_accelerations(record: Record, site: Site) -> tuple[NDArray[np.bool_], Array]:
-    """Compute the accelerations of the stories' drifts from the sensors that move as both floors of a story.
-
-    Returns
-    -------
-    told : ndarray of bool, shape (n,)
-        Stories of which sensors tell the drift.
-    accelerations : ndarray, shape (n_samples, n_told), m/s^2
-    """
-    live = ~record.still
-    motion = record.floors[:, live]
-    if record.ground is not None:
-        motion = motion - record.ground[:, None] * site.rides[live]
+def drift_accelerations(
+    record: Record, site: Site
+) -> tuple[Annotated[NDArray[np.bool_], "n"], Annotated[Array, "samples told"]]:
+    """Find the stories both floors of which sensors move as, and compute the accelerations of these stories' drifts, m/s^2."""
     told, weights = _weights(record, site)
-    return told, motion @ weights[:, told]
+    return told, relative_motion(record, site)[:, ~record.still] @ weights[:, told]
 
 
-def _weights(record: Record, site: Site) -> tuple[NDArray[np.bool_], Array]:
-    """Find the stories whose drift sensors tell, shape (n,), and the weights on the live channels that give it, shape (c, n)."""
+def _weights(record: Record, site: Site) -> tuple[Annotated[NDArray[np.bool_], "n"], Annotated[Array, "c n"]]:
+    """Find the stories whose drift sensors tell, and the weights on the live channels that give it."""
     sensors, rides = site.sensors[~record.still], site.rides[~record.still]
     # Without a ground they must not move with it.
     weights, *_ = np.linalg.lstsq(sensors.T, site.drifts.T, rcond=None)
@@ -169,15 +155,17 @@ def _weights(record: Record, site: Site) -> tuple[NDArray[np.bool_], Array]:
     return np.asarray(exact & (rigid | (record.ground is not None))), np.asarray(weights)
 
 
-def _made_of(channels: NDArray[np.bool_], record: Record, site: Site) -> NDArray[np.bool_]:
-    """Find the stories whose drift some of the channels enter, shape (n,): by the model all of them enter every drift."""
+def _made_of(
+    channels: Annotated[NDArray[np.bool_], "c"], record: Record, site: Site
+) -> Annotated[NDArray[np.bool_], "n"]:
+    """Find the stories whose drift some of the channels enter: by the model all of them enter every drift."""
     told, weights = _weights(record, site)
     entering = np.abs(weights[channels[~record.still]]).max(axis=0, initial=0.0) > _UNRELATED
     return np.asarray(np.where(told, entering, channels.any()))
 
 
-def inertia_above(record: Record, site: Site) -> Array:
-    """Compute the inertia of all floors above each story, shape (n_samples, n), N, by their absolute accelerations.
+def inertia_above(record: Record, site: Site) -> Annotated[Array, "samples n"]:
+    """Compute the inertia of all floors above each story, N, by their absolute accelerations.
 
     Every floor must have a sensor.  The force of a story, which includes that of its damper, holds up this inertia.
     """
@@ -187,6 +175,6 @@ def inertia_above(record: Record, site: Site) -> Array:
     return np.asarray(np.cumsum(site.masses_kg[:, None] * floors, axis=0).T)
 
 
-def _drifts_by_inertia(record: Record, site: Site) -> Array:
-    """Compute the largest drift of each story as the inertia of all floors above over its stiffness, shape (n,), m."""
+def _drifts_by_inertia(record: Record, site: Site) -> Annotated[Array, "n"]:
+    """Compute the largest drift of each story as the inertia of all floors above over its stiffness, m."""
     return np.asarray(np.abs(inertia_above(record, site)[record.strong]).max(axis=0) / site.stiffness_n_per_m)

@@ -7,6 +7,8 @@ frequencies.  Less than a minute on either side tells a story's stiffness to a f
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from monitor.core import Array
@@ -23,23 +25,13 @@ _NOTHING = 0.5
 """Standard deviation of a loss from which nothing is told. [ratio; definition: its interval then spans the whole stiffness]"""
 
 
-def early_loss(record: Record, site: Site, near_hz: Array) -> tuple[Array, Array, str]:
+def early_loss(
+    record: Record, site: Site, near_hz: Annotated[Array, "m"]
+) -> tuple[Annotated[Array, "n"], Annotated[Array, "n"], str]:
     """Compare the stiffness just after an event with that just before, by the frequencies of all modes.
 
-    Parameters
-    ----------
-    record : Record
-        Samples of the event, with the quiet motion before and after.
-    site : Site
-    near_hz : ndarray, shape (m,)
-        Frequencies about which the peaks are looked for.
-
-    Returns
-    -------
-    loss, std : ndarray, shape (n,)
-        Relative to the stiffness before; NaN where it cannot be told.
-    note : str
-        Why it cannot be, in words; empty where it is told of a story.
+    The peaks are looked for about `near_hz`.  Return losses and standard deviations relative to the stiffness before, NaN where
+    they cannot be told, and why they cannot be, in words; empty where one is told of a story.
     """
     n, strong = site.n_stories, record.strong
     nothing = np.full(n, np.nan)
@@ -47,29 +39,20 @@ def early_loss(record: Record, site: Site, near_hz: Array) -> tuple[Array, Array
         return nothing, nothing, ""
     if record.still.any():
         return nothing, nothing, "without every sensor no loss is told yet"
-    before, after = (
-        _peaks(part, site, near_hz, record.rate_hz)
-        for part in (record.floors[: strong.start], record.floors[strong.stop :])
-    )
+    before = _peaks(record.floors[: strong.start], site, near_hz, record.rate_hz)
+    after = _peaks(record.floors[strong.stop :], site, near_hz, record.rate_hz)
     ratio, variance = 2.0 * (after[0] - before[0]), 4.0 * (before[1] + after[1])
     told = np.isfinite(ratio)
     if told.sum() < n:
-        return (
-            nothing,
-            nothing,
-            f"the motion beside it shows {told.sum()} of the modes, too few to tell a loss of {n} stories yet",
-        )
+        why = f"the motion beside it shows {told.sum()} of the modes, too few to tell a loss of {n} stories yet"
+        return nothing, nothing, why
     return *_losses(ratio[told], variance[told], told, site), ""
 
 
-def _peaks(part: Array, site: Site, near_hz: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Fit the peak of each mode in a stretch of motion, shape (n_samples, c).
-
-    Returns
-    -------
-    ln_hz, variance : ndarray, shape (m,)
-        Logarithm of the frequency and its variance; NaN where no peak can be fitted.
-    """
+def _peaks(
+    part: Annotated[Array, "samples c"], site: Site, near_hz: Annotated[Array, "m"], rate_hz: float
+) -> tuple[Annotated[Array, "m"], Annotated[Array, "m"]]:
+    """Fit each mode's peak in a stretch of motion; return logarithms of frequencies and variances, NaN where none is."""
     n, c = part.shape
     ln_hz, variance = np.full(near_hz.size, np.nan), np.full(near_hz.size, np.nan)
     if n < 2:
@@ -96,20 +79,12 @@ def _peaks(part: Array, site: Site, near_hz: Array, rate_hz: float) -> tuple[Arr
     return ln_hz, variance
 
 
-def _losses(ratio: Array, variance: Array, told: Array, site: Site) -> tuple[Array, Array]:
+def _losses(
+    ratio: Annotated[Array, "told"], variance: Annotated[Array, "told"], told: Annotated[Array, "m"], site: Site
+) -> tuple[Annotated[Array, "n"], Annotated[Array, "n"]]:
     """Find the losses of stiffness that change the squared frequencies as measured, by weighted least squares.
 
-    Parameters
-    ----------
-    ratio, variance : ndarray, shape (n_told,)
-        Logarithms of the ratios of squared frequencies, after over before, and their variances.
-    told : ndarray of bool, shape (m,)
-        Modes of which these are.
-    site : Site
-
-    Returns
-    -------
-    loss, std : ndarray, shape (n,)
+    Of the modes `told` these are the logarithms of the ratios of squared frequencies, after over before, and their variances.
     """
     n, root = site.n_stories, np.sqrt(site.masses_kg)
     rows = site.drifts / root  # drifts of the stories by the floors' motion times the roots of their masses

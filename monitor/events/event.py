@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,9 @@ from monitor.core import Array
 class Spectrum:
     """Response spectrum of the base: largest motion of oscillators that the measured ground drives."""
 
-    period_s: Array
-    """Shape (n,)."""
-    pseudo_acceleration_m_s2: Array
-    """Shape (n,): squared angular frequency times the largest relative displacement, 5 % damping."""
+    period_s: Annotated[Array, "n"]
+    pseudo_acceleration_m_s2: Annotated[Array, "n"]
+    """Squared angular frequency times the largest relative displacement, 5 % damping."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,22 +60,20 @@ class Event:
     557); of one component, so unofficial."""
     corner_hz: float
     """Corner below which drifts and velocities are left out."""
-    drift_m: Array
-    """Shape (n,): largest dynamic drift of each story; NaN where no sensors tell."""
-    drift_std_m: Array
-    """Shape (n,): its standard deviation."""
-    drift_ratio: Array
-    """Shape (n,): the drift over the story's height; NaN without heights."""
-    before_hz: Array
-    """Shape (m,): frequencies of the model's modes by the last windows before."""
-    during_hz: Array
-    """Shape (m,): frequency of the largest power of each mode's motion during the event; NaN where there is no peak."""
-    after_hz: Array
-    """Shape (m,): the same after the event; by windows from the revision on."""
-    loss: Array
-    """Shape (n,): lasting relative loss of each story's stiffness, by ambient motion before and after; NaN until the revision."""
-    loss_std: Array
-    """Shape (n,): its standard deviation."""
+    drift_m: Annotated[Array, "n"]
+    """Largest dynamic drift of each story; NaN where no sensors tell."""
+    drift_std_m: Annotated[Array, "n"]
+    drift_ratio: Annotated[Array, "n"]
+    """The drift over the story's height; NaN without heights."""
+    before_hz: Annotated[Array, "m"]
+    """Frequencies of the model's modes by the last windows before."""
+    during_hz: Annotated[Array, "m"]
+    """Frequency of the largest power of each mode's motion during the event; NaN where there is no peak."""
+    after_hz: Annotated[Array, "m"]
+    """The same after the event; by windows from the revision on."""
+    loss: Annotated[Array, "n"]
+    """Lasting relative loss of each story's stiffness, by ambient motion before and after; NaN until the revision."""
+    loss_std: Annotated[Array, "n"]
     verdict: str | None
     """The site's own words for the first limit exceeded, or "no limit exceeded"; None where no limit can be judged."""
     exceeded: tuple[str, ...] = ()
@@ -87,6 +85,6 @@ class Event:
     """What limits these figures, in words."""
 
     @property
-    def is_bound(self) -> NDArray[np.bool_]:
-        """Stories whose drift is a lower bound, as a channel that it is made of reached the end of its range, shape (n,)."""
+    def is_bound(self) -> Annotated[NDArray[np.bool_], "n"]:
+        """Stories whose drift is a lower bound, as a channel that it is made of reached the end of its range."""
         return np.asarray(np.isfinite(self.drift_m) & np.isnan(self.drift_std_m) & bool(self.saturated))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
@@ -18,8 +19,8 @@ class Ground:
     t_ns: int
     """UTC of the first sample, less the delay of its filter."""
     rate_hz: float
-    values: Array
-    """Shape (n,), m/s^2."""
+    values: Annotated[Array, "n"]
+    """m/s^2."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -38,11 +39,6 @@ class GroundState:
 
 def step(state: GroundState, block: SampleBlock, front_end: FrontEnd) -> tuple[GroundState, list[Ground]]:
     """Filter the first channel of a block of ground motion.
-
-    Returns
-    -------
-    GroundState
-    list of Ground
 
     Raises
     ------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,16 +11,10 @@ from monitor.core import Array, compiled
 
 
 @compiled(error_model="numpy")
-def tapered_frames(tail: Array, samples: Array, taper: Array) -> Array:
-    """Cut samples into frames that overlap by half, each without its mean and tapered, shape (c, frames, n).
-
-    Parameters
-    ----------
-    tail : ndarray, shape (n / 2, c)
-        The samples before.
-    samples : ndarray, shape (k n, c)
-    taper : ndarray, shape (n,)
-    """
+def tapered_frames(
+    tail: Annotated[Array, "h c"], samples: Annotated[Array, "samples c"], taper: Annotated[Array, "n"]
+) -> Annotated[Array, "c frames n"]:
+    """Cut samples, after the half frame before them, into frames that overlap by half, each without its mean and tapered."""
     n, half, channels = taper.size, len(tail), tail.shape[1]
     frames = np.empty((channels, 2 * (len(samples) // n), n))
     for j in range(channels):
@@ -33,17 +29,10 @@ def tapered_frames(tail: Array, samples: Array, taper: Array) -> Array:
 
 
 @compiled(error_model="numpy")
-def band_power(transforms: NDArray[np.complex128], edges: NDArray[np.int64], end: int) -> Array:
-    """Sum the power of frames' transforms in each band, shape (k, 2, c, b).
-
-    Parameters
-    ----------
-    transforms : ndarray, shape (c, 2 k, bins)
-    edges : ndarray of int, shape (b,)
-        First bin of each band.
-    end : int
-        Bin past the last band.
-    """
+def band_power(
+    transforms: Annotated[NDArray[np.complex128], "c frames bins"], edges: Annotated[NDArray[np.int64], "b"], end: int
+) -> Annotated[Array, "k 2 c b"]:
+    """Sum the power of frames' transforms in each band; `edges` are the first bins of the bands, `end` the bin past the last."""
     channels, frames, _ = transforms.shape
     power = np.zeros((frames // 2, 2, channels, edges.size))
     for j in range(channels):
@@ -57,34 +46,21 @@ def band_power(transforms: NDArray[np.complex128], edges: NDArray[np.int64], end
 
 @compiled(error_model="numpy")
 def average_while_quiet(
-    power: Array, long_term: Array, steps: int, thresholds: Array, own: int, raised: int, dead: float, tiny: float
-) -> tuple[bool, Array, int]:
-    """Add steps to the long-term average as long as nothing is above the threshold.
+    power: Annotated[Array, "k 2 c b"],
+    long_term: Annotated[Array, "c b"],
+    steps: int,
+    thresholds: Annotated[Array, "m+1"],
+    own: int,
+    raised: int,
+    dead: float,
+    tiny: float,
+) -> tuple[bool, Annotated[Array, "c b"], int]:
+    """Add steps to the long-term average, which holds `steps`, as long as nothing is above the threshold.
 
-    Parameters
-    ----------
-    power : ndarray, shape (k, 2, c, b)
-        Power of the two frames of each step.
-    long_term : ndarray, shape (c, b)
-    steps : int
-        Steps in the average.
-    thresholds : ndarray, shape (m + 1,)
-        Threshold of the voted ratio for each number of steps in the average, of which there are at most m.
-    own : int
-        Band that must be raised.
-    raised : int
-        Number of bands that must be.
-    dead : float
-        Share of the strongest channel's power below which a channel is dead.
-    tiny : float
-        Least power of which a ratio is taken.
-
-    Returns
-    -------
-    quiet : bool
-        Whether all channels were live, and all frames below the threshold.
-    long_term : ndarray, shape (c, b)
-    steps : int
+    `power` is that of the two frames of each step.  `thresholds` has that of the voted ratio for each number of steps in the
+    average, `own` is the band that must be raised, and `raised` the number of bands that must be.  Below the share `dead` of the
+    strongest channel's power a channel is dead; of less power than `tiny` no ratio is taken.  Return whether all channels were
+    live and all frames below the threshold, and the average with its steps.
     """
     channels, bands = long_term.shape
     average, shares, voted = long_term.copy(), np.empty(channels), np.empty(bands)

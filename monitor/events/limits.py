@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,30 +20,28 @@ POSSIBLY = "possibly exceeded: "
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Compared:
-    """What a limit is compared with, in each story, shape (n,); NaN where it is not known."""
+    """What a limit is compared with, in each story; NaN where it is not known."""
 
     what: str
-    """Name of the quantity."""
     limit: float
-    value: Array
-    least: Array
+    value: Annotated[Array, "n"]
+    least: Annotated[Array, "n"]
     """Beyond the limit, it is exceeded: the drift itself, and the lower end of the loss's interval."""
-    largest: Array
+    largest: Annotated[Array, "n"]
     """Within the limit, it is not exceeded: the upper end of the interval of two standard deviations; infinite where `value` is a
     lower bound."""
 
     @property
-    def possibly(self) -> NDArray[np.bool_]:
-        """Stories in which the limit may be exceeded, as a sensor reached the end of its range, shape (n,)."""
+    def possibly(self) -> Annotated[NDArray[np.bool_], "n"]:
+        """Stories in which the limit may be exceeded, as a sensor reached the end of its range."""
         return np.asarray(np.isposinf(self.largest) & ~(self.least > self.limit))
 
 
 def compared(event: Event, limit: LimitTable) -> Compared:
     """Return what a limit is compared with."""
     if limit.drift_ratio is not None:
-        shares = np.divide(
-            event.drift_std_m, event.drift_m, out=np.zeros_like(event.drift_m), where=event.drift_m > 0.0
-        )
+        drift, std = event.drift_m, event.drift_std_m
+        shares = np.divide(std, drift, out=np.zeros_like(drift), where=drift > 0.0)
         largest = event.drift_ratio * (1.0 + 2.0 * shares)
         largest = np.where(event.is_bound & np.isfinite(event.drift_ratio), np.inf, largest)
         return Compared("drift ratio", limit.drift_ratio, event.drift_ratio, event.drift_ratio, largest)

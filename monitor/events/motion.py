@@ -5,6 +5,8 @@ Integration is in the frequency domain, above a corner: without phase, and with 
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from scipy.constants import g
 from scipy.signal import find_peaks
@@ -41,20 +43,10 @@ _VELOCITY_ALONE = 7.0
 """Intensity from which the peak velocity alone decides. [MMI; Wald et al. 1999]"""
 
 
-def integrated(acceleration: Array, rate_hz: float, corner_hz: float, times: int) -> Array:
-    """Integrate accelerations once or twice above a corner; 0 times, only leave out what lies below it.
-
-    Parameters
-    ----------
-    acceleration : ndarray, shape (n_samples, k), m/s^2
-    corner_hz : float
-        Frequency at which the high-pass filter halves the power.
-    times : {0, 1, 2}
-        0 for acceleration, 1 for velocity, 2 for displacement.
-
-    Returns
-    -------
-    ndarray, shape (n_samples, k), m/s^2, m/s or m
+def integrated(
+    acceleration: Annotated[Array, "samples k"], rate_hz: float, corner_hz: float, times: int
+) -> Annotated[Array, "samples k"]:
+    """Integrate accelerations once or twice above a corner, at which the filter halves the power; 0 times, only filter them.
 
     Examples
     --------
@@ -73,13 +65,10 @@ def integrated(acceleration: Array, rate_hz: float, corner_hz: float, times: int
     return np.asarray(np.fft.irfft(spectra, axis=0)[:n])
 
 
-def without_filter(values: Array, rate_hz: float, conditioner: Conditioner) -> Array:
-    """Take the ripple and the dispersion of the conditioning lowpass out of samples, below its cutoff.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples, k)
-    """
+def without_filter(
+    values: Annotated[Array, "samples k"], rate_hz: float, conditioner: Conditioner
+) -> Annotated[Array, "samples k"]:
+    """Take the ripple and the dispersion of the conditioning lowpass out of samples, below its cutoff."""
     n, mean = values.shape[0], values.mean(axis=0)
     hz = np.asarray(np.fft.rfftfreq(2 * n, 1.0 / rate_hz), dtype=float)
     response = np.ones(hz.size, dtype=complex)
@@ -89,16 +78,10 @@ def without_filter(values: Array, rate_hz: float, conditioner: Conditioner) -> A
     return np.asarray(np.fft.irfft(spectra, axis=0)[:n] + mean)
 
 
-def floor_motion(channel: str, acceleration: Array, rate_hz: float, corner_hz: float, strong: slice) -> FloorMotion:
-    """Measure one channel's motion.
-
-    Parameters
-    ----------
-    acceleration : ndarray, shape (n_samples,), m/s^2
-        With quiet stretches before and after the strong motion.
-    strong : slice
-        The samples from begin to end.
-    """
+def floor_motion(
+    channel: str, acceleration: Annotated[Array, "samples"], rate_hz: float, corner_hz: float, strong: slice
+) -> FloorMotion:
+    """Measure one channel's motion, m/s^2, with quiet stretches before and after the strong motion."""
     moved = acceleration - acceleration[: strong.start].mean() if strong.start else acceleration - acceleration.mean()
     velocity = integrated(moved[:, None], rate_hz, corner_hz, 1)[:, 0]
     part = moved[strong]
@@ -118,24 +101,15 @@ def unknown_motion(channel: str) -> FloorMotion:
 
 
 def peak_drifts(
-    drift_acceleration: Array, rate_hz: float, corners_hz: Array, strong: slice
-) -> tuple[Array, Array, float]:
+    drift_acceleration: Annotated[Array, "samples k"],
+    rate_hz: float,
+    corners_hz: Annotated[Array, "corners"],
+    strong: slice,
+) -> tuple[Annotated[Array, "k"], Annotated[Array, "k"], float]:
     """Compute the largest dynamic drift of stories from the acceleration of their upper floor less that of their lower one.
 
     A high corner leaves out slow motion, a low one lets noise in.  For each story that corner is taken whose drift has the least
-    standard deviation.
-
-    Parameters
-    ----------
-    drift_acceleration : ndarray, shape (n_samples, k), m/s^2
-    corners_hz : ndarray, shape (n_corners,)
-        Corners to choose from.
-
-    Returns
-    -------
-    peak, std : ndarray, shape (k,), m
-    corner_hz : float
-        The highest corner taken.
+    standard deviation.  Return the drifts and their standard deviations, m, and the highest corner taken.
     """
     found = [_peaks_above(drift_acceleration, rate_hz, f, strong) for f in corners_hz]
     peaks, stds = (np.array(values) for values in zip(*found, strict=True))
@@ -143,8 +117,10 @@ def peak_drifts(
     return peaks[best, stories], stds[best, stories], float(corners_hz[best].max())
 
 
-def _peaks_above(drift_acceleration: Array, rate_hz: float, corner_hz: float, strong: slice) -> tuple[Array, Array]:
-    """Compute the largest drifts above a corner and their standard deviation, shape (k,) each, m.
+def _peaks_above(
+    drift_acceleration: Annotated[Array, "samples k"], rate_hz: float, corner_hz: float, strong: slice
+) -> tuple[Annotated[Array, "k"], Annotated[Array, "k"]]:
+    """Compute the largest drifts above a corner and their standard deviation, m.
 
     The standard deviation joins what the same integration makes of the motion before the event, noise and ambient vibration, and
     what half and a quarter of the corner change.
@@ -160,15 +136,15 @@ def _peaks_above(drift_acceleration: Array, rate_hz: float, corner_hz: float, st
     return peak, np.hypot(noise, changed)
 
 
-def _peaks(motion: Array, strong: slice) -> Array:
-    """Find the largest magnitude of motions, shape (n, k), within a slice, between samples too, shape (k,)."""
+def _peaks(motion: Annotated[Array, "n k"], strong: slice) -> Annotated[Array, "k"]:
+    """Find the largest magnitude of motions within a slice, between samples too."""
     n = motion.shape[0]
     between = np.fft.irfft(np.fft.rfft(motion, axis=0), _INTERPOLATION * n, axis=0) * _INTERPOLATION
     return np.asarray(np.abs(between[_INTERPOLATION * strong.start : _INTERPOLATION * strong.stop]).max(axis=0))
 
 
-def response_spectrum(acceleration: Array, rate_hz: float) -> Spectrum:
-    """Compute the response spectrum of a ground acceleration, shape (n_samples,), m/s^2, at 5 % damping.
+def response_spectrum(acceleration: Annotated[Array, "samples"], rate_hz: float) -> Spectrum:
+    """Compute the response spectrum of a ground acceleration, m/s^2, at 5 % damping.
 
     The recursion is exact for an acceleration that is linear between samples.
 
@@ -191,12 +167,7 @@ def response_spectrum(acceleration: Array, rate_hz: float) -> Spectrum:
 def _oscillator(w: float, z: float, dt: float) -> tuple[Array, Array]:
     """Design the recursion of an oscillator's displacement by a piecewise linear ground acceleration (a first-order hold).
 
-    Parameters
-    ----------
-    w, z : float
-        Angular frequency, rad/s, and damping ratio.
-    dt : float
-        Sampling interval, s.
+    `w` is the angular frequency, rad/s, `z` the damping ratio, and `dt` the sampling interval, s.
     """
     from scipy.signal import cont2discrete
 
@@ -228,21 +199,15 @@ def _intensity(peak: float, weak: tuple[float, float], strong: tuple[float, floa
     return value if value >= _STRONG else weak[0] * log + weak[1]
 
 
-def modal_frequencies(motion: Array, shapes: Array, near_hz: Array, rate_hz: float) -> Array:
-    """Find the frequency of the largest power of each mode's motion near a known one, shape (m,), Hz.
+def modal_frequencies(
+    motion: Annotated[Array, "samples c"],
+    shapes: Annotated[Array, "m c"],
+    near_hz: Annotated[Array, "m"],
+    rate_hz: float,
+) -> Annotated[Array, "m"]:
+    """Find the frequency of the largest power of each mode's motion near a known one, Hz.
 
-    Parameters
-    ----------
-    motion : ndarray, shape (n_samples, c), m/s^2
-    shapes : ndarray, shape (m, c)
-        Shapes of the modes on the channels.
-    near_hz : ndarray, shape (m,)
-        Frequencies about which is searched; NaN for an unknown one.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        NaN where the power has no peak within the range, or one that lies nearer to another mode.
+    NaN where none is known, where the power has no peak within the range, or one that lies nearer to another mode.
     """
     n, c = motion.shape
     used = shapes[:c]

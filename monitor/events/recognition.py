@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,10 +64,10 @@ _TINY = float(np.finfo(float).tiny)
 class RecognitionState:
     """State between steps of samples."""
 
-    tail: Array
-    """Shape (n, c): the latest half of a frame, m/s^2."""
-    long_term: Array
-    """Shape (c, b): long-term average of the power in each band, in arbitrary units."""
+    tail: Annotated[Array, "h c"]
+    """The latest half of a frame, m/s^2."""
+    long_term: Annotated[Array, "c b"]
+    """Long-term average of the power in each band, in arbitrary units."""
     steps: int = 0
     """Steps in the long-term average."""
     raised: int = 0
@@ -75,20 +76,17 @@ class RecognitionState:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frames:
-    """Power of the two frames that each of k steps of samples completes.
+    """Power of the two frames that each of k steps of samples completes; frame i begins ``(i - 1) / 2`` frames after the step."""
 
-    Frame i of a step begins ``(i - 1) / 2`` frames after the step's first sample.
-    """
+    power: Annotated[Array, "k 2 c b"]
+    """Power in each band, in arbitrary units."""
+    samples: Annotated[Array, "samples c"]
+    """m/s^2."""
+    peaks: Annotated[Array, "k 2 c"] | None
+    """Largest deviation from the mean, m/s^2; None where it is not asked for."""
 
-    power: Array
-    """Shape (k, 2, c, b): power in each band, in arbitrary units."""
-    samples: Array
-    """Shape (k n, c), m/s^2."""
-    peaks: Array | None
-    """Shape (k, 2, c): largest deviation from the mean, m/s^2; None where it is not asked for."""
-
-    def tail(self, k: int) -> Array:
-        """Return the second half of a step's samples, shape (n / 2, c), m/s^2."""
+    def tail(self, k: int) -> Annotated[Array, "h c"]:
+        """Return the second half of a step's samples, m/s^2."""
         n = len(self.samples) // len(self.power)
         return self.samples[k * n + n // 2 : (k + 1) * n]
 
@@ -142,23 +140,18 @@ def own_band(n: int, rate_hz: float, cutoff_hz: float, lowest_hz: float) -> int:
     return min(max(own, 0), edges.size - 1)
 
 
-def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, peaks: bool = False) -> Frames:
-    """Measure the power of the frames that several steps of samples complete, all at once.
+def measure(
+    tail: Annotated[Array, "h c"],
+    samples: Annotated[Array, "samples c"],
+    rate_hz: float,
+    cutoff_hz: float,
+    *,
+    peaks: bool = False,
+) -> Frames:
+    """Measure the power of the frames that whole steps of conditioned samples complete, all at once, and if asked for their
+    peaks.
 
-    Parameters
-    ----------
-    tail : ndarray, shape (`step_n` / 2, c), m/s^2
-        The samples before.
-    samples : ndarray, shape (k `step_n`, c), m/s^2
-        The conditioned samples of whole steps.
-    rate_hz, cutoff_hz : float
-        Rate and cutoff of the samples.
-    peaks : bool
-        Whether the absolute threshold is asked for.
-
-    Returns
-    -------
-    Frames
+    `tail` are the samples before, half a step.
     """
     from monitor.events.kernels import band_power, tapered_frames  # compiled code takes a while to load
 
@@ -175,10 +168,7 @@ def measure(tail: Array, samples: Array, rate_hz: float, cutoff_hz: float, *, pe
 def pass_quiet(
     state: RecognitionState, frames: Frames, own: int, settings: EventSettings, *, saturated: bool = False
 ) -> RecognitionState | None:
-    """Take all steps at once; None where one of them is above the threshold, or asks for more than this.
-
-    The state is that after `step` for each of them, to the last bit.
-    """
+    """Take all steps at once, as `step` to the last bit; None where one is above the threshold, or asks for more than this."""
     if state.raised or not state.steps or settings.level_m_s2 is not None:
         return None
     from monitor.events.kernels import average_while_quiet
@@ -190,14 +180,14 @@ def pass_quiet(
     return RecognitionState(frames.tail(len(frames.power) - 1), long_term, steps, 0) if quiet else None
 
 
-def _averaged(long_term: Array, steps: int, power: Array) -> tuple[Array, int]:
+def _averaged(long_term: Annotated[Array, "c b"], steps: int, power: Annotated[Array, "2 c b"]) -> tuple[Array, int]:
     """Add the power of a step's two frames to the long-term average, and return it with the number of steps in it."""
     steps = min(steps + 1, _FULL)
     return long_term + (0.5 * (power[0] + power[1]) - long_term) / steps, steps
 
 
-def are_most(state: RecognitionState, channels: NDArray[np.bool_]) -> bool:
-    """Say whether more than half of the live channels are among `channels`, shape (c,), or (0,) where none is."""
+def are_most(state: RecognitionState, channels: Annotated[NDArray[np.bool_], "c"]) -> bool:
+    """Say whether more than half of the live channels are among `channels`, which are empty where nothing is known."""
     live = _live(state.long_term)
     return bool(channels.size and 2 * np.count_nonzero(channels & live) > np.count_nonzero(live))
 
@@ -220,25 +210,9 @@ def step(
 ) -> tuple[RecognitionState, Trigger]:
     """Compare the two frames that a step of samples completes with the long-term average.
 
-    Parameters
-    ----------
-    state : RecognitionState
-    frames : Frames
-        Of this step and others (`measure`).
-    k : int
-        Index of this step.
-    own : int
-        Index of the band of the structure's lowest frequency (`own_band`).
-    active : bool
-        Whether an event is going on: the long-term average then stays as it is.
-    saturated : bool
-        Whether more than half of the live channels reach the end of their range: what they show of the motion is less than the
-        motion, and the threshold that ends an event begins one.
-
-    Returns
-    -------
-    RecognitionState
-    Trigger
+    `own` is the index of the band of the structure's lowest frequency (`own_band`).  While an event is `active` the long-term
+    average stays as it is.  Where more than half of the live channels reach the end of their range, `saturated`, what they show
+    of the motion is less than the motion, and the threshold that ends an event begins one.
 
     Examples
     --------
@@ -260,9 +234,8 @@ def step(
     if settings.level_m_s2 is not None and frames.peaks is not None:
         level = settings.level_m_s2
         voted = _lower_median(frames.peaks[k]).tolist()
-        above, loud = (
-            [a or v >= x for a, v in zip(b, voted, strict=True)] for b, x in ((above, level), (loud, 0.5 * level))
-        )
+        above = [a or v >= level for a, v in zip(above, voted, strict=True)]
+        loud = [a or v >= 0.5 * level for a, v in zip(loud, voted, strict=True)]
     row, raised = [], state.raised
     for is_above in above:
         raised = raised + 1 if is_above else 0
@@ -274,27 +247,22 @@ def step(
 
 
 def is_whole(
-    long_term: Array, span: Array, rate_hz: float, cutoff_hz: float, settings: EventSettings, *, one_direction: bool
+    long_term: Annotated[Array, "c b"],
+    span: Annotated[Array, "samples c"],
+    rate_hz: float,
+    cutoff_hz: float,
+    settings: EventSettings,
+    *,
+    one_direction: bool,
 ) -> bool:
     """Say whether three frames in a row above the threshold are motion of the whole structure.
 
     In more than half of their time, more than half of the live channels must exceed the threshold that ends an event, in more
-    than half of the bands that all three frames raise: two spikes or doors one after the other leave most of it quiet.  And
-    more than half of the live channels must be coherent with another one.  The coherence must be one that unrelated channels
-    reach as rarely as stationary motion exceeds `ratio_on`.  Disturbances of several floors at once, each with its own cause,
-    do not reach it.
-
-    Parameters
-    ----------
-    long_term : ndarray, shape (c, b)
-        Long-term average before the frames.
-    span : ndarray, shape (2 `step_n`, c), m/s^2
-        Conditioned samples of the frames.
-    rate_hz, cutoff_hz : float
-        Rate and cutoff of the samples.
-    one_direction : bool
-        Whether all channels measure motion in one direction, in which the structure ties the floors together; floors need
-        not move coherently in two directions, and are not asked to.
+    than half of the bands that all three frames raise: two spikes or doors one after the other leave most of it quiet.  And more
+    than half of the live channels must be coherent with another one.  The coherence must be one that unrelated channels reach as
+    rarely as stationary motion exceeds `ratio_on`.  Disturbances of several floors at once, each with its own cause, do not reach
+    it.  `long_term` is the average before the frames, and `span` holds their conditioned samples.  Only channels that measure
+    motion in `one_direction`, in which the structure ties the floors together, are asked to move coherently.
 
     Examples
     --------
@@ -333,20 +301,16 @@ def is_whole(
 
 
 def _related(
-    transforms: NDArray[np.complex128], bands: _Bands, raised: NDArray[np.bool_], ratio_on: float
-) -> NDArray[np.bool_]:
+    transforms: Annotated[NDArray[np.complex128], "2 c bins"],
+    bands: _Bands,
+    raised: Annotated[NDArray[np.bool_], "b"],
+    ratio_on: float,
+) -> Annotated[NDArray[np.bool_], "c c"]:
     """Find the pairs of channels that are more coherent than unrelated ones, shape (c, c).
 
     In a band of `w` bins of two frames, which the taper makes ``w + 1`` independent ones, minus `w` times the logarithm of one
     minus the coherence of unrelated Gaussian channels has an exponential distribution with mean one; their sum over bands has a
-    gamma distribution.
-
-    Parameters
-    ----------
-    transforms : ndarray, shape (2, c, n_bins)
-        Transforms of two frames that do not overlap.
-    raised : ndarray, shape (b,)
-        Bands to take.
+    gamma distribution.  The two frames do not overlap, and the bands that are `raised` are taken.
     """
     from scipy.special import gammaincc  # takes a while to load
 
@@ -360,29 +324,28 @@ def _related(
     return np.asarray(gammaincc(len(widths), evidence) <= _rarity(ratio_on))
 
 
-def _transforms(frames: Array, taper: Array, bands: _Bands) -> NDArray[np.complex128]:
-    """Transform tapered frames, shape (k, m, c), to the bins of whole frames, shape (k, c, n_bins)."""
+def _transforms(
+    frames: Annotated[Array, "k m c"], taper: Annotated[Array, "m"], bands: _Bands
+) -> Annotated[NDArray[np.complex128], "k c bins"]:
+    """Transform tapered frames to the bins of whole frames."""
     return np.fft.rfft(frames * taper[:, None], bands.taper.size, axis=1)[:, : bands.end].swapaxes(1, 2)
 
 
-def _power(transforms: NDArray[np.complex128], bands: _Bands) -> Array:
-    """Sum the power of transforms in each band, shape (k, c, b)."""
+def _power(transforms: Annotated[NDArray[np.complex128], "k c bins"], bands: _Bands) -> Annotated[Array, "k c b"]:
+    """Sum the power of transforms in each band."""
     return np.asarray(np.add.reduceat(transforms.real**2 + transforms.imag**2, bands.edges, axis=2))
 
 
-def _pieces(span: Array, n: int) -> tuple[Array, Array]:
-    """Cut frames of `n` samples into pieces that overlap by half, shape (k, m, c), and return their taper, shape (m,)."""
+def _pieces(span: Annotated[Array, "samples c"], n: int) -> tuple[Annotated[Array, "k m c"], Annotated[Array, "m"]]:
+    """Cut frames of `n` samples into pieces that overlap by half, and return these and their taper."""
     m = n // _PIECES
     pieces = np.lib.stride_tricks.sliding_window_view(span, m, axis=0)[:: max(1, m // 2)]
     return pieces.swapaxes(1, 2), np.hanning(m + 1)[:m]
 
 
 @lru_cache(maxsize=8)
-def _shares(n: int, rate_hz: float, cutoff_hz: float) -> Array:
-    """Compute the mean power of a piece in each band by that of a whole frame in each band, shape (b, b).
-
-    The taper of a piece is shorter, so that its power leaks farther.
-    """
+def _shares(n: int, rate_hz: float, cutoff_hz: float) -> Annotated[Array, "b b"]:
+    """Compute the power of a piece in each band by that of a frame in each band: the shorter taper of a piece leaks farther."""
     bands = _bands(n, rate_hz, cutoff_hz)
     widths = np.diff([*bands.edges, bands.end])
     taper = _pieces(np.zeros((n, 1)), n)[1]
@@ -424,8 +387,8 @@ def _early_factor(steps: int, ratio_on: float) -> float:
 
 
 @lru_cache(maxsize=8)
-def _thresholds(ratio_on: float) -> Array:
-    """Compute the threshold for each number of steps in the long-term average, shape (full + 1,)."""
+def _thresholds(ratio_on: float) -> Annotated[Array, "steps"]:
+    """Compute the threshold for each number of steps in the long-term average."""
     return np.array([ratio_on * _early_factor(steps, ratio_on) for steps in range(_FULL + 1)])
 
 
@@ -439,16 +402,8 @@ def begin_anew(state: RecognitionState) -> RecognitionState:
     return replace(state, long_term=np.zeros_like(state.long_term), steps=0, raised=0)
 
 
-def _voted_ratio(power: Array, long_term: Array, own: int) -> Array:
-    """Compute the amplitude ratio that more than half of the channels show in three bands and in one, shape (...).
-
-    Parameters
-    ----------
-    power : ndarray, shape (..., c, b)
-    long_term : ndarray, shape (..., c, b)
-    own : int
-        Index of the band of the structure's lowest frequency.
-    """
+def _voted_ratio(power: Annotated[Array, "... c b"], long_term: Annotated[Array, "... c b"], own: int) -> Array:
+    """Compute the amplitude ratio that more than half of the channels show in three bands, and in `own`, the structure's."""
     ratios = power / np.maximum(long_term, _TINY)
     ratios.sort(axis=-2)
     voted = ratios[..., (ratios.shape[-2] - 1) // 2, :]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,41 +34,26 @@ class Record:
     t_ns: int
     """UTC of the first sample."""
     rate_hz: float
-    floors: Array
-    """Shape (n, c), m/s^2."""
-    ground: Array | None
-    """Shape (n,), m/s^2."""
+    floors: Annotated[Array, "n c"]
+    """m/s^2."""
+    ground: Annotated[Array, "n"] | None
+    """m/s^2."""
     strong: slice
-    still: NDArray[np.bool_]
-    """Shape (c,): channels that stood still while others moved, as dead ones and those that lost samples do."""
-    corners_hz: Array
-    """Shape (n_corners,): corners of the integration to choose from."""
+    still: Annotated[NDArray[np.bool_], "c"]
+    """Channels that stood still while others moved, as dead ones and those that lost samples do."""
+    corners_hz: Annotated[Array, "corners"]
+    """Corners of the integration to choose from."""
 
 
 def make_record(
-    values: Array,
+    values: Annotated[Array, "n c"],
     t_ns: int,
     conditioner: Conditioner,
     ground: tuple[Sequence[Ground], Conditioner | None],
     strong: slice,
     site: Site,
 ) -> Record:
-    """Put the conditioned samples of an event together.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, c), m/s^2
-        As conditioned, in which lost samples are held.
-    t_ns : int
-        UTC of the first, less the delay of the filter.
-    conditioner : Conditioner
-        Filter of the samples.
-    ground : (sequence of Ground, Conditioner or None)
-        The measured ground motion, and its filter.
-    strong : slice
-        The samples from begin to end.
-    site : Site
-    """
+    """Put conditioned samples of an event and the measured ground motion on one grid; the filter's delay is taken off `t_ns`."""
     rate_hz, corners_hz = conditioner.rate_hz, np.array(_CORNERS) * site.lowest_hz
     return Record(
         t_ns=t_ns,
@@ -80,8 +66,15 @@ def make_record(
     )
 
 
-def _still_channels(values: Array, strong: slice, rate_hz: float) -> NDArray[np.bool_]:
-    """Find the channels that stood still in some second of strong motion, shape (c,)."""
+def relative_motion(record: Record, site: Site) -> Annotated[Array, "n c"]:
+    """Return the floors' motion, less that of the ground where it was measured, m/s^2."""
+    return record.floors if record.ground is None else record.floors - record.ground[:, None] * site.rides
+
+
+def _still_channels(
+    values: Annotated[Array, "n c"], strong: slice, rate_hz: float
+) -> Annotated[NDArray[np.bool_], "c"]:
+    """Find the channels that stood still in some second of strong motion."""
     n = max(1, round(rate_hz))
     part = values[strong]
     seconds = part[: len(part) // n * n].reshape(-1, n, part.shape[1])
@@ -91,8 +84,8 @@ def _still_channels(values: Array, strong: slice, rate_hz: float) -> NDArray[np.
 
 def _interpolated(
     ground: Sequence[Ground], conditioner: Conditioner | None, t_ns: int, n: int, rate_hz: float
-) -> Array | None:
-    """Interpolate the measured ground motion to the samples of the grid, shape (n,); None where it does not cover them."""
+) -> Annotated[Array, "n"] | None:
+    """Interpolate the measured ground motion to the samples of the grid; None where it does not cover them."""
     if not ground or conditioner is None:
         return None
     at, values = [], []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from monitor.events.description import drift_accelerations, inertia_above
 from monitor.events.ground import Ground, GroundState
 from monitor.events.motion import integrated
 from monitor.events.recognition import STEP_S
-from monitor.events.record import Record, make_record
+from monitor.events.record import Record, make_record, relative_motion
 from monitor.events.site import Site
 from monitor.signals import Conditioner, FrontEnd, alignment, conditioned
 
@@ -37,27 +38,22 @@ class FirstMode:
     `v` its displacement and velocity relative to the ground, so that what the ground does needs no model.
     """
 
-    t_s: Array
-    """Shape (k,): middle of each stretch, from the begin of the event."""
-    hz: Array
-    hz_std: Array
-    damping: Array
-    damping_std: Array
-    level_m: Array
-    """Largest relative displacement of the mode at the top in each stretch, m."""
+    t_s: Annotated[Array, "k"]
+    """Middle of each stretch, from the begin of the event."""
+    hz: Annotated[Array, "k"]
+    hz_std: Annotated[Array, "k"]
+    damping: Annotated[Array, "k"]
+    damping_std: Annotated[Array, "k"]
+    level_m: Annotated[Array, "k"]
+    """Largest relative displacement of the mode at the top in each stretch."""
 
     @property
     def change(self) -> tuple[float, float, float, float] | None:
         """Relative change of the frequency from before the strongest motion to after it, at like levels of motion.
 
         The frequency is fitted as a line over the level's logarithm, with a step, to the stretches of levels that there were on
-        both sides.  None where there were fewer than three on one of them.
-
-        Returns
-        -------
-        change, std : float
-        low, high : float
-            Levels compared, m.
+        both sides.  None where there were fewer than three on one of them.  Then follow its standard deviation, and the lowest
+        and the highest level compared, m.
         """
         strongest = int(self.level_m.argmax())
         after = np.arange(self.level_m.size) > strongest
@@ -84,19 +80,19 @@ class Review:
     """Motion of one event over time."""
 
     record: Record
-    t_s: Array
-    """Shape (n_samples,): from the begin of the event."""
-    drift_m: Array
-    """Shape (n_samples, n): drift of each story above the corner; NaN where no sensors tell."""
-    force_n: Array | None
-    """Shape (n_samples, n): force of each story, above the corner; None without a measured ground or a sensor on every floor."""
-    energy_j: Array
-    """Shape (n,): energy dissipated in each story from begin to end; NaN where it is not known."""
-    energy_per_ms_j: Array
-    """Shape (n,): its change for a skew of 1 ms between force and drift."""
+    t_s: Annotated[Array, "samples"]
+    """From the begin of the event."""
+    drift_m: Annotated[Array, "samples n"]
+    """Drift of each story above the corner; NaN where no sensors tell."""
+    force_n: Annotated[Array, "samples n"] | None
+    """Force of each story, above the corner; None without a measured ground or a sensor on every floor."""
+    energy_j: Annotated[Array, "n"]
+    """Energy dissipated in each story from begin to end; NaN where it is not known."""
+    energy_per_ms_j: Annotated[Array, "n"]
+    """Its change for a skew of 1 ms between force and drift."""
     channels: tuple[str, ...]
-    lost: Array
-    """Shape (c,): share of each channel's samples that are not finite, in the whole recording."""
+    lost: Annotated[Array, "c"]
+    """Share of each channel's samples that are not finite, in the whole recording."""
     gaps: int
     """Gaps in the whole recording."""
     first_mode: FirstMode | None
@@ -112,27 +108,14 @@ class _Run:
     values: list[Array] = field(default_factory=list)
     n: int = 0
     """Samples before conditioning."""
-    n_lost: Array = field(default_factory=lambda: np.zeros(0))
-    """Shape (c,): those that are not finite."""
+    n_lost: Annotated[Array, "c"] = field(default_factory=lambda: np.zeros(0))
+    """Those that are not finite."""
 
 
 def review_event(
     blocks: Iterable[SampleBlock], front_end: FrontEnd, site: Site, begin_ns: int, end_ns: int, corner_hz: float
 ) -> Review | Skipped:
-    """Compute what an event's recording shows.
-
-    Parameters
-    ----------
-    blocks : iterable of SampleBlock
-        The event's recording.
-    front_end : FrontEnd
-        As of the run that recognized the event.
-    site : Site
-    begin_ns, end_ns : int
-        Begin and end of the event, UTC.
-    corner_hz : float
-        Corner of its drifts.
-    """
+    """Compute what an event's recording shows, with the front end of the run that recognized it and the corner of its drifts."""
     runs, pieces = _conditioned(blocks, front_end)
     for run in runs:
         conditioner, rate_hz = run.conditioner, run.conditioner.rate_hz
@@ -214,7 +197,7 @@ def _first_mode(record: Record, site: Site) -> FirstMode | None:
     if not site.modes_hz.size:
         return None
     near_hz, rate_hz = float(site.modes_hz[0]), record.rate_hz
-    relative = record.floors - record.ground[:, None] * site.rides
+    relative = relative_motion(record, site)
     project = np.linalg.pinv(site.shapes)[:, 0] * site.shapes[0, np.abs(site.shapes[0]).argmax()]
     absolute = record.floors @ project
     columns = np.column_stack([absolute, relative @ project, relative @ project])
@@ -247,8 +230,8 @@ def _first_mode(record: Record, site: Site) -> FirstMode | None:
     return FirstMode(t_s, w / (2.0 * np.pi), w_std / (2.0 * np.pi), zeta, zeta_std, level)
 
 
-def _band(motion: Array, rate_hz: float, near_hz: float, times: int) -> Array:
-    """Integrate a motion, shape (n,), so many times within the band of the first mode, without phase."""
+def _band(motion: Annotated[Array, "n"], rate_hz: float, near_hz: float, times: int) -> Annotated[Array, "n"]:
+    """Integrate a motion so many times within the band of the first mode, without phase."""
     n = motion.size
     hz = np.fft.rfftfreq(2 * n, 1.0 / rate_hz)
     low, high = (share * near_hz for share in _BAND_OF_FIRST)

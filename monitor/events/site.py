@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -17,33 +17,30 @@ class Site:
     """Structure, sensors and limits of a site."""
 
     channels: tuple[str, ...]
-    sensors: Array
-    """Shape (c, N): from the floors' motion to the channels."""
-    drifts: Array
-    """Shape (n, N): from the floors' displacement to the stories' drifts."""
-    stiffness_n_per_m: Array
-    """Shape (n,)."""
-    masses_kg: Array
-    """Shape (N,)."""
+    sensors: Annotated[Array, "c floors"]
+    """From the floors' motion to the channels."""
+    drifts: Annotated[Array, "n floors"]
+    """From the floors' displacement to the stories' drifts."""
+    stiffness_n_per_m: Annotated[Array, "n"]
+    masses_kg: Annotated[Array, "floors"]
     is_chain: bool
     """Whether each story carries the inertia of the floors above it alone."""
-    heights_m: Array | None
-    """Shape (n,)."""
-    modes_hz: Array
-    """Shape (m,): frequencies of the model."""
-    shapes: Array
-    """Shape (m, c): the model's shapes on the channels."""
+    heights_m: Annotated[Array, "n"] | None
+    modes_hz: Annotated[Array, "m"]
+    """Frequencies of the model."""
+    shapes: Annotated[Array, "m c"]
+    """The model's shapes on the channels."""
     names: tuple[str, ...]
     """Names of the stories."""
     window_s: float
-    """Length of the windows of ambient motion, s."""
+    """Length of the windows of ambient motion."""
     settings: EventSettings
     lowest_hz: float
     """Lowest frequency of the structure."""
-    floor_shapes: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Shape (N, m): the model's shapes at the floors, with unit modal mass; empty where they are not known."""
-    damping: Array = field(default_factory=lambda: np.zeros(0))
-    """Shape (m,): the model's damping ratios."""
+    floor_shapes: Annotated[Array, "floors m"] = field(default_factory=lambda: np.zeros((0, 0)))
+    """The model's shapes at the floors, with unit modal mass; empty where they are not known."""
+    damping: Annotated[Array, "m"] = field(default_factory=lambda: np.zeros(0))
+    """The model's damping ratios."""
 
     @classmethod
     def of(cls, site: InstrumentedModel, names: tuple[str, ...], window_s: float, settings: EventSettings) -> Site:
@@ -71,10 +68,8 @@ class Site:
     def content(self) -> dict[str, Any]:
         """Return the content as plain values, of which `read` makes the same site."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        settings = self.settings.model_dump(mode="json")
-        return {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in values.items()} | {
-            "settings": settings
-        }
+        plain = {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in values.items()}
+        return plain | {"settings": self.settings.model_dump(mode="json")}
 
     @classmethod
     def read(cls, content: dict[str, Any]) -> Site:
@@ -92,12 +87,7 @@ class Site:
     ) -> Site:
         """Collect what is needed where nothing but the channels and perhaps their modes is known: there are no stories.
 
-        Parameters
-        ----------
-        modes : Modes, optional
-            As the channels show them.
-        lowest_hz : float
-            Lowest frequency of the structure where the modes are not known.
+        The modes are as the channels show them; where they are not known, `lowest_hz` is the lowest frequency of the structure.
         """
         c = len(channels)
         hz = np.zeros(0) if modes is None else modes.frequencies_hz
@@ -112,6 +102,6 @@ class Site:
         return len(self.drifts)
 
     @property
-    def rides(self) -> Array:
-        """Share of a rigid motion that each channel has, shape (c,)."""
+    def rides(self) -> Annotated[Array, "c"]:
+        """Share of a rigid motion that each channel has."""
         return np.asarray(self.sensors.sum(axis=1))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,8 +109,8 @@ class EventState:
         """Grid index past the latest sample."""
         return self.first + sum(map(len, self.kept))
 
-    def samples(self, begin: int, end: int) -> Array:
-        """Return the kept samples from one grid index up to another, shape (n, c), m/s^2."""
+    def samples(self, begin: int, end: int) -> Annotated[Array, "n c"]:
+        """Return the kept samples from one grid index up to another, m/s^2."""
         parts, last = list[Array](), self.end
         for piece in reversed(self.kept):
             first = last - len(piece)
@@ -140,32 +141,15 @@ def step(
     first: int,
     t0_ns: int,
     conditioner: Conditioner,
-    values: Array,
+    values: Annotated[Array, "samples c"],
     site: Site,
     saturated: Saturated = none_saturated,
 ) -> tuple[EventState, list[Event]]:
     """Take a span of conditioned samples.
 
-    Parameters
-    ----------
-    state : EventState
-    first : int
-        Grid index of the span's first sample; not that after the last span's where samples are missing.
-    t0_ns : int
-        UTC of grid index 0.
-    conditioner : Conditioner
-        Filter of the samples, with their rate.
-    values : ndarray, shape (n_samples, c), m/s^2
-    site : Site
-        What the site's files say of structure, sensors and limits.
-    saturated : callable
-        Finds the channels that reached the end of their range between two times.
-
-    Returns
-    -------
-    EventState
-    list of Event
-        Preliminary messages and final lines, in order.
+    Grid index `first` is not that after the last span's where samples are missing, and `t0_ns` is the UTC of grid index 0.
+    `saturated` finds the channels that reached the end of their range between two times.  Return preliminary messages and final
+    lines, in order.
     """
     rate_hz = conditioner.rate_hz
     n, told = recognition.step_n(rate_hz), list[Event]()
@@ -182,9 +166,8 @@ def step(
     while state.settling and state.judged + n <= end:
         state = _settle(state)
     while state.judged + n <= end:
-        state, new = _judge(
-            state, min((end - state.judged) // n, _TOGETHER_STEPS), conditioner.cutoff_hz, site, saturated
-        )
+        count = min((end - state.judged) // n, _TOGETHER_STEPS)
+        state, new = _judge(state, count, conditioner.cutoff_hz, site, saturated)
         told += new
     return _forget(_with_alarms(state, told, site), site), told
 
@@ -198,10 +181,8 @@ def finish(state: EventState, site: Site, saturated: Saturated = none_saturated)
 def window(state: EventState, result: WindowResult, site: Site) -> tuple[EventState, list[Event]]:
     """Take what a window tells of stiffness and frequencies, and tell the lasting loss of events where an hour has passed."""
     begin_ns = result.t_end_ns - round(result.window_s * 1e9)
-    if (
-        state.recent and begin_ns < state.recent[-1].end_ns and not state.awaiting
-    ):  # as mostly: none that overlaps is kept
-        return state, []
+    if state.recent and begin_ns < state.recent[-1].end_ns and not state.awaiting:
+        return state, []  # as mostly: none that overlaps is kept
     reading = reading_of(result)
     if reading is None:
         return state, []
@@ -316,43 +297,59 @@ def _follow(
     """Follow events through the last judged step, of which the frames have `found` something, or during an event."""
     known = state.recognition
     assert known is not None
-    settings, rate_hz = site.settings, state.rate_hz
-    n = recognition.step_n(rate_hz)
-    end, first = state.judged, state.judged - n
-    going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
-    half, told = n // 2, list[Event]()
-    starts = [first - half, first]
-    for k, at in enumerate(starts):
-        if going is None and found.raised[k] >= recognition.FRAMES_IN_A_ROW:
-            # All frames in a row belong to the event, also those that did not confirm it yet.
-            begin = max(at - (found.raised[k] - 1) * half, state.first)
-            frames = state.samples(max(state.first, at - 2 * half), at + n)
-            if len(frames) == 2 * n and recognition.is_whole(
-                known.long_term, frames, rate_hz, cutoff_hz, settings, one_direction=site.is_chain
-            ):
-                going = Strong(begin, at + n)
-        elif going is not None and found.loud[k]:
-            going = replace(going, end=at + n)
+    before = state.strong if not state.strong or state.strong[-1].closed else state.strong[:-1]
+    going = _grown(state, found, cutoff_hz, site)
+    n = recognition.step_n(state.rate_hz)
     # Of a recording that begins with a few seconds of quiet before strong motion, a test's, the windows are judged.
     if (going is not None or known.raised) and recognition.is_settled(known):
-        state = replace(state, marks=(*state.marks, (first, end)))
-    # What is refused holds the average too, and no event ends it.
-    if going is None and known.raised * half >= settings.longest_s * rate_hz:
-        state = replace(state, recognition=recognition.begin_anew(known))
-    before = state.strong if not state.strong or state.strong[-1].closed else state.strong[:-1]
+        state = replace(state, marks=(*state.marks, (state.judged - n, state.judged)))
+    told = list[Event]()
     if going is not None:
-        quiet_s, length_s = (end - going.end) / rate_hz, (end - going.begin) / rate_hz
-        if quiet_s >= recognition.STEP_S and not going.told:
-            told.append(_describe(state, going, None, site, saturated))
-            going = replace(going, told=True)
-        if quiet_s >= settings.merge_s:
-            going = replace(going, closed=True)
-        elif length_s >= settings.longest_s:
-            note = f"it went on: cut after {settings.longest_s:g} s"
-            going = replace(going, closed=True, end=end, note=note)
-            state = replace(state, recognition=recognition.begin_anew(known))
-    strong = before if going is None else (*before, going)
-    return _tell_final(replace(state, strong=strong), end, site, told, saturated)
+        state, going, told = _judged_end(state, going, site, saturated)
+        before = (*before, going)
+    # What is refused holds the average too, and no event ends it.
+    elif known.raised * (n // 2) >= site.settings.longest_s * state.rate_hz:
+        state = replace(state, recognition=recognition.begin_anew(known))
+    return _tell_final(replace(state, strong=before), state.judged, site, told, saturated)
+
+
+def _grown(state: EventState, found: recognition.Trigger, cutoff_hz: float, site: Site) -> Strong | None:
+    """Return the event that the last judged step begins or carries on; None where none goes on."""
+    going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
+    known, rate_hz = state.recognition, state.rate_hz
+    assert known is not None
+    n = recognition.step_n(rate_hz)
+    half = n // 2
+    for at, raised, loud in zip((state.judged - n - half, state.judged - n), found.raised, found.loud, strict=True):
+        if going is not None:
+            going = replace(going, end=at + n) if loud else going
+        elif raised >= recognition.FRAMES_IN_A_ROW:
+            frames = state.samples(max(state.first, at - n), at + n)
+            if len(frames) == 2 * n and recognition.is_whole(
+                known.long_term, frames, rate_hz, cutoff_hz, site.settings, one_direction=site.is_chain
+            ):
+                # All frames in a row belong to the event, also those that did not confirm it yet.
+                going = Strong(max(at - (raised - 1) * half, state.first), at + n)
+    return going
+
+
+def _judged_end(
+    state: EventState, going: Strong, site: Site, saturated: Saturated
+) -> tuple[EventState, Strong, list[Event]]:
+    """Send the preliminary message of an event once its motion ends, and close it after enough quiet motion, or too long."""
+    settings, rate_hz, told = site.settings, state.rate_hz, list[Event]()
+    quiet_s, length_s = (state.judged - going.end) / rate_hz, (state.judged - going.begin) / rate_hz
+    if quiet_s >= recognition.STEP_S and not going.told:
+        told.append(_describe(state, going, None, site, saturated))
+        going = replace(going, told=True)
+    if quiet_s >= settings.merge_s:
+        going = replace(going, closed=True)
+    elif length_s >= settings.longest_s:
+        note = f"it went on: cut after {settings.longest_s:g} s"
+        going = replace(going, closed=True, end=state.judged, note=note)
+        assert state.recognition is not None
+        state = replace(state, recognition=recognition.begin_anew(state.recognition))
+    return state, going, told
 
 
 def _tell_final(
