@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Annotated
 
 import numpy as np
 
@@ -108,18 +109,18 @@ class Axes:
             return []
         return [(float(value), f"{value:.6g}") for value in (decades(self.y) if self.log_y else ticks(self.y, 4))]
 
-    def band(self, x: Array, low: Array, high: Array, kind: str) -> str:
-        """Draw the area between two lines; `x`, `low`, `high` of shape (n,), in the units of the axes."""
+    def band(self, x: Annotated[Array, "n"], low: Annotated[Array, "n"], high: Annotated[Array, "n"], kind: str) -> str:
+        """Draw the area between two lines, in the units of the axes."""
         sides = (*zip(self.px(x), self.py(high), strict=True), *zip(self.px(x)[::-1], self.py(low)[::-1], strict=True))
         return f'<polygon class="{kind}" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in sides)}"/>'
 
-    def line(self, x: Array, y: Array, kind: str) -> str:
-        """Draw a polyline; `x`, `y` of shape (n,)."""
+    def line(self, x: Annotated[Array, "n"], y: Annotated[Array, "n"], kind: str) -> str:
+        """Draw a polyline."""
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(self.px(x), self.py(y), strict=True))
         return f'<polyline class="line {kind}" points="{points}"/>'
 
-    def dots(self, x: Array, y: Array, half: Array) -> str:
-        """Draw points with intervals of `half` on either side; all of shape (n,)."""
+    def dots(self, x: Annotated[Array, "n"], y: Annotated[Array, "n"], half: Annotated[Array, "n"]) -> str:
+        """Draw points with intervals of `half` on either side."""
         out = []
         for a, b, h in zip(self.px(x), y, half, strict=True):
             low, middle, high = self.py(b - h), self.py(b), self.py(b + h)
@@ -146,16 +147,7 @@ class _Rows(Axes):
 
 
 def svg(height: float, label: str, *marks: str) -> str:
-    """Put marks into an SVG element as wide as the page.
-
-    Parameters
-    ----------
-    height : float
-        Height of the drawing, px.
-    label : str
-        What the drawing shows, in words, for readers who do not see it.
-    *marks : str
-        SVG elements.
+    """Put marks, SVG elements, into one as wide as the page and `height` px high; `label` is for readers who do not see it.
 
     Examples
     --------
@@ -188,8 +180,8 @@ def text(x: str, y: float, words: str, anchor: str = "start", kind: str = "") ->
     return f'<text x="{x}" y="{y:.1f}" text-anchor="{anchor}"{kind}>{escape(words)}</text>'
 
 
-def ticks(span: Range, n: int = 8) -> Array:
-    """Return about `n` round numbers within a range and never fewer than three, shape (k,).
+def ticks(span: Range, n: int = 8) -> Annotated[Array, "k"]:
+    """Return about `n` round numbers within a range and never fewer than three.
 
     Examples
     --------
@@ -209,8 +201,8 @@ def ticks(span: Range, n: int = 8) -> Array:
     return np.asarray((places + 0.0) * step)  # never -0
 
 
-def decades(span: Range) -> Array:
-    """Return powers of ten within a range, shape (k,), and multiples of them where the range has few powers."""
+def decades(span: Range) -> Annotated[Array, "k"]:
+    """Return powers of ten within a range, and multiples of them where the range has few powers."""
     low, high = np.log10(span[0]), np.log10(span[1])
     powers = np.arange(np.floor(low), np.ceil(high) + 1)
     wide = max(1, round((high - low) / 5))
@@ -234,8 +226,8 @@ def bars(names: Sequence[str], values: Sequence[float], kinds: Sequence[str], la
     return f'<div class="bars" aria-label="{escape(label)}">{"".join(rows)}</div>'
 
 
-def heat(values: Array, x: Range, rows: Sequence[str], limit: float, title: str) -> str:
-    """Draw a map of signed values, shape (rows, columns): blue below zero, red above, full colour from +-`limit` on."""
+def heat(values: Annotated[Array, "rows columns"], x: Range, rows: Sequence[str], limit: float, title: str) -> str:
+    """Draw a map of signed values: blue below zero, red above, full colour from +-`limit` on."""
     row = 16.0
     axes = _Rows(x, (0.0, float(len(rows))), row * len(rows), names=rows)
     edges = axes.px(np.linspace(*x, values.shape[1] + 1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -32,22 +32,7 @@ def write_report(
     story_names: Sequence[str] = (),
     laws: Sequence[StoryLaw] = (),
 ) -> None:
-    """Write the page; the file appears under its name only when complete.
-
-    Parameters
-    ----------
-    path : Path
-        File of the page.
-    diagnosis : Diagnosis
-    content : mapping
-        diagnosis.json.
-    segments : Segments
-        The segments that were diagnosed.
-    story_names : sequence of str
-        What people call each story.
-    laws : sequence of StoryLaw
-        Laws of the stories straight from the data.
-    """
+    """Write the page, which appears under its name only when complete; `content` is that of diagnosis.json."""
     names = [escape(name) for name in story_names]
     write_atomically(path, name_stories(page(diagnosis, content, segments, laws), names))
 
@@ -363,8 +348,8 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     return "".join(out)
 
 
-def _force_spectrum(effect: Effect, hz: Array) -> str:
-    """Draw the power spectral density of an effect's forces; `hz` of shape (n_hz,)."""
+def _force_spectrum(effect: Effect, hz: Annotated[Array, "bins"]) -> str:
+    """Draw the power spectral density of an effect's forces."""
     density = np.asarray(effect.colour(hz))
     axes = Axes(
         (float(hz[0]), float(hz[-1])), (float(density.min()) / 1.3, float(density.max()) * 1.3), 120.0, log_y=True

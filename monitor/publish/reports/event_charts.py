@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from typing import Annotated
 
 import numpy as np
 
@@ -23,8 +24,10 @@ _ROW = 34.0
 _MARGIN = 1.06
 
 
-def thinned(t: Array, values: Array) -> tuple[Array, Array]:
-    """Thin a curve, shape (n,) each, to the least and the greatest value within each unit of a chart's width.
+def thinned(
+    t: Annotated[Array, "n"], values: Annotated[Array, "n"]
+) -> tuple[Annotated[Array, "k"], Annotated[Array, "k"]]:
+    """Thin a curve to the least and the greatest value within each unit of a chart's width.
 
     Examples
     --------

@@ -35,9 +35,8 @@ class EventPage:
     site: Site | None
     """What the site's files said; None where the event has no recording."""
     review: Review | None
-    """Motion over time; None where the recording does not show it."""
+    """Motion over time; None where the recording does not show it, as `why_not` says in a sentence."""
     why_not: str = ""
-    """Why there is no motion over time, as a sentence."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,8 +265,8 @@ def _decades(values: Array) -> tuple[float, float]:
     return float(10.0 ** max(low, high - 8.0)), float(10.0**high)
 
 
-def _pooled(x: Array, y: Array) -> tuple[Array, Array]:
-    """Draw together neighbouring points of a line, shape (n,), to at most `_MOST_POINTS`: the largest y of each group."""
+def _pooled(x: Annotated[Array, "n"], y: Annotated[Array, "n"]) -> tuple[Annotated[Array, "k"], Annotated[Array, "k"]]:
+    """Draw together neighbouring points of a line to at most `_MOST_POINTS`: the largest y of each group."""
     per = -(-len(x) // _MOST_POINTS)
     if per == 1:
         return x, y
@@ -298,8 +299,8 @@ def spectrograms(found: LookedRecording, top_hz: float) -> str:
     return "".join(out)
 
 
-def png(level: Array) -> bytes:
-    """Encode a picture of levels from 0 to 1, shape (rows, columns), the top row first, in the colours of `_PALETTE`.
+def png(level: Annotated[Array, "rows columns"]) -> bytes:
+    """Encode a picture of levels from 0 to 1, the top row first, in the colours of `_PALETTE`.
 
     Examples
     --------

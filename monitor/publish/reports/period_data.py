@@ -10,7 +10,7 @@ from heapq import nlargest
 from itertools import pairwise
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,16 +44,15 @@ _T_END = re.compile(rb'"t_end_ns": (\d{1,18}|[1-8]\d{18})\b')
 class Envelope:
     """Envelope of a quantity over a period, in the n bins that have values."""
 
-    t_ns: Array
-    """Middles of the bins, shape (n,), UTC in ns."""
-    index: NDArray[np.intp]
-    """Numbers of the bins, shape (n,)."""
-    low: Array
-    """Least value less its half-interval, shape (n,)."""
-    mean: Array
-    """Mean value, shape (n,)."""
-    high: Array
-    """Greatest value plus its half-interval, shape (n,)."""
+    t_ns: Annotated[Array, "n"]
+    """Middles of the bins, UTC."""
+    index: Annotated[NDArray[np.intp], "n"]
+    """Numbers of the bins."""
+    low: Annotated[Array, "n"]
+    """Least value less its half-interval."""
+    mean: Annotated[Array, "n"]
+    high: Annotated[Array, "n"]
+    """Greatest value plus its half-interval."""
 
     def pieces(self) -> list[slice]:
         """Cut the bins into runs without more than one empty bin in between."""
@@ -72,16 +71,9 @@ class _Part:
 
 
 class Grid:
-    """Grid of bins over ``(from_ns, to_ns]``, equal but for the gaps in which no window ends and which charts shorten.
+    """Grid of bins over ``(from_ns, to_ns]`` (UTC), equal but for the gaps in which no window ends and which charts shorten.
 
-    Parameters
-    ----------
-    from_ns, to_ns : int
-        Ends of the period, UTC.
-    n : int
-        Number of bins outside the gaps.
-    gaps : sequence of (int, int)
-        Ends of each gap, UTC in ns, in order.
+    There are `n` bins outside the gaps, which are given by their ends, UTC in ns, in order.
 
     Examples
     --------
@@ -104,7 +96,6 @@ class Grid:
         self.edges_ns = np.array(
             [from_ns, *(p.from_ns + (p.to_ns - p.from_ns) * k // p.n for p in parts for k in range(1, p.n + 1))]
         )
-        """Ends of the bins, shape (n + 1,), UTC in ns."""
         share = min(_GAP_WIDTH, 0.5 / max(1, len(gaps)))
         rest = 1.0 - share * len(gaps)
         widths = [share if k % 2 else rest * (p.to_ns - p.from_ns) / length for k, p in enumerate(parts)]
@@ -194,10 +185,7 @@ class PeriodResults:
 
     @property
     def due(self) -> int:
-        """Number of windows that an unbroken stream would have given since the run began.
-
-        None is due that would hold time between the recordings of a replay.
-        """
+        """Number of windows that an unbroken stream would have given since the run began; none between a replay's recordings."""
         ends_ns = max(self.grid.from_ns, self.begun_ns), self.grid.to_ns
         count = due_windows(ends_ns, self.begun_ns, round(self.hop_s * 1e9), self.window_s, self.between)
         return max(self.course.windows, count)
@@ -272,20 +260,10 @@ def read_results(
     between: Sequence[tuple[int, int]] = (),
     window_s: float = 0.0,
 ) -> PeriodResults:
-    """Read results.jsonl of a folder, and its closed months; windows belong to the period in which they end.
+    """Read results.jsonl of a folder, and its closed months; windows belong to the period (UTC) in which they end.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of a replay or of the daemon.
-    from_ns, to_ns : int or None
-        Ends of the period, UTC; None for the beginning or the end of the run.
-    misfit_limit : float
-        Goodness of fit from which stiffness explains too little.
-    between : sequence of (int, int)
-        Ends of the times between the recordings of a replay, UTC in ns.
-    window_s : float
-        Length of a window of a replay.
+    By default the period is that of the run.  A replay has times `between` its recordings, UTC in ns, and windows of
+    `window_s`. From a goodness of fit `misfit_limit` on, stiffness explains too little.
 
     Raises
     ------

@@ -220,13 +220,7 @@ def requests_for(episode: Loss, decisions: list[Decision], following_ns: float) 
 
 
 def _read_json_objects(path: Path, *, whole: bool = False) -> Iterator[dict[str, Any]]:
-    """Read the JSON objects of a file and skip what cannot be read.
-
-    Parameters
-    ----------
-    whole : bool
-        Read the file as one object, not line by line.
-    """
+    """Read the JSON objects of a file, one a line or `whole` as one, and skip what cannot be read."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -59,18 +59,9 @@ class Period:
 
 
 def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
-    """Read the records of a period that a replay or the daemon left in a folder.
+    """Read the records of a period (UTC; by default the run) that a replay or the daemon left in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-    from_ns, to_ns : int or None
-        Ends of the period, UTC; None for the beginning or the end of the run.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        There are no results, or none of that period.
+    Raises MissingInputError or BadInputError where there are no results, or none of that period.
     """
     with _name_file_in_errors(folder / "summary.json"):
         summary = notes.read_summary(folder)

@@ -16,14 +16,7 @@ EVENTS = "events.jsonl"
 
 
 def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
-    """Collect the values of an event's line of events.jsonl; None where a value cannot be said.
-
-    Parameters
-    ----------
-    event : Event
-    recording : str, optional
-        File with the event's samples.
-    """
+    """Collect the values of an event's line of events.jsonl, None where one cannot be said; `recording` has its samples."""
     return {
         "id": event.id,
         "revision": event.revision,
@@ -60,13 +53,7 @@ def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
 
 
 def read_event(line: Mapping[str, Any]) -> Event:
-    """Read an event from its line of events.jsonl; NaN for what cannot be said.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        It is no line of an event.
-    """
+    """Read an event from its line of events.jsonl, NaN where it cannot say; KeyError, TypeError or ValueError if it is none."""
     n = len(line["drift_peak_m"])
     spectrum, ratio = line["spectrum"], line["drift_ratio_peak"]
     return Event(
@@ -103,10 +90,7 @@ def telling(event: Event) -> str:
 
 
 def event_text(event: Event) -> str:
-    """Tell an event in one sentence, as for a message.
-
-    The sentence has the verdict first, then the largest acceleration and the largest drift.
-    """
+    """Tell an event in one sentence, as for a message: first the verdict, then the largest acceleration and the largest drift."""
     parts = [event.verdict or "no limit was judged"]
     known = [f for f in event.floors if math.isfinite(f.peak_m_s2)]
     least = "at least " if event.saturated else ""

@@ -34,12 +34,7 @@ def closed_files(folder: Path) -> list[Path]:
 def read_lines(path: Path) -> Iterator[bytes]:
     """Read the lines of results.jsonl or of a closed month, each with its newline.
 
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    BadInputError
-        The packed bytes are damaged.
+    Raises OSError if the file cannot be read, BadInputError if its packed bytes are damaged.
     """
     if path.suffix != _PACKED:
         with path.open("rb") as file:
@@ -58,13 +53,7 @@ def read_lines(path: Path) -> Iterator[bytes]:
 
 
 def read_all_lines(folder: Path) -> Iterator[bytes]:
-    """Read the lines of all months and of results.jsonl, which must exist, in the order in which they were written.
-
-    Raises
-    ------
-    OSError, BadInputError
-        As `read_lines`.
-    """
+    """Read the lines of all months and of results.jsonl, which must exist, as they were written (errors as `read_lines`)."""
     for path in (*closed_files(folder), folder / RESULTS):
         yield from read_lines(path)
 
@@ -72,12 +61,7 @@ def read_all_lines(folder: Path) -> Iterator[bytes]:
 def pack_month(path: Path) -> None:
     """Replace the file of a closed month by its packed form, appended to what was packed of that month before.
 
-    Raises
-    ------
-    OSError
-        The disk does not allow it; both files are then as they were.
-    BadInputError
-        What was packed of that month before is damaged.
+    Raises OSError if the disk does not allow it, and BadInputError if what was packed is damaged; the files are then as before.
     """
     import zstandard
 

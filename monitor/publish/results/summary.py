@@ -50,19 +50,10 @@ class Summary:
     def window(
         self, result: WindowResult, facts: WindowFacts, misfit: float, stated: WindowFacts | None = None
     ) -> None:
-        """Count a window.
+        """Count a window by what the state needs of its line; from a goodness of fit `misfit` on, stiffness explains too little.
 
-        Parameters
-        ----------
-        result : WindowResult
-            Result of the window.
-        facts : WindowFacts
-            What the state needs of its line (`facts_of_line`).
-        misfit : float
-            Goodness of fit from which stiffness explains too little.
-        stated : WindowFacts, optional
-            What an earlier run wrote of this window; it counts where it says otherwise of whether the window was judged, as
-            when samples of the window were lost with that run.
+        What an earlier run `stated` of this window counts where it says otherwise of whether the window was judged, as when
+        samples of the window were lost with that run.
         """
         if stated is not None and stated.skipped != facts.skipped:
             facts = stated
@@ -90,12 +81,8 @@ class Summary:
     def content(self, realtime_factor: float, model_frequencies_hz: list[float]) -> dict[str, Any]:
         """Return the counts for summary.json.
 
-        Parameters
-        ----------
-        realtime_factor : float
-            Length of the data over the time that its evaluation took.
-        model_frequencies_hz : list of float
-            Natural frequencies of the structure file's model, Hz; empty without a model.
+        `realtime_factor` is the length of the data over the time of their evaluation; without a model there are no
+        frequencies of it.
         """
         most = max((n for n, _ in [*self.modes.values(), *self.other_modes]), default=0)
         means = {mode: hz for mode, (n, hz) in sorted(self.modes.items()) if n >= _COMMON_MODE * most}

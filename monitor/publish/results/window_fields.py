@@ -270,17 +270,7 @@ LINE_SCHEMA: dict[str, Any] = {
 
 
 def window_line(result: WindowResult) -> dict[str, Any]:
-    """Collect the values of a window's line of results.jsonl.
-
-    Parameters
-    ----------
-    result : WindowResult
-        The estimates of the window, or why there are none.
-
-    Returns
-    -------
-    dict
-        Keys and units as in docs/results.md; None where nothing was estimated.
+    """Collect the values of a window's line; keys and units as in docs/results.md, None where nothing was estimated.
 
     Examples
     --------

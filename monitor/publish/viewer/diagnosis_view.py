@@ -41,24 +41,8 @@ def write_view(
 ) -> None:
     """Write the recording; the file appears under its name only when complete.
 
-    Parameters
-    ----------
-    path : Path
-        File of the recording.
-    diagnosis : Diagnosis
-    content : mapping
-        diagnosis.json.
-    segments : Segments
-        The segments that were diagnosed.
-    story_names : sequence of str
-        What people call each story.
-    laws : sequence of StoryLaw
-        Laws of the stories straight from the data.
-
-    Raises
-    ------
-    OSError, RuntimeError
-        The file cannot be written.
+    `content` is that of diagnosis.json, `laws` are those of the stories straight from the data.  Raises OSError or RuntimeError
+    if the file cannot be written.
     """
     compared = compare(diagnosis, segments)
     output = Output("diagnosis", path, None)

@@ -17,19 +17,11 @@ _Key = tuple[str, type[Any], tuple[str, ...]]
 
 
 class Strips(list[Array]):
-    """Line strips of a row, each of shape (points, 2 or 3)."""
+    """Line strips of a row, each a row of coordinates for each point."""
 
 
 class Rows:
-    """Collector of rows, entity by entity, in the worker's thread.
-
-    Parameters
-    ----------
-    stream : rr.RecordingStream
-        Recording to which the rows are sent.
-    timeline : str
-        ``time``, in nanoseconds of UTC, or another one, in nanoseconds from 0.
-    """
+    """Collector of rows, entity by entity, in the worker's thread; the timeline ``time`` is UTC in ns, others count ns from 0."""
 
     def __init__(self, stream: rr.RecordingStream, timeline: str = "time") -> None:
         self._stream, self._timeline, self._t_ns = stream, timeline, 0

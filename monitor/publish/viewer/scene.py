@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -55,16 +55,15 @@ def _pitch(size: Array, *, is_long: bool) -> float:
 class Plan:
     """Places in the view of a structure: it is drawn 1 large, its mode shapes beside it, or below it if it is long."""
 
-    points: Array
-    """Shape (n, 3)."""
-    labels: Array
-    """Place of the label of every story, shape (p, 3)."""
-    size: Array
-    """Extent of the structure along x, y and z, shape (3,)."""
+    points: Annotated[Array, "n 3"]
+    labels: Annotated[Array, "p 3"]
+    """Place of the label of every story."""
+    size: Annotated[Array, "3"]
+    """Extent of the structure along x, y and z."""
     is_long: bool
-    low: Array
-    """Lower corner of structure, labels and mode shapes, shape (3,)."""
-    high: Array
+    low: Annotated[Array, "3"]
+    """Lower corner of structure, labels and mode shapes."""
+    high: Annotated[Array, "3"]
     """Their upper corner."""
 
     @classmethod
@@ -93,8 +92,8 @@ class Plan:
             )
         return cls(points, labels, size, is_long, np.array(low), np.array(high))
 
-    def offset(self, mode: int) -> Array:
-        """Compute the place of a mode shape relative to the structure, shape (3,)."""
+    def offset(self, mode: int) -> Annotated[Array, "3"]:
+        """Compute the place of a mode shape relative to the structure."""
         axis = np.array([0.0, 0.0, -1.0] if self.is_long else [1.0, 0.0, 0.0])
         return (mode + 1) * axis * _pitch(self.size, is_long=self.is_long)
 
@@ -115,16 +114,15 @@ class Scene:
     """Floor of each channel, from 1 = top."""
     drawing: Drawing
     story_names: tuple[str, ...]
-    """What people call each story."""
-    baseline_frequencies_hz: Array | None
-    """Shape (m,); mode 0 = the model's lowest, NaN where the baseline lacks a mode."""
+    baseline_frequencies_hz: Annotated[Array, "m"] | None
+    """Mode 0 is the model's lowest; NaN where the baseline lacks a mode."""
     has_baseline: bool
     alarm_loss: float
     """Relative stiffness loss that counts as an alarm."""
     model: Model | None = None
     """Model that predicts spectra; no spectra are predicted without one."""
     cutoff_hz: float = 40.0
-    """Highest frequency of the analysis, Hz."""
+    """Highest frequency of the analysis."""
     misfit_threshold: float = 5.0
     """Goodness of fit from which a diagnosis is requested."""
     n_modes: int = 3
@@ -164,26 +162,14 @@ def make_scene(
     misfit_threshold: float,
     max_modes: int,
 ) -> Scene:
-    """Describe a site to the viewer.
+    """Describe a site to the viewer; the baseline's model, if there is one, replaces the nominal `model`.
 
     Parameters
     ----------
-    name : str
-        Name of the site.
-    drawing : Drawing
-        Points and lines of the structure.
-    story_names : tuple of str
-        What people call each story.
     sensor_floor : Mapping
-        Floor of each channel by the channel's name, from 1 = top, in column order of the samples.
-    model : Model
-        Nominal model; the baseline's model replaces it.
-    baseline : Baseline, optional
-        The healthy reference.
+        Floor of each channel, from 1 = top, in column order of the samples.
     alarm_loss : float
         Relative stiffness loss that counts as an alarm.
-    cutoff_hz : float
-        Highest frequency of the analysis, Hz.
     misfit_threshold : float
         Goodness of fit of the updated stiffness from which a diagnosis is requested.
     max_modes : int
@@ -217,14 +203,9 @@ def make_modal_scene(
     cutoff_hz: float,
     max_modes: int,
 ) -> Scene:
-    """Describe to the viewer a site without a model, of which the modes alone are judged.
+    """Describe to the viewer a site without a model, of which the modes alone are judged; parameters as of `make_scene`.
 
-    Parameters
-    ----------
-    channels : tuple of str
-        Names of the channels, each a degree of freedom of the drawing.
-    alarm_loss, cutoff_hz, max_modes
-        As of `make_scene`.
+    Each channel is a degree of freedom of the drawing.
     """
     return Scene(
         name=name,
