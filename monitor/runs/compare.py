@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -33,9 +33,9 @@ class _Mode:
     frequency_std_hz: float
     damping_ratio: float
     damping_std: float
-    shape: ComplexArray
-    shape_std: Array | None
-    """Shape (c,); None where not known."""
+    shape: Annotated[ComplexArray, "c"]
+    shape_std: Annotated[Array, "c"] | None
+    """None where not known."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -61,15 +61,9 @@ def compare(
 ) -> dict[str, Any]:
     """Compare two recordings, or two folders of results.
 
-    Returns
-    -------
-    dict
-        Names, tests with their z-scores, modes of one side alone, and the limit of a significant z-score (Bonferroni).
-
-    Raises
-    ------
-    BadInputError, MissingInputError
-        If one cannot be used, or if one is a recording and the other a folder.
+    The content names both, and holds the tests with their z-scores, the modes of one side alone, and the limit of a significant
+    z-score (Bonferroni).  Raises BadInputError or MissingInputError if one cannot be used, or if one is a recording and the
+    other a folder.
     """
     if first.is_dir() != second.is_dir():
         raise BadInputError(f"{first} and {second}: compare two recordings, or two folders of results")
@@ -189,8 +183,8 @@ def _mode_tests(number: int, a: _Mode, b: _Mode) -> list[dict[str, Any]]:
     return out
 
 
-def _mac(a: ComplexArray, b: ComplexArray) -> float:
-    """Compute the modal assurance criterion of two shapes, (c,)."""
+def _mac(a: Annotated[ComplexArray, "c"], b: Annotated[ComplexArray, "c"]) -> float:
+    """Compute the modal assurance criterion of two shapes."""
     return float(abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real))
 
 

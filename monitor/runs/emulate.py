@@ -37,16 +37,9 @@ class Sink(Protocol):
 
 
 def send_when_due(blocks: Iterable[SampleBlock], sink: Sink, *, speed: float | None = 1.0) -> int:
-    """Send blocks when they are due, and return the number of samples sent of `/acceleration`.
+    """Send blocks, in time order, when they are due, and return the number of samples sent of `/acceleration`.
 
-    Parameters
-    ----------
-    blocks : iterable of SampleBlock
-        Blocks in time order.
-    sink : Sink
-        Destination.
-    speed : float, optional
-        Speed as a multiple of real time; None sends all blocks at once.
+    `speed` is a multiple of real time; None sends all blocks at once.
     """
     begun, first_ns, count = time.monotonic(), None, 0
     for block in blocks:
@@ -72,24 +65,13 @@ def cut_blocks(blocks: Iterable[SampleBlock], n_samples: int) -> Iterator[Sample
 
 
 Transmit = Callable[[Layout, list[float], NDArray[np.uint8]], None]
-"""Sends n frames of one message, given its layout, the UTC of each frame, s, and the bytes, shape (n, n_bytes)."""
+"""Sends n frames of one message, given its layout, the UTC of each frame, s, and the bytes, a row a frame."""
 
 
 class CanSink:
     """Destination on a CAN bus: sends the blocks of `/acceleration` as frames of a DBC, and ignores other topics.
 
-    A frame has the time of its last sample.
-
-    Parameters
-    ----------
-    layouts : tuple of Layout
-        Messages of the DBC.
-    transmit : callable
-        Sends the frames of one message.
-    close : callable
-        Disconnects from the bus.
-    counts_frames : bool
-        Whether the counter of a frame counts frames instead of samples.
+    A frame has the time of its last sample; its counter counts samples, or frames if `counts_frames`.
     """
 
     def __init__(
@@ -188,34 +170,11 @@ def open_sink(
     wait_s: float = 60.0,
     say: Callable[[str], None] = lambda _: None,
 ) -> tuple[Sink, float]:
-    """Open the destination that `to` names, one of `DESTINATIONS`.
+    """Open the destination that `to` names, one of `DESTINATIONS`; CAN needs a `dbc`, the layout of its frames.
 
-    Parameters
-    ----------
-    to : str
-        Destination.
-    channels : tuple of str
-        Names of the channels to send.
-    dbc : Path, optional
-        Layout of the frames; CAN needs one.
-    wait_s : float
-        Seconds that a socketcand server waits for its first client.
-    say : callable
-        Shows a message to the user.
-
-    Returns
-    -------
-    Sink
-        The open destination.
-    float
-        Length of the blocks that the destination takes: s of data below 1, samples from 1 on.
-
-    Raises
-    ------
-    BadConfigurationError
-        If `to` is of no known form, or the DBC cannot carry the channels.
-    MissingInputError
-        If the destination cannot be reached.
+    `wait_s` is how long a socketcand server waits for its first client.  With the sink comes the length of the blocks that it
+    takes: s of data below 1, samples from 1 on.  Raises BadConfigurationError if `to` is of no known form or the DBC cannot
+    carry the channels, MissingInputError if the destination cannot be reached.
     """
     kind, _, rest = to.partition(":")
     if kind in ("zenoh", "mqtt"):
@@ -293,23 +252,19 @@ def send_all(
 
     Parameters
     ----------
-    blocks : iterable of SampleBlock
-        Blocks in time order.
     to : str
         Destination, one of `DESTINATIONS`.
     dbc : Path, optional
         Layout of the frames; CAN needs one.
     speed : float, optional
         Speed as a multiple of real time; None sends all blocks at once.
-    say : callable
-        Shows a message to the user.
 
     Raises
     ------
     BadConfigurationError, MissingInputError
-        See `open_sink`.
+        The destination is of no known form or cannot be reached.
     BadInputError
-        If there is no block of `/acceleration`.
+        There is no block of `/acceleration`.
     """
     stream = iter(blocks)
     head: list[SampleBlock] = []

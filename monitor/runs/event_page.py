@@ -28,20 +28,10 @@ def page_of(folder: Path, id: str) -> Path:
 
 
 def read_event_line(folder: Path, wanted: str) -> dict[str, Any]:
-    """Read the highest revision of an event from events.jsonl.
+    """Read the highest revision of an event, by its id or ``last``, from events.jsonl.
 
-    Parameters
-    ----------
-    folder : Path
-    wanted : str
-        Id of the event, or ``last``.
-
-    Raises
-    ------
-    MissingInputError
-        There is no events.jsonl, or no event in it.
-    WrongUsageError
-        There is no such event; the message lists those that there are.
+    Raises MissingInputError if there is no events.jsonl or no event in it, and WrongUsageError if there is no such event; the
+    message lists those that there are.
     """
     path, lines = folder / EVENTS, dict[str, dict[str, Any]]()
     try:
@@ -67,20 +57,9 @@ def read_event_line(folder: Path, wanted: str) -> dict[str, Any]:
 
 
 def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
-    """Write the page of an event and return the event.
+    """Write the page of an event (as of `read_event_page`) and return the event.
 
-    Parameters
-    ----------
-    folder, line
-        As of `read_event_page`.
-    out : Path
-
-    Raises
-    ------
-    BadInputError
-        The line or the recording is damaged.
-    OSError
-        The page cannot be written.
+    Raises BadInputError if the line or the recording is damaged, OSError if the page cannot be written.
     """
     page = read_event_page(folder, line)
     write_event(out, page)
@@ -90,10 +69,7 @@ def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
 def write_event_motion(page: EventPage, out: Path) -> None:
     """Write the motion of an event for the Rerun viewer.
 
-    Raises
-    ------
-    MissingInputError
-        No drifts are known: there are no samples of the event, or no chain of stories.
+    Raises MissingInputError if no drifts are known: there are no samples of the event, or no chain of stories.
     """
     if page.site is None or page.review is None:
         raise MissingInputError(f"event {page.event.id} cannot be shown in motion. {page.why_not}")
@@ -105,19 +81,9 @@ def write_event_motion(page: EventPage, out: Path) -> None:
 
 
 def read_event_page(folder: Path, line: Mapping[str, Any]) -> EventPage:
-    """Read what the page of an event shows.
+    """Read what the page of an event shows, from the folder of the results and the event's line of events.jsonl.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the results.
-    line : mapping
-        The event's line of events.jsonl.
-
-    Raises
-    ------
-    BadInputError
-        The line or the recording is damaged.
+    Raises BadInputError if the line or the recording is damaged.
     """
     try:
         event = read_event(line)

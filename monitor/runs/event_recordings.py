@@ -32,22 +32,10 @@ def at_once(_: str, job: Callable[[], None]) -> None:
 
 
 class EventRecordings:
-    """Keep the latest blocks, and write those of each event.
+    """Keep the latest blocks, and write those of each event into the folder ``events`` of the results' folder.
 
-    Parameters
-    ----------
-    out : Path
-        Folder of the results; the recordings go into its folder ``events``.
-    settings : EventSettings
-    run : callable
-        Does a job of some name that writes a file, now or in another thread.
-    note : callable, optional
-        Takes the name and the SHA-256 of each recording that is written, in the thread that wrote it.
-
-    Attributes
-    ----------
-    failed : str or None
-        Why the latest recording could not be written; None if it was.
+    `run` does a job of some name that writes a file, now or in another thread.  `note` takes the name and the SHA-256 of each
+    recording that is written, in the thread that wrote it.  `failed` says why the latest recording could not be written.
     """
 
     dropped = 0  # a recording that cannot be written is told by `failed`
@@ -67,7 +55,7 @@ class EventRecordings:
 
     @property
     def reach_s(self) -> float:
-        """Length of data that an event may need, s."""
+        """Length of data that an event may need."""
         s = self._settings
         return s.pre_s + s.longest_s + s.merge_s + s.post_s + _MARGIN_S
 

@@ -37,16 +37,9 @@ def features(
     Parameters
     ----------
     path : Path
-        Text with a line of column names, separated by commas, semicolons or tabs.
+        Text with a line of column names, separated by commas, semicolons or tabs; an empty field is a missing value.
     time : str
         Column of the times: ISO 8601 (UTC where it names no zone), or s since 1970.
-    names, covariates : list of str
-        Columns of the features and of the covariates; an empty field is a missing value.
-
-    Returns
-    -------
-    dict
-        Content of summary.json.
 
     Raises
     ------
@@ -70,13 +63,7 @@ def features(
 def read_table(
     path: Path, time: str, names: list[str], covariates: list[str], on_warning: Callable[[str], None]
 ) -> FeatureTable:
-    """Read the columns of a table; rows that cannot be read are left out and named.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If the file cannot be read, is no table, or lacks a column.
-    """
+    """Read the columns of a table; rows that cannot be read are left out and named (errors as of `features`)."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -86,8 +86,8 @@ class _Run:
     """Consecutive samples without a gap."""
 
     t_ns: int
-    values: Array
-    """Shape (n, c), m/s^2."""
+    values: Annotated[Array, "n c"]
+    """In m/s^2."""
 
 
 def look(
@@ -98,17 +98,9 @@ def look(
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> LookedRecording:
-    """Look at recordings, or at tables that `import` reads, without a model.
+    """Look at recordings, or at tables that `import` reads, without a model; `rate_hz` and `unit` are of tables without.
 
-    Parameters
-    ----------
-    rate_hz, unit
-        Of a table whose file does not state them.
-
-    Raises
-    ------
-    BadInputError, MissingInputError
-        If the files cannot be used; the message names them.
+    Raises BadInputError or MissingInputError if the files cannot be used; the message names them.
     """
     if _are_recordings(paths):
         if rate_hz is not None or unit is not None:
@@ -325,14 +317,14 @@ def _transforms(runs: Sequence[_Run], rate_hz: float) -> tuple[ComplexArray, Seg
     return np.array(transforms), design, np.array(middles)
 
 
-def _thinned(power: Array) -> Array:
-    """Average the power of neighbouring segments, shape (n_segments, n_bins, c), to at most `_SHOWN_COLUMNS`."""
+def _thinned(power: Annotated[Array, "segments bins c"]) -> Annotated[Array, "columns bins c"]:
+    """Average the power of neighbouring segments to at most `_SHOWN_COLUMNS`."""
     parts = np.array_split(power, min(len(power), _SHOWN_COLUMNS))
     return np.array([2.0 * part.mean(axis=0) for part in parts])
 
 
-def _identify_bands(values: Array, rate_hz: float) -> list[LookedBand]:
-    """Identify the modes of a run, shape (n, c), at the source's rate and at lower ones, each with a band of its own.
+def _identify_bands(values: Annotated[Array, "n c"], rate_hz: float) -> list[LookedBand]:
+    """Identify the modes of a run at the source's rate and at lower ones, each with a band of its own.
 
     The lags of the identification span one period of a band's lowest mode.
     """

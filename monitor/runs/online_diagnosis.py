@@ -41,12 +41,7 @@ class BlockStore(Protocol):
 
 
 class RecentBlocks:
-    """Latest blocks of samples in the order of arrival, kept for a diagnosis.
-
-    Parameters
-    ----------
-    longest_s : float
-        Length of acceleration data that a diagnosis may ask for, s.
+    """Latest blocks of samples in the order of arrival, kept for a diagnosis that asks for `longest_s` of acceleration at most.
 
     Examples
     --------
@@ -108,26 +103,17 @@ class OnlineDiagnosisState:
     t_ns: int
     """End of the latest window, UTC."""
     found: tuple[str, ...]
-    """Findings, each as JSON."""
+    """Each as JSON."""
     pending: tuple[trigger.Request, ...]
-    """Requests that have no finding yet."""
     asked: int
-    """Number of requests so far."""
+    """Number of requests so far, of which those `pending` have no finding yet."""
 
 
 class OnlineDiagnosis:
     """Controller of the diagnoses of a session: requests a diagnosis when one is due, and collects the findings.
 
-    Parameters
-    ----------
-    config : Configuration
-        Settings of the site; `[watch]` says when a diagnosis is due.
-    files : (Path, Path or None), optional
-        Structure or site file, and baseline, that a diagnosis reads; no diagnosis is made without.
-    folder : Path
-        Folder of the findings.
-    store : BlockStore, optional
-        Store of the latest blocks; in memory by default.
+    `[watch]` of the configuration says when one is due.  It reads `files`, the structure or site file and the baseline, without
+    which none is made, and the latest blocks of the store, which is in memory by default.
     """
 
     def __init__(

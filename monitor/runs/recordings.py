@@ -36,10 +36,7 @@ def read_blocks(
 ) -> Iterator[SampleBlock]:
     """Read all samples of the recordings in time order, small blocks joined to blocks of at most `longest_s` seconds.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If a recording is missing or unusable.
+    Raises MissingInputError or BadInputError if a recording is missing or unusable.
     """
     try:
         yield from read_recordings(
@@ -138,10 +135,7 @@ def duration_s(first: SampleBlock | None, last: SampleBlock | None) -> float:
 class Progress:
     """Progress through the data of recordings, with a check that they are long enough for one window.
 
-    Parameters
-    ----------
-    on_progress : callable
-        Called with the length of the acceleration data so far, s, after each block.
+    `on_progress` is called with the length of the acceleration data so far, s, after each block.
     """
 
     def __init__(self, on_progress: OnProgress) -> None:
@@ -162,13 +156,7 @@ class Progress:
             self._on_progress(self.data_s)
 
     def require_window(self, pipeline: Pipeline, windows: int, paths: list[Path]) -> None:
-        """Refuse recordings that did not fill one window.
-
-        Raises
-        ------
-        BadInputError
-            If `windows` is 0; the message gives the length of the usable data.
-        """
+        """Raise BadInputError for recordings that did not fill one window; the message gives the length of the usable data."""
         if windows:
             return
         state, window_s = pipeline.state.align, pipeline.config.processing.window_s
@@ -180,13 +168,7 @@ class Progress:
         )
 
     def require_periods(self, windows: Sequence[ModalEstimate], paths: list[Path]) -> None:
-        """Refuse to learn modes from recordings that are too short to state them.
-
-        Raises
-        ------
-        BadInputError
-            If there are less than `LEAST_RECORD_S` of data, or `LEAST_PERIODS` of a mode.
-        """
+        """Raise BadInputError for recordings too short to learn modes of: `LEAST_RECORD_S`, and `LEAST_PERIODS` of each mode."""
         lowest_hz = min((float(modes.frequencies_hz.min(initial=inf)) for modes in windows), default=inf)
         least_s = max(LEAST_RECORD_S, LEAST_PERIODS / lowest_hz)
         if self.data_s < least_s * (1.0 - 1e-9):
@@ -209,13 +191,7 @@ class BlockConsumer(Protocol):
 
 
 def push_block(consumer: BlockConsumer, block: SampleBlock, paths: list[Path]) -> list[Result]:
-    """Push a block of the recordings `paths`, and return its results.
-
-    Raises
-    ------
-    BadInputError
-        If the block is refused; the message names the recordings.
-    """
+    """Push a block of the recordings `paths`, and return its results; BadInputError with their names if it is refused."""
     try:
         return consumer.push(block)
     except BadInputError as error:

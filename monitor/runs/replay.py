@@ -46,15 +46,7 @@ RESULT_FILES = ("results.jsonl", EVENTS, "results.mcap", "live.rrd", "summary.js
 
 
 class ResultFiles(Publisher):
-    """Publisher to the files of a replay; each file takes its final name when it is whole, after the last window.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of the files.
-    mcap : bool
-        Whether results.mcap is one of them.
-    """
+    """Publisher to the files of a replay; each takes its final name when it is whole, after the last window."""
 
     def __init__(self, out: Path, *, mcap: bool = True) -> None:
         for name in RESULT_FILES:
@@ -79,13 +71,7 @@ class ResultFiles(Publisher):
             self.told[event.id] = {"id": event.id, "says": event_text(event)}
 
     def close(self, summary: dict[str, Any], findings: Iterable[dict[str, Any]]) -> None:
-        """Finish all files and write summary.json.
-
-        Raises
-        ------
-        MissingInputError
-            The folder cannot be written.
-        """
+        """Finish all files and write summary.json; MissingInputError if the folder cannot be written."""
         try:
             self._lines.close()
             self._events.close()
@@ -121,14 +107,8 @@ def replay(
 
     Parameters
     ----------
-    paths : list of Path
-        Recordings.
-    config : Configuration
-        Settings of the site.
     baseline : Baseline or ModalBaseline, optional
         Healthy reference; no alarm is raised without one.
-    out : Path
-        Folder of the results.
     speed : float, optional
         Speed as a multiple of real time; as fast as possible by default.
     serve : (str, int), optional
@@ -193,30 +173,11 @@ def pass_through(
     on_progress: OnProgress = lambda _: None,
     event_suffices: bool = False,
 ) -> float:
-    """Push all blocks through a session and wait for the findings; return the real-time factor.
+    """Push all blocks through a session and wait for the findings; return the length of the data over the run time.
 
-    Parameters
-    ----------
-    session : Session
-        Session that takes the blocks.
-    source : iterable of SampleBlock
-        Blocks in time order.
-    paths : list of Path
-        Recordings of the blocks, for messages.
-    speed : float, optional
-        Speed as a multiple of real time; as fast as possible by default.  Time without samples is not waited for.
-    event_suffices : bool
-        Whether recordings shorter than a window are welcome where they hold an event, as those of earthquakes do.
-
-    Returns
-    -------
-    float
-        Length of the data over the run time.
-
-    Raises
-    ------
-    BadInputError
-        If the recordings are too short for one window and no event suffices, or the pipeline refuses them.
+    `speed` is a multiple of real time, by default as fast as possible; time without samples is not waited for.  Recordings
+    shorter than a window are welcome if `event_suffices` and they hold an event, as those of earthquakes do.  Raises
+    BadInputError if others are too short for one window, or the pipeline refuses the blocks.
     """
     progress, started = Progress(on_progress), time.monotonic()
     for block in source:

@@ -59,16 +59,12 @@ class SessionState:
 
 
 class Session:
-    """Session that pushes blocks of samples through the pipeline, and passes the results to publishers.
+    """Session that pushes blocks of samples through the pipeline, and passes the results to publishers, in their order.
 
     Parameters
     ----------
-    config : Configuration
-        Settings of the site.
     baseline : Baseline or ModalBaseline, optional
         Healthy reference; no alarm is raised without one.
-    publishers : sequence of Publisher
-        Publishers, in the order in which they take each result.
     files : (Path, Path or None), optional
         Structure or site file, and baseline, for the diagnoses that alarms request; no diagnosis is made without, nor where
         there is no model.
@@ -166,17 +162,8 @@ class Session:
     def push(self, block: SampleBlock, accepted: Callable[[list[Result]], None] = lambda _: None) -> list[Result]:
         """Evaluate a block of samples, publish the results, and return them.
 
-        Parameters
-        ----------
-        block : SampleBlock
-            Samples of any length.
-        accepted : callable
-            Called with the results before any publisher takes them, except where the block came before.
-
-        Raises
-        ------
-        BadInputError
-            If the pipeline refuses the block; the state of the session is then unchanged.
+        `accepted` is called with the results before any publisher takes them, except where the block came before.  Raises
+        BadInputError if the pipeline refuses the block; the state of the session is then unchanged.
         """
         going = bool(self.pipeline.state.events.strong)  # what this block ends is saved below, so it is kept until then
         known = self.pipeline.state.known
@@ -193,7 +180,7 @@ class Session:
 
     @property
     def longest_s(self) -> float:
-        """Length of data before a checkpoint that a diagnosis or an event after it may need, s."""
+        """Length of data before a checkpoint that a diagnosis or an event after it may need."""
         reach_s = 0.0 if self._recordings is None else self._recordings.reach_s
         return max(self.online_diagnosis.longest_s, reach_s)
 
@@ -228,10 +215,7 @@ class Session:
     def content(self, realtime_factor: float) -> dict[str, Any]:
         """Return the content of summary.json: the run so far, its alarms with their verdicts, and its findings.
 
-        Parameters
-        ----------
-        realtime_factor : float
-            Length of the data over the run time of the evaluation.
+        `realtime_factor` is the length of the data over the run time of the evaluation.
         """
         self._summary.dropped_samples = self.dropped
         findings = self.online_diagnosis.findings

@@ -20,23 +20,11 @@ def open_viewer(
     lossless: bool,
     on_warning: Callable[[str], None],
 ) -> RerunPublisher | None:
-    """Open a publisher that draws the results of a site with Rerun.
+    """Open a publisher that draws the results of a site with Rerun; keywords as of `monitor.publish.RerunPublisher`.
 
-    Parameters
-    ----------
-    config : Configuration
-        Settings of the site.
-    baseline : Baseline or ModalBaseline, optional
-        Reference whose model and frequencies the viewer shows; by default the model of the structure file, if there is one.
-    file, serve, lossless
-        As of `monitor.publish.RerunPublisher`.
-    on_warning : callable
-        Is told in one line where the extra `viewer` is not installed.
-
-    Returns
-    -------
-    RerunPublisher or None
-        None without that extra; an earlier `file` is removed, for it would be taken for this run's.
+    The viewer shows the model and the frequencies of the baseline; by default those of the structure file, if it has a model.
+    Without the extra `viewer` there is none, as `on_warning` is told in one line, and an earlier `file` is removed, for it
+    would be taken for this run's.
     """
     if (missing := missing_extra("viewer")) is not None:
         if file is not None:

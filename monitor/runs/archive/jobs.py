@@ -53,7 +53,7 @@ class Outcome:
     name: str
     paths: tuple[Path, ...]
     error: str | None = None
-    """Reason for the failure, or None."""
+    """Reason for the failure."""
     made: bool = True
     """False if the result existed already."""
     warnings: list[str] = field(default_factory=list)
@@ -127,7 +127,7 @@ def replay_run(task: Task) -> Outcome:
 
 
 def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
-    """Replay a run, of which `paths` are the files to read, as `replay_run`; errors are raised."""
+    """Replay a run, of which `paths` are the files to read; errors are raised."""
     settings = configuration.load(task.structure)
     healthy = None if task.baseline is None else load_healthy(task.baseline, settings)
     folder = task.out / RUNS / task.name

@@ -57,22 +57,14 @@ def reprocess(
     workers: int | None = None,
     on_done: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[Outcome]:
-    """Replay, and optionally diagnose, all recordings without results.
+    """Replay, and optionally diagnose, all recordings without results; no alarm is raised without a baseline.
 
     Parameters
     ----------
-    recordings : sequence of Path
-        Recordings of the archive.
-    structure : Path
-        Structure or site file.
-    baseline : Path, optional
-        Healthy reference; no alarm is raised without one.
-    out : Path
-        Folder of the results.
     diagnose : bool
         Also diagnose each recording by itself; alarms request their diagnoses in any case, as in `replay`.
     longest_gap_s : float, optional
-        Longest gap, s, between recordings of one folder that are replayed together; the window's length by default.
+        Longest gap between recordings of one folder that are replayed together; the window's length by default.
     scheduler : str, optional
         Address of a Dask scheduler whose workers see the same files; processes on this machine by default.
     workers : int, optional
@@ -83,7 +75,7 @@ def reprocess(
     Returns
     -------
     list of Outcome
-        Outcome of every run and diagnosis, and of every recording that cannot be read.
+        Of every run and diagnosis, and of every recording that cannot be read.
 
     Raises
     ------
