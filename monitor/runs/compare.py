@@ -53,11 +53,7 @@ class _Side:
 
 
 def compare(
-    first: Path,
-    second: Path,
-    *,
-    on_warning: OnWarning = lambda _: None,
-    on_progress: OnProgress = lambda _: None,
+    first: Path, second: Path, *, on_warning: OnWarning = lambda _: None, on_progress: OnProgress = lambda _: None
 ) -> dict[str, Any]:
     """Compare two recordings, or two folders of results.
 

@@ -66,13 +66,7 @@ class Facts:
 
 def find_doubts(facts: Facts) -> tuple[str, ...]:
     """List what is doubtful, the gravest first; "may be" where a model, or a look at the sensors, must decide."""
-    return (
-        *_of_level(facts),
-        *_of_stream(facts),
-        *_of_sensors(facts),
-        *_of_spectra(facts),
-        *_of_channels(facts),
-    )
+    return (*_of_level(facts), *_of_stream(facts), *_of_sensors(facts), *_of_spectra(facts), *_of_channels(facts))
 
 
 def remark_modes(facts: Facts) -> tuple[LookedMode, ...]:

@@ -173,11 +173,7 @@ def _fit_class(
     """Fit the old model form to class k from `x` on; return frequencies (Hz) and damping ratios, each with its deviations."""
     e, reference = problem.observed, problem.prior
     single_class = replace(
-        e,
-        spectra=spectra[None],
-        counts=e.counts[k : k + 1],
-        rms=e.rms[k : k + 1],
-        members=e.members[k : k + 1],
+        e, spectra=spectra[None], counts=e.counts[k : k + 1], rms=e.rms[k : k + 1], members=e.members[k : k + 1]
     )
     layout = problem.layout
     std = np.full(reference.mean.size, _FIXED)

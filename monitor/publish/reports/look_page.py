@@ -139,10 +139,7 @@ def _head(found: LookedRecording) -> str:
         (f"{found.rate_hz:g} Hz", "sampling rate"),
         (_duration(found.duration_s), f"from {str(np.datetime64(found.t_start_ns, 'ns'))[:19]} UTC"),
         (f"{len(found.channels)}", f"channels: {', '.join(found.channels)}"),
-        (
-            f"{found.rms_m_s2.mean():.3g} m/s²",
-            f"mean RMS acceleration, {found.rms_m_s2.mean() / G_M_S2:.2g} g",
-        ),
+        (f"{found.rms_m_s2.mean():.3g} m/s²", f"mean RMS acceleration, {found.rms_m_s2.mean() / G_M_S2:.2g} g"),
     ]
     out.append('<div class="figures">' + "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures) + "</div>")
     out += [f'<p class="muted">{escape(note)}</p>' for note in found.notes]

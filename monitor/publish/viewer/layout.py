@@ -121,10 +121,7 @@ def _trust(scene: Scene) -> rrb.Horizontal:
     """Make the page of trust, with state, verdict and fit at the left, and the sensors and clocks at the right."""
     fit = _plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}")
     covariates = [
-        _plot(
-            f"/trust/covariate/{rr.escape_entity_path_part(name)}",
-            f"{name}, {learned.unit}, and the range learned",
-        )
+        _plot(f"/trust/covariate/{rr.escape_entity_path_part(name)}", f"{name}, {learned.unit}, and the range learned")
         for name, learned in scene.learned.items()
     ]
     known = [fit, *covariates] if scene.n_stories else covariates

@@ -119,10 +119,7 @@ def _task(name: str, stream: str, paths: tuple[Path, ...], structure: Path, base
 
 
 def _compute_missing(
-    function: Callable[[Task], Outcome],
-    tasks: Sequence[Task],
-    results: Sequence[Path],
-    work: Work,
+    function: Callable[[Task], Outcome], tasks: Sequence[Task], results: Sequence[Path], work: Work
 ) -> list[Outcome]:
     """Compute the results that do not exist."""
     existing = [Outcome(t.name, t.paths, made=False) for t, r in zip(tasks, results, strict=True) if r.exists()]
