@@ -43,6 +43,7 @@ from .results import (
     Window,
     WindowResult,
 )
+from .rounding import rounded
 from .settings import Settings, read_settings, settings_problems
 
 __all__ = [
@@ -97,6 +98,7 @@ __all__ = [
     "partial",
     "read_settings",
     "require_extra",
+    "rounded",
     "set_aside",
     "settings_problems",
     "sha256",

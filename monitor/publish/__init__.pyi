@@ -23,7 +23,7 @@ from .viewer.diagnosis_view import write_view
 from .viewer.event_motion import write_motion
 from .viewer.output import Output
 from .viewer.publisher import RerunPublisher
-from .viewer.scene import make_modal_scene, make_scene, utc
+from .viewer.scene import make_scene
 
 __all__ = [
     "EVENTS",
@@ -51,7 +51,6 @@ __all__ = [
     "event_line",
     "event_text",
     "facts_of_line",
-    "make_modal_scene",
     "make_scene",
     "mode_rows",
     "month_file",
@@ -65,7 +64,6 @@ __all__ = [
     "replay_text",
     "telling",
     "to_json",
-    "utc",
     "window_line",
     "windows_table",
     "write_event",

@@ -38,7 +38,7 @@ from monitor.identification import (
     fit_single_modes,
     identify_modes,
 )
-from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, utc, write_look
+from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, write_look
 from monitor.runs.importers import ImportedChannel, doubt_unit, import_files
 from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
@@ -198,7 +198,10 @@ def _look(
         duration_s=duration_s,
         longest_s=len(longest.values) / rate_hz,
         gaps=tuple(
-            (utc(a.t_ns + round(len(a.values) / rate_hz * 1e9)), (b.t_ns - a.t_ns) * 1e-9 - len(a.values) / rate_hz)
+            (
+                np.datetime64(a.t_ns + round(len(a.values) / rate_hz * 1e9), "ns"),
+                (b.t_ns - a.t_ns) * 1e-9 - len(a.values) / rate_hz,
+            )
             for a, b in pairwise(runs)
         ),
         truncated=read.truncated,
@@ -464,7 +467,7 @@ def in_words(found: LookedRecording) -> str:
     lines = _columns([head, *mode_rows(found)]) if found.modes else ["no modes found"]
     lines += [f"note: {note}" for note in found.notes]
     lines.append(
-        f"{found.duration_s:.6g} s at {found.rate_hz:g} Hz from {str(utc(found.t_start_ns))[:19]} UTC; "
+        f"{found.duration_s:.6g} s at {found.rate_hz:g} Hz from {str(np.datetime64(found.t_start_ns, 'ns'))[:19]} UTC; "
         f"{len(found.gaps)} gaps; topics: {', '.join(sorted(found.topics))}"
     )
     level = [

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from monitor.config import Configuration
 from monitor.core import missing_extra
-from monitor.damage import AnyBaseline, Baseline, ModalBaseline
-from monitor.publish import RerunPublisher, make_modal_scene, make_scene
+from monitor.damage import AnyBaseline
+from monitor.publish import RerunPublisher, make_scene
 
 
 def open_viewer(
@@ -31,28 +31,4 @@ def open_viewer(
             file.unlink(missing_ok=True)
         on_warning(f"{'[output] serve' if file is None else file.name} is left out: it {missing}")
         return None
-    if isinstance(baseline, ModalBaseline) or not config.has_model:
-        assert not isinstance(baseline, Baseline)
-        view = make_modal_scene(
-            config.site.name or config.structure.name or "structure",
-            config.drawing,
-            config.channels,
-            baseline,
-            alarm_loss=config.alarm.alarm_loss,
-            cutoff_hz=config.processing.cutoff_hz,
-            max_modes=config.selection.max_modes,
-        )
-        return RerunPublisher(view, file=file, serve=serve, lossless=lossless)
-    scene = make_scene(
-        config.site.name or config.structure.name or "structure",
-        config.drawing,
-        config.story_names,
-        {sensor.channel: sensor.floor for sensor in config.floor_sensors if sensor.floor is not None},
-        config.model(),
-        baseline,
-        alarm_loss=config.alarm.alarm_loss,
-        cutoff_hz=config.processing.cutoff_hz,
-        misfit_threshold=config.watch.misfit,
-        max_modes=config.selection.max_modes,
-    )
-    return RerunPublisher(scene, file=file, serve=serve, lossless=lossless)
+    return RerunPublisher(make_scene(config, baseline), file=file, serve=serve, lossless=lossless)

@@ -8,45 +8,52 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import Array
+from monitor.core import Array, rounded
 from monitor.events import Event, FloorMotion, Spectrum
 
 EVENTS = "events.jsonl"
 """File of the events, beside results.jsonl. [name; contract]"""
 
 
+_NUMBERS = {
+    "drift_peak_m": "drift_m",
+    "drift_peak_std_m": "drift_std_m",
+    "drift_ratio_peak": "drift_ratio",
+    "drift_corner_hz": "corner_hz",
+    "frequencies_before_hz": "before_hz",
+    "frequencies_during_hz": "during_hz",
+    "frequencies_after_hz": "after_hz",
+    "loss": "loss",
+    "loss_std": "loss_std",
+}
+"""Key of a line -> field of an event. [names; contract]"""
+_OF_MOTION = ("peak_m_s2", "rms_m_s2", "peak_m_s", "arias_m_s", "cav_m_s")
+"""Numbers of a channel's motion, as keys and as fields. [names; contract]"""
+_OF_SPECTRUM = ("period_s", "pseudo_acceleration_m_s2")
+"""Those of the response spectrum. [names; contract]"""
+
+
 def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
     """Collect the values of an event's line of events.jsonl, None where one cannot be said; `recording` has its samples."""
+    numbers = {key: rounded(getattr(event, field)) for key, field in _NUMBERS.items()}
+    if not np.isfinite(event.drift_ratio).any():
+        numbers["drift_ratio_peak"] = None
+    spectrum = event.spectrum
     return {
         "id": event.id,
         "revision": event.revision,
         "t_begin_ns": event.begin_ns,
         "t_end_ns": event.end_ns,
-        "peak_acceleration_m_s2": {f.channel: _number(f.peak_m_s2) for f in event.floors},
-        "ground_peak_m_s2": None if event.ground is None else _number(event.ground.peak_m_s2),
-        "drift_peak_m": _numbers(event.drift_m),
-        "drift_peak_std_m": _numbers(event.drift_std_m),
-        "drift_ratio_peak": _numbers(event.drift_ratio) if np.isfinite(event.drift_ratio).any() else None,
-        "drift_corner_hz": _number(event.corner_hz),
-        "frequencies_before_hz": _numbers(event.before_hz),
-        "frequencies_during_hz": _numbers(event.during_hz),
-        "frequencies_after_hz": _numbers(event.after_hz),
-        "loss": _numbers(event.loss),
-        "loss_std": _numbers(event.loss_std),
+        "peak_acceleration_m_s2": {f.channel: rounded(f.peak_m_s2) for f in event.floors},
+        "ground_peak_m_s2": None if event.ground is None else rounded(event.ground.peak_m_s2),
+        **numbers,
         "verdict": event.verdict,
         "exceeded": list(event.exceeded),
         "saturated": list(event.saturated),
         "floors": [_motion(f) for f in event.floors],
         "ground": None if event.ground is None else _motion(event.ground),
-        "instrumental_intensity": None
-        if event.instrumental_intensity is None
-        else _number(event.instrumental_intensity),
-        "spectrum": None
-        if event.spectrum is None
-        else {
-            "period_s": _numbers(event.spectrum.period_s),
-            "pseudo_acceleration_m_s2": _numbers(event.spectrum.pseudo_acceleration_m_s2),
-        },
+        "instrumental_intensity": rounded(event.instrumental_intensity),
+        "spectrum": None if spectrum is None else {key: rounded(getattr(spectrum, key)) for key in _OF_SPECTRUM},
         "recording": recording,
         "note": event.note,
     }
@@ -54,8 +61,10 @@ def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
 
 def read_event(line: Mapping[str, Any]) -> Event:
     """Read an event from its line of events.jsonl, NaN where it cannot say; KeyError, TypeError or ValueError if it is none."""
-    n = len(line["drift_peak_m"])
-    spectrum, ratio = line["spectrum"], line["drift_ratio_peak"]
+    numbers = {field: line[key] for key, field in _NUMBERS.items()}
+    corner_hz = float(numbers.pop("corner_hz"))
+    numbers["drift_ratio"] = numbers["drift_ratio"] or [None] * len(line["drift_peak_m"])
+    spectrum = line["spectrum"]
     return Event(
         id=str(line["id"]),
         revision=line["revision"],
@@ -63,19 +72,10 @@ def read_event(line: Mapping[str, Any]) -> Event:
         end_ns=int(line["t_end_ns"]),
         floors=tuple(_read_motion(f) for f in line["floors"]),
         ground=None if line["ground"] is None else _read_motion(line["ground"]),
-        spectrum=None
-        if spectrum is None
-        else Spectrum(_array(spectrum["period_s"]), _array(spectrum["pseudo_acceleration_m_s2"])),
+        spectrum=None if spectrum is None else Spectrum(*(_array(spectrum[key]) for key in _OF_SPECTRUM)),
         instrumental_intensity=line["instrumental_intensity"],
-        corner_hz=float(line["drift_corner_hz"]),
-        drift_m=_array(line["drift_peak_m"]),
-        drift_std_m=_array(line["drift_peak_std_m"]),
-        drift_ratio=_array([None] * n if ratio is None else ratio),
-        before_hz=_array(line["frequencies_before_hz"]),
-        during_hz=_array(line["frequencies_during_hz"]),
-        after_hz=_array(line["frequencies_after_hz"]),
-        loss=_array(line["loss"]),
-        loss_std=_array(line["loss_std"]),
+        corner_hz=corner_hz,
+        **{field: _array(values) for field, values in numbers.items()},
         verdict=line["verdict"],
         exceeded=tuple(line["exceeded"]),
         saturated=tuple(line.get("saturated", ())),
@@ -129,32 +129,14 @@ def with_interval(value: float, half: float) -> str:
 
 def _motion(floor: FloorMotion) -> dict[str, Any]:
     """Collect the motion of one channel."""
-    return {
-        "channel": floor.channel,
-        "peak_m_s2": _number(floor.peak_m_s2),
-        "rms_m_s2": _number(floor.rms_m_s2),
-        "peak_m_s": _number(floor.peak_m_s),
-        "arias_m_s": _number(floor.arias_m_s),
-        "cav_m_s": _number(floor.cav_m_s),
-    }
+    return {"channel": floor.channel, **{key: rounded(getattr(floor, key)) for key in _OF_MOTION}}
 
 
 def _read_motion(content: Mapping[str, Any]) -> FloorMotion:
     """Read the motion of one channel."""
-    numbers = ("peak_m_s2", "rms_m_s2", "peak_m_s", "arias_m_s", "cav_m_s")
-    return FloorMotion(content["channel"], *_array([content[name] for name in numbers]).tolist())
+    return FloorMotion(content["channel"], *_array([content[key] for key in _OF_MOTION]).tolist())
 
 
 def _array(values: Sequence[float | None]) -> Array:
     """Make an array of numbers; NaN for None."""
     return np.array([np.nan if v is None else float(v) for v in values])
-
-
-def _numbers(values: Array) -> list[float | None]:
-    """Round numbers to nine significant digits; None for one that is not finite."""
-    return [_number(float(v)) for v in values]
-
-
-def _number(value: float) -> float | None:
-    """Round a number to nine significant digits; None where it is not finite."""
-    return float(f"{value:.9g}") if math.isfinite(value) else None

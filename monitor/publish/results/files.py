@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 import os
 import re
+import shutil
 from collections import deque
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO
 
 from monitor.core import BadInputError, finish, partial
 
@@ -73,7 +73,7 @@ def pack_month(path: Path) -> None:
         with partial(place).open("wb") as out:
             if place.exists():
                 with place.open("rb") as before:
-                    _copy(before, out)
+                    shutil.copyfileobj(before, out, _COPY_BYTES)
             with path.open("rb") as file:
                 zstandard.ZstdCompressor(write_checksum=True).copy_stream(file, out)
             out.flush()
@@ -87,8 +87,3 @@ def pack_month(path: Path) -> None:
 
 def _last_line(path: Path) -> bytes:
     return next(iter(deque(read_lines(path), maxlen=1)), b"")
-
-
-def _copy(source: BinaryIO, target: BinaryIO) -> None:
-    while data := source.read(_COPY_BYTES):
-        target.write(data)

@@ -29,7 +29,6 @@ from monitor.publish.viewer.scene import (
     mode_rows,
     plus_minus,
     status_markdown,
-    utc,
 )
 from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, SpectraDrawing
 from monitor.publish.viewer.state import PLAIN, StateDrawing, event_text
@@ -236,7 +235,7 @@ class ResultDrawing:
 
     def _set_time(self, t_ns: int) -> None:
         """Set the time of what is drawn next, UTC in ns."""
-        self._stream.set_time("time", timestamp=utc(t_ns))
+        self._stream.set_time("time", timestamp=np.datetime64(t_ns, "ns"))
         self._rows.at(t_ns)
 
     def _event(self, t_ns: int, text: str, level: rr.TextLogLevel) -> None:

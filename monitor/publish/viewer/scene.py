@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from drivers.base import ClockHealth
-from monitor.core import Array, ModalEstimate, WindowResult
-from monitor.damage import Baseline, LearnedRange, ModalBaseline, learned_ranges
+from monitor.config import Configuration
+from monitor.core import Array, ModalEstimate, WindowResult, utc
+from monitor.damage import AnyBaseline, Baseline, LearnedRange, ModalBaseline, learned_ranges
 from monitor.model import Drawing, Model
 
 Colour = tuple[int, int, int]
@@ -149,76 +149,40 @@ class Clocks(NamedTuple):
     clocks: Sequence[ClockHealth]
 
 
-def make_scene(
-    name: str,
-    drawing: Drawing,
-    story_names: tuple[str, ...],
-    sensor_floor: Mapping[str, int],
-    model: Model,
-    baseline: Baseline | None,
-    *,
-    alarm_loss: float,
-    cutoff_hz: float,
-    misfit_threshold: float,
-    max_modes: int,
-) -> Scene:
-    """Describe a site to the viewer; the baseline's model, if there is one, replaces the nominal `model`.
+def make_scene(config: Configuration, baseline: AnyBaseline | None) -> Scene:
+    """Describe a site to the viewer; the baseline's model, if there is one, replaces that of the structure file.
 
-    Parameters
-    ----------
-    sensor_floor : Mapping
-        Floor of each channel, from 1 = top, in column order of the samples.
-    alarm_loss : float
-        Relative stiffness loss that counts as an alarm.
-    misfit_threshold : float
-        Goodness of fit of the updated stiffness from which a diagnosis is requested.
-    max_modes : int
-        Most modes that are identified, the lowest ones below `cutoff_hz`.
+    Without a model each channel is a degree of freedom of the drawing.
     """
-    below = int((model.modes().frequencies_hz <= cutoff_hz).sum())
-    return Scene(
-        name=name,
-        channels=tuple(sensor_floor),
-        sensor_floor=tuple(sensor_floor.values()),
-        drawing=drawing,
-        story_names=story_names,
-        baseline_frequencies_hz=None if baseline is None else _by_model_mode(baseline),
-        has_baseline=baseline is not None,
-        alarm_loss=alarm_loss,
-        model=model if baseline is None else baseline.model,
-        cutoff_hz=cutoff_hz,
-        misfit_threshold=misfit_threshold,
-        n_modes=max(1, min(below, max_modes)),
-        learned={} if baseline is None else learned_ranges(baseline.law),
-    )
-
-
-def make_modal_scene(
-    name: str,
-    drawing: Drawing,
-    channels: tuple[str, ...],
-    baseline: ModalBaseline | None,
-    *,
-    alarm_loss: float,
-    cutoff_hz: float,
-    max_modes: int,
-) -> Scene:
-    """Describe to the viewer a site without a model, of which the modes alone are judged; parameters as of `make_scene`.
-
-    Each channel is a degree of freedom of the drawing.
-    """
-    return Scene(
-        name=name,
-        channels=channels,
-        sensor_floor=tuple(range(1, len(channels) + 1)),
-        drawing=drawing,
+    scene = Scene(
+        name=config.site.name or config.structure.name or "structure",
+        channels=config.channels,
+        sensor_floor=tuple(range(1, len(config.channels) + 1)),
+        drawing=config.drawing,
         story_names=(),
-        baseline_frequencies_hz=None if baseline is None else baseline.frequencies_hz,
+        baseline_frequencies_hz=None,
         has_baseline=baseline is not None,
-        alarm_loss=alarm_loss,
-        cutoff_hz=cutoff_hz,
-        n_modes=max_modes if baseline is None else baseline.frequencies_hz.size,
-        learned={} if baseline is None else learned_ranges(baseline.law),
+        alarm_loss=config.alarm.alarm_loss,
+        cutoff_hz=config.processing.cutoff_hz,
+        n_modes=config.selection.max_modes,
+        learned=learned_ranges(None if baseline is None else baseline.law),
+    )
+    if isinstance(baseline, ModalBaseline):
+        return replace(scene, baseline_frequencies_hz=baseline.frequencies_hz, n_modes=baseline.frequencies_hz.size)
+    if not config.has_model:
+        return scene
+    floors = {sensor.channel: sensor.floor for sensor in config.floor_sensors if sensor.floor is not None}
+    model = config.model()
+    below = int((model.modes().frequencies_hz <= scene.cutoff_hz).sum())
+    return replace(
+        scene,
+        channels=tuple(floors),
+        sensor_floor=tuple(floors.values()),
+        story_names=config.story_names,
+        baseline_frequencies_hz=None if baseline is None else _by_model_mode(baseline),
+        model=model if baseline is None else baseline.model,
+        misfit_threshold=config.watch.misfit,
+        n_modes=max(1, min(below, scene.n_modes)),
     )
 
 
@@ -239,17 +203,6 @@ def loss_colour(loss: float | None, alarm_loss: float) -> Colour:
     return red, green, blue
 
 
-def utc(t_ns: int) -> np.datetime64:
-    """Convert UTC nanoseconds to NumPy's time.
-
-    Examples
-    --------
-    >>> str(utc(1_700_000_000_000_000_000))
-    '2023-11-14T22:13:20.000000000'
-    """
-    return np.datetime64(t_ns, "ns")
-
-
 def plus_minus(value: float, std: float, scale: float = 1.0, digits: int = 1) -> str:
     """Write a value with two standard deviations."""
     return f"{value * scale:.{digits}f} ± {2 * std * scale:.{digits}f}"
@@ -257,7 +210,6 @@ def plus_minus(value: float, std: float, scale: float = 1.0, digits: int = 1) ->
 
 def status_markdown(scene: Scene, result: WindowResult) -> str:
     """Describe the estimates of a window in Markdown; intervals are two standard deviations."""
-    end = datetime.fromtimestamp(result.t_end_ns * 1e-9, UTC)
     modes, damage, lines = result.modes, result.damage, []
     if result.skipped is not None:
         lines += [f"**No result for this window:** {result.skipped.reason}", ""]
@@ -285,7 +237,7 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
             lines.append(
                 f"| {which} | {plus_minus(f, fs, digits=3)} | - | {100 * d:.2f} |" + (" - |" if changes else "")
             )
-    lines += ["", f"{scene.name}, window of {result.window_s:g} s to {end:%Y-%m-%d %H:%M:%S} UTC"]
+    lines += ["", f"{scene.name}, window of {result.window_s:g} s to {utc(result.t_end_ns, seconds=True)} UTC"]
     return "\n".join(lines)
 
 

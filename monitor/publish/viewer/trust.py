@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import rerun as rr
 
 from monitor.publish.viewer.rows import Rows
-from monitor.publish.viewer.scene import GREY, RED, SERIES, Clocks, Scene, utc
+from monitor.publish.viewer.scene import GREY, RED, SERIES, Clocks, Scene
 from monitor.publish.viewer.state import PLAIN, event_text
 from monitor.signals import Health
 
@@ -79,14 +80,14 @@ class TrustDrawing:
 
     def clocks(self, state: Clocks) -> None:
         """Draw the offset of every node's clock, ms."""
-        self._stream.set_time("time", timestamp=utc(state.t_ns))
+        self._stream.set_time("time", timestamp=np.datetime64(state.t_ns, "ns"))
         for clock in state.clocks:
             path = f"/clock/{rr.escape_entity_path_part(clock.node)}"
             self._stream.log(path, rr.Scalars(1000.0 * clock.offset_s))
 
     def finding(self, finding: dict[str, Any]) -> None:
         """Draw the finding of a diagnosis at the end of its data."""
-        self._stream.set_time("time", timestamp=utc(finding["t_ns"]))
+        self._stream.set_time("time", timestamp=np.datetime64(finding["t_ns"], "ns"))
         verdict = VERDICTS.get(finding.get("verdict") or "", "Diagnosis failed")
         says = finding.get("says") or finding.get("error") or ""
         text = f"# {verdict}\n\n{says}\n\nAsked because: {finding.get('reason', '')}"
