@@ -12,7 +12,7 @@ import numpy as np
 from monitor.core import write_atomically
 from monitor.events import POSSIBLY, Event, FloorMotion, Review, Site, compared
 from monitor.publish.reports import event_charts as charts
-from monitor.publish.reports.page import document, table
+from monitor.publish.reports.page import document, doubts, figures, table, verdict
 from monitor.publish.reports.period_data import utc
 from monitor.publish.results.event_lines import event_text, with_interval
 
@@ -64,28 +64,27 @@ def _head(page: EventPage) -> str:
     state, words = _verdict(e)
     length_s = (e.end_ns - e.begin_ns) * 1e-9
     told_in_words = event_text(e).replace("m/s^2", "m/s²")
-    figures = [(f"{length_s:.0f} s", "of strong motion")]
+    shown = [(f"{length_s:.0f} s", "of strong motion")]
     strongest = _strongest(e)
     if strongest is not None:
-        figures.append((f"{strongest.peak_m_s2:.3g} m/s²", f"largest acceleration, at {strongest.channel}"))
+        shown.append((f"{strongest.peak_m_s2:.3g} m/s²", f"largest acceleration, at {strongest.channel}"))
     if e.ground is not None:
-        figures.append((f"{e.ground.peak_m_s2:.3g} m/s²", "largest acceleration of the ground"))
+        shown.append((f"{e.ground.peak_m_s2:.3g} m/s²", "largest acceleration of the ground"))
     if np.isfinite(e.drift_m).any():
         j = int(np.nanargmax(e.drift_m))
-        figures.append((f"{1e3 * e.drift_m[j]:.3g} mm", f"largest drift, {page.names[j]}"))
+        shown.append((f"{1e3 * e.drift_m[j]:.3g} mm", f"largest drift, {page.names[j]}"))
     if np.isfinite(e.drift_ratio).any():
         j = int(np.nanargmax(e.drift_ratio))
-        figures.append((f"{100 * e.drift_ratio[j]:.2g} %", f"largest drift ratio, {page.names[j]}"))
+        shown.append((f"{100 * e.drift_ratio[j]:.2g} %", f"largest drift ratio, {page.names[j]}"))
     if e.instrumental_intensity is not None:
-        figures.append((f"{e.instrumental_intensity:.1f}", "intensity by one component, UNOFFICIAL (Wald et al. 1999)"))
-    boxes = "".join(f"<div><b>{escape(a)}</b>{escape(b)}</div>" for a, b in figures)
+        shown.append((f"{e.instrumental_intensity:.1f}", "intensity by one component, UNOFFICIAL (Wald et al. 1999)"))
     told = {_FINAL: "final line, by the event alone", _REVISED: "revised, by ambient motion after it"}
-    doubts = "".join(f"<li>{escape(part[:1].upper() + part[1:])}.</li>" for part in filter(None, e.note.split("; ")))
+    limits = (f"{part[:1].upper()}{part[1:]}." for part in filter(None, e.note.split("; ")))
     span = f"{utc(e.begin_ns)} to {utc(e.end_ns)} UTC"
     return (
-        f'<span class="verdict {state}">{words}</span><h1>Strong motion of {length_s:.0f} s. {escape(told_in_words)}</h1>'
-        f'<ul class="doubts">{doubts}</ul><p class="muted">{escape(page.name)}, event {escape(e.id)}: {span}; '
-        f'{told.get(-1 if e.revision is None else e.revision, "preliminary")}</p><div class="figures">{boxes}</div>'
+        f"{verdict(state, words, f'Strong motion of {length_s:.0f} s. {told_in_words}')}{doubts(limits)}"
+        f'<p class="muted">{escape(page.name)}, event {escape(e.id)}: {span}; '
+        f"{told.get(-1 if e.revision is None else e.revision, 'preliminary')}</p>{figures(shown)}"
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -143,15 +143,7 @@ class LookedRecording:
             "shape_std": dict(zip(self.channels, mode.shape_std.tolist(), strict=True)),
             "collinearity": mode.collinearity,
             "refined": mode.refined,
-            "second_opinion": {"skipped": second.reason}
-            if isinstance(second, Skipped)
-            else {
-                "frequency_hz": second.frequency_hz,
-                "frequency_std_hz": second.frequency_std_hz,
-                "damping_ratio": second.damping_ratio,
-                "damping_std": second.damping_std,
-                "mac": second.mac,
-            },
+            "second_opinion": {"skipped": second.reason} if isinstance(second, Skipped) else asdict(second),
             "differs": mode.differs,
             "remark": mode.remark,
         }

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, ModalEstimate, Skipped, write_atomically
 from monitor.publish.reports.charts import WIDTH, Axes
 from monitor.publish.reports.look_data import G_M_S2, LookedBand, LookedMode, LookedRecording
-from monitor.publish.reports.page import document, table
+from monitor.publish.reports.page import document, doubts, figures, table, verdict
 
 _MOST_POINTS = 700
 """Most points of a spectrum's line; of the bins that fall on one the strongest is drawn. [count; cost]"""
@@ -131,20 +131,16 @@ def _head(found: LookedRecording) -> str:
     """Write the title, the key figures and the doubts."""
     kind = "doubtful" if found.doubts else "normal"
     count = f"{len(found.modes)} {'mode' if len(found.modes) == 1 else 'modes'}"
-    files = escape(", ".join(Path(name).name for name in found.files))
-    out = [
-        f'<span class="verdict {kind}">{"doubts" if found.doubts else "looked at"}</span><h1>{count} in {files}</h1>'
-    ]
-    figures = [
+    files = ", ".join(Path(name).name for name in found.files)
+    out = [verdict(kind, "doubts" if found.doubts else "looked at", f"{count} in {files}")]
+    shown = [
         (f"{found.rate_hz:g} Hz", "sampling rate"),
         (_duration(found.duration_s), f"from {str(np.datetime64(found.t_start_ns, 'ns'))[:19]} UTC"),
         (f"{len(found.channels)}", f"channels: {', '.join(found.channels)}"),
         (f"{found.rms_m_s2.mean():.3g} m/s²", f"mean RMS acceleration, {found.rms_m_s2.mean() / G_M_S2:.2g} g"),
     ]
-    out.append('<div class="figures">' + "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures) + "</div>")
-    out += [f'<p class="muted">{escape(note)}</p>' for note in found.notes]
-    out.append('<ul class="doubts">' + "".join(f"<li>{escape(doubt)}</li>" for doubt in found.doubts) + "</ul>")
-    return "".join(out)
+    notes = [f'<p class="muted">{escape(note)}</p>' for note in found.notes]
+    return "".join([*out, figures(shown), *notes, doubts(found.doubts)])
 
 
 def _duration(seconds: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 
 from monitor.publish.reports import charts
@@ -62,6 +62,21 @@ def document(title: str, parts: Sequence[str]) -> str:
     style = f"<style>{STYLE}{charts.STYLE}</style>"
     head = f'<head><meta charset="utf-8"/>{viewport}<title>{escape(title)}</title>{style}</head>'
     return f'<!DOCTYPE html>\n<html lang="en">{head}\n<body>{"".join(parts)}</body></html>\n'
+
+
+def verdict(kind: str, words: str, title: str) -> str:
+    """Write the verdict as a badge of a kind of the style sheet, and the title, not yet escaped, beside it."""
+    return f'<span class="verdict {kind}">{words}</span><h1>{escape(title)}</h1>'
+
+
+def doubts(said: Iterable[str]) -> str:
+    """List what is doubtful."""
+    return f'<ul class="doubts">{"".join(f"<li>{escape(doubt)}</li>" for doubt in said)}</ul>'
+
+
+def figures(pairs: Iterable[tuple[str, str]]) -> str:
+    """Write key figures, each with its meaning."""
+    return f'<div class="figures">{"".join(f"<div><b>{escape(a)}</b>{escape(b)}</div>" for a, b in pairs)}</div>'
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, flows: bool = False) -> str:

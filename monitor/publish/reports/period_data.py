@@ -191,15 +191,32 @@ class PeriodResults:
         return max(self.course.windows, count)
 
     def add(self, line: dict[str, Any]) -> None:
-        """Add the values of one line of results.jsonl."""
-        t_ns = int(line["t_end_ns"])
-        if line["skipped"] is not None and reaches_between(t_ns, self.window_s, self.between):
+        """Add the values of one line of results.jsonl; a line that cannot be read adds nothing."""
+        t_ns, skipped = int(line["t_end_ns"]), line["skipped"] is not None
+        if skipped and reaches_between(t_ns, self.window_s, self.between):
             return
         at = self.grid.at(t_ns)
         course = follow(self.course, facts_of_line(line), self.misfit_limit)
-        losses = [
-            float(v) for v in (*(line["ddi"] or ()), *(line["ddi_std"] or ()))
-        ]  # a line that cannot be read adds nothing
+        losses = [[float(v) for v in line[key] or ()] for key in ("ddi", "ddi_std")]
+        self._add_modes(at, line)
+        self.course = course
+        for name, value in line.get("covariates", {}).items():
+            self.covariates.setdefault(name, Curve(self.grid)).add(at, value)
+        (self.refused if skipped else self.judged)[at] += 1
+        if skipped:
+            return
+        if losses[0]:
+            self._add_each(self.ddi, at, *losses)
+            self.unidentified |= set(line.get("unidentified") or [])
+        if (sizes := line.get("frequency_change")) is not None:
+            self._add_each(self.changes, at, sizes, line["frequency_change_std"])
+        if (misfit := line.get("misfit")) is not None:
+            self.misfit = self.misfit or Curve(self.grid)
+            self.misfit.add(at, misfit)
+        self.no_baseline = line["alarm"]["reason"].startswith("no baseline")
+
+    def _add_modes(self, at: int, line: dict[str, Any]) -> None:
+        """Add the frequencies of the model's modes and of the others."""
         tracks = line.get("mode_tracks") or []
         frequencies, stds = line["frequencies_hz"] or [], line["frequencies_std_hz"] or []
         numbers = line.get("model_modes") or range(1, len(frequencies) + 1)
@@ -210,27 +227,13 @@ class PeriodResults:
         for other in line.get("other_modes") or []:
             f, std = other["frequency_hz"], other["frequency_std_hz"]
             self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
-        self.course = course
-        for name, value in line.get("covariates", {}).items():
-            self.covariates.setdefault(name, Curve(self.grid)).add(at, value)
-        if line["skipped"] is not None:
-            self.refused[at] += 1
-            return
-        self.judged[at] += 1
-        if losses:
-            self.ddi = self.ddi or [Curve(self.grid) for _ in line["ddi"]]
-            for curve, value, std in zip(self.ddi, line["ddi"], line["ddi_std"], strict=False):
+
+    def _add_each(self, curves: list[Curve], at: int, values: list[Any], stds: list[Any]) -> None:
+        """Add the values of all stories or modes to their curves, which the first of them makes; None is not known."""
+        curves += [Curve(self.grid) for _ in values] if not curves else []
+        for curve, value, std in zip(curves, values, stds, strict=False):
+            if value is not None and std is not None:
                 curve.add(at, value, 2.0 * std)
-            self.unidentified |= set(line.get("unidentified") or [])
-        if (sizes := line.get("frequency_change")) is not None:
-            self.changes = self.changes or [Curve(self.grid) for _ in sizes]
-            for curve, size, std in zip(self.changes, sizes, line["frequency_change_std"], strict=False):
-                if size is not None and std is not None:
-                    curve.add(at, size, 2.0 * std)
-        if (misfit := line.get("misfit")) is not None:
-            self.misfit = self.misfit or Curve(self.grid)
-            self.misfit.add(at, misfit)
-        self.no_baseline = line["alarm"]["reason"].startswith("no baseline")
 
     def _mode(self, track: int, frequency: float, apart: float = _SAME_MODE) -> Curve:
         """Find the curve that a frequency continues: the curve of its track, else the nearest one, else a new one."""

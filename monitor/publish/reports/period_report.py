@@ -17,8 +17,8 @@ from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
 from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, assess, diagnosis_of, is_seen
 from monitor.events import Event, EventAlarm
 from monitor.publish.reports import period_notes as notes
-from monitor.publish.reports.page import document, table
-from monitor.publish.reports.period_data import Grid, PeriodResults, read_results, utc
+from monitor.publish.reports.page import document, doubts, figures, table, verdict
+from monitor.publish.reports.period_data import Envelope, Grid, PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality
 from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, panel, time_axes
 from monitor.publish.results.event_lines import event_text
@@ -162,27 +162,24 @@ def _percent(value: float, std: float) -> str:
 def _head(period: Period) -> str:
     """Write the verdict, the span and the key figures."""
     r, said = period.results, period.assessment
-    doubts = "".join(f"<li>{escape(doubt)}</li>" for doubt in said.doubts)
     apart = ", the time between recordings apart" if r.between else ""
     evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s{apart}"
-    figures = [(f"{100 * sum(r.judged) / r.due:.1f} %", evaluated)]
+    shown = [(f"{100 * sum(r.judged) / r.due:.1f} %", evaluated)]
     if period.known.has_baseline or period.alarms:
-        figures.append((f"{period.alarms}", "alarm" if period.alarms == 1 else "alarms"))
+        shown.append((f"{period.alarms}", "alarm" if period.alarms == 1 else "alarms"))
     if period.quality is not None and period.quality.availability is not None:
-        figures.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
+        shown.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
     if r.ddi and period.known.has_baseline:
         latest = [
             (f"{100 * c.latest:.2f} %", f"{_story(j, period)}, latest")
             for j, c in enumerate(r.ddi, 1)
             if _sight(j, period)[0]
         ]
-        figures += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
-    figures += [(f"{100 * c.latest:+.2f} %", f"mode {k}, latest") for k, c in enumerate(r.changes[:4], 1) if c.values]
-    boxes = "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures)
+        shown += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
+    shown += [(f"{100 * c.latest:+.2f} %", f"mode {k}, latest") for k, c in enumerate(r.changes[:4], 1) if c.values]
     return (
-        f'<span class="verdict {said.state}">{said.state.words}</span><h1>{escape(said.headline)}</h1>'
-        f'<ul class="doubts">{doubts}</ul><p class="muted">{escape(period.name)}, {_span(period)}</p>'
-        f'<div class="figures">{boxes}</div>'
+        f"{verdict(said.state, said.state.words, said.headline)}{doubts(said.doubts)}"
+        f'<p class="muted">{escape(period.name)}, {_span(period)}</p>{figures(shown)}'
         '<p class="muted">Shaded: least to greatest value in each step of time, with two standard deviations; line: '
         f"their mean. Times are those of the windows' ends, by the data.{_shortened(r.grid)}</p>"
     )
@@ -209,17 +206,10 @@ def _damage(period: Period) -> str:
     since = "since the baseline" if judged else "against the structure file"
     out = [f"<h2>{'Damage index' if judged else 'Stiffness'}</h2>"]
     for j, e in enumerate(curves, 1):
-        axes = time_axes(period.results.grid, low, high)
-        marks = [
-            axes.shade(_clipped(axes, a.t_first_ns, a.t_last_ns), "still" if a.level == "alarm" else "off")
-            for a in period.course.losses
-            if a.story in (j, WHOLE)
-        ]
-        lines = [(0.0, "before dashed")] + ([(100 * limit, "limit dashed")] if limit is not None else [])
-        marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
+        axes = time_axes(r.grid, low, high)
         seen, says = _sight(j, period)
         title = f"{_story(j, period)}: stiffness lost {since}, %; {says}"
-        marks += draw_envelope(axes, e, 100.0)
+        marks = _over_alarms(axes, period, (j, WHOLE), None if limit is None else 100 * limit, e)
         out.append(axes.chart(title, *marks, x_title=TIME, kind="" if seen else " unseen"))
     how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
     return "".join(out) + f"<p class='muted'>{how}</p>"
@@ -237,15 +227,7 @@ def _changes(period: Period) -> str:
     out = ["<h2>Change of the modes</h2>"]
     for k, e in curves:
         axes = time_axes(r.grid, min(low, -limit), max(high, 0.2 * limit))
-        of_shape = k + (period.known.n_modes or 0)
-        marks = [
-            axes.shade(_clipped(axes, a.t_first_ns, a.t_last_ns), "still" if a.level == "alarm" else "off")
-            for a in period.course.losses
-            if a.story in (k, of_shape, WHOLE)
-        ]
-        lines = [(0.0, "before dashed"), (-limit, "limit dashed")]
-        marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
-        marks += draw_envelope(axes, e, 100.0)
+        marks = _over_alarms(axes, period, (k, k + (period.known.n_modes or 0), WHOLE), -limit, e)
         title = f"mode {k}: frequency since the baseline, less what covariates explain, %"
         out.append(axes.chart(title, *marks, x_title=TIME))
     says = "Shaded where frequency or shape was announced as changed; dashed red: a confirmed fall of this size is an alarm."
@@ -282,10 +264,18 @@ def _thresholds(thresholds: Mapping[str, float]) -> str:
     )
 
 
-def _clipped(axes: TimeAxes, from_ns: int, to_ns: int | None) -> tuple[float, float]:
-    """Clip a span in ns to the axes, s."""
+def _over_alarms(axes: TimeAxes, period: Period, parts: tuple[int, ...], limit: float | None, e: Envelope) -> list[str]:
+    """Draw an envelope in percent over the alarms of some parts, no change, and the limit of an alarm."""
     start, stop = axes.x
-    return max(start, from_ns * 1e-9), min(stop, stop if to_ns is None else to_ns * 1e-9)
+    marks = []
+    for a in period.course.losses:
+        if a.story in parts:
+            last = stop if a.t_last_ns is None else a.t_last_ns * 1e-9
+            span = max(start, a.t_first_ns * 1e-9), min(stop, last)
+            marks.append(axes.shade(span, "still" if a.level == "alarm" else "off"))
+    lines = [(0.0, "before dashed")] + ([] if limit is None else [(limit, "limit dashed")])
+    marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
+    return marks + draw_envelope(axes, e, 100.0)
 
 
 def _alarms(period: Period) -> str:
@@ -299,9 +289,9 @@ def _alarms(period: Period) -> str:
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
-        verdict = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
+        diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
         size = _percent(e.ddi, e.ddi_std)
-        rows.append((e.level, _story(e.story, period), utc(e.t_first_ns), ended, size, verdict, actions))
+        rows.append((e.level, _story(e.story, period), utc(e.t_first_ns), ended, size, diagnosis, actions))
     began = {event.id: utc(event.begin_ns) for event in period.events}
     for alarm in period.event_alarms[:_MAX_ROWS]:
         seen = "nobody yet" if alarm.unacknowledged else f"by {alarm.acknowledged_by}"

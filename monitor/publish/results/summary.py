@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -140,24 +141,27 @@ class Quality:
 
     def add(self, health: Health) -> None:
         """Add the health of a span."""
-        self.samples += health.samples
-        self.gaps += health.gaps
-        self.overlaps += health.overlaps
+        channels = ((c.channel, c.rms_m_s2, c.spikes, c.repeated, c.clipped) for c in health.channels)
+        self.add_span(health.samples, health.rate_hz, channels)
+        self.gaps, self.overlaps = self.gaps + health.gaps, self.overlaps + health.overlaps
         self.lost_s += health.lost_s
-        seconds = health.samples / health.rate_hz
-        self.seconds += seconds
-        for c in health.channels:
-            total = self.channels.setdefault(c.channel, dict.fromkeys(("power", "spikes", "stuck_s", "clipped"), 0.0))
-            total["power"] += c.rms_m_s2**2 * seconds
-            total["spikes"] += c.spikes
-            total["stuck_s"] += seconds if c.repeated == 1.0 else 0.0
-            total["clipped"] += c.clipped * health.samples
+
+    def add_span(self, samples: int, rate_hz: float, channels: Iterable[tuple[str, float, int, float, float]]) -> None:
+        """Add the samples of a span and, of each channel, its name, RMS, spikes and shares repeated and clipped."""
+        seconds = samples / rate_hz
+        self.samples, self.seconds = self.samples + samples, self.seconds + seconds
+        for name, rms_m_s2, spikes, repeated, clipped in channels:
+            total = self.channels.setdefault(name, dict.fromkeys(("power", "spikes", "stuck_s", "clipped"), 0.0))
+            total["power"] += rms_m_s2**2 * seconds
+            total["spikes"] += spikes
+            total["stuck_s"] += seconds if repeated == 1.0 else 0.0
+            total["clipped"] += clipped * samples
 
     def content(self) -> dict[str, Any]:
         """Return the table `quality` of summary.json."""
         channels = {
             name: {
-                "rms_m_s2": float(np.sqrt(c["power"] / self.seconds)),
+                "rms_m_s2": float(np.sqrt(c["power"] / max(self.seconds, 1e-9))),
                 "spikes": int(c["spikes"]),
                 "stuck_s": c["stuck_s"],
                 "clipped_samples": round(c["clipped"]),

@@ -14,8 +14,9 @@ from monitor.core import Array, name_stories
 from monitor.diagnosis import Diagnosis, StoryLaw, in_words
 from monitor.inference import Segments
 from monitor.publish.reports.comparison import Comparison, compare
-from monitor.publish.viewer.layout import ALL_TIME, DARK
+from monitor.publish.viewer.layout import ALL_TIME, DARK, alone
 from monitor.publish.viewer.output import Output
+from monitor.publish.viewer.rows import name_line
 from monitor.publish.viewer.scene import GREY, Colour
 from monitor.publish.viewer.trust import VERDICTS
 
@@ -66,7 +67,7 @@ def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
     """Draw the spectra in dB, the ratios in dB and the misfit in bands, over frequency."""
 
     def line(path: str, name: str, colour: Colour, hz: Array, values: Array) -> None:
-        stream.log(path, rr.SeriesLines(names=[name], colors=[colour], widths=[1.5]), static=True)
+        name_line(stream, path, name, colour, widths=[1.5])
         column = rr.TimeColumn(_TIMELINE, sequence=np.round(1e3 * hz).astype(np.int64))
         stream.send_columns(path, [column], rr.Scalars.columns(scalars=values))
 
@@ -175,22 +176,15 @@ def _blueprint(c: Comparison, laws: Sequence[StoryLaw], story_names: Sequence[st
         )
         for law in laws
     ]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.TextDocumentView(origin="/verdict", name="Verdict"),
-                rrb.Horizontal(*maps),
-                *([rrb.Horizontal(*loops)] if loops else []),
-                row_shares=[3, 1, *([2] if loops else [])],
-            ),
-            rrb.Vertical(
-                rrb.Horizontal(*columns) if len(columns) <= 3 else rrb.Tabs(*columns),
-                plot("/worst", "Worst misfit of a band, standard deviations, over mHz"),
-                row_shares=[3, 1],
-            ),
-            column_shares=[2, 3],
-        ),
-        rrb.TimePanel(state="collapsed", timeline=_TIMELINE),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
+    left = rrb.Vertical(
+        rrb.TextDocumentView(origin="/verdict", name="Verdict"),
+        rrb.Horizontal(*maps),
+        *([rrb.Horizontal(*loops)] if loops else []),
+        row_shares=[3, 1, *([2] if loops else [])],
     )
+    right = rrb.Vertical(
+        rrb.Horizontal(*columns) if len(columns) <= 3 else rrb.Tabs(*columns),
+        plot("/worst", "Worst misfit of a band, standard deviations, over mHz"),
+        row_shares=[3, 1],
+    )
+    return alone(rrb.Horizontal(left, right, column_shares=[2, 3]), timeline=_TIMELINE)

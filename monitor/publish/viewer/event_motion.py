@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.events import Event, Review, Site
 from monitor.model import Drawing
-from monitor.publish.viewer.layout import ALL_TIME, view_from_front
+from monitor.publish.viewer.layout import ALL_TIME, alone, view_from_front
 from monitor.publish.viewer.output import Output
-from monitor.publish.viewer.rows import Rows, Strips
+from monitor.publish.viewer.rows import Rows, Strips, name_line
 from monitor.publish.viewer.scene import GREY, SERIES, loss_colour
 
 _TIMELINE = "event"
@@ -113,7 +113,7 @@ def _series(
     column = rr.TimeColumn(_TIMELINE, duration=t_ns.astype("timedelta64[ns]"))
     for i, (name, own) in enumerate(zip(names, values.T, strict=True)):
         place = _place(path, name)
-        stream.log(place, rr.SeriesLines(names=[name], colors=[SERIES[i % len(SERIES)]], widths=[1.5]), static=True)
+        name_line(stream, place, name, SERIES[i % len(SERIES)], widths=[1.5])
         stream.send_columns(place, [column], rr.Scalars.columns(scalars=own))
 
 
@@ -137,16 +137,9 @@ def _blueprint(title: str, drawing: Drawing, stories: tuple[str, ...], drift_mm:
     accelerations = rrb.TimeSeriesView(
         origin="/acceleration", name="Accelerations, m/s²", axis_x=ALL_TIME, plot_legend=rrb.PlotLegend("RightTop")
     )
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            view_from_front("/frame", title, low, high), rrb.Vertical(rrb.Grid(*drifts, grid_columns=1), accelerations)
-        ),
-        rrb.TimePanel(
-            state="collapsed", timeline=_TIMELINE, playback_speed=_SPEED, play_state="playing", loop_mode="all"
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-    )
+    frame = view_from_front("/frame", title, low, high)
+    views = rrb.Horizontal(frame, rrb.Vertical(rrb.Grid(*drifts, grid_columns=1), accelerations))
+    return alone(views, timeline=_TIMELINE, playback_speed=_SPEED, play_state="playing", loop_mode="all")
 
 
 def _place(path: str, name: str) -> str:

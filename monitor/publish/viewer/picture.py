@@ -14,7 +14,7 @@ from monitor.publish.results.event_lines import event_text as words_of
 from monitor.publish.results.event_lines import telling
 from monitor.publish.viewer.layout import DRIFT, blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
-from monitor.publish.viewer.rows import Rows, Strips, ui_radius
+from monitor.publish.viewer.rows import Rows, Strips, name_line, ui_radius
 from monitor.publish.viewer.scene import (
     GREEN,
     GREY,
@@ -30,7 +30,7 @@ from monitor.publish.viewer.scene import (
     plus_minus,
     status_markdown,
 )
-from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, SpectraDrawing
+from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, SpectraDrawing, follows
 from monitor.publish.viewer.state import PLAIN, StateDrawing, event_text
 from monitor.publish.viewer.thinning import Thinning
 from monitor.publish.viewer.trust import TrustDrawing
@@ -83,8 +83,7 @@ class ResultDrawing:
         for i in range(self._scene.n_modes):
             for entity in ("frequency", "change", "damping"):
                 self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
-        threshold = rr.SeriesLines(names=["alarm"], colors=[RED], widths=[1.0])
-        self._stream.log("/ddi/alarm_loss", threshold, static=True)
+        name_line(self._stream, "/ddi/alarm_loss", "alarm", RED, widths=[1.0])
         drawing, points = self._scene.drawing, self._plan.points
         others = rr.LineStrips3D(list(points[drawing.lines[~self._is_member]]), colors=[GREY], radii=[0.006])
         self._stream.log("/frame/lines", others, static=True)
@@ -141,11 +140,8 @@ class ResultDrawing:
         """Collect blocks until they are long enough to send."""
         self._state.reached(samples.t_ns)
         self._spectra.samples(samples)
-        if self._blocks:
-            last = self._blocks[-1]
-            due = last.t_ns + len(last.values) / last.rate_hz * 1e9
-            if samples.rate_hz != last.rate_hz or abs(samples.t_ns - due) > 0.5e9 / samples.rate_hz:
-                self.flush()
+        if self._blocks and not follows(self._blocks[-1], samples):
+            self.flush()
         self._blocks.append(samples)
         if sum(len(block.values) for block in self._blocks) >= self._block_s * self._stretch * samples.rate_hz:
             self.flush()
@@ -199,6 +195,19 @@ class ResultDrawing:
         self._set_time(result.t_end_ns)
         self._rows.text("/status", status_markdown(self._scene, result))
         self._state.draw(result.t_end_ns)
+        self._tell_changes(result)
+        self._modes(result)
+        self._stiffness(result.stiffness)
+        self._damage(result)
+        self._shapes.draw(result.modes if result.modes is not None and result.modes.model_mode.size else None)
+        self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
+        self._trust.covariates({n: drift_m(v[0]) if n == LEVEL else float(v[0]) for n, v in result.covariates.items()})
+        self._spectra.window(result)
+        if result.modes is not None:
+            self._stabilisation(result.modes)
+
+    def _tell_changes(self, result: WindowResult) -> None:
+        """Write into the log from when on windows are skipped and channels left out, and where that ends."""
         reason = result.skipped.reason if result.skipped else None
         if reason != self._skipped:
             text = f"no result: {reason}" if reason else "results again"
@@ -206,13 +215,12 @@ class ResultDrawing:
             self._skipped = reason
         left_out = {gone.channel: gone.reason for gone in result.left_out}
         for channel in sorted(left_out.keys() ^ self._left_out):
-            text = (
-                f"{channel} is left out: it {left_out[channel]}"
-                if channel in left_out
-                else f"{channel} is in use again"
-            )
-            self._event(result.t_end_ns, text, rr.TextLogLevel.WARN)
+            text = f"is left out: it {left_out[channel]}" if channel in left_out else "is in use again"
+            self._event(result.t_end_ns, f"{channel} {text}", rr.TextLogLevel.WARN)
         self._left_out = set(left_out)
+
+    def _modes(self, result: WindowResult) -> None:
+        """Draw frequency, damping and change of every mode that was found before."""
         modes = {row[0]: row for row in mode_rows(result.modes)} if result.modes else {}
         self._found |= modes.keys()
         for k in sorted(self._found):
@@ -224,14 +232,6 @@ class ResultDrawing:
             if result.modal is not None and f is not None:  # less what the covariates explain
                 change, change_std = np.expm1(result.modal.ln_frequency[k]), result.modal.ln_frequency_std[k]
             self._bounded(f"/modes/change/{k + 1}", change, change_std, 100.0)
-        self._stiffness(result.stiffness)
-        self._damage(result)
-        self._shapes.draw(result.modes if modes else None)
-        self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
-        self._trust.covariates({n: drift_m(v[0]) if n == LEVEL else float(v[0]) for n, v in result.covariates.items()})
-        self._spectra.window(result)
-        if result.modes is not None:
-            self._stabilisation(result.modes)
 
     def _set_time(self, t_ns: int) -> None:
         """Set the time of what is drawn next, UTC in ns."""

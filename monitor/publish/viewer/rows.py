@@ -68,6 +68,11 @@ class Rows:
         return rr.TimeColumn(self._timeline, duration=np.array(times, dtype="timedelta64[ns]"))
 
 
+def name_line(stream: rr.RecordingStream, path: str, name: str, colour: tuple[int, int, int], **more: Any) -> None:
+    """Give the line of an entity its name and its colour."""
+    stream.log(path, rr.SeriesLines(names=[name], colors=[colour], **more), static=True)
+
+
 def ui_radius(points: float) -> list[float]:
     """Convert a radius in points of the screen, not of the scene, to a component of Rerun."""
     return [float(rr.Radius.ui_points(points))]  # type: ignore[arg-type]

@@ -26,6 +26,12 @@ _MOST_CHANNELS = 6
 MODEL = (235, 235, 235)
 
 
+def follows(last: Samples, samples: Samples) -> bool:
+    """Tell whether samples come where the last ones end, within half a step, at their rate."""
+    due_ns = last.t_ns + len(last.values) / last.rate_hz * 1e9
+    return samples.rate_hz == last.rate_hz and abs(samples.t_ns - due_ns) <= 0.5e9 / samples.rate_hz
+
+
 def predict_power(scene: Scene, result: WindowResult, hz: Annotated[Array, "bins"]) -> Annotated[Array, "bins c"]:
     """Predict the power of the channels under equal white forces on all floors, up to a common factor.
 
@@ -55,11 +61,8 @@ class SpectraDrawing:
 
     def samples(self, samples: Samples) -> None:
         """Keep the latest samples; samples before a gap or at another rate are discarded."""
-        if self._blocks:
-            last = self._blocks[-1]
-            due = last.t_ns + len(last.values) / last.rate_hz * 1e9
-            if samples.rate_hz != last.rate_hz or abs(samples.t_ns - due) > 0.5e9 / samples.rate_hz:
-                self._blocks.clear()
+        if self._blocks and not follows(self._blocks[-1], samples):
+            self._blocks.clear()
         self._blocks.append(samples)
         while samples.t_ns - self._blocks[0].t_ns > _LONGEST_S * 1e9:
             self._blocks.popleft()

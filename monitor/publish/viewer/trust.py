@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from monitor.publish.viewer.rows import Rows
+from monitor.publish.viewer.rows import Rows, name_line
 from monitor.publish.viewer.scene import GREY, RED, SERIES, Clocks, Scene
 from monitor.publish.viewer.state import PLAIN, event_text
 from monitor.signals import Health
@@ -32,22 +32,17 @@ class TrustDrawing:
     def begin(self) -> None:
         """Draw the names and the colours."""
         for i, channel in enumerate(self._scene.channels):
-            colour = SERIES[i % len(SERIES)]
             for kind in ("rms", "noise_floor", "clipped"):
-                line = rr.SeriesLines(names=[channel], colors=[colour])
-                self._stream.log(f"/quality/{kind}/{rr.escape_entity_path_part(channel)}", line, static=True)
-        self._stream.log("/trust/misfit/line", rr.SeriesLines(names=["misfit"], colors=[SERIES[0]]), static=True)
-        self._stream.log("/trust/misfit/one", rr.SeriesLines(names=["expected"], colors=[GREY]), static=True)
-        self._stream.log(
-            "/trust/misfit/asks", rr.SeriesLines(names=["a diagnosis is asked for"], colors=[RED]), static=True
-        )
-
+                path = f"/quality/{kind}/{rr.escape_entity_path_part(channel)}"
+                name_line(self._stream, path, channel, SERIES[i % len(SERIES)])
+        lines = [("misfit/line", "misfit", SERIES[0]), ("misfit/one", "expected", GREY)]
+        lines += [("misfit/asks", "a diagnosis is asked for", RED)]
         for name, learned in self._scene.learned.items():
-            path = f"/trust/covariate/{rr.escape_entity_path_part(name)}"
-            self._stream.log(f"{path}/value", rr.SeriesLines(names=[learned.unit], colors=[SERIES[0]]), static=True)
-            for side in ("low", "high"):
-                says = f"{side}est at calibration"
-                self._stream.log(f"{path}/{side}", rr.SeriesLines(names=[says], colors=[GREY]), static=True)
+            path = f"covariate/{rr.escape_entity_path_part(name)}"
+            lines += [(f"{path}/value", learned.unit, SERIES[0])]
+            lines += [(f"{path}/{side}", f"{side}est at calibration", GREY) for side in ("low", "high")]
+        for path, name, colour in lines:
+            name_line(self._stream, f"/trust/{path}", name, colour)
 
     def covariates(self, values: Mapping[str, float]) -> None:
         """Draw each covariate beside the range that calibration learned from; the recording's time is the window's end."""
