@@ -64,6 +64,10 @@ class Axes:
     height: float
     """Height of the box, px."""
     log_y: bool = False
+    x_names: Sequence[str] = ()
+    """What x counts, if it counts named things."""
+    y_names: Sequence[str] = ()
+    """What y counts in rows, from the top."""
 
     def px(self, x: Array | float) -> Array:
         """Return horizontal places, 0 at the left to `WIDTH` at the right, of the shape of `x`."""
@@ -101,10 +105,14 @@ class Axes:
 
     def x_ticks(self) -> list[tuple[float, str]]:
         """Return the values and the labels of the ticks along x."""
+        if self.x_names:
+            return [(float(i), name) for i, name in enumerate(self.x_names)]
         return [(float(value), f"{value:.6g}") for value in ticks(self.x)]
 
     def y_ticks(self) -> list[tuple[float, str]]:
         """Return the values and the labels of the ticks along y; none on a strip."""
+        if self.y_names:
+            return [(len(self.y_names) - 0.5 - i, name) for i, name in enumerate(self.y_names)]
         if self.height < _LEAST_HEIGHT_PX:
             return []
         return [(float(value), f"{value:.6g}") for value in (decades(self.y) if self.log_y else ticks(self.y, 4))]
@@ -133,17 +141,6 @@ class Axes:
         a, b = self.px(x[0]), self.px(x[1])
         high, low = self.py((y or self.y)[1]), self.py((y or self.y)[0])
         return f'<rect class="{kind}" x="{a:.1f}" y="{high:.1f}" width="{b - a:.1f}" height="{low - high:.1f}"/>'
-
-
-@dataclass(frozen=True, slots=True)
-class _Rows(Axes):
-    """Axes whose y counts rows, of `names` from the top."""
-
-    names: Sequence[str] = ()
-
-    def y_ticks(self) -> list[tuple[float, str]]:
-        """Return the middles and the names of the rows."""
-        return [(len(self.names) - 0.5 - i, name) for i, name in enumerate(self.names)]
 
 
 def svg(height: float, label: str, *marks: str) -> str:
@@ -229,7 +226,7 @@ def bars(names: Sequence[str], values: Sequence[float], kinds: Sequence[str], la
 def heat(values: Annotated[Array, "rows columns"], x: Range, rows: Sequence[str], limit: float, title: str) -> str:
     """Draw a map of signed values: blue below zero, red above, full colour from +-`limit` on."""
     row = 16.0
-    axes = _Rows(x, (0.0, float(len(rows))), row * len(rows), names=rows)
+    axes = Axes(x, (0.0, float(len(rows))), row * len(rows), y_names=rows)
     edges = axes.px(np.linspace(*x, values.shape[1] + 1))
     out = []
     for i in range(len(rows)):

@@ -83,7 +83,6 @@ class HealthFile:
                 self._add(line)
 
     def _add(self, line: dict[str, Any]) -> None:
-        """Add the values of one line to the totals."""
         stream, total = line["stream"], self._total
         of = ("spikes", "repeated", "clipped")
         channels = ((c["channel"], c["rms_m_s2"] or 0.0, *(c[key] for key in of)) for c in line["channels"])

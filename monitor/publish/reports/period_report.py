@@ -143,12 +143,10 @@ def page(period: Period) -> str:
 
 
 def _span(period: Period) -> str:
-    """Write the ends of the period."""
     return f"{utc(period.results.grid.from_ns)} to {utc(period.results.grid.to_ns)} UTC"
 
 
 def _story(story: int, period: Period) -> str:
-    """Write the name of a story."""
     if story == WHOLE:
         return period.known.words.every
     return period.known.names[story - 1] if story <= len(period.known.names) else f"story {story}"
@@ -318,7 +316,6 @@ def _rest_count(count: int) -> str:
 
 
 def _modes(period: Period) -> str:
-    """Draw the frequencies."""
     curves = period.results.common_modes()
     if not curves:
         return ""

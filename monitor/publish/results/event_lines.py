@@ -113,8 +113,8 @@ def event_text(event: Event) -> str:
     return text[0].upper() + text[1:] + "."
 
 
-def with_interval(value: float, half: float) -> str:
-    """Write a number with what lies on either side of it, to two digits of that; to three digits where that is not known.
+def with_interval(value: float, half: float, digits: int = 3) -> str:
+    """Write a number with what lies on either side of it, to two digits of that; to `digits` where that is not known.
 
     Examples
     --------
@@ -122,18 +122,16 @@ def with_interval(value: float, half: float) -> str:
     ('7.59 ± 0.13', '0.0 ± 1.3', '123 ± 25', '2')
     """
     if not math.isfinite(half) or half <= 0.0:
-        return f"{value:.3g}"
-    digits = max(0, 1 - math.floor(math.log10(half)))
-    return f"{round(value, digits) + 0.0:.{digits}f} ± {half:.{digits}f}"  # never -0
+        return f"{value:.{digits}g}"
+    places = max(0, 1 - math.floor(math.log10(half)))
+    return f"{round(value, places) + 0.0:.{places}f} ± {half:.{places}f}"  # never -0
 
 
 def _motion(floor: FloorMotion) -> dict[str, Any]:
-    """Collect the motion of one channel."""
     return {"channel": floor.channel, **{key: rounded(getattr(floor, key)) for key in _OF_MOTION}}
 
 
 def _read_motion(content: Mapping[str, Any]) -> FloorMotion:
-    """Read the motion of one channel."""
     return FloorMotion(content["channel"], *_array([content[key] for key in _OF_MOTION]).tolist())
 
 

@@ -130,7 +130,6 @@ def announced(alarm: Alarm) -> dict[str, Any]:
 
 
 def _alarm(result: WindowResult) -> dict[str, Any]:
-    """Collect the values of the alarm."""
     alarm = result.alarm
     return {
         **announced(alarm),

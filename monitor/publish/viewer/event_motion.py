@@ -143,5 +143,4 @@ def _blueprint(title: str, drawing: Drawing, stories: tuple[str, ...], drift_mm:
 
 
 def _place(path: str, name: str) -> str:
-    """Return the entity of a series."""
     return f"{path}/{rr.escape_entity_path_part(name)}"

@@ -249,7 +249,6 @@ class ResultDrawing:
             self._rows.scalars(path, scale * value, scale * (value - 2 * std), scale * (value + 2 * std))
 
     def _stiffness(self, stiffness: StiffnessEstimate | None) -> None:
-        """Draw the stiffness of every story."""
         n = self._scene.n_stories
         values = stiffness.stiffness_n_per_m.tolist() if stiffness else [None] * n
         stds = np.sqrt(np.diag(stiffness.covariance)).tolist() if stiffness else [None] * n

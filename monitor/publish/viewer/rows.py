@@ -62,7 +62,6 @@ class Rows:
         self._rows.clear()
 
     def _index(self, times: list[int]) -> rr.TimeColumn:
-        """Make the time column of rows."""
         if self._timeline == "time":
             return rr.TimeColumn("time", timestamp=np.array(times, dtype="datetime64[ns]"))
         return rr.TimeColumn(self._timeline, duration=np.array(times, dtype="timedelta64[ns]"))
@@ -88,7 +87,6 @@ def _strip_type(dimensions: int) -> pa.DataType:
 
 
 def _concatenate(instances: Sequence[Any]) -> Any:
-    """Concatenate the instances of all rows."""
     if isinstance(instances[0], Strips):
         strips = [np.asarray(strip, dtype=np.float32) for row in instances for strip in row]
         points = np.concatenate(strips)

@@ -93,6 +93,5 @@ class TrustDrawing:
         self._stream.log("/events", rr.TextLog(event, level=rr.TextLogLevel.INFO, color=PLAIN))
 
     def _verdict(self, text: str) -> None:
-        """Draw the text of the verdict."""
         self._has_verdict = True
         self._stream.log("/verdict", rr.TextDocument(text, media_type="text/markdown"))
