@@ -10,6 +10,7 @@ from .errors import (
     NoResourcesError,
     UserError,
     WrongUsageError,
+    os_errors_of,
 )
 from .extras import import_extra, missing_extra, require_extra
 from .files import demand_place, finish, no_empty_folder, partial, set_aside, sha256, spare_inputs, write_atomically
@@ -92,6 +93,7 @@ __all__ = [
     "name_stories",
     "name_stories_in",
     "no_empty_folder",
+    "os_errors_of",
     "parallel_map",
     "parse_address",
     "parse_json",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Protocol
 
@@ -277,14 +278,9 @@ def send_all(
     sink, length = open_sink(to, head[-1].channels, dbc=dbc, say=say)
     try:
         n = round(length) if length >= 1 else max(1, round(length * head[-1].sample_rate_hz))
-        count = send_when_due(cut_blocks(_chain(head, stream), n), sink, speed=speed)
+        count = send_when_due(cut_blocks(chain(head, stream), n), sink, speed=speed)
     finally:
         sink.close()
     say(f"{count} samples sent")
     if isinstance(sink, CanSink) and (sink.saturated or sink.left_out):
         say(f"{sink.saturated} numbers saturated, {sink.left_out} samples left out")
-
-
-def _chain(head: list[SampleBlock], rest: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
-    yield from head
-    yield from rest

@@ -12,7 +12,7 @@ from drivers.base import ACCELERATION, GROUND, RecordingError, RecordingMissingE
 from drivers.mcap_file import read_metadata, read_recordings
 from monitor.core import BadInputError, MissingInputError, Skipped, WrongUsageError, parse_json, sha256
 from monitor.events import Event, Review, Site, review_event
-from monitor.publish import EVENTS, EventPage, read_event, write_event
+from monitor.publish import EVENTS, EventPage, last_told, read_event, write_event
 from monitor.runs.event_recordings import ABOUT, FOLDER
 from monitor.signals import FrontEnd, ProcessingSettings
 
@@ -33,20 +33,12 @@ def read_event_line(folder: Path, wanted: str) -> dict[str, Any]:
     Raises MissingInputError if there is no events.jsonl or no event in it, and WrongUsageError if there is no such event; the
     message lists those that there are.
     """
-    path, lines = folder / EVENTS, dict[str, dict[str, Any]]()
+    path = folder / EVENTS
     try:
-        texts = path.read_bytes().splitlines()
+        lines = last_told(path)
     except OSError as error:
         says = f"{path}: {error.strerror}; name a folder of 'replay --out' or of [output] dir"
         raise MissingInputError(says) from error
-    for text in texts:
-        try:
-            line = parse_json(text)
-            id, revision = str(line["id"]), int(line["revision"])
-        except (ValueError, KeyError, TypeError):  # a line that a crash cut
-            continue
-        if id not in lines or revision >= lines[id]["revision"]:
-            lines[id] = line
     if not lines:
         raise MissingInputError(f"{path}: no event was recognized")
     latest = max(lines.values(), key=lambda line: int(line["t_begin_ns"]))

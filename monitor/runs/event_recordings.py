@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.core import sha256
 from monitor.events import Event, EventSettings
+from monitor.runs.recent_blocks import RecentBlocks
 
 _log = logging.getLogger(__name__)
 
@@ -19,9 +19,7 @@ _GB = 1 << 30
 FOLDER = "events"
 """Folder of the recordings, beside results.jsonl. [name; contract of events.jsonl]"""
 _MARGIN_S = 20.0
-"""Data that are kept beyond the time before an event, since an event is recognized some seconds after it began. [s]"""
-
-
+"""Data beyond the time before an event, since an event is recognized some seconds after it began. [s]"""
 ABOUT = "event"
 """Name of the metadata record of a recording. [name; definition]"""
 
@@ -49,7 +47,7 @@ class EventRecordings:
     ) -> None:
         self._out, self._settings, self._run, self._note = out, settings, run, note
         self.failed: str | None = None
-        self._blocks: deque[SampleBlock] = deque()
+        self._recent = RecentBlocks(settings.pre_s)
         self._bytes = _used(out / FOLDER)
         self._refused: set[str] = set()
 
@@ -61,10 +59,7 @@ class EventRecordings:
 
     def push(self, block: SampleBlock, *, active: bool) -> None:
         """Keep a block; without an event that goes on, only those that the next one may need."""
-        self._blocks.append(block)
-        reach_ns = round((self._settings.pre_s + _MARGIN_S) * 1e9)
-        while not active and self._blocks[0].t_ns < block.t_ns - reach_ns:
-            self._blocks.popleft()
+        self._recent.push(block, drop=not active)
 
     def save(self, event: Event, about: Mapping[str, str]) -> str | None:
         """Write the samples of an event's final line; return the file's name, or None where it has none.
@@ -86,7 +81,7 @@ class EventRecordings:
             last_ns = event.end_ns + round(self._settings.post_s * 1e9)
             blocks = [
                 b
-                for b in self._blocks
+                for b in self._recent.blocks
                 if b.t_ns + round(b.samples.shape[0] / b.sample_rate_hz * 1e9) >= first_ns and b.t_ns < last_ns
             ]
             self._run(name, lambda: self._write(name, blocks, about))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from monitor.config import Configuration
-from monitor.core import BadInputError, MissingInputError, sha256
+from monitor.core import BadInputError, os_errors_of, sha256
 from monitor.diagnosis import effects_text, model_from_plain, structure_text
 from monitor.model import FORMS, Effect, EffectError
 from monitor.runs.event_recordings import FOLDER
@@ -29,10 +29,9 @@ def read_finding(path: Path) -> dict[str, Any]:
     Raises MissingInputError if the file cannot be read, BadInputError if it is no finding or the finding names no cause.
     """
     try:
-        finding = json.loads(path.read_text(encoding="utf-8"))
+        with os_errors_of(path):
+            finding = json.loads(path.read_text(encoding="utf-8"))
         verdict, says = finding["verdict"], finding["says"]
-    except OSError as error:
-        raise MissingInputError(f"{path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInputError(
             f"{path}: not a finding ({error!r}); give a diagnosis.json or DIR/findings/ID.json"
@@ -110,21 +109,18 @@ def verify_recordings(ledger: Path) -> int:
     if a recording was changed after it was written, MissingInputError if the ledger or a recording cannot be read.
     """
     known, found = dict[str, str](), 0
-    try:
-        for row in ledger.read_bytes().splitlines() if ledger.exists() else []:
-            with suppress(ValueError, KeyError, TypeError, RecursionError):  # a line of another kind
-                recording = json.loads(row)["files"][_RECORDING]
-                known[Path(recording["file"]).name] = str(recording["sha256"])
-    except OSError as error:
-        raise MissingInputError(f"{ledger}: {error.strerror or error}") from error
+    with os_errors_of(ledger):
+        rows = ledger.read_bytes().splitlines() if ledger.exists() else []
+    for row in rows:
+        with suppress(ValueError, KeyError, TypeError, RecursionError):  # a line of another kind
+            recording = json.loads(row)["files"][_RECORDING]
+            known[Path(recording["file"]).name] = str(recording["sha256"])
     for name, checksum in known.items():
         path = ledger.parent / FOLDER / name
         if not path.is_file():
             continue
-        try:
+        with os_errors_of(path):
             present = sha256(path)
-        except OSError as error:
-            raise MissingInputError(f"{path}: {error.strerror or error}") from error
         if present != checksum:
             raise BadInputError(
                 f"{path}: its SHA-256 is not that of the ledger: it was changed after it was written; compare with a copy"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -32,19 +32,27 @@ _LEAST_OVERLAP_S = 1.0
 
 
 def read_blocks(
-    paths: list[Path], config: Configuration, on_warning: OnWarning, longest_s: float = _BLOCK_S
+    paths: Sequence[Path], config: Configuration, on_warning: OnWarning, longest_s: float = _BLOCK_S
 ) -> Iterator[SampleBlock]:
-    """Read all samples of the recordings in time order, small blocks joined to blocks of at most `longest_s` seconds.
+    """Read what a site evaluates of its recordings, small blocks joined to at most `longest_s` (errors as `read_topics`)."""
+    topics = tuple(dict.fromkeys([*UNIT_OF, *(table.topic for table in config.covariates)]))
+    return read_topics(paths, topics, on_warning, longest_s, config.topics)
+
+
+def read_topics(
+    paths: Sequence[Path],
+    topics: tuple[str, ...],
+    on_warning: OnWarning,
+    longest_s: float = _BLOCK_S,
+    topic_map: Mapping[str, str] | None = None,
+) -> Iterator[SampleBlock]:
+    """Read all samples of the topics of recordings in time order, small blocks joined to blocks of at most `longest_s`.
 
     Raises MissingInputError or BadInputError if a recording is missing or unusable.
     """
     try:
         yield from read_recordings(
-            paths,
-            topics=tuple(dict.fromkeys([*UNIT_OF, *(table.topic for table in config.covariates)])),
-            topic_map=config.topics or None,
-            on_warning=on_warning,
-            longest_s=longest_s,
+            list(paths), topics=topics, topic_map=topic_map or None, on_warning=on_warning, longest_s=longest_s
         )
     except RecordingMissingError as error:
         raise MissingInputError(str(error)) from error
@@ -178,7 +186,7 @@ class Progress:
             )
 
 
-def file_names(paths: list[Path]) -> str:
+def file_names(paths: Sequence[Path]) -> str:
     """Join the recordings' names for a message."""
     return ", ".join(map(str, paths))
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
-from monitor.core import MissingInputError, WindowResult, demand_place, write_atomically
+from monitor.core import WindowResult, demand_place, os_errors_of, write_atomically
 from monitor.damage import AnyBaseline
 from monitor.events import Event
 from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, event_text, to_json
@@ -34,10 +35,12 @@ from monitor.runs.viewer import open_viewer
 __all__ = [
     "RESULT_FILES",
     "ResultFiles",
+    "ending",
     "pass_through",
     "recorded_content",
     "replay",
     "warn_of_losses",
+    "whole_session",
     "with_first_block_read",
 ]
 
@@ -72,7 +75,7 @@ class ResultFiles(Publisher):
 
     def close(self, summary: dict[str, Any], findings: Iterable[dict[str, Any]]) -> None:
         """Finish all files and write summary.json; MissingInputError if the folder cannot be written."""
-        try:
+        with os_errors_of(self._out, "cannot be written: "):
             self._lines.close()
             self._events.close()
             if self._results is not None:
@@ -80,8 +83,6 @@ class ResultFiles(Publisher):
                     self._results.write_json("/findings", finding["t_ns"], to_json(finding))
                 self._results.close()
             write_atomically(self._out / "summary.json", to_json(summary) + "\n")
-        except OSError as error:
-            raise MissingInputError(f"{self._out}: cannot be written: {error.strerror}") from error
 
     def abandon(self) -> None:
         """Remove the unfinished files."""
@@ -128,35 +129,45 @@ def replay(
     spans = recorded_spans(paths, config)
     written = ResultFiles(out)
     view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True, on_warning=on_warning)
-    recordings = EventRecordings(out, config.events)
     publishers = (written,) if view is None else (written, view)
-    session = Session(
-        config,
-        baseline,
-        publishers,
-        files,
-        out / "findings",
-        whole=True,
-        recordings=recordings,
-        between=times_between(spans),
-    )
-    try:
+    session = whole_session(config, baseline, publishers, files, out, spans)
+    with ending(session, written.abandon, *([] if view is None else [view.abort])):
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress, event_suffices=True)
         content = session.content(factor) | recorded_content(session, spans)
         written.close(content, session.online_diagnosis.findings)
         if view is not None:
             view.close(timeout_s=120.0)
-    except BaseException:
-        written.abandon()
-        if view is not None:
-            view.abort()
-        raise
-    finally:
-        session.online_diagnosis.close()
     if view is not None and view.failed is not None:
         on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
     warn_of_losses(session, spans, on_warning)
     return content | {"events": list(written.told.values())}
+
+
+def whole_session(
+    config: Configuration,
+    baseline: AnyBaseline | None,
+    publishers: Sequence[Publisher],
+    files: tuple[Path, Path | None] | None,
+    out: Path,
+    spans: list[RecordedSpan],
+) -> Session:
+    """Make the session of a whole run, with the findings and the recordings of events in the folder `out`."""
+    recordings, between = EventRecordings(out, config.events), times_between(spans)
+    findings = out / "findings"
+    return Session(config, baseline, publishers, files, findings, whole=True, recordings=recordings, between=between)
+
+
+@contextmanager
+def ending(session: Session, *abandon: Callable[[], None]) -> Iterator[None]:
+    """Abandon the outputs of a session if an error leaves the block, and stop its diagnoses in any case."""
+    try:
+        yield
+    except BaseException:
+        for give_up in abandon:
+            give_up()
+        raise
+    finally:
+        session.online_diagnosis.close()
 
 
 def with_first_block_read(source: Iterator[SampleBlock]) -> Iterator[SampleBlock]:

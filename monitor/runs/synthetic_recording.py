@@ -16,7 +16,7 @@ import numpy as np
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, SensorTable
-from monitor.core import Array, BadConfigurationError, MissingInputError
+from monitor.core import Array, BadConfigurationError, os_errors_of
 from monitor.model import (
     Effect,
     EffectError,
@@ -248,9 +248,6 @@ def _sample_blocks(
 
 def _write_blocks(out: Path, blocks: Iterator[SampleBlock], metadata: dict[str, dict[str, str]]) -> None:
     """Write blocks and metadata as a recording."""
-    try:
-        with McapWriter(out, metadata) as writer:
-            for block in blocks:
-                writer.write(block)
-    except OSError as error:
-        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
+    with os_errors_of(out, "cannot be written: "), McapWriter(out, metadata) as writer:
+        for block in blocks:
+            writer.write(block)

@@ -57,7 +57,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments, laws: Seque
 
 def _head(verdict_text: str, content: Content, compared: Comparison, segments: Segments) -> str:
     """Write the verdict, the separating measurement, the key figures and how to read the page."""
-    kind = content["verdict"]
+    kind = str(content["verdict"])
     out = [verdict(kind, {"none": "explained", "named": "cause named"}.get(kind, kind), verdict_text)]
     if content.get("doubts"):
         out.append(doubts(content["doubts"]))

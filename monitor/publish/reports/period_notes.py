@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from monitor.core import AlarmCondition, parse_json, utc_ns
 from monitor.damage import Loss
 from monitor.events import Event, EventAlarm
 from monitor.publish.reports.period_data import utc
-from monitor.publish.results.event_lines import EVENTS, read_event
+from monitor.publish.results.event_lines import EVENTS, last_told, read_event
 from monitor.publish.results.recorded_time import between_recordings
 from monitor.publish.results.summary import Quality as Totals
 
@@ -165,15 +166,12 @@ def read_findings(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]
 
 def read_events(folder: Path) -> list[Event]:
     """Read the events of a run, each as its highest revision says, in the order of time."""
-    found: dict[str, Event] = {}
-    for line in _read_json_objects(folder / EVENTS):
-        try:
-            event = read_event(line)
-        except (KeyError, TypeError, ValueError):  # a line that a crash cut
-            continue
-        if event.revision is not None and event.revision >= (found.get(event.id, event).revision or 0):
-            found[event.id] = event
-    return sorted(found.values(), key=lambda e: e.begin_ns)
+    events = []
+    with suppress(FileNotFoundError):
+        for line in last_told(folder / EVENTS).values():
+            with suppress(KeyError, TypeError, ValueError):
+                events.append(read_event(line))
+    return sorted(events, key=lambda e: e.begin_ns)
 
 
 def event_alarms(summary: dict[str, Any]) -> list[EventAlarm]:

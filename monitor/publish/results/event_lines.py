@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from monitor.core import Array, rounded
+from monitor.core import Array, parse_json, rounded
 from monitor.events import Event, FloorMotion, Spectrum
 
 EVENTS = "events.jsonl"
@@ -81,6 +82,20 @@ def read_event(line: Mapping[str, Any]) -> Event:
         saturated=tuple(line.get("saturated", ())),
         note=str(line["note"]),
     )
+
+
+def last_told(path: Path) -> dict[str, dict[str, Any]]:
+    """Read the line of the highest revision of each event in events.jsonl, by its id; OSError if it cannot be read."""
+    found = dict[str, dict[str, Any]]()
+    for text in path.read_bytes().splitlines():
+        try:
+            line = parse_json(text)
+            id, revision = str(line["id"]), int(line["revision"])
+        except (ValueError, KeyError, TypeError):  # preliminary, or a line that a crash cut
+            continue
+        if id not in found or revision >= found[id]["revision"]:
+            found[id] = line
+    return found
 
 
 def telling(event: Event) -> str:

@@ -20,11 +20,17 @@ from monitor.damage import load_baseline
 from monitor.publish import WINDOWS_SCHEMA, Publisher, windows_table
 from monitor.runs.archive.inventory import Survey
 from monitor.runs.baselines import load_healthy
-from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.object_storage import address, local_copies
-from monitor.runs.recordings import OnWarning, read_blocks, recorded_spans, times_between
-from monitor.runs.replay import ResultFiles, pass_through, recorded_content, warn_of_losses, with_first_block_read
-from monitor.runs.session import Session
+from monitor.runs.recordings import OnWarning, read_blocks, recorded_spans
+from monitor.runs.replay import (
+    ResultFiles,
+    ending,
+    pass_through,
+    recorded_content,
+    warn_of_losses,
+    whole_session,
+    with_first_block_read,
+)
 
 WINDOWS, RUNS, DIAGNOSES = "windows", "runs", "diagnoses"
 """Folders in the output: the Parquet dataset, the files of each run as a replay writes them, the diagnosis of each recording."""
@@ -137,26 +143,11 @@ def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
     rows = WindowsFile(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
     written = ResultFiles(folder, mcap=False)  # the dataset holds the windows for tools that read no JSON lines
     spans = recorded_spans(paths, settings)
-    session = Session(
-        settings,
-        healthy,
-        (rows, written),
-        (task.structure, task.baseline),
-        folder / "findings",
-        whole=True,
-        recordings=EventRecordings(folder, settings.events),
-        between=times_between(spans),
-    )
-    try:
+    session = whole_session(settings, healthy, (rows, written), (task.structure, task.baseline), folder, spans)
+    with ending(session, rows.abandon, written.abandon):
         factor = pass_through(session, source, paths, event_suffices=True)
         written.close(session.content(factor) | recorded_content(session, spans) | kept, ())
         rows.close()  # the run counts as done once this file is there, so it comes last
-    except BaseException:
-        rows.abandon()
-        written.abandon()
-        raise
-    finally:
-        session.online_diagnosis.close()
     warn_of_losses(session, spans, on_warning)
 
 

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from dask.callbacks import Callback
 
 from monitor.config import configuration as config
-from monitor.core import MissingInputError, UserError, parse_json, spare_inputs, write_atomically
+from monitor.core import MissingInputError, UserError, os_errors_of, parse_json, spare_inputs, write_atomically
 from monitor.runs.archive.inventory import Run, Survey, file_version, fingerprint, group_into_runs
 from monitor.runs.archive.jobs import (
     DIAGNOSES,
@@ -89,11 +89,9 @@ def reprocess(
     if baseline is not None:
         load_healthy(baseline, settings)
     configuration = _configuration_fingerprint(settings, baseline)
-    try:
+    with os_errors_of(out, "cannot be written: "):
         for folder in (WINDOWS, RUNS, DIAGNOSES):
             (out / folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
 
     with _open_workers(scheduler, workers, on_done) as work:
         surveys, failed = _survey_recordings(recordings, settings.topics, out, work)
