@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -212,22 +213,27 @@ def open_sink(
     return CanSink(layouts, transmit_over_tcp(server), server.close), CAN_BURST_S
 
 
-def _open_mqtt(to: str, rest: str) -> Sink:
+@contextmanager
+def _errors_of(to: str) -> Iterator[None]:
+    """Raise the errors of opening a destination as errors of the user, who named it."""
     try:
-        from drivers.mqtt import MqttPublisher, PublisherSettings
-    except ImportError as error:
-        raise BadConfigurationError(f"--to {to!r}: {error}") from error
-    place, _, topic = rest.rpartition(":")
-    try:
-        host, port = parse_address(place)
-        settings = PublisherSettings.model_validate({"host": host, "port": port, "topic": topic})
-        return MqttPublisher(settings)
+        yield
+    except (ImportError, SourceError) as error:
+        kind = MissingInputError if isinstance(error, SourceError) else BadConfigurationError
+        raise kind(f"--to {to!r}: {error}") from error
     except ValidationError as error:
         raise BadConfigurationError(f"--to {to!r}: {'; '.join(settings_problems(error))}") from error
     except ValueError:
         raise BadConfigurationError(f"--to {to!r}: expected {DESTINATIONS}") from None
-    except SourceError as error:
-        raise MissingInputError(f"--to {to!r}: {error}") from error
+
+
+def _open_mqtt(to: str, rest: str) -> Sink:
+    with _errors_of(to):
+        from drivers.mqtt import MqttPublisher, PublisherSettings
+
+        place, _, topic = rest.rpartition(":")
+        host, port = parse_address(place)
+        return MqttPublisher(PublisherSettings.model_validate({"host": host, "port": port, "topic": topic}))
 
 
 def _open_zenoh(to: str, rest: str) -> Sink:
@@ -238,12 +244,8 @@ def _open_zenoh(to: str, rest: str) -> Sink:
     if not endpoint or not key:
         raise BadConfigurationError(f"--to {to!r}: expected {DESTINATIONS}")
     where = {"listen" if mode == "router" else "connect": [endpoint]}
-    try:
+    with _errors_of(to):
         return ZenohPublisher(PublisherSettings.model_validate({"mode": mode, "key": key, **where}))
-    except ValidationError as error:
-        raise BadConfigurationError(f"--to {to!r}: {'; '.join(settings_problems(error))}") from error
-    except SourceError as error:
-        raise MissingInputError(f"--to {to!r}: {error}") from error
 
 
 def send_all(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from heapq import nlargest
@@ -60,16 +59,6 @@ class Envelope:
         return [slice(a, b) for a, b in pairwise(cuts) if b > a]
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Part of a grid: `n` equal bins from bin `first` on, over ``(from_ns, to_ns]``."""
-
-    from_ns: int
-    to_ns: int
-    first: int
-    n: int
-
-
 class Grid:
     """Grid of bins over ``(from_ns, to_ns]`` (UTC), equal but for the gaps in which no window ends and which charts shorten.
 
@@ -84,37 +73,30 @@ class Grid:
 
     def __init__(self, from_ns: int, to_ns: int, n: int, gaps: Sequence[tuple[int, int]] = ()) -> None:
         self.from_ns, self.to_ns, self.gaps = from_ns, to_ns, tuple(gaps)
-        ends = [from_ns, *(t for gap in gaps for t in gap), to_ns]
-        length = sum(b - a for a, b in zip(ends[::2], ends[1::2], strict=True))
-        parts, first = list[_Part](), 0
-        for k, (a, b) in enumerate(pairwise(ends)):
-            size = _GAP_BINS if k % 2 else max(1, round(n * (b - a) / length))
-            parts.append(_Part(a, b, first, size if gaps else n))
-            first += parts[-1].n
-        self._parts, self._ends = parts, [part.to_ns for part in parts]
-        self.n = first
-        self.edges_ns = np.array(
-            [from_ns, *(p.from_ns + (p.to_ns - p.from_ns) * k // p.n for p in parts for k in range(1, p.n + 1))]
-        )
+        self._ends = [from_ns, *(t for gap in gaps for t in gap), to_ns]
+        parts, length = list(pairwise(self._ends)), sum(b - a for a, b in self.stretches)
+        counts = [_GAP_BINS if k % 2 else max(1, round(n * (b - a) / length)) for k, (a, b) in enumerate(parts)]
+        counts = counts if gaps else [n]
+        inside = (a + (b - a) * i // m for (a, b), m in zip(parts, counts, strict=True) for i in range(1, m + 1))
+        self.edges_ns = np.array([from_ns, *inside])
+        self.n = self.edges_ns.size - 1
         share = min(_GAP_WIDTH, 0.5 / max(1, len(gaps)))
         rest = 1.0 - share * len(gaps)
-        widths = [share if k % 2 else rest * (p.to_ns - p.from_ns) / length for k, p in enumerate(parts)]
+        widths = [share if k % 2 else rest * (b - a) / length for k, (a, b) in enumerate(parts)]
         self._shares = np.concatenate([[0.0], np.cumsum(widths)])
 
     @property
     def stretches(self) -> list[tuple[int, int]]:
         """Ends of what lies outside the gaps, UTC in ns."""
-        return [(part.from_ns, part.to_ns) for part in self._parts[::2]]
+        return list(zip(self._ends[::2], self._ends[1::2], strict=True))
 
     def at(self, t_ns: int) -> int:
         """Find the bin of a time; the nearest bin where the time is outside the period."""
-        part = self._parts[min(bisect_left(self._ends, t_ns), len(self._parts) - 1)]
-        inside = (t_ns - part.from_ns - 1) * part.n // (part.to_ns - part.from_ns)
-        return part.first + min(max(inside, 0), part.n - 1)
+        return min(max(int(np.searchsorted(self.edges_ns, t_ns)) - 1, 0), self.n - 1)
 
     def share(self, t_ns: Array | float) -> Array:
         """Return the places of times along a chart, from 0 at its left to 1 at its right, of the shape of `t_ns`."""
-        ends = np.array([self.from_ns, *self._ends]) - self.from_ns
+        ends = np.array(self._ends) - self.from_ns
         return np.asarray(np.interp(np.asarray(t_ns, dtype=float) - self.from_ns, ends, self._shares))
 
 

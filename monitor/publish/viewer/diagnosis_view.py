@@ -17,7 +17,7 @@ from monitor.publish.reports.comparison import Comparison, compare
 from monitor.publish.viewer.layout import ALL_TIME, DARK, alone
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.rows import name_line
-from monitor.publish.viewer.scene import GREY, Colour
+from monitor.publish.viewer.scene import GREY, Colour, markdown_table
 from monitor.publish.viewer.trust import VERDICTS
 
 _TIMELINE = "frequency_mHz"
@@ -125,10 +125,10 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
         lines += [f"Left out: {item['says']}.", ""]
     if content["standing_misfit"] is not None:
         lines += [f"Already so at calibration: {content['standing_misfit']['says']}.", ""]
-    lines += ["| tried | place | log evidence, nats |", "|---|---|---|"]
-    lines += [f"| {t['effect']} | {t['location']} | {t['log_evidence_over_none']:.1f} |" for t in content["tried"]]
-    lines += ["", "| misfit before | std. dev. | what it says |", "|---|---|---|"]
-    lines += [f"| {m['where']} | {m['size']:.1f} | {m['says']} |" for m in content["misfit"][:10]]
+    tried = [(t["effect"], t["location"], f"{t['log_evidence_over_none']:.1f}") for t in content["tried"]]
+    misfit = [(m["where"], f"{m['size']:.1f}", m["says"]) for m in content["misfit"][:10]]
+    lines += [*markdown_table(("tried", "place", "log evidence, nats"), tried), ""]
+    lines += markdown_table(("misfit before", "std. dev.", "what it says"), misfit)
     rows = "; ".join(name for name, _, _ in compared.rows())
     lines += [
         "",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,16 @@ class ResultDrawing:
         self._is_member = scene.drawing.stories >= 0
         self._members = Strips(self._plan.points[scene.drawing.lines[self._is_member]])
         self._thin = Thinning() if thin else None
+        self._drawn_by: dict[type[Any], Callable[[Any], None]] = {
+            Assessment: self._state.take,
+            Clocks: self._trust.clocks,
+            Event: self.event,
+            Gap: self.gap,
+            Health: self._trust.health,
+            Samples: self.samples,
+            WindowResult: self.window,
+            dict: self._trust.finding,
+        }
 
     def begin(self) -> None:
         """Draw the names, the colours and the static parts."""
@@ -110,22 +121,7 @@ class ResultDrawing:
 
     def draw(self, item: Item) -> None:
         """Draw an item from the queue."""
-        if isinstance(item, Assessment):
-            self._state.take(item)
-        elif isinstance(item, Samples):
-            self.samples(item)
-        elif isinstance(item, Health):
-            self._trust.health(item)
-        elif isinstance(item, Clocks):
-            self._trust.clocks(item)
-        elif isinstance(item, dict):
-            self._trust.finding(item)
-        elif isinstance(item, Gap):
-            self.gap(item)
-        elif isinstance(item, Event):
-            self.event(item)
-        else:
-            self.window(item)
+        self._drawn_by[type(item)](item)
         if isinstance(item, Health | WindowResult):
             self._gathered += 1
             if self._gathered >= self._most * self._stretch:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Annotated, NamedTuple
@@ -216,29 +216,29 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
     if damage is not None:
         since = f"since the baseline, alarm from {100 * scene.alarm_loss:g} %"
         lines += [f"Stiffness lost {since if scene.has_baseline else 'against the structure file (no baseline)'}", ""]
-        lines += ["| story | loss, % (± 2σ) |", "|---|---|"]
         rows = zip(scene.story_names, damage.ddi, damage.ddi_std, strict=True)
-        lines += [f"| {name.removeprefix('story ')} | {plus_minus(d, s, 100)} |" for name, d, s in rows] + [""]
+        losses = [(name.removeprefix("story "), plus_minus(d, s, 100)) for name, d, s in rows]
+        lines += [*markdown_table(("story", "loss, % (± 2σ)"), losses), ""]
     if modes is not None:
-        changes = dict(enumerate(_modal_changes(result)))
-        lines += [
-            "| mode | frequency, Hz (± 2σ) | baseline, Hz | damping, % (± 2σ) |"
-            + (" change, % (± 2σ) |" if changes else "")
-        ]
-        lines += ["|---|---|---|---|" + ("---|" if changes else "")]
+        changes, table = dict(enumerate(_modal_changes(result))), []
         for k, f, fs, d, ds in mode_rows(modes):
             base = scene.baseline_frequencies_hz
             was = f"{base[k]:.3f}" if base is not None and k < len(base) and base[k] > 0 else "-"
-            lines.append(f"| {k + 1} | {plus_minus(f, fs, digits=3)} | {was} | {plus_minus(d, ds, 100, 2)} |")
-            lines[-1] += f" {changes[k]} |" if changes else ""
+            table.append((f"{k + 1}", plus_minus(f, fs, digits=3), was, plus_minus(d, ds, 100, 2), changes.get(k, "")))
+        which = "not of the model" if scene.n_stories else "another one"
         for other in modes.others:
             f, fs, d = other.frequency_hz, other.frequency_std_hz, other.damping_ratio
-            which = "not of the model" if scene.n_stories else "another one"
-            lines.append(
-                f"| {which} | {plus_minus(f, fs, digits=3)} | - | {100 * d:.2f} |" + (" - |" if changes else "")
-            )
+            table.append((which, plus_minus(f, fs, digits=3), "-", f"{100 * d:.2f}", "-"))
+        head = ("mode", "frequency, Hz (± 2σ)", "baseline, Hz", "damping, % (± 2σ)", "change, % (± 2σ)")
+        shown = len(head) if changes else len(head) - 1
+        lines += markdown_table(head[:shown], [row[:shown] for row in table])
     lines += ["", f"{scene.name}, window of {result.window_s:g} s to {utc(result.t_end_ns, seconds=True)} UTC"]
     return "\n".join(lines)
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Write the lines of a table in Markdown."""
+    return [f"| {' | '.join(head)} |", "|" + "---|" * len(head), *(f"| {' | '.join(row)} |" for row in rows)]
 
 
 def _modal_changes(result: WindowResult) -> list[str]:

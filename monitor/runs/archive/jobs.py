@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -116,15 +117,22 @@ def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
 
 def replay_run(task: Task) -> Outcome:
     """Replay the recordings of one run, and write the files of a replay and its part of the dataset."""
-    outcome = Outcome(task.name, task.paths)
     keep_freed()
+    with no_empty_folder(task.out / RUNS / task.name):
+        return _outcome(task, _replay)
+
+
+def diagnose_recording(task: Task) -> Outcome:
+    """Diagnose one recording, and write the diagnosis."""
+    return _outcome(task, _diagnose)
+
+
+def _outcome(task: Task, job: Callable[[Task, list[Path], OnWarning], None]) -> Outcome:
+    """Do the job of a task with the files to read, and return what became of it."""
+    outcome = Outcome(task.name, task.paths)
     try:
-        with (
-            threadpool_limits(limits=1),
-            no_empty_folder(task.out / RUNS / task.name),
-            local_copies(task.paths) as (paths, named),
-        ):
-            _replay(task, paths, lambda text: outcome.warnings.append(named(text)))
+        with threadpool_limits(limits=1), local_copies(task.paths) as (paths, named):
+            job(task, paths, lambda text: outcome.warnings.append(named(text)))
     except UserError as error:
         return replace(outcome, error=str(error))
     except OSError as error:
@@ -133,7 +141,7 @@ def replay_run(task: Task) -> Outcome:
 
 
 def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
-    """Replay a run, of which `paths` are the files to read; errors are raised."""
+    """Replay a run; errors are raised."""
     settings = configuration.load(task.structure)
     healthy = None if task.baseline is None else load_healthy(task.baseline, settings)
     folder = task.out / RUNS / task.name
@@ -151,22 +159,12 @@ def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
     warn_of_losses(session, spans, on_warning)
 
 
-def diagnose_recording(task: Task) -> Outcome:
-    """Diagnose one recording, and write the diagnosis."""
+def _diagnose(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
+    """Diagnose one recording; errors are raised."""
     from monitor.runs import diagnose
 
-    outcome = Outcome(task.name, task.paths)
-    try:
-        settings = configuration.load(task.structure)
-        healthy = (
-            None if task.baseline is None else load_baseline(task.baseline, settings.instrumented(), settings.updating)
-        )
-        with threadpool_limits(limits=1), local_copies(task.paths) as (paths, named):
-            found = diagnose.diagnose(paths, settings, healthy, lambda text: outcome.warnings.append(named(text)))
-        final = task.out / DIAGNOSES / f"{task.name}.json"
-        write_atomically(final, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
-    except UserError as error:
-        return replace(outcome, error=str(error))
-    except OSError as error:
-        return replace(outcome, error=f"{error.filename or task.out}: {error.strerror or error}")
-    return outcome
+    settings = configuration.load(task.structure)
+    known = task.baseline and load_baseline(task.baseline, settings.instrumented(), settings.updating)
+    found = diagnose.diagnose(paths, settings, known, on_warning)
+    final = task.out / DIAGNOSES / f"{task.name}.json"
+    write_atomically(final, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
