@@ -13,7 +13,17 @@ from .errors import (
     os_errors_of,
 )
 from .extras import import_extra, missing_extra, require_extra
-from .files import demand_place, finish, no_empty_folder, partial, set_aside, sha256, spare_inputs, write_atomically
+from .files import (
+    demand_place,
+    finish,
+    no_empty_folder,
+    partial,
+    set_aside,
+    sha256,
+    spare_inputs,
+    tail_lines,
+    write_atomically,
+)
 from .memory import keep_freed
 from .naming import name_stories, name_stories_in
 from .optimization import levenberg_marquardt
@@ -106,6 +116,7 @@ __all__ = [
     "sha256",
     "single_blas_thread",
     "spare_inputs",
+    "tail_lines",
     "to_plain",
     "utc",
     "utc_ns",
