@@ -188,7 +188,6 @@ def _match(a: Sequence[_Mode], b: Sequence[_Mode]) -> tuple[list[tuple[int, int]
 
 
 def _of_recording(path: Path, found: LookedRecording) -> _Side:
-    """Collect what is compared of a recording."""
     modes = tuple(
         _Mode(m.frequency_hz, m.frequency_std_hz, m.damping_ratio, m.damping_std, m.shape, m.shape_std)
         for m in found.modes

@@ -294,7 +294,6 @@ def level_doubts(segments: Segments, baseline: Baseline, found: Diagnosis) -> li
 
 
 def _witnesses(config: Configuration) -> tuple[WitnessSensor, ...]:
-    """List the witnesses of the structure file."""
     return tuple(
         WitnessSensor(s.channel, s.quantity, s.axis, s.floor, s.mounted)
         for s in config.witnesses

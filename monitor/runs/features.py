@@ -144,7 +144,6 @@ def _number(text: str, decimal_comma: bool) -> float:
 
 
 def _line(verdict: FeatureVerdict) -> dict[str, Any]:
-    """Return a verdict as a line of results.jsonl."""
     return {
         "t_end_ns": verdict.t_ns,
         "residual_sigma": rounded(list(verdict.residual_sigma), 6),
@@ -154,7 +153,6 @@ def _line(verdict: FeatureVerdict) -> dict[str, Any]:
 
 
 def _summary(judge: FeatureJudge, verdicts: list[FeatureVerdict]) -> dict[str, Any]:
-    """Summarize what was learned and what was announced."""
     learned = []
     for model in judge.models:
         axes = () if model.law is None else model.law.axes

@@ -385,7 +385,6 @@ def mac(a: Annotated[ComplexArray, "c"], b: Annotated[ComplexArray, "c"]) -> flo
 
 
 def _mode(modes: ModalEstimate, k: int, second: SingleMode | Skipped) -> LookedMode:
-    """Form the record of one mode."""
     shape = modes.shapes[k]
     c = len(shape)
     deviations = np.sqrt((modes.deviations[:, k, 2:] ** 2).sum(axis=0))

@@ -210,10 +210,8 @@ def _processing(found: LookedRecording, modes: Sequence[LookedMode]) -> tuple[li
 
 
 def _numbers(values: Array) -> str:
-    """Write a list of numbers."""
     return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
 
 
 def _matrix(values: Array) -> str:
-    """Write a matrix as a list of its rows."""
     return "[" + ", ".join("[" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in values) + "]"

@@ -194,7 +194,7 @@ def pass_through(
     for block in source:
         progress.add(block)
         if speed is not None:
-            _sleep_until_due(started, progress.data_s / speed)
+            time.sleep(max(0.0, started + progress.data_s / speed - time.monotonic()))
         push_block(session, block, paths)
     factor = progress.data_s / max(time.monotonic() - started, 1e-9)
     session.finish()
@@ -224,8 +224,3 @@ def warn_of_losses(session: Session, spans: list[RecordedSpan], on_warning: OnWa
         on_warning(says)
     if double := overlaps(spans):
         on_warning(f"{'; '.join(double)}: samples of one stream alone are judged; leave out the other recording")
-
-
-def _sleep_until_due(started: float, due_s: float) -> None:
-    """Sleep until `due_s` seconds after `started` (monotonic clock, s)."""
-    time.sleep(max(0.0, started + due_s - time.monotonic()))

@@ -294,7 +294,6 @@ class Session:
                 publisher.finding(finding)
 
     def _publish_state(self) -> None:
-        """Publish the present state where it changed."""
         present = self.present
         if present != self._assessment:
             self._assessment = present

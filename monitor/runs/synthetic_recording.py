@@ -185,7 +185,9 @@ def write_simulated_recording(
     }
     if weather is not None:
         metadata["reference_degc"] = repr(weather.reference_degc)
-    _write_blocks(out, _sample_blocks(motion, config, weather, t0_ns), {"simulated": metadata})
+    with os_errors_of(out, "cannot be written: "), McapWriter(out, {"simulated": metadata}) as writer:
+        for block in _sample_blocks(motion, config, weather, t0_ns):
+            writer.write(block)
 
 
 def _turning(config: Configuration, truth: Model) -> Annotated[Array, "g n"] | None:
@@ -210,7 +212,6 @@ def _turning(config: Configuration, truth: Model) -> Annotated[Array, "g n"] | N
 
 
 def _gyroscopes(config: Configuration) -> list[SensorTable]:
-    """List the gyroscopes of a structure file."""
     return [sensor for sensor in config.witnesses if sensor.quantity == "rotation_rate"]
 
 
@@ -244,10 +245,3 @@ def _sample_blocks(
         degc = weather.degc(int((n_samples - 1) / rate_hz * _TEMPERATURE_HZ) + 1, _TEMPERATURE_HZ)
         streams.append(cut_into_blocks(TEMPERATURE, degc[:, None], ("air",), _TEMPERATURE_HZ, t0_ns, 1, unit="degC"))
     return heapq.merge(*streams, key=lambda block: block.t_ns)
-
-
-def _write_blocks(out: Path, blocks: Iterator[SampleBlock], metadata: dict[str, dict[str, str]]) -> None:
-    """Write blocks and metadata as a recording."""
-    with os_errors_of(out, "cannot be written: "), McapWriter(out, metadata) as writer:
-        for block in blocks:
-            writer.write(block)

@@ -99,7 +99,10 @@ class Axes:
             words.append(text("100%", self.height + below, x_title, "end"))
             below += 14.0
         frame = f'<rect class="frame" width="{WIDTH:g}" height="{self.height:g}"/>'
-        box = _stretched(self.height, *grid, *marks, frame)
+        size = (
+            f'viewBox="0 0 {WIDTH:g} {self.height:g}" preserveAspectRatio="none" width="100%" height="{self.height:g}"'
+        )
+        box = f"<svg {size}>{''.join([*grid, *marks, frame])}</svg>"
         drawing = svg(self.height + below, title, box, *words)
         return f'<figure class="chart{kind}"><figcaption>{escape(title)}</figcaption>{drawing}</figure>'
 
@@ -152,12 +155,6 @@ def svg(height: float, label: str, *marks: str) -> str:
     '<svg height="10" role="img" aria-label="a &lt; b"><path d="M0 0h5"/></svg>'
     """
     return f'<svg height="{height:g}" role="img" aria-label="{escape(label)}">{"".join(marks)}</svg>'
-
-
-def _stretched(height: float, *marks: str) -> str:
-    """Put marks into a box that is stretched to the width of the page."""
-    size = f'viewBox="0 0 {WIDTH:g} {height:g}" preserveAspectRatio="none"'
-    return f'<svg {size} width="100%" height="{height:g}">{"".join(marks)}</svg>'
 
 
 def _share(place: float) -> str:

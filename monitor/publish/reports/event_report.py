@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from monitor.core import write_atomically
-from monitor.events import POSSIBLY, Event, FloorMotion, Review, Site, compared
+from monitor.events import POSSIBLY, Event, Review, Site, compared
 from monitor.publish.reports import event_charts as charts
 from monitor.publish.reports.page import document, doubts, figures, table, verdict
 from monitor.publish.reports.period_data import utc
-from monitor.publish.results.event_lines import event_text, with_interval
+from monitor.publish.results.event_lines import event_text, strongest_floor, with_interval
 
 _UNKNOWN = "–"
 _FINAL, _REVISED = 0, 1
@@ -65,7 +65,7 @@ def _head(page: EventPage) -> str:
     length_s = (e.end_ns - e.begin_ns) * 1e-9
     told_in_words = event_text(e).replace("m/s^2", "m/s²")
     shown = [(f"{length_s:.0f} s", "of strong motion")]
-    strongest = _strongest(e)
+    strongest = strongest_floor(e)
     if strongest is not None:
         shown.append((f"{strongest.peak_m_s2:.3g} m/s²", f"largest acceleration, at {strongest.channel}"))
     if e.ground is not None:
@@ -94,12 +94,6 @@ def _verdict(event: Event) -> tuple[str, str]:
         possibly = event.verdict is not None and event.verdict.startswith(POSSIBLY)
         return "alarm", "limit possibly exceeded" if possibly else "limit exceeded"
     return ("normal", "within limits") if event.verdict is not None else ("", "no limit judged")
-
-
-def _strongest(event: Event) -> FloorMotion | None:
-    """Return the channel with the largest acceleration; None where none is known."""
-    known = [f for f in event.floors if np.isfinite(f.peak_m_s2)]
-    return max(known, key=lambda f: f.peak_m_s2) if known else None
 
 
 def _limits(page: EventPage) -> str:
@@ -161,17 +155,16 @@ def _floors(page: EventPage) -> str:
     else:
         out.append(f"<p>{escape(page.why_not)}</p>")
     motions = [*page.event.floors, *([] if page.event.ground is None else [page.event.ground])]
+    least = {name: " (at least)" for name in page.event.saturated}
     rows = [
-        (_named(f, page), *(_number(v, 3) for v in (f.peak_m_s2, f.rms_m_s2, 1e3 * f.peak_m_s, f.arias_m_s, f.cav_m_s)))
+        (
+            f.channel + least.get(f.channel, ""),
+            *(_number(v, 3) for v in (f.peak_m_s2, f.rms_m_s2, 1e3 * f.peak_m_s, f.arias_m_s, f.cav_m_s)),
+        )
         for f in motions
     ]
     head = ["channel", "#peak, m/s²", "#RMS, m/s²", "#velocity, mm/s", "#Arias, m/s", "#CAV, m/s"]
     return "".join(out) + table(head, rows)
-
-
-def _named(motion: FloorMotion, page: EventPage) -> str:
-    """Name a channel, and say where its motion is a lower bound."""
-    return motion.channel + (" (at least)" if motion.channel in page.event.saturated else "")
 
 
 def _frequencies(page: EventPage) -> str:

@@ -131,7 +131,6 @@ class LookedRecording:
         }
 
     def _mode(self, number: int, mode: LookedMode) -> dict[str, Any]:
-        """Form the record of a mode in look.json."""
         second = mode.second
         return {
             "mode": number,

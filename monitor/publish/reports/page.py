@@ -79,6 +79,11 @@ def figures(pairs: Iterable[tuple[str, str]]) -> str:
     return f'<div class="figures">{"".join(f"<div><b>{escape(a)}</b>{escape(b)}</div>" for a, b in pairs)}</div>'
 
 
+def rest(count: int, what: str) -> str:
+    """State how many are not shown or drawn; nothing if there are none."""
+    return f"<p>{count} more are not {what}.</p>" if count > 0 else ""
+
+
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, flows: bool = False) -> str:
     """Write a table; without headings it has no header row.
 

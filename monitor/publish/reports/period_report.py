@@ -17,7 +17,7 @@ from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
 from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, assess, diagnosis_of, is_seen
 from monitor.events import Event, EventAlarm
 from monitor.publish.reports import period_notes as notes
-from monitor.publish.reports.page import document, doubts, figures, table, verdict
+from monitor.publish.reports.page import document, doubts, figures, rest, table, verdict
 from monitor.publish.reports.period_data import Envelope, Grid, PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality
 from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, panel, time_axes
@@ -152,11 +152,6 @@ def _story(story: int, period: Period) -> str:
     return period.known.names[story - 1] if story <= len(period.known.names) else f"story {story}"
 
 
-def _percent(value: float, std: float) -> str:
-    """Write a share in percent with two standard deviations."""
-    return f"{100 * value:.2f} ± {200 * std:.2f} %"
-
-
 def _head(period: Period) -> str:
     """Write the verdict, the span and the key figures."""
     r, said = period.results, period.assessment
@@ -288,7 +283,7 @@ def _alarms(period: Period) -> str:
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
         diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
-        size = _percent(e.ddi, e.ddi_std)
+        size = f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"
         rows.append((e.level, _story(e.story, period), utc(e.t_first_ns), ended, size, diagnosis, actions))
     began = {event.id: utc(event.begin_ns) for event in period.events}
     for alarm in period.event_alarms[:_MAX_ROWS]:
@@ -298,7 +293,7 @@ def _alarms(period: Period) -> str:
         rows.append((Level.ALARM, what, began.get(alarm.id, _UNKNOWN), lasts, _UNKNOWN, "a limit of the site", seen))
     size = "#stiffness lost" if period.known.n_modes is None else "#change"
     head = ["level", "where", "@from, UTC", "@to, UTC", size, "diagnosis", "acknowledged"]
-    return "<h2>Alarms</h2>" + table(head, rows) + _rest_count(len(period.course.losses))
+    return "<h2>Alarms</h2>" + table(head, rows) + rest(len(period.course.losses) - _MAX_ROWS, "shown")
 
 
 def _events(period: Period) -> str:
@@ -307,12 +302,7 @@ def _events(period: Period) -> str:
         return ""
     rows = [(e.id, utc(e.begin_ns), utc(e.end_ns), event_text(e), e.note) for e in period.events[:_MAX_ROWS]]
     head = ["event", "@from, UTC", "@to, UTC", "what it was", "note"]
-    return "<h2>Events</h2>" + table(head, rows) + _rest_count(len(period.events))
-
-
-def _rest_count(count: int) -> str:
-    """State how many rows are not shown."""
-    return f"<p>{count - _MAX_ROWS} more are not shown.</p>" if count > _MAX_ROWS else ""
+    return "<h2>Events</h2>" + table(head, rows) + rest(len(period.events) - _MAX_ROWS, "shown")
 
 
 def _modes(period: Period) -> str:
@@ -415,8 +405,12 @@ def _findings(period: Period) -> str:
             for f in period.findings[:_MAX_ROWS]
         ]  # fmt: skip
         out.append("<h2>Findings</h2>" + table(["no.", "@data until, UTC", "asked because", "verdict", "says"], rows))
-        out.append(_rest_count(len(period.findings)))
+        out.append(rest(len(period.findings) - _MAX_ROWS, "shown"))
     if period.decisions:
         lines = [(utc(d.t_ns), d.who, d.what) for d in period.decisions[:_MAX_ROWS]]
-        out.append("<h2>Ledger</h2>" + table(["@when, UTC", "who", "what"], lines) + _rest_count(len(period.decisions)))
+        out.append(
+            "<h2>Ledger</h2>"
+            + table(["@when, UTC", "who", "what"], lines)
+            + rest(len(period.decisions) - _MAX_ROWS, "shown")
+        )
     return "".join(out)

@@ -104,13 +104,17 @@ def telling(event: Event) -> str:
     return f"strong motion ({told[event.revision]}), {event.id}"
 
 
+def strongest_floor(event: Event) -> FloorMotion | None:
+    """Return the motion of the channel with the largest acceleration; None where none is known."""
+    known = (f for f in event.floors if math.isfinite(f.peak_m_s2))
+    return max(known, key=lambda f: f.peak_m_s2, default=None)
+
+
 def event_text(event: Event) -> str:
     """Tell an event in one sentence, as for a message: first the verdict, then the largest acceleration and the largest drift."""
     parts = [event.verdict or "no limit was judged"]
-    known = [f for f in event.floors if math.isfinite(f.peak_m_s2)]
     least = "at least " if event.saturated else ""
-    if known:
-        strongest = max(known, key=lambda f: f.peak_m_s2)
+    if (strongest := strongest_floor(event)) is not None:
         parts.append(f"largest acceleration {least}{strongest.peak_m_s2:.2g} m/s^2 at {strongest.channel}")
     if event.ground is not None:
         parts.append(f"ground {event.ground.peak_m_s2:.2g} m/s^2")

@@ -106,7 +106,6 @@ def _fits(value: Any, schema: Mapping[str, Any]) -> bool:
 
 
 def _is_of(value: Any, kind: str) -> bool:
-    """Return whether a value is of a type of JSON schema."""
     if isinstance(value, int) and not isinstance(value, bool):
         return kind in {"integer", "number"} and -(1 << 63) <= value < 1 << 63
     if isinstance(value, float) and not math.isfinite(value):

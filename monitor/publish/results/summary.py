@@ -110,7 +110,6 @@ class Summary:
 
 
 def _with_value(mean: tuple[int, float], value: float) -> tuple[int, float]:
-    """Update a count and its mean by a value."""
     count, share = mean[0] + 1, 1.0 / (mean[0] + 1)
     return count, mean[1] + share * (value - mean[1])
 

@@ -141,7 +141,6 @@ def _outcome(task: Task, job: Callable[[Task, list[Path], OnWarning], None]) -> 
 
 
 def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
-    """Replay a run; errors are raised."""
     settings = configuration.load(task.structure)
     healthy = None if task.baseline is None else load_healthy(task.baseline, settings)
     folder = task.out / RUNS / task.name
@@ -160,7 +159,6 @@ def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
 
 
 def _diagnose(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
-    """Diagnose one recording; errors are raised."""
     from monitor.runs import diagnose
 
     settings = configuration.load(task.structure)

@@ -112,7 +112,6 @@ def reprocess(
 
 
 def _task(name: str, stream: str, paths: tuple[Path, ...], structure: Path, baseline: Path | None, out: Path) -> Task:
-    """Create a task with absolute paths."""
     return Task(name, stream, paths, structure.resolve(), baseline and baseline.resolve(), out.resolve())
 
 
@@ -185,7 +184,8 @@ def _survey_recordings(
         if known is None:
             new.append((key, path))
         else:
-            surveys.append(_survey_from_json(known, key))
+            as_made = {"channels": tuple(known["channels"]), "path": Path(known["path"]), "version": key}
+            surveys.append(Survey(**known | as_made))
     surveyed = work(survey_recording, [(path, topics) for _, path in new])
     for (key, path), found in zip(new, surveyed, strict=True):
         if isinstance(found, str):
@@ -195,11 +195,6 @@ def _survey_recordings(
             kept[key] = asdict(found) | {"path": str(path)}
     write_atomically(kept_in, json.dumps(kept, indent=0) + "\n")
     return surveys, failed
-
-
-def _survey_from_json(kept: dict[str, Any], version: str) -> Survey:
-    """Restore a survey kept as JSON."""
-    return Survey(**{**kept, "channels": tuple(kept["channels"]), "path": Path(kept["path"]), "version": version})
 
 
 def _remove_superseded(out: Path, now: dict[str, Run], failed: list[str]) -> None:
