@@ -253,21 +253,8 @@ def send_all(
 ) -> None:
     """Open the destination for the channels of the first block, send all blocks, and report saturated or omitted samples.
 
-    Parameters
-    ----------
-    to : str
-        Destination, one of `DESTINATIONS`.
-    dbc : Path, optional
-        Layout of the frames; CAN needs one.
-    speed : float, optional
-        Speed as a multiple of real time; None sends all blocks at once.
-
-    Raises
-    ------
-    BadConfigurationError, MissingInputError
-        The destination is of no known form or cannot be reached.
-    BadInputError
-        There is no block of `/acceleration`.
+    Destination, `dbc` and errors are as of `open_sink`, the speed is as of `send_when_due`.  BadInputError is raised if there
+    is no block of `/acceleration`.
     """
     stream = iter(blocks)
     head: list[SampleBlock] = []

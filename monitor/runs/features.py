@@ -34,17 +34,10 @@ def features(
 ) -> dict[str, Any]:
     """Learn the features' law from the rows up to a time, judge the later ones, and write results.jsonl and summary.json.
 
-    Parameters
-    ----------
-    path : Path
-        Text with a line of column names, separated by commas, semicolons or tabs; an empty field is a missing value.
-    time : str
-        Column of the times: ISO 8601 (UTC where it names no zone), or s since 1970.
+    The file has a line of column names, separated by commas, semicolons or tabs; an empty field is a missing value.  The column
+    `time` is in ISO 8601 (UTC where it names no zone), or in s since 1970.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If the file cannot be read or used; the message names the place.
+    Raises MissingInputError or BadInputError if the file cannot be read or used; the message names the place.
     """
     table = read_table(path, time, names, covariates, on_warning)
     try:

@@ -106,21 +106,12 @@ def replay(
 ) -> dict[str, Any]:
     """Run recordings through the pipeline, write `RESULT_FILES` and return the content of summary.json, and the events.
 
-    Parameters
-    ----------
-    baseline : Baseline or ModalBaseline, optional
-        Healthy reference; no alarm is raised without one.
-    speed : float, optional
-        Speed as a multiple of real time; as fast as possible by default.
-    serve : (str, int), optional
-        Address and port at which Rerun viewers may connect during the replay.
-    files : (Path, Path or None), optional
-        Structure and baseline file for the diagnoses that alarms request; no diagnosis is made without.
+    No alarm is raised without a baseline, and no diagnosis is made without `files`, the structure file and the baseline's.
+    `speed` is a multiple of real time, by default as fast as possible; `serve` is an address and a port at which Rerun
+    viewers may connect during the replay.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If the recordings are too short for one window and hold no event, lack channels, or cannot be read.
+    Raises MissingInputError or BadInputError if the recordings are too short for one window and hold no event, lack channels,
+    or cannot be read.
     """
     pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
     source = with_first_block_read(

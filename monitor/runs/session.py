@@ -61,24 +61,11 @@ class SessionState:
 class Session:
     """Session that pushes blocks of samples through the pipeline, and passes the results to publishers, in their order.
 
-    Parameters
-    ----------
-    baseline : Baseline or ModalBaseline, optional
-        Healthy reference; no alarm is raised without one.
-    files : (Path, Path or None), optional
-        Structure or site file, and baseline, for the diagnoses that alarms request; no diagnosis is made without, nor where
-        there is no model.
-    findings : Path
-        Folder of the findings of these diagnoses.
-    whole : bool
-        Whether the state is that of the whole run, as of a recording, or the present one, as of a site.
-    recordings : EventRecordings, optional
-        Writes the samples of events; without it they have none of their own.
-    store : BlockStore, optional
-        Store of the latest blocks for diagnoses; in memory by default.
-    between : sequence of (int, int)
-        Times between the recordings that are replayed, UTC in ns: no window that holds some of them is due, so the summary
-        does not count it.
+    No alarm is raised without a baseline.  The diagnoses that alarms request read `files`, the structure or site file and the
+    baseline, and write into the folder `findings`; none is made without files, nor where there is no model.  They take their
+    blocks from `store`, by default in memory.  `recordings` writes the samples of events, if it is given.  The state is that
+    of the `whole` run, as of a recording, or the present one, as of a site.  No window that holds time `between` the
+    recordings that are replayed (UTC in ns) is due, so the summary does not count it.
     """
 
     def __init__(

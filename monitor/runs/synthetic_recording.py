@@ -124,29 +124,13 @@ def write_simulated_recording(
     seed: int,
     temperature: str | None = None,
 ) -> None:
-    """Write a simulated recording, with the truth in its metadata.
+    """Write a simulated recording, with the truth in its metadata; noise and level spread are as of `monitor.model.simulate`.
 
-    Parameters
-    ----------
-    excitation : str
-        Kind of excitation (`monitor.model.ExcitationKind`).
-    noise, level_spread
-        As of `monitor.model.simulate`.
-    damage : list of str
-        Losses of stiffness, as of `parse_damage`.
-    effects : list of str
-        Further effects, as of `monitor.model.parse_effect`.
-    t0_ns : int
-        Time of the first sample, UTC.
-    temperature : str, optional
-        Temperature, as of `TemperatureCycle.parse`; none is simulated by default, unless an effect needs one.
+    The kinds of excitation are those of `monitor.model.ExcitationKind`.  Damage, effects and temperature are texts as of
+    `parse_damage`, `monitor.model.parse_effect` and `TemperatureCycle.parse`; no temperature is simulated by default, unless an
+    effect needs one.  `t0_ns` is the UTC of the first sample.
 
-    Raises
-    ------
-    BadConfigurationError
-        If damage, effect, excitation or temperature cannot be understood.
-    MissingInputError
-        If the file cannot be written.
+    Raises BadConfigurationError if one of the texts cannot be understood, MissingInputError if the file cannot be written.
     """
     if excitation not in get_args(ExcitationKind):
         raise BadConfigurationError(f"--excitation {excitation!r}: one of {', '.join(get_args(ExcitationKind))}")

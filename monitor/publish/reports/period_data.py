@@ -250,12 +250,8 @@ def read_results(
     By default the period is that of the run.  A replay has times `between` its recordings, UTC in ns, and windows of
     `window_s`. From a goodness of fit `misfit_limit` on, stiffness explains too little.
 
-    Raises
-    ------
-    MissingInputError
-        The file does not exist.
-    BadInputError
-        No window ends in the period, the files hold no results, or a packed month is damaged.
+    Raises MissingInputError if the file does not exist, BadInputError if no window ends in the period, the files hold no
+    results, or a packed month is damaged.
     """
     path = folder / RESULTS
     try:

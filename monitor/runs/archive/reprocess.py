@@ -57,32 +57,15 @@ def reprocess(
     workers: int | None = None,
     on_done: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[Outcome]:
-    """Replay, and optionally diagnose, all recordings without results; no alarm is raised without a baseline.
+    """Replay all recordings without results, and `diagnose` each by itself if asked; alarms request their diagnoses in any case.
 
-    Parameters
-    ----------
-    diagnose : bool
-        Also diagnose each recording by itself; alarms request their diagnoses in any case, as in `replay`.
-    longest_gap_s : float, optional
-        Longest gap between recordings of one folder that are replayed together; the window's length by default.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers see the same files; processes on this machine by default.
-    workers : int, optional
-        Number of processes on this machine; one for each core by default.
-    on_done : callable
-        Called with the number of finished jobs and the number of all jobs.
+    Recordings of one folder are replayed together over gaps of at most `longest_gap_s`, by default the length of a window.
+    The work is done by the workers of the Dask scheduler at an address, which see the same files, else by `workers` processes
+    on this machine, by default one for each core.  `on_done` is called with the numbers of finished and of all jobs.
+    Outcomes are those of every run and diagnosis, and of every recording that cannot be read.
 
-    Returns
-    -------
-    list of Outcome
-        Of every run and diagnosis, and of every recording that cannot be read.
-
-    Raises
-    ------
-    WrongUsageError
-        If a result would overwrite an input.
-    BadConfigurationError, MissingInputError
-        If the structure file or the baseline cannot be used.  An error of a recording is part of its outcome.
+    Raises WrongUsageError if a result would overwrite an input, and BadConfigurationError or MissingInputError if the structure
+    file or the baseline cannot be used.
     """
     spare_inputs([out / _SURVEYS], [*recordings, structure, baseline])
     settings = config.load_with_model(structure) if diagnose else config.load(structure)
