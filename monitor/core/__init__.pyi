@@ -10,9 +10,20 @@ from .errors import (
     NoResourcesError,
     UserError,
     WrongUsageError,
+    os_errors_of,
 )
 from .extras import import_extra, missing_extra, require_extra
-from .files import demand_place, finish, no_empty_folder, partial, set_aside, sha256, spare_inputs, write_atomically
+from .files import (
+    demand_place,
+    finish,
+    no_empty_folder,
+    partial,
+    set_aside,
+    sha256,
+    spare_inputs,
+    tail_lines,
+    write_atomically,
+)
 from .memory import keep_freed
 from .naming import name_stories, name_stories_in
 from .optimization import levenberg_marquardt
@@ -43,6 +54,7 @@ from .results import (
     Window,
     WindowResult,
 )
+from .rounding import rounded
 from .settings import Settings, read_settings, settings_problems
 
 __all__ = [
@@ -91,17 +103,20 @@ __all__ = [
     "name_stories",
     "name_stories_in",
     "no_empty_folder",
+    "os_errors_of",
     "parallel_map",
     "parse_address",
     "parse_json",
     "partial",
     "read_settings",
     "require_extra",
+    "rounded",
     "set_aside",
     "settings_problems",
     "sha256",
     "single_blas_thread",
     "spare_inputs",
+    "tail_lines",
     "to_plain",
     "utc",
     "utc_ns",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class UserError(Exception):
     """Error with one clear message that names the file, the place and the remedy; never shown with a traceback."""
@@ -39,3 +42,21 @@ class InUseError(BadConfigurationError):
 
 class NoResourcesError(UserError):
     """Lack of memory, or of allowed processes, for the requested computation."""
+
+
+@contextmanager
+def os_errors_of(what: object, says: str = "") -> Iterator[None]:
+    """Raise an OSError of the block as MissingInputError, which names a file or another place, and `says` what cannot be.
+
+    Examples
+    --------
+    >>> with os_errors_of("a.txt", "cannot be read: "):
+    ...     open("no folder/a.txt")
+    Traceback (most recent call last):
+    ...
+    monitor.core.errors.MissingInputError: a.txt: cannot be read: No such file or directory
+    """
+    try:
+        yield
+    except OSError as error:
+        raise MissingInputError(f"{what}: {says}{error.strerror or error}") from error

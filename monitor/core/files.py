@@ -76,3 +76,15 @@ def sha256(path: Path) -> str:
     """Compute the SHA-256 checksum of a file, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def tail_lines(path: Path, most_bytes: int) -> list[bytes]:
+    """Read the complete lines in the last `most_bytes` of a file; none if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - most_bytes))
+            rows = file.read(most_bytes).split(b"\n")[:-1]
+    except OSError:
+        return []
+    return rows[1:] if size > most_bytes else rows

@@ -5,7 +5,7 @@ from .reports.look_data import G_M_S2, LookedBand, LookedMode, LookedRecording
 from .reports.look_page import mode_rows, write_look
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
-from .results.event_lines import EVENTS, event_line, event_text, read_event, telling
+from .results.event_lines import EVENTS, event_line, event_text, last_told, read_event, telling
 from .results.files import closed_files, month_file, pack_month, read_lines
 from .results.lines import (
     LinesFile,
@@ -23,7 +23,7 @@ from .viewer.diagnosis_view import write_view
 from .viewer.event_motion import write_motion
 from .viewer.output import Output
 from .viewer.publisher import RerunPublisher
-from .viewer.scene import make_modal_scene, make_scene, utc
+from .viewer.scene import make_scene
 
 __all__ = [
     "EVENTS",
@@ -51,7 +51,7 @@ __all__ = [
     "event_line",
     "event_text",
     "facts_of_line",
-    "make_modal_scene",
+    "last_told",
     "make_scene",
     "mode_rows",
     "month_file",
@@ -65,7 +65,6 @@ __all__ = [
     "replay_text",
     "telling",
     "to_json",
-    "utc",
     "window_line",
     "windows_table",
     "write_event",

@@ -30,30 +30,18 @@ class Publisher:
     """
 
     def samples(self, samples: Samples) -> None:
-        """Take conditioned samples, values of shape (n_samples, c) in m/s^2."""
+        """Take conditioned samples, in m/s^2."""
 
     def gap(self, gap: Gap) -> None:
         """Take a gap in the data."""
 
     def window(self, result: WindowResult, line: str) -> None:
-        """Take the result of a window.
-
-        Parameters
-        ----------
-        result : WindowResult
-            The estimates of the window, or why there are none.
-        line : str
-            The same result as its line of results.jsonl, without the newline.
-        """
+        """Take the result of a window, and the same as its line of results.jsonl, without the newline."""
 
     def event(self, event: Event, line: str) -> None:
         """Take what is told of an event: preliminarily, for good, or once more with what is known since.
 
-        Parameters
-        ----------
-        event : Event
-        line : str
-            The same as its line of events.jsonl, without the newline.
+        `line` is its line of events.jsonl, without the newline.
         """
 
     def health(self, health: Health) -> None:

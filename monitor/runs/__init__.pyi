@@ -21,7 +21,8 @@ from .event_recordings import EventRecordings
 from .importers import ImportedChannel, acceleration_unit, import_files
 from .modal_calibration import calibrate_modes
 from .object_storage import local_copies
-from .online_diagnosis import RecentBlocks, longest_diagnosis_s
+from .online_diagnosis import longest_diagnosis_s
+from .recent_blocks import RecentBlocks
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
 from .synthetic_recording import cut_into_blocks, require_stable

@@ -9,21 +9,10 @@ from monitor.damage import AnyBaseline, ModalOrigin, load_baseline, load_modal_b
 
 
 def load_healthy(path: Path, config: Configuration) -> AnyBaseline:
-    """Read the baseline of a site and check that it belongs to it.
+    """Read the baseline of a site, with the reasons in `doubts` why it may not be this structure's.
 
-    Returns
-    -------
-    Baseline or ModalBaseline
-        With the reasons in `doubts` why it may not be this structure's.
-
-    Raises
-    ------
-    MissingInputError
-        If the file cannot be read.
-    BadInputError
-        If the file is no baseline or damaged.
-    BadConfigurationError
-        If the baseline is another structure's, or of another kind.
+    Raises MissingInputError if the file cannot be read, BadInputError if it is no baseline or damaged, and
+    BadConfigurationError if the baseline is another structure's, or of another kind.
     """
     if config.has_model:
         return load_baseline(path, config.instrumented(), config.updating)

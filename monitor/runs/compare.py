@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from monitor.core import Array, BadInputError, ComplexArray, MissingInputError
+from monitor.core import Array, BadInputError, ComplexArray, MissingInputError, os_errors_of
 from monitor.identification import SelectionSettings
 from monitor.publish import LookedRecording, read_line, read_lines
-from monitor.runs.look import look
+from monitor.runs.look import in_columns, look, mac
 from monitor.runs.recordings import OnProgress, OnWarning
 from monitor.signals import overlap_correlation
 
@@ -23,6 +24,8 @@ _LEAST_LOOKS = 4.0
 """Windows without common data from which their scatter is taken for the uncertainty. [count; judgement]"""
 _RESULTS = "results.jsonl"
 """File of a folder of results. [name; definition]"""
+_OF_MODES = ("frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "mode_shapes")
+"""Keys of a line that have an entry a mode. [names; contract of results.jsonl]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,9 +36,9 @@ class _Mode:
     frequency_std_hz: float
     damping_ratio: float
     damping_std: float
-    shape: ComplexArray
-    shape_std: Array | None
-    """Shape (c,); None where not known."""
+    shape: Annotated[ComplexArray, "c"]
+    shape_std: Annotated[Array, "c"] | None
+    """None where not known."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,23 +56,13 @@ class _Side:
 
 
 def compare(
-    first: Path,
-    second: Path,
-    *,
-    on_warning: OnWarning = lambda _: None,
-    on_progress: OnProgress = lambda _: None,
+    first: Path, second: Path, *, on_warning: OnWarning = lambda _: None, on_progress: OnProgress = lambda _: None
 ) -> dict[str, Any]:
     """Compare two recordings, or two folders of results.
 
-    Returns
-    -------
-    dict
-        Names, tests with their z-scores, modes of one side alone, and the limit of a significant z-score (Bonferroni).
-
-    Raises
-    ------
-    BadInputError, MissingInputError
-        If one cannot be used, or if one is a recording and the other a folder.
+    The content names both, and holds the tests with their z-scores, the modes of one side alone, and the limit of a significant
+    z-score (Bonferroni).  Raises BadInputError or MissingInputError if one cannot be used, or if one is a recording and the
+    other a folder.
     """
     if first.is_dir() != second.is_dir():
         raise BadInputError(f"{first} and {second}: compare two recordings, or two folders of results")
@@ -120,9 +113,7 @@ def in_words(content: dict[str, Any]) -> str:
         rows.append(
             [f"{test['what']}{unit}", f"{test['a']:.5g}", f"{test['b']:.5g}", change, f"{test['z']:+.1f}", said]
         )
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = [f"A: {content['a']}", f"B: {content['b']}"]
-    lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines = [f"A: {content['a']}", f"B: {content['b']}", *in_columns(rows)]
     for side in ("a", "b"):
         if content[f"only_in_{side}_hz"]:
             found = ", ".join(f"{f:.4g} Hz" for f in content[f"only_in_{side}_hz"])
@@ -172,26 +163,8 @@ def _mode_tests(number: int, a: _Mode, b: _Mode) -> list[dict[str, Any]]:
     free = np.arange(len(a.shape)) != gauge
     chi2 = float((((scaled.real - a.shape.real) ** 2)[free] / np.maximum(variance[free], 1e-300)).sum())
     chance = float(gammaincc(0.5 * free.sum(), 0.5 * chi2))
-    mac = _mac(a.shape, b.shape)
-    out.append(
-        {
-            "kind": "shape",
-            "what": f"mode {number}: shape (MAC)",
-            "unit": "",
-            "a": 1.0,
-            "b": mac,
-            "change": mac - 1.0,
-            "change_std": None,
-            "relative": None,
-            "z": float(-ndtri(max(0.5 * chance, 1e-300))),
-        }
-    )
-    return out
-
-
-def _mac(a: ComplexArray, b: ComplexArray) -> float:
-    """Compute the modal assurance criterion of two shapes, (c,)."""
-    return float(abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real))
+    test = _test("shape", f"mode {number}: shape (MAC)", "", (1.0, 0.0), (mac(a.shape, b.shape), 0.0))
+    return [*out, test | {"change_std": None, "z": float(-ndtri(max(0.5 * chance, 1e-300)))}]
 
 
 def _match(a: Sequence[_Mode], b: Sequence[_Mode]) -> tuple[list[tuple[int, int]], list[int], list[int]]:
@@ -203,9 +176,9 @@ def _match(a: Sequence[_Mode], b: Sequence[_Mode]) -> tuple[list[tuple[int, int]
     for i, one in enumerate(a):
         for j, other in enumerate(b):
             distance = abs(np.log(other.frequency_hz / one.frequency_hz)) / np.log(select.max_frequency_ratio)
-            mac = _mac(one.shape, other.shape)
-            if distance <= 1.0 and mac >= select.min_model_mac:
-                cost[i, j] = distance + (1.0 - mac)
+            likeness = mac(one.shape, other.shape)
+            if distance <= 1.0 and likeness >= select.min_model_mac:
+                cost[i, j] = distance + (1.0 - likeness)
     pairs = [(int(i), int(j)) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < impossible]
     return (
         pairs,
@@ -215,7 +188,6 @@ def _match(a: Sequence[_Mode], b: Sequence[_Mode]) -> tuple[list[tuple[int, int]
 
 
 def _of_recording(path: Path, found: LookedRecording) -> _Side:
-    """Collect what is compared of a recording."""
     modes = tuple(
         _Mode(m.frequency_hz, m.frequency_std_hz, m.damping_ratio, m.damping_std, m.shape, m.shape_std)
         for m in found.modes
@@ -248,58 +220,52 @@ def _levels(found: LookedRecording) -> dict[str, tuple[float, float]]:
 
 def _of_results(folder: Path) -> _Side:
     """Collect what is compared of a folder of results (errors as `compare`)."""
-    path = folder / _RESULTS
-    if not path.is_file():
-        raise MissingInputError(f"{path}: does not exist; a folder of results is made by replay or run")
-    lines = []
-    try:
-        for number, text in enumerate(read_lines(path), start=1):
-            try:
-                lines.append(read_line(text))
-            except ValueError as error:
-                raise BadInputError(f"{path}: line {number}: {error}") from error
-    except OSError as error:
-        raise MissingInputError(f"{path}: {error.strerror or error}") from error
-    judged = [line for line in lines if line.get("frequencies_hz")]
-    if not judged:
-        raise BadInputError(f"{path}: no window has modes")
+    judged = _windows_with_modes(folder / _RESULTS)
     stretch_s = (judged[-1]["t_end_ns"] - judged[0]["t_end_ns"]) * 1e-9 + judged[0]["window_s"]
-    looks = stretch_s / judged[0]["window_s"]
-
-    def mean(values: Sequence[float | None], stds: Sequence[float | None]) -> tuple[float, float]:
-        """Average windows that share data, with the standard deviation of the mean."""
-        v = np.array([x for x in values if x is not None], dtype=float)
-        s = np.array([x for x in stds if x is not None], dtype=float)
-        if not v.size:
-            return float("nan"), float("nan")
-        own = looks * v.size / len(judged)
-        one = float(v.std(ddof=1)) if own >= _LEAST_LOOKS else float(s.mean()) if s.size else float("nan")
-        return float(v.mean()), one / np.sqrt(max(own, 1.0))
-
-    numbers = sorted(
-        {number for line in judged for number in line.get("model_modes") or range(len(line["frequencies_hz"]))}
-    )
+    mean = partial(_mean, stretch_s / judged[0]["window_s"], len(judged))
+    numbers = [line.get("model_modes") or list(range(len(line["frequencies_hz"]))) for line in judged]
     modes = []
-    for number in numbers:
-        rows = []
-        for line in judged:
-            own = line.get("model_modes") or list(range(len(line["frequencies_hz"])))
-            if number in own:
-                rows.append((line, own.index(number)))
-        f = mean([line["frequencies_hz"][k] for line, k in rows], [line["frequencies_std_hz"][k] for line, k in rows])
-        d = mean([line["damping_ratio"][k] for line, k in rows], [line["damping_std"][k] for line, k in rows])
-        modes.append(_Mode(*f, *d, _mean_shape([line["mode_shapes"][k] for line, k in rows]), None))
-    index = {}
-    stories = max((len(line["ddi"]) for line in judged if line.get("ddi")), default=0)
-    for story in range(stories):
-        own = [line for line in judged if line.get("ddi")]
-        index[f"story {story + 1}: damage index"] = mean(
-            [line["ddi"][story] for line in own], [line["ddi_std"][story] for line in own]
-        )
-    rms = [line.get("rms_m_s2") for line in judged]
-    decibels = [20.0 * np.log10(x) for x in rms if x]
+    for number in sorted({number for own in numbers for number in own}):
+        rows = [(line, own.index(number)) for line, own in zip(judged, numbers, strict=True) if number in own]
+        of = {key: [line[key][k] for line, k in rows] for key in _OF_MODES}
+        f, d = mean(of["frequencies_hz"], of["frequencies_std_hz"]), mean(of["damping_ratio"], of["damping_std"])
+        modes.append(_Mode(*f, *d, _mean_shape(of["mode_shapes"]), None))
+    told = [line for line in judged if line.get("ddi")]
+    index = {
+        f"story {j + 1}: damage index": mean([line["ddi"][j] for line in told], [line["ddi_std"][j] for line in told])
+        for j in range(max((len(line["ddi"]) for line in told), default=0))
+    }
+    decibels = [20.0 * np.log10(x) for line in judged if (x := line.get("rms_m_s2"))]
     levels = {"level": mean(decibels, [float(np.std(decibels))] * len(decibels))} if decibels else {}
     return _Side(str(folder), (), tuple(modes), levels, index)
+
+
+def _windows_with_modes(path: Path) -> list[dict[str, Any]]:
+    """Read the windows of results.jsonl that have modes, one at least."""
+    if not path.is_file():
+        raise MissingInputError(f"{path}: does not exist; a folder of results is made by replay or run")
+    judged = []
+    with os_errors_of(path):
+        for number, text in enumerate(read_lines(path), start=1):
+            try:
+                line = read_line(text)
+            except ValueError as error:
+                raise BadInputError(f"{path}: line {number}: {error}") from error
+            judged += [line] if line.get("frequencies_hz") else []
+    if not judged:
+        raise BadInputError(f"{path}: no window has modes")
+    return judged
+
+
+def _mean(looks: float, of: int, values: Sequence[float | None], stds: Sequence[float | None]) -> tuple[float, float]:
+    """Average windows that share data, with the standard deviation of the mean; `of` windows are `looks` without common data."""
+    v = np.array([x for x in values if x is not None], dtype=float)
+    s = np.array([x for x in stds if x is not None], dtype=float)
+    if not v.size:
+        return float("nan"), float("nan")
+    own = looks * v.size / of
+    one = float(v.std(ddof=1)) if own >= _LEAST_LOOKS else float(s.mean()) if s.size else float("nan")
+    return float(v.mean()), one / np.sqrt(max(own, 1.0))
 
 
 def _mean_shape(shapes: Sequence[Sequence[Any]]) -> ComplexArray:

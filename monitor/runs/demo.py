@@ -15,10 +15,7 @@ from monitor.runs import calibrate, replay
 def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: Callable[[str], None]) -> None:
     """Run the demonstration with the shipped recordings, and write its results to the folder `out`.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If `recordings` does not hold the shipped recordings, or `out` cannot be written.
+    Raises MissingInputError or BadInputError if `recordings` does not hold them, or `out` cannot be written.
     """
     if not (recordings / "frame.toml").is_file():
         raise MissingInputError(f"{recordings}: no recordings here; run in the project's folder or give --recordings")

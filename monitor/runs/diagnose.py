@@ -76,22 +76,21 @@ _MAX_INITIAL_CAUSES = 8
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Finding:
-    """Diagnosis with its held-out gain, its data, its models and its published content."""
+    """Diagnosis with its held-out gain, its data, its models and the content of diagnosis.json."""
 
     diagnosis: Diagnosis
     gain: HeldOutGain
     content: dict[str, Any]
-    """Content of diagnosis.json."""
     segments: Segments
-    """Segments in the judged band."""
+    """In the judged band."""
     laws: tuple[StoryLaw, ...]
-    """Laws of the stories straight from the data; empty where they cannot be had."""
+    """Straight from the data; empty where they cannot be had."""
     updated: Model
-    """Model of the old form, refitted."""
+    """Of the old form, refitted."""
     extended: Model
-    """Refitted model with the causes."""
+    """Refitted with the causes."""
     reference_degc: float | None
-    """Temperature at which the models' stiffnesses are valid, degC."""
+    """Temperature at which the models' stiffnesses are valid."""
 
 
 def diagnose(
@@ -103,10 +102,7 @@ def diagnose(
 ) -> Finding:
     """Diagnose recordings against the baseline, or against the structure file without one.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If a recording cannot be used, or the baseline has no reference for a diagnosis.
+    Raises MissingInputError or BadInputError if a recording cannot be used, or the baseline has no reference for a diagnosis.
     """
     record = WitnessRecord(config.front_end(), _witnesses(config))
     segments = _read(paths, config, on_warning, on_progress, record)
@@ -119,15 +115,8 @@ def diagnose_gathered(
 ) -> Finding:
     """Diagnose segments of a recording against the baseline, or against the structure file without one.
 
-    Parameters
-    ----------
-    record : WitnessRecord, optional
-        What the witnesses of the structure file recorded beside; none are compared without it.
-
-    Raises
-    ------
-    BadInputError
-        If the baseline has no reference for a diagnosis.
+    Witnesses of the structure file are compared where there is a `record` of them.  Raises BadInputError if the baseline has no
+    reference for a diagnosis.
     """
     if baseline is not None and baseline.reference is None:
         raise BadInputError(f"the baseline {NO_REFERENCE}")
@@ -165,12 +154,7 @@ def diagnose_segments(
 ) -> tuple[Diagnosis, HeldOutGain]:
     """Diagnose segments of data in the band that both they and the baseline can judge, and test the causes on held-out data.
 
-    Returns
-    -------
-    Diagnosis
-        Diagnosis, without causes if held-out data do not confirm them.
-    HeldOutGain
-        Gain of the causes on held-out data; zero if they are withdrawn.
+    Causes that held-out data do not confirm are withdrawn; the gain is then zero.
     """
     segments, drifts = _mended(segments, config)
     segments = segments.within(prior.judged_hz)
@@ -285,10 +269,7 @@ def evaluate(
 ) -> Score:
     """Score the prediction of recordings by the structure file's model.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If a recording cannot be used.
+    Raises MissingInputError or BadInputError if a recording cannot be used.
     """
     segments = _read(paths, config, on_warning, on_progress)
     degc = config.drawn.reference_temperature_degc
@@ -313,7 +294,6 @@ def level_doubts(segments: Segments, baseline: Baseline, found: Diagnosis) -> li
 
 
 def _witnesses(config: Configuration) -> tuple[WitnessSensor, ...]:
-    """List the witnesses of the structure file."""
     return tuple(
         WitnessSensor(s.channel, s.quantity, s.axis, s.floor, s.mounted)
         for s in config.witnesses
@@ -328,10 +308,7 @@ def _read(
     on_progress: OnProgress,
     record: WitnessRecord | None = None,
 ) -> Segments:
-    """Read the recordings, and gather their data in segments; errors name the recordings.
-
-    What the witnesses recorded is added to `record`, if there is one.
-    """
+    """Read the recordings into segments, and into `record` what the witnesses recorded; errors name the recordings."""
     progress = Progress(on_progress)
 
     def count_blocks() -> Iterator[SampleBlock]:

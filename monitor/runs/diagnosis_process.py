@@ -59,20 +59,12 @@ class _Job:
 
 
 class DiagnosisQueue:
-    """Queue of diagnoses, which run one after the other, each in a new process.
+    """Queue of diagnoses, which run one after the other, each in a new process, for `time_limit_s` at most.
 
     Every request gives one finding, a dict: the content of diagnosis.json with `id`, `t_ns`, `from_ns` and `reason`, kept as
     ``FOLDER/ID.json``.  If the diagnosis failed, `verdict` is None and `error` gives the reason.  The caller never waits for
-    a disk: a thread writes the recording that the process reads, waits for the process and keeps the finding.
-
-    Parameters
-    ----------
-    structure, healthy : Path
-        Structure file, and baseline if there is one.
-    folder : Path
-        Folder of the findings; findings of an earlier run are removed.
-    time_limit_s : float
-        Time limit of a diagnosis, s.
+    a disk: a thread writes the recording that the process reads, waits for the process and keeps the finding.  Findings of an
+    earlier run are removed from the folder.
     """
 
     def __init__(self, structure: Path, healthy: Path | None, folder: Path, time_limit_s: float) -> None:
@@ -199,10 +191,7 @@ def _last_line(log: Path) -> str:
 def main(arguments: list[str]) -> int:
     """Diagnose one recording: ``python -m monitor.runs.diagnosis_process RECORDING OUT.json STRUCTURE [BASELINE]``.
 
-    Returns
-    -------
-    int
-        Exit code: 0, or that of the error, which is printed on standard error.
+    The exit code is 0, or that of the error, which is printed on standard error.
     """
     recording, out, structure, *healthy = map(Path, arguments)
     os.nice(_NICENESS)

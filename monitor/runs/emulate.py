@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Protocol
 
@@ -37,16 +39,9 @@ class Sink(Protocol):
 
 
 def send_when_due(blocks: Iterable[SampleBlock], sink: Sink, *, speed: float | None = 1.0) -> int:
-    """Send blocks when they are due, and return the number of samples sent of `/acceleration`.
+    """Send blocks, in time order, when they are due, and return the number of samples sent of `/acceleration`.
 
-    Parameters
-    ----------
-    blocks : iterable of SampleBlock
-        Blocks in time order.
-    sink : Sink
-        Destination.
-    speed : float, optional
-        Speed as a multiple of real time; None sends all blocks at once.
+    `speed` is a multiple of real time; None sends all blocks at once.
     """
     begun, first_ns, count = time.monotonic(), None, 0
     for block in blocks:
@@ -72,24 +67,13 @@ def cut_blocks(blocks: Iterable[SampleBlock], n_samples: int) -> Iterator[Sample
 
 
 Transmit = Callable[[Layout, list[float], NDArray[np.uint8]], None]
-"""Sends n frames of one message, given its layout, the UTC of each frame, s, and the bytes, shape (n, n_bytes)."""
+"""Sends n frames of one message, given its layout, the UTC of each frame, s, and the bytes, a row a frame."""
 
 
 class CanSink:
     """Destination on a CAN bus: sends the blocks of `/acceleration` as frames of a DBC, and ignores other topics.
 
-    A frame has the time of its last sample.
-
-    Parameters
-    ----------
-    layouts : tuple of Layout
-        Messages of the DBC.
-    transmit : callable
-        Sends the frames of one message.
-    close : callable
-        Disconnects from the bus.
-    counts_frames : bool
-        Whether the counter of a frame counts frames instead of samples.
+    A frame has the time of its last sample; its counter counts samples, or frames if `counts_frames`.
     """
 
     def __init__(
@@ -188,34 +172,11 @@ def open_sink(
     wait_s: float = 60.0,
     say: Callable[[str], None] = lambda _: None,
 ) -> tuple[Sink, float]:
-    """Open the destination that `to` names, one of `DESTINATIONS`.
+    """Open the destination that `to` names, one of `DESTINATIONS`; CAN needs a `dbc`, the layout of its frames.
 
-    Parameters
-    ----------
-    to : str
-        Destination.
-    channels : tuple of str
-        Names of the channels to send.
-    dbc : Path, optional
-        Layout of the frames; CAN needs one.
-    wait_s : float
-        Seconds that a socketcand server waits for its first client.
-    say : callable
-        Shows a message to the user.
-
-    Returns
-    -------
-    Sink
-        The open destination.
-    float
-        Length of the blocks that the destination takes: s of data below 1, samples from 1 on.
-
-    Raises
-    ------
-    BadConfigurationError
-        If `to` is of no known form, or the DBC cannot carry the channels.
-    MissingInputError
-        If the destination cannot be reached.
+    `wait_s` is how long a socketcand server waits for its first client.  With the sink comes the length of the blocks that it
+    takes: s of data below 1, samples from 1 on.  Raises BadConfigurationError if `to` is of no known form or the DBC cannot
+    carry the channels, MissingInputError if the destination cannot be reached.
     """
     kind, _, rest = to.partition(":")
     if kind in ("zenoh", "mqtt"):
@@ -252,22 +213,27 @@ def open_sink(
     return CanSink(layouts, transmit_over_tcp(server), server.close), CAN_BURST_S
 
 
-def _open_mqtt(to: str, rest: str) -> Sink:
+@contextmanager
+def _errors_of(to: str) -> Iterator[None]:
+    """Raise the errors of opening a destination as errors of the user, who named it."""
     try:
-        from drivers.mqtt import MqttPublisher, PublisherSettings
-    except ImportError as error:
-        raise BadConfigurationError(f"--to {to!r}: {error}") from error
-    place, _, topic = rest.rpartition(":")
-    try:
-        host, port = parse_address(place)
-        settings = PublisherSettings.model_validate({"host": host, "port": port, "topic": topic})
-        return MqttPublisher(settings)
+        yield
+    except (ImportError, SourceError) as error:
+        kind = MissingInputError if isinstance(error, SourceError) else BadConfigurationError
+        raise kind(f"--to {to!r}: {error}") from error
     except ValidationError as error:
         raise BadConfigurationError(f"--to {to!r}: {'; '.join(settings_problems(error))}") from error
     except ValueError:
         raise BadConfigurationError(f"--to {to!r}: expected {DESTINATIONS}") from None
-    except SourceError as error:
-        raise MissingInputError(f"--to {to!r}: {error}") from error
+
+
+def _open_mqtt(to: str, rest: str) -> Sink:
+    with _errors_of(to):
+        from drivers.mqtt import MqttPublisher, PublisherSettings
+
+        place, _, topic = rest.rpartition(":")
+        host, port = parse_address(place)
+        return MqttPublisher(PublisherSettings.model_validate({"host": host, "port": port, "topic": topic}))
 
 
 def _open_zenoh(to: str, rest: str) -> Sink:
@@ -278,12 +244,8 @@ def _open_zenoh(to: str, rest: str) -> Sink:
     if not endpoint or not key:
         raise BadConfigurationError(f"--to {to!r}: expected {DESTINATIONS}")
     where = {"listen" if mode == "router" else "connect": [endpoint]}
-    try:
+    with _errors_of(to):
         return ZenohPublisher(PublisherSettings.model_validate({"mode": mode, "key": key, **where}))
-    except ValidationError as error:
-        raise BadConfigurationError(f"--to {to!r}: {'; '.join(settings_problems(error))}") from error
-    except SourceError as error:
-        raise MissingInputError(f"--to {to!r}: {error}") from error
 
 
 def send_all(
@@ -291,25 +253,8 @@ def send_all(
 ) -> None:
     """Open the destination for the channels of the first block, send all blocks, and report saturated or omitted samples.
 
-    Parameters
-    ----------
-    blocks : iterable of SampleBlock
-        Blocks in time order.
-    to : str
-        Destination, one of `DESTINATIONS`.
-    dbc : Path, optional
-        Layout of the frames; CAN needs one.
-    speed : float, optional
-        Speed as a multiple of real time; None sends all blocks at once.
-    say : callable
-        Shows a message to the user.
-
-    Raises
-    ------
-    BadConfigurationError, MissingInputError
-        See `open_sink`.
-    BadInputError
-        If there is no block of `/acceleration`.
+    Destination, `dbc` and errors are as of `open_sink`, the speed is as of `send_when_due`.  BadInputError is raised if there
+    is no block of `/acceleration`.
     """
     stream = iter(blocks)
     head: list[SampleBlock] = []
@@ -322,14 +267,9 @@ def send_all(
     sink, length = open_sink(to, head[-1].channels, dbc=dbc, say=say)
     try:
         n = round(length) if length >= 1 else max(1, round(length * head[-1].sample_rate_hz))
-        count = send_when_due(cut_blocks(_chain(head, stream), n), sink, speed=speed)
+        count = send_when_due(cut_blocks(chain(head, stream), n), sink, speed=speed)
     finally:
         sink.close()
     say(f"{count} samples sent")
     if isinstance(sink, CanSink) and (sink.saturated or sink.left_out):
         say(f"{sink.saturated} numbers saturated, {sink.left_out} samples left out")
-
-
-def _chain(head: list[SampleBlock], rest: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
-    yield from head
-    yield from rest

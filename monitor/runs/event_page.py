@@ -12,7 +12,7 @@ from drivers.base import ACCELERATION, GROUND, RecordingError, RecordingMissingE
 from drivers.mcap_file import read_metadata, read_recordings
 from monitor.core import BadInputError, MissingInputError, Skipped, WrongUsageError, parse_json, sha256
 from monitor.events import Event, Review, Site, review_event
-from monitor.publish import EVENTS, EventPage, read_event, write_event
+from monitor.publish import EVENTS, EventPage, last_told, read_event, write_event
 from monitor.runs.event_recordings import ABOUT, FOLDER
 from monitor.signals import FrontEnd, ProcessingSettings
 
@@ -28,35 +28,17 @@ def page_of(folder: Path, id: str) -> Path:
 
 
 def read_event_line(folder: Path, wanted: str) -> dict[str, Any]:
-    """Read the highest revision of an event from events.jsonl.
+    """Read the highest revision of an event, by its id or ``last``, from events.jsonl.
 
-    Parameters
-    ----------
-    folder : Path
-    wanted : str
-        Id of the event, or ``last``.
-
-    Raises
-    ------
-    MissingInputError
-        There is no events.jsonl, or no event in it.
-    WrongUsageError
-        There is no such event; the message lists those that there are.
+    Raises MissingInputError if there is no events.jsonl or no event in it, and WrongUsageError if there is no such event; the
+    message lists those that there are.
     """
-    path, lines = folder / EVENTS, dict[str, dict[str, Any]]()
+    path = folder / EVENTS
     try:
-        texts = path.read_bytes().splitlines()
+        lines = last_told(path)
     except OSError as error:
         says = f"{path}: {error.strerror}; name a folder of 'replay --out' or of [output] dir"
         raise MissingInputError(says) from error
-    for text in texts:
-        try:
-            line = parse_json(text)
-            id, revision = str(line["id"]), int(line["revision"])
-        except (ValueError, KeyError, TypeError):  # a line that a crash cut
-            continue
-        if id not in lines or revision >= lines[id]["revision"]:
-            lines[id] = line
     if not lines:
         raise MissingInputError(f"{path}: no event was recognized")
     latest = max(lines.values(), key=lambda line: int(line["t_begin_ns"]))
@@ -67,20 +49,9 @@ def read_event_line(folder: Path, wanted: str) -> dict[str, Any]:
 
 
 def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
-    """Write the page of an event and return the event.
+    """Write the page of an event (as of `read_event_page`) and return the event.
 
-    Parameters
-    ----------
-    folder, line
-        As of `read_event_page`.
-    out : Path
-
-    Raises
-    ------
-    BadInputError
-        The line or the recording is damaged.
-    OSError
-        The page cannot be written.
+    Raises BadInputError if the line or the recording is damaged, OSError if the page cannot be written.
     """
     page = read_event_page(folder, line)
     write_event(out, page)
@@ -90,10 +61,7 @@ def write_event_page(folder: Path, line: Mapping[str, Any], out: Path) -> Event:
 def write_event_motion(page: EventPage, out: Path) -> None:
     """Write the motion of an event for the Rerun viewer.
 
-    Raises
-    ------
-    MissingInputError
-        No drifts are known: there are no samples of the event, or no chain of stories.
+    Raises MissingInputError if no drifts are known: there are no samples of the event, or no chain of stories.
     """
     if page.site is None or page.review is None:
         raise MissingInputError(f"event {page.event.id} cannot be shown in motion. {page.why_not}")
@@ -105,19 +73,9 @@ def write_event_motion(page: EventPage, out: Path) -> None:
 
 
 def read_event_page(folder: Path, line: Mapping[str, Any]) -> EventPage:
-    """Read what the page of an event shows.
+    """Read what the page of an event shows, from the folder of the results and the event's line of events.jsonl.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the results.
-    line : mapping
-        The event's line of events.jsonl.
-
-    Raises
-    ------
-    BadInputError
-        The line or the recording is damaged.
+    Raises BadInputError if the line or the recording is damaged.
     """
     try:
         event = read_event(line)

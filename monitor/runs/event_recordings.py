@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.core import sha256
 from monitor.events import Event, EventSettings
+from monitor.runs.recent_blocks import RecentBlocks
 
 _log = logging.getLogger(__name__)
 
@@ -19,9 +19,7 @@ _GB = 1 << 30
 FOLDER = "events"
 """Folder of the recordings, beside results.jsonl. [name; contract of events.jsonl]"""
 _MARGIN_S = 20.0
-"""Data that are kept beyond the time before an event, since an event is recognized some seconds after it began. [s]"""
-
-
+"""Data beyond the time before an event, since an event is recognized some seconds after it began. [s]"""
 ABOUT = "event"
 """Name of the metadata record of a recording. [name; definition]"""
 
@@ -32,22 +30,10 @@ def at_once(_: str, job: Callable[[], None]) -> None:
 
 
 class EventRecordings:
-    """Keep the latest blocks, and write those of each event.
+    """Keep the latest blocks, and write those of each event into the folder ``events`` of the results' folder.
 
-    Parameters
-    ----------
-    out : Path
-        Folder of the results; the recordings go into its folder ``events``.
-    settings : EventSettings
-    run : callable
-        Does a job of some name that writes a file, now or in another thread.
-    note : callable, optional
-        Takes the name and the SHA-256 of each recording that is written, in the thread that wrote it.
-
-    Attributes
-    ----------
-    failed : str or None
-        Why the latest recording could not be written; None if it was.
+    `run` does a job of some name that writes a file, now or in another thread.  `note` takes the name and the SHA-256 of each
+    recording that is written, in the thread that wrote it.  `failed` says why the latest recording could not be written.
     """
 
     dropped = 0  # a recording that cannot be written is told by `failed`
@@ -61,22 +47,19 @@ class EventRecordings:
     ) -> None:
         self._out, self._settings, self._run, self._note = out, settings, run, note
         self.failed: str | None = None
-        self._blocks: deque[SampleBlock] = deque()
+        self._recent = RecentBlocks(settings.pre_s)
         self._bytes = _used(out / FOLDER)
         self._refused: set[str] = set()
 
     @property
     def reach_s(self) -> float:
-        """Length of data that an event may need, s."""
+        """Length of data that an event may need."""
         s = self._settings
         return s.pre_s + s.longest_s + s.merge_s + s.post_s + _MARGIN_S
 
     def push(self, block: SampleBlock, *, active: bool) -> None:
         """Keep a block; without an event that goes on, only those that the next one may need."""
-        self._blocks.append(block)
-        reach_ns = round((self._settings.pre_s + _MARGIN_S) * 1e9)
-        while not active and self._blocks[0].t_ns < block.t_ns - reach_ns:
-            self._blocks.popleft()
+        self._recent.push(block, drop=not active)
 
     def save(self, event: Event, about: Mapping[str, str]) -> str | None:
         """Write the samples of an event's final line; return the file's name, or None where it has none.
@@ -98,7 +81,7 @@ class EventRecordings:
             last_ns = event.end_ns + round(self._settings.post_s * 1e9)
             blocks = [
                 b
-                for b in self._blocks
+                for b in self._recent.blocks
                 if b.t_ns + round(b.samples.shape[0] / b.sample_rate_hz * 1e9) >= first_ns and b.t_ns < last_ns
             ]
             self._run(name, lambda: self._write(name, blocks, about))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import BadInputError, Level, MissingInputError, utc_ns, write_atomically
+from monitor.core import BadInputError, Level, os_errors_of, rounded, utc_ns, write_atomically
 from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
 
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
@@ -34,24 +34,10 @@ def features(
 ) -> dict[str, Any]:
     """Learn the features' law from the rows up to a time, judge the later ones, and write results.jsonl and summary.json.
 
-    Parameters
-    ----------
-    path : Path
-        Text with a line of column names, separated by commas, semicolons or tabs.
-    time : str
-        Column of the times: ISO 8601 (UTC where it names no zone), or s since 1970.
-    names, covariates : list of str
-        Columns of the features and of the covariates; an empty field is a missing value.
+    The file has a line of column names, separated by commas, semicolons or tabs; an empty field is a missing value.  The column
+    `time` is in ISO 8601 (UTC where it names no zone), or in s since 1970.
 
-    Returns
-    -------
-    dict
-        Content of summary.json.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If the file cannot be read or used; the message names the place.
+    Raises MissingInputError or BadInputError if the file cannot be read or used; the message names the place.
     """
     table = read_table(path, time, names, covariates, on_warning)
     try:
@@ -70,32 +56,9 @@ def features(
 def read_table(
     path: Path, time: str, names: list[str], covariates: list[str], on_warning: Callable[[str], None]
 ) -> FeatureTable:
-    """Read the columns of a table; rows that cannot be read are left out and named.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If the file cannot be read, is no table, or lacks a column.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadInputError(f"{path}: not UTF-8 text: save the table as CSV in UTF-8") from error
-    except OSError as error:
-        raise MissingInputError(f"{path}: {error.strerror}") from error
-    head = text.split("\n", 1)[0]
-    separator = max(";\t,", key=head.count)
-    reader = csv.reader(io.StringIO(text), delimiter=separator)
-    try:
-        header = [field.strip() for field in next(reader, [])]
-        wanted = [time, *names, *covariates]
-        if absent := [name for name in wanted if name not in header]:
-            raise BadInputError(f"{path}: no column {', '.join(absent)}; the columns are {', '.join(header)}")
-        if twice := sorted({name for name in wanted if header.count(name) > 1 or wanted.count(name) > 1}):
-            raise BadInputError(f"{path}: column {', '.join(twice)} stands or is named twice: give each its own name")
-        rows, bad = _rows(reader, [header.index(name) for name in wanted], len(header), decimal_comma=separator == ";")
-    except csv.Error as error:
-        raise BadInputError(f"{path}: line {reader.line_num}: {error}") from error
+    """Read the columns of a table; rows that cannot be read are left out and named (errors as of `features`)."""
+    wanted = [time, *names, *covariates]
+    rows, bad = _read_columns(path, wanted)
     if bad:
         more = f" and {len(bad) - _NAMED_LINES} more" if len(bad) > _NAMED_LINES else ""
         on_warning(f"{path}: left out {'; '.join(bad[:_NAMED_LINES])}{more}")
@@ -109,6 +72,27 @@ def read_table(
     values = np.array([v for _, v in rows]).reshape(len(rows), -1)[first].T
     columns = dict(zip(wanted[1:], values, strict=True))
     return FeatureTable(t_ns, {n: columns[n] for n in names}, {n: columns[n] for n in covariates})
+
+
+def _read_columns(path: Path, wanted: list[str]) -> tuple[list[tuple[int, list[float]]], list[str]]:
+    """Read the time and the other wanted columns of a file, row by row, and the reason for each row that is left out."""
+    try:
+        with os_errors_of(path):
+            text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"{path}: not UTF-8 text: save the table as CSV in UTF-8") from error
+    head = text.split("\n", 1)[0]
+    separator = max(";\t,", key=head.count)
+    reader = csv.reader(io.StringIO(text), delimiter=separator)
+    try:
+        header = [field.strip() for field in next(reader, [])]
+        if absent := [name for name in wanted if name not in header]:
+            raise BadInputError(f"{path}: no column {', '.join(absent)}; the columns are {', '.join(header)}")
+        if twice := sorted({name for name in wanted if header.count(name) > 1 or wanted.count(name) > 1}):
+            raise BadInputError(f"{path}: column {', '.join(twice)} stands or is named twice: give each its own name")
+        return _rows(reader, [header.index(name) for name in wanted], len(header), decimal_comma=separator == ";")
+    except csv.Error as error:
+        raise BadInputError(f"{path}: line {reader.line_num}: {error}") from error
 
 
 def _rows(
@@ -153,17 +137,15 @@ def _number(text: str, decimal_comma: bool) -> float:
 
 
 def _line(verdict: FeatureVerdict) -> dict[str, Any]:
-    """Return a verdict as a line of results.jsonl."""
     return {
         "t_end_ns": verdict.t_ns,
-        "residual_sigma": [None if s is None else float(f"{s:.6g}") for s in verdict.residual_sigma],
+        "residual_sigma": rounded(list(verdict.residual_sigma), 6),
         "alarm": {"level": verdict.level.value, "features": list(verdict.changed), "reason": verdict.reason},
         "skipped": verdict.skipped and verdict.skipped.reason,
     }
 
 
 def _summary(judge: FeatureJudge, verdicts: list[FeatureVerdict]) -> dict[str, Any]:
-    """Summarize what was learned and what was announced."""
     learned = []
     for model in judge.models:
         axes = () if model.law is None else model.law.axes
@@ -172,8 +154,8 @@ def _summary(judge: FeatureJudge, verdicts: list[FeatureVerdict]) -> dict[str, A
                 "feature": model.name,
                 "relative": model.log,
                 "readings": model.readings,
-                "residual_std": float(f"{model.std:.6g}"),
-                "variance_explained": float(f"{model.explained:.4g}"),
+                "residual_std": rounded(model.std, 6),
+                "variance_explained": rounded(model.explained, 4),
                 "covariates": {a.name: {"range": list(a.range), "lag_s": a.lag_s} for a in axes},
                 "confounded": [] if model.law is None else [[a, b, round(r, 3)] for a, b, r in model.law.confounded()],
             }

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from monitor.config import Configuration
-from monitor.core import BadInputError, MissingInputError, sha256
+from monitor.core import BadInputError, os_errors_of, sha256
 from monitor.diagnosis import effects_text, model_from_plain, structure_text
 from monitor.model import FORMS, Effect, EffectError
 from monitor.runs.event_recordings import FOLDER
@@ -26,18 +26,12 @@ _RECORDING = "recording"
 def read_finding(path: Path) -> dict[str, Any]:
     """Read a finding that may be accepted: diagnosis.json, or one of a replay's findings.
 
-    Raises
-    ------
-    MissingInputError
-        If the file cannot be read.
-    BadInputError
-        If the file is not a finding, or the finding names no cause.
+    Raises MissingInputError if the file cannot be read, BadInputError if it is no finding or the finding names no cause.
     """
     try:
-        finding = json.loads(path.read_text(encoding="utf-8"))
+        with os_errors_of(path):
+            finding = json.loads(path.read_text(encoding="utf-8"))
         verdict, says = finding["verdict"], finding["says"]
-    except OSError as error:
-        raise MissingInputError(f"{path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInputError(
             f"{path}: not a finding ({error!r}); give a diagnosis.json or DIR/findings/ID.json"
@@ -50,28 +44,11 @@ def read_finding(path: Path) -> dict[str, Any]:
 def extended_structure_text(
     path: Path, finding: Mapping[str, Any], structure: str, config: Configuration, *, with_baseline: bool
 ) -> str:
-    """Return the text of the structure file extended by the finding's causes.
+    """Return the text of the structure file (text `structure`) extended by the causes of the finding in the file `path`.
 
     With a baseline, which contains the healthy stiffness and masses, only the causes are added.  Without a baseline, the
-    model that was fitted together with the causes is written too.
-
-    Parameters
-    ----------
-    path : Path
-        File of the finding, for messages.
-    finding : mapping
-        Content of the finding.
-    structure : str
-        Text of the structure file.
-    config : Configuration
-        Settings in the structure file.
-    with_baseline : bool
-        Whether the site has a baseline.
-
-    Raises
-    ------
-    BadInputError
-        If the finding does not belong to this structure.
+    model that was fitted together with the causes is written too.  Raises BadInputError if the finding does not belong to this
+    structure.
     """
     if with_baseline and not finding.get("since_calibration"):
         raise BadInputError(f"{path}: this finding refers to the structure file; accept it without --baseline")
@@ -98,23 +75,10 @@ def _effect_of_cause(cause: Mapping[str, Any], config: Configuration) -> Effect:
 
 
 def append_entry(out: Path, finding: Mapping[str, Any], files: Mapping[str, Path | None], who: str | None) -> Path:
-    """Append one line to the ledger in the folder of `out`, and return the ledger's path.
+    """Append one line to the ledger in the folder of `out`, the file that the decision wrote, and return the ledger's path.
 
-    Parameters
-    ----------
-    out : Path
-        File that the decision wrote; the ledger lies in the same folder.
-    finding : mapping
-        Accepted finding.
-    files : mapping
-        Files of the decision by role; the line names each with its checksum.
-    who : str, optional
-        Person who decided; the user of the process by default.
-
-    Raises
-    ------
-    MissingInputError
-        If the ledger cannot be written.
+    The line names the files of the decision by role, each with its checksum, and the person who decided, by default the user of
+    the process.  Raises MissingInputError if the ledger cannot be written.
     """
     ledger = out.resolve().parent / LEDGER
     append_lines(ledger, [entry(finding, files, who)])
@@ -141,31 +105,22 @@ def recording_entry(name: str, checksum: str) -> dict[str, Any]:
 def verify_recordings(ledger: Path) -> int:
     """Compare each event's recording that is still there with its checksum in the ledger, and return their number.
 
-    A recording that was written again, after a restart, has two lines, of which the later one counts.
-
-    Raises
-    ------
-    BadInputError
-        A recording was changed after it was written.
-    MissingInputError
-        The ledger, or a recording, cannot be read.
+    A recording that was written again, after a restart, has two lines, of which the later one counts.  Raises BadInputError
+    if a recording was changed after it was written, MissingInputError if the ledger or a recording cannot be read.
     """
     known, found = dict[str, str](), 0
-    try:
-        for row in ledger.read_bytes().splitlines() if ledger.exists() else []:
-            with suppress(ValueError, KeyError, TypeError, RecursionError):  # a line of another kind
-                recording = json.loads(row)["files"][_RECORDING]
-                known[Path(recording["file"]).name] = str(recording["sha256"])
-    except OSError as error:
-        raise MissingInputError(f"{ledger}: {error.strerror or error}") from error
+    with os_errors_of(ledger):
+        rows = ledger.read_bytes().splitlines() if ledger.exists() else []
+    for row in rows:
+        with suppress(ValueError, KeyError, TypeError, RecursionError):  # a line of another kind
+            recording = json.loads(row)["files"][_RECORDING]
+            known[Path(recording["file"]).name] = str(recording["sha256"])
     for name, checksum in known.items():
         path = ledger.parent / FOLDER / name
         if not path.is_file():
             continue
-        try:
+        with os_errors_of(path):
             present = sha256(path)
-        except OSError as error:
-            raise MissingInputError(f"{path}: {error.strerror or error}") from error
         if present != checksum:
             raise BadInputError(
                 f"{path}: its SHA-256 is not that of the ledger: it was changed after it was written; compare with a copy"

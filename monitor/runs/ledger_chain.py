@@ -27,19 +27,9 @@ _LOCK_S = 2.0
 
 
 def append_lines(ledger: Path, entries: Sequence[Mapping[str, Any]]) -> str:
-    """Append entries to the chain, all or none, and return the new head once they are on the disk.
+    """Append entries (at least one, without `previous`) to the chain, all or none; return the new head once they are on the disk.
 
-    Parameters
-    ----------
-    ledger : Path
-        File of the ledger; it is created if it does not exist.
-    entries : sequence of mapping
-        Content of the lines, without `previous`; at least one.
-
-    Raises
-    ------
-    MissingInputError
-        The ledger cannot be written; it is then as it was before.
+    Raises MissingInputError if the ledger cannot be written; it is then as it was before.
     """
     try:
         with destination(ledger).open("a+b", buffering=0) as file:
@@ -75,19 +65,8 @@ def read_head(ledger: Path) -> str | None:
 def verify(ledger: Path, heads: Sequence[str] = ()) -> int:
     """Check the chain of a ledger and return its number of lines; a ledger that does not exist has none.
 
-    Parameters
-    ----------
-    ledger : Path
-        File of the ledger.
-    heads : sequence of str
-        Heads that were kept elsewhere; each must be the hash of a line.
-
-    Raises
-    ------
-    BadInputError
-        The chain is broken; the message names the first line that does not follow from those before it.
-    MissingInputError
-        The ledger cannot be read.
+    Each of the `heads` that were kept elsewhere must be the hash of a line.  Raises BadInputError if the chain is broken: the
+    message names the first line that does not follow from those before it.  MissingInputError if the ledger cannot be read.
     """
     number, everything, previous, missing = 0, hashlib.sha256(), "", set(heads)
     try:

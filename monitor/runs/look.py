@@ -6,27 +6,26 @@ import csv
 import io
 import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
-from drivers.mcap_file import read_recordings
+from drivers.base import ACCELERATION, UNIT_OF, SampleBlock
 from drivers.mcap_records import MAGIC
 from monitor.core import (
     Array,
     BadInputError,
     ComplexArray,
-    MissingInputError,
     ModalEstimate,
     Skipped,
     Window,
     demand_place,
+    os_errors_of,
     write_atomically,
 )
 from monitor.identification import (
@@ -38,11 +37,11 @@ from monitor.identification import (
     fit_single_modes,
     identify_modes,
 )
-from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, utc, write_look
+from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, write_look
 from monitor.runs.importers import ImportedChannel, doubt_unit, import_files
 from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
-from monitor.runs.recordings import OnProgress, OnWarning
+from monitor.runs.recordings import OnProgress, OnWarning, file_names, read_topics
 from monitor.signals import (
     Conditioner,
     HealthSettings,
@@ -86,8 +85,8 @@ class _Run:
     """Consecutive samples without a gap."""
 
     t_ns: int
-    values: Array
-    """Shape (n, c), m/s^2."""
+    values: Annotated[Array, "n c"]
+    """In m/s^2."""
 
 
 def look(
@@ -98,17 +97,9 @@ def look(
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> LookedRecording:
-    """Look at recordings, or at tables that `import` reads, without a model.
+    """Look at recordings, or at tables that `import` reads, without a model; `rate_hz` and `unit` are of tables without.
 
-    Parameters
-    ----------
-    rate_hz, unit
-        Of a table whose file does not state them.
-
-    Raises
-    ------
-    BadInputError, MissingInputError
-        If the files cannot be used; the message names them.
+    Raises BadInputError or MissingInputError if the files cannot be used; the message names them.
     """
     if _are_recordings(paths):
         if rate_hz is not None or unit is not None:
@@ -142,13 +133,13 @@ def look(
             )
             for one in channels
         }
-        note = f"taken from {_names(paths)}: {info.sample_rate_hz:g} Hz, {'; '.join(sorted(units))}"
+        note = f"taken from {file_names(paths)}: {info.sample_rate_hz:g} Hz, {'; '.join(sorted(units))}"
         if begins:
             note += "; no date is stated, so times count from 1970"
         try:
             found = _look([recording], (note,), on_warning, on_progress)
         except BadInputError as error:
-            raise BadInputError(str(error).replace(str(recording), _names(paths))) from error
+            raise BadInputError(str(error).replace(str(recording), file_names(paths))) from error
         taken_for_granted = unit is None and not all(one.stated for one in channels)
         doubts = (doubt_unit(channels), *found.doubts) if taken_for_granted else found.doubts
         return replace(found, files=tuple(map(str, paths)), doubts=doubts)
@@ -158,18 +149,11 @@ def _are_recordings(paths: Sequence[Path]) -> bool:
     """Check whether the files are recordings, and not tables to import."""
     kinds = set()
     for path in paths:
-        try:
-            with path.open("rb") as file:
-                kinds.add(file.read(len(MAGIC)) == MAGIC or path.suffix == ".mcap")
-        except OSError as error:
-            raise MissingInputError(f"{path}: {error.strerror or error}") from error
+        with os_errors_of(path), path.open("rb") as file:
+            kinds.add(file.read(len(MAGIC)) == MAGIC or path.suffix == ".mcap")
     if len(kinds) > 1:
-        raise BadInputError(f"{_names(paths)}: are recordings and tables; look at one kind at a time")
+        raise BadInputError(f"{file_names(paths)}: are recordings and tables; look at one kind at a time")
     return kinds.pop()
-
-
-def _names(paths: Sequence[Path]) -> str:
-    return ", ".join(map(str, paths))
 
 
 def _look(
@@ -181,13 +165,13 @@ def _look(
     longest = max(runs, key=lambda run: len(run.values))
     if len(longest.values) < 2 * SsiSettings().block_rows * _LEAST_BLOCKS:
         raise BadInputError(
-            f"{_names(paths)}: the longest stretch without a gap has {len(longest.values)} samples, too few to look at; "
+            f"{file_names(paths)}: the longest stretch without a gap has {len(longest.values)} samples, too few to look at; "
             f"record at least {2 * SsiSettings().block_rows * _LEAST_BLOCKS}"
         )
     if len(longest.values) / rate_hz < LEAST_RECORD_S * (1.0 - 1e-9):
         raise BadInputError(
-            f"{_names(paths)}: the longest stretch without a gap is {len(longest.values) / rate_hz:.4g} s, too short to state "
-            f"modes; record at least {LEAST_RECORD_S:g} s"
+            f"{file_names(paths)}: the longest stretch without a gap is {len(longest.values) / rate_hz:.4g} s, "
+            f"too short to state modes; record at least {LEAST_RECORD_S:g} s"
         )
     duration_s = (runs[-1].t_ns - runs[0].t_ns) * 1e-9 + len(runs[-1].values) / rate_hz
     transforms, design, middles_s = _transforms(runs, rate_hz)
@@ -206,7 +190,10 @@ def _look(
         duration_s=duration_s,
         longest_s=len(longest.values) / rate_hz,
         gaps=tuple(
-            (utc(a.t_ns + round(len(a.values) / rate_hz * 1e9)), (b.t_ns - a.t_ns) * 1e-9 - len(a.values) / rate_hz)
+            (
+                np.datetime64(a.t_ns + round(len(a.values) / rate_hz * 1e9), "ns"),
+                (b.t_ns - a.t_ns) * 1e-9 - len(a.values) / rate_hz,
+            )
             for a, b in pairwise(runs)
         ),
         truncated=read.truncated,
@@ -257,7 +244,7 @@ class _Reader:
         state, health, parts, size = alignment.start(), HealthState(), list[Array](), 0
         begin_ns, dropped = 0, 0
         first: SampleBlock | None = None
-        for block in _blocks(paths, on_warning):
+        for block in read_topics(paths, tuple(UNIT_OF), on_warning):
             topic = self.topics.setdefault(
                 block.topic,
                 {"channels": list(block.channels), "unit": block.unit, "rate_hz": block.sample_rate_hz, "samples": 0},
@@ -269,7 +256,7 @@ class _Reader:
                 first, self.channels, self.rate_hz = block, block.channels, block.sample_rate_hz
             if abs(block.sample_rate_hz / self.rate_hz - 1.0) > 1e-3:
                 raise BadInputError(
-                    f"{_names(paths)}: the rate changes from {self.rate_hz:g} to {block.sample_rate_hz:g} Hz; "
+                    f"{file_names(paths)}: the rate changes from {self.rate_hz:g} to {block.sample_rate_hz:g} Hz; "
                     "look at each recording alone"
                 )
             size += block.n_samples * len(self.channels)
@@ -279,7 +266,7 @@ class _Reader:
             try:
                 state, pieces = alignment.step(state, block, self.channels)
             except BadInputError as error:
-                raise BadInputError(f"{_names(paths)}: {error}") from error
+                raise BadInputError(f"{file_names(paths)}: {error}") from error
             for piece in pieces:
                 health, spans = sensor_health.step(
                     health, piece, state.dropped, self.channels, HealthSettings(), keep_s=0.0
@@ -297,17 +284,7 @@ class _Reader:
             self.runs.append(_Run(begin_ns, np.concatenate(parts)))
         self.dropped = dropped
         if not self.runs:
-            raise BadInputError(f"{_names(paths)}: {ACCELERATION} holds no samples")
-
-
-def _blocks(paths: Sequence[Path], on_warning: OnWarning) -> Iterator[SampleBlock]:
-    """Read all blocks of the recordings in time order (errors as `look`)."""
-    try:
-        yield from read_recordings(list(paths), topics=tuple(UNIT_OF), on_warning=on_warning, longest_s=30.0)
-    except RecordingMissingError as error:
-        raise MissingInputError(str(error)) from error
-    except RecordingError as error:
-        raise BadInputError(str(error)) from error
+            raise BadInputError(f"{file_names(paths)}: {ACCELERATION} holds no samples")
 
 
 def _transforms(runs: Sequence[_Run], rate_hz: float) -> tuple[ComplexArray, SegmentDesign, Array]:
@@ -325,14 +302,14 @@ def _transforms(runs: Sequence[_Run], rate_hz: float) -> tuple[ComplexArray, Seg
     return np.array(transforms), design, np.array(middles)
 
 
-def _thinned(power: Array) -> Array:
-    """Average the power of neighbouring segments, shape (n_segments, n_bins, c), to at most `_SHOWN_COLUMNS`."""
+def _thinned(power: Annotated[Array, "segments bins c"]) -> Annotated[Array, "columns bins c"]:
+    """Average the power of neighbouring segments to at most `_SHOWN_COLUMNS`."""
     parts = np.array_split(power, min(len(power), _SHOWN_COLUMNS))
     return np.array([2.0 * part.mean(axis=0) for part in parts])
 
 
-def _identify_bands(values: Array, rate_hz: float) -> list[LookedBand]:
-    """Identify the modes of a run, shape (n, c), at the source's rate and at lower ones, each with a band of its own.
+def _identify_bands(values: Annotated[Array, "n c"], rate_hz: float) -> list[LookedBand]:
+    """Identify the modes of a run at the source's rate and at lower ones, each with a band of its own.
 
     The lags of the identification span one period of a band's lowest mode.
     """
@@ -399,12 +376,15 @@ def _merge(bands: Sequence[LookedBand]) -> list[LookedMode]:
 def _is_same(a: LookedMode, b: LookedMode) -> bool:
     """Check whether two estimates are of one mode: their frequencies agree within what poles may differ, and their shapes."""
     near = abs(a.frequency_hz / b.frequency_hz - 1.0) < 2.0 * SelectionSettings().stable_frequency
-    mac = abs(np.vdot(a.shape, b.shape)) ** 2 / (np.vdot(a.shape, a.shape).real * np.vdot(b.shape, b.shape).real)
-    return bool(near and mac > _SAME_MAC)
+    return near and mac(a.shape, b.shape) > _SAME_MAC
+
+
+def mac(a: Annotated[ComplexArray, "c"], b: Annotated[ComplexArray, "c"]) -> float:
+    """Compute the modal assurance criterion of two shapes."""
+    return float(abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real))
 
 
 def _mode(modes: ModalEstimate, k: int, second: SingleMode | Skipped) -> LookedMode:
-    """Form the record of one mode."""
     shape = modes.shapes[k]
     c = len(shape)
     deviations = np.sqrt((modes.deviations[:, k, 2:] ** 2).sum(axis=0))
@@ -469,22 +449,22 @@ def _modes_table(found: LookedRecording) -> str:
 def in_words(found: LookedRecording) -> str:
     """Write the result for a terminal: the modes first, then level and doubts."""
     head = ["mode", "f, Hz", "damping, %", "second, Hz", "second, %", ""]
-    lines = _columns([head, *mode_rows(found)]) if found.modes else ["no modes found"]
+    lines = in_columns([head, *mode_rows(found)]) if found.modes else ["no modes found"]
     lines += [f"note: {note}" for note in found.notes]
     lines.append(
-        f"{found.duration_s:.6g} s at {found.rate_hz:g} Hz from {str(utc(found.t_start_ns))[:19]} UTC; "
+        f"{found.duration_s:.6g} s at {found.rate_hz:g} Hz from {str(np.datetime64(found.t_start_ns, 'ns'))[:19]} UTC; "
         f"{len(found.gaps)} gaps; topics: {', '.join(sorted(found.topics))}"
     )
     level = [
         [name, f"{rms:.3g} m/s^2 RMS", f"{rms / G_M_S2:.2g} g", f"peak {peak:.3g} m/s^2"]
         for name, rms, peak in zip(found.channels, found.rms_m_s2, found.peak_m_s2, strict=True)
     ]
-    lines += _columns(level)
+    lines += in_columns(level)
     lines += [f"doubt: {doubt}" for doubt in found.doubts]
     return "\n".join(lines)
 
 
-def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
+def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """Align the cells of rows in columns."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

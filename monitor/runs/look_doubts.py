@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import inf
+from typing import Annotated
 
 import numpy as np
 
@@ -40,7 +41,7 @@ _TONE_OFFSET_BINS = 4
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Facts:
-    """What the doubts rest on; c channels."""
+    """What the doubts rest on."""
 
     channels: tuple[str, ...]
     rate_hz: float
@@ -52,26 +53,20 @@ class Facts:
     """Whether the recording was too long to be read to its end."""
     dropped: int
     """Samples that were repeated, late or not finite."""
-    mean: Array
-    rms: Array
+    mean: Annotated[Array, "c"]
+    rms: Annotated[Array, "c"]
     health: tuple[sensor_health.Health, ...]
-    transforms: ComplexArray
-    """Shape (n_segments, n_bins, c), Hann taper."""
+    transforms: Annotated[ComplexArray, "segments bins c"]
+    """By the Hann taper."""
     step_hz: float
     modes: tuple[LookedMode, ...]
     lowest_hz: float
-    """Lowest frequency at which modes were looked for, Hz."""
+    """Lowest frequency at which modes were looked for."""
 
 
 def find_doubts(facts: Facts) -> tuple[str, ...]:
     """List what is doubtful, the gravest first; "may be" where a model, or a look at the sensors, must decide."""
-    return (
-        *_of_level(facts),
-        *_of_stream(facts),
-        *_of_sensors(facts),
-        *_of_spectra(facts),
-        *_of_channels(facts),
-    )
+    return (*_of_level(facts), *_of_stream(facts), *_of_sensors(facts), *_of_spectra(facts), *_of_channels(facts))
 
 
 def remark_modes(facts: Facts) -> tuple[LookedMode, ...]:
@@ -98,8 +93,8 @@ def _is_tone(facts: Facts, mode: LookedMode) -> bool:
     return _is_constant(power, at, len(facts.modes))
 
 
-def _is_constant(power: Array, at: int, tests: int) -> bool:
-    """Test whether the power in a bin, of shape (n_segments, n_bins), is as constant over the segments as a sinusoid's."""
+def _is_constant(power: Annotated[Array, "segments bins"], at: int, tests: int) -> bool:
+    """Test whether the power in a bin is as constant over the segments as a sinusoid's."""
     offsets = np.arange(_TONE_OFFSET_BINS, 2 * _TONE_OFFSET_BINS)
     around = np.concatenate([at - offsets, at + offsets])
     around = around[(around > 0) & (around < power.shape[1])]
@@ -225,12 +220,7 @@ def find_remarks(facts: Facts) -> tuple[str, ...]:
 def _without_lowpass(facts: Facts) -> tuple[list[int], float]:
     """Find the channels without a lowpass, and what may fold: their density just below half the rate over that at a mode.
 
-    Returns
-    -------
-    list of int
-        Channels.
-    float
-        Ratio at the mode with the least density; infinite where there is no mode.
+    The mode is that with the least density; the ratio is infinite where there is no mode.
     """
     power = (np.abs(facts.transforms) ** 2).mean(axis=0)
     folded = channel_relations.folded_share(power)

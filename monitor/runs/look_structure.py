@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from math import ceil
+from typing import Annotated
 
 import numpy as np
 
@@ -32,17 +33,9 @@ _WINDOWS = 4
 
 
 def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> str:
-    """Write a structure file that fits the modes, what is doubtful about it as comments.
+    """Write a structure file that fits the modes, what is doubtful about it as comments; `mass_kg` is that of the whole.
 
-    Parameters
-    ----------
-    mass_kg : float, optional
-        Mass of the whole structure; 1 kg by default.
-
-    Raises
-    ------
-    BadInputError
-        If there is no mode to fit.
+    Raises BadInputError if there is no mode to fit.
     """
     sure = [mode for mode in found.modes if not mode.remark and _is_sure(mode)]
     modes = sure[: len(found.channels)]
@@ -183,8 +176,8 @@ def _matrices(modes: Sequence[LookedMode], mass_kg: float) -> list[str]:
     ]
 
 
-def _basis(modes: Sequence[LookedMode]) -> Array:
-    """Form the shapes of unit norm as columns, completed to a basis by what is orthogonal to them, shape (n, n)."""
+def _basis(modes: Sequence[LookedMode]) -> Annotated[Array, "n n"]:
+    """Form the shapes of unit norm as columns, completed to a basis by what is orthogonal to them."""
     shapes = np.array([mode.shape.real / np.linalg.norm(mode.shape.real) for mode in modes]).T
     u, _, _ = np.linalg.svd(shapes)
     return np.concatenate([shapes, u[:, len(modes) :]], axis=1)
@@ -217,10 +210,8 @@ def _processing(found: LookedRecording, modes: Sequence[LookedMode]) -> tuple[li
 
 
 def _numbers(values: Array) -> str:
-    """Write a list of numbers."""
     return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
 
 
 def _matrix(values: Array) -> str:
-    """Write a matrix as a list of its rows."""
     return "[" + ", ".join("[" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in values) + "]"

@@ -45,13 +45,7 @@ def address(path: Path) -> str:
 
 
 def remote_paths(pattern: str) -> list[Path]:
-    """List the objects that an address with ``*``, ``?`` or ``**`` denotes; one without names one object.
-
-    Raises
-    ------
-    MissingExtraError, MissingInputError
-        The extra `s3` is not installed; the storage cannot be reached.
-    """
+    """List the objects that an address with ``*``, ``?`` or ``**`` denotes; one without names one object (errors as `_asked`)."""
     if not _MAGIC.search(pattern):
         return [Path(pattern)]
     found: list[str] = _asked(pattern, methodcaller("glob", pattern))
@@ -59,13 +53,7 @@ def remote_paths(pattern: str) -> list[Path]:
 
 
 def remote_version(path: Path) -> str:
-    """Identify the present version of an object by its address, its size and its ETag.
-
-    Raises
-    ------
-    MissingExtraError, MissingInputError
-        The extra `s3` is not installed; the object cannot be read.
-    """
+    """Identify the present version of an object by its address, its size and its ETag (errors as `_asked`)."""
     about = _asked(address(path), methodcaller("info", _key(path)))
     return f"{address(path)} {about['size']} {about['ETag']}"
 
@@ -74,12 +62,8 @@ def remote_version(path: Path) -> str:
 def local_copies(paths: Sequence[Path]) -> Iterator[tuple[list[Path], Callable[[str], str]]]:
     """Give files to read: copies of objects, which are removed afterwards, and the files themselves.
 
-    Beside them comes a function that names objects instead of copies in a text.  It is applied to errors of users and recordings.
-
-    Raises
-    ------
-    MissingExtraError, MissingInputError
-        The extra `s3` is not installed; an object cannot be read.
+    Beside them comes a function that names objects instead of copies in a text.  It is applied to errors of users and
+    recordings. Raises MissingExtraError if the extra `s3` is not installed, MissingInputError if an object cannot be read.
     """
     if not any(map(is_remote, paths)):
         yield list(paths), str
@@ -108,7 +92,7 @@ def _key(path: Path) -> str:
 
 
 def _asked(what: str, question: Callable[[Any], Any]) -> Any:
-    """Ask the storage, and say in one line what it refuses."""
+    """Ask the storage; MissingExtraError without the extra `s3`, MissingInputError in one line for what the storage refuses."""
     storage = import_extra("s3fs", what).S3FileSystem(skip_instance_cache=True, use_listings_cache=False)
     try:
         return question(storage)

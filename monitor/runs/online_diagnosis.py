@@ -5,24 +5,19 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from math import ceil
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from drivers.base import ACCELERATION, SampleBlock
+from drivers.base import SampleBlock
 from monitor.config import Configuration
 from monitor.core import WindowResult
 from monitor.diagnosis import trigger
 from monitor.runs.diagnosis_process import DiagnosisQueue
+from monitor.runs.recent_blocks import RecentBlocks
 
 _MAX_FINDINGS = 1000
 """Findings kept in memory for the summary; the oldest goes first.  Every finding also has a file of its own."""
-_MAX_BLOCKS = 200_000
-"""Blocks kept at most, whatever their length, so that memory stays bounded with blocks of single samples."""
-_MARGIN_S = 30.0
-"""Seconds of data kept beyond the longest span of a diagnosis: a request arises with the block that completes its window, and
-that block may be long."""
 FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes", "ddi_effect")
 """Keys of a finding that summary.json repeats."""
 
@@ -40,61 +35,6 @@ class BlockStore(Protocol):
         """Return the samples taken from `from_ns` to `to_ns` (UTC, ns); another thread may read them."""
 
 
-class RecentBlocks:
-    """Latest blocks of samples in the order of arrival, kept for a diagnosis.
-
-    Parameters
-    ----------
-    longest_s : float
-        Length of acceleration data that a diagnosis may ask for, s.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> recent = RecentBlocks(longest_s=60.0)
-    >>> recent.push(SampleBlock(ACCELERATION, 0, 0, 10.0, ("a1",), "m/s^2", np.zeros((20, 1), np.float32)))
-    >>> [block.n_samples for block in recent.between(500_000_000, 1_500_000_000)]
-    [10]
-    """
-
-    def __init__(self, longest_s: float) -> None:
-        self.longest_s = longest_s
-        self._seconds = 0.0
-        self._blocks: deque[SampleBlock] = deque()
-
-    def push(self, block: SampleBlock) -> None:
-        """Keep a block, and discard the blocks that are too old.
-
-        The age of a block is the length of the data since then, because clocks may stand still or be set back.
-        """
-        self._blocks.append(block)
-        self._seconds += _length_s(block)
-        longest_s = self.longest_s + _MARGIN_S
-        while self._seconds - _length_s(self._blocks[0]) > longest_s or len(self._blocks) > _MAX_BLOCKS:
-            self._seconds -= _length_s(self._blocks.popleft())
-
-    def between(self, from_ns: int, to_ns: int) -> list[SampleBlock]:
-        """Return the samples taken from `from_ns` to `to_ns` (UTC, ns), cut out of the blocks."""
-        return [b for block in self._blocks if (b := _cut_to_span(block, from_ns, to_ns)).n_samples]
-
-
-def _cut_to_span(block: SampleBlock, from_ns: int, to_ns: int) -> SampleBlock:
-    """Cut a block to its samples from `from_ns` to `to_ns` (UTC, ns)."""
-    first, end = (
-        min(max(ceil(round((t - block.t_ns) * 1e-9 * block.sample_rate_hz, 6)), 0), block.n_samples)
-        for t in (from_ns, to_ns)
-    )
-    if end - first == block.n_samples:
-        return block
-    t_ns = block.t_ns + round(first / block.sample_rate_hz * 1e9)
-    return replace(block, t_ns=t_ns, sequence=block.sequence + first, samples=block.samples[first:end])
-
-
-def _length_s(block: SampleBlock) -> float:
-    """Return the length of a block of acceleration, s; 0 for other topics, which run in parallel."""
-    return block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0
-
-
 def longest_diagnosis_s(config: Configuration) -> float:
     """Return the length of data that a diagnosis may be given, s."""
     return max(config.watch.longest_s, 2.0 * config.processing.window_s)
@@ -108,26 +48,17 @@ class OnlineDiagnosisState:
     t_ns: int
     """End of the latest window, UTC."""
     found: tuple[str, ...]
-    """Findings, each as JSON."""
+    """Each as JSON."""
     pending: tuple[trigger.Request, ...]
-    """Requests that have no finding yet."""
     asked: int
-    """Number of requests so far."""
+    """Number of requests so far, of which those `pending` have no finding yet."""
 
 
 class OnlineDiagnosis:
     """Controller of the diagnoses of a session: requests a diagnosis when one is due, and collects the findings.
 
-    Parameters
-    ----------
-    config : Configuration
-        Settings of the site; `[watch]` says when a diagnosis is due.
-    files : (Path, Path or None), optional
-        Structure or site file, and baseline, that a diagnosis reads; no diagnosis is made without.
-    folder : Path
-        Folder of the findings.
-    store : BlockStore, optional
-        Store of the latest blocks; in memory by default.
+    `[watch]` of the configuration says when one is due.  It reads `files`, the structure or site file and the baseline, without
+    which none is made, and the latest blocks of the store, which is in memory by default.
     """
 
     def __init__(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -66,8 +66,8 @@ _BY_FREQUENCIES = UpdatingSettings(penalty="weighted", use_shapes=False, eigenva
 _BY_FREQUENCIES_AND_SHAPES = UpdatingSettings(penalty="weighted")
 
 
-def paper_frame(stiffness: Array) -> Model:
-    """Build the paper's frame with 1 % Rayleigh damping; `stiffness` has shape (3,), N/m.
+def paper_frame(stiffness: Annotated[Array, "3"]) -> Model:
+    """Build the paper's frame with 1 % Rayleigh damping; `stiffness` is that of the stories, N/m.
 
     Examples
     --------
@@ -77,24 +77,14 @@ def paper_frame(stiffness: Array) -> Model:
     return Model(ShearFrame(MASSES_KG, stiffness, 0.01))
 
 
-def updating_history() -> Array:
-    """Compute the stiffness after 0, 1, 2 ... steps of eq. 27, from the drawing to the measured frequencies.
-
-    Returns
-    -------
-    array, shape (n, 3)
-        Story stiffness after each step, N/m.
-
-    References
-    ----------
-    Paper, eq. 27.
-    """
+def updating_history() -> Annotated[Array, "n 3"]:
+    """Compute the story stiffness (N/m) after 0, 1, 2 ... steps of eq. 27, from the drawing to the measured frequencies."""
     target = _frequencies_only(MEASURED_HZ)
     return update(paper_frame(INITIAL_STIFFNESS), np.eye(3), target, _BY_FREQUENCIES).history
 
 
-def _frequencies_only(frequencies_hz: Array) -> Observation:
-    """Build the observation of three frequencies, shape (3,), Hz, as in the paper.
+def _frequencies_only(frequencies_hz: Annotated[Array, "3"]) -> Observation:
+    """Build the observation of three frequencies as in the paper.
 
     The relative variances are equal; a fit with as many frequencies as parameters does not depend on them.
     """
@@ -102,21 +92,8 @@ def _frequencies_only(frequencies_hz: Array) -> Observation:
     return Observation(lam, np.diag(lam**-2.0), np.zeros((1, lam.size)), tuple(range(lam.size)), (), log=False)
 
 
-def paper_forces(excitation: Excitation, rng: np.random.Generator) -> Array:
-    """Generate the paper's forces: an impact on node 2, or white noise of unit standard deviation on every node.
-
-    Parameters
-    ----------
-    excitation : "free" or "ambient"
-        Impact or white noise.
-    rng : Generator
-        Random numbers of the white noise.
-
-    Returns
-    -------
-    array, shape (n, 3)
-        Force on every node, N.
-    """
+def paper_forces(excitation: Excitation, rng: np.random.Generator) -> Annotated[Array, "n 3"]:
+    """Generate the paper's forces, N: an impact on node 2, or white noise of unit standard deviation on every node."""
     n = round(_DURATION_S[excitation] / _DT[excitation])
     if excitation == "ambient":
         return rng.standard_normal((n, 3))
@@ -126,29 +103,12 @@ def paper_forces(excitation: Excitation, rng: np.random.Generator) -> Array:
 
 
 def identify_noisy(
-    clean: Array, excitation: Excitation, noise: float, rng: np.random.Generator, like: Model
+    clean: Annotated[Array, "n 3"], excitation: Excitation, noise: float, rng: np.random.Generator, like: Model
 ) -> ModalEstimate | Skipped:
-    """Add noise to a response, filter it, resample it to 100 Hz, and identify the modes (algorithm 2, CVA).
+    """Add noise to a response, filter it, resample it to 100 Hz, and identify the modes of `like` (algorithm 2, CVA).
 
-    The period elongation of Newmark's method is removed: it is an error of the integrator, not of the identification.
-
-    Parameters
-    ----------
-    clean : array, shape (n, 3)
-        Simulated response without noise.
-    excitation : "free" or "ambient"
-        Kind of excitation, which determines rate and length.
-    noise : float
-        Standard deviation of the noise as a share of the mean RMS of the channels.
-    rng : Generator
-        Random numbers of the noise.
-    like : Model
-        Model whose modes are identified.
-
-    Returns
-    -------
-    ModalEstimate or Skipped
-        Identified modes, or the reason why there are none.
+    `noise` is the standard deviation as a share of the mean RMS of the channels.  The period elongation of Newmark's method is
+    removed: it is an error of the integrator, not of the identification.
     """
     dt = _DT[excitation]
     rms = noise * float(np.sqrt((clean**2).mean(axis=0)).mean())
@@ -166,40 +126,21 @@ def identify_noisy(
     return replace(modes, frequencies_hz=np.tan(np.pi * modes.frequencies_hz * dt) / (np.pi * dt))
 
 
-def ddi_by_frequencies(frequencies_hz: Array, healthy: Model) -> Array:
-    """Compute the DDI against the adjusted model from frequencies alone, as in the paper.
-
-    Parameters
-    ----------
-    frequencies_hz : array, shape (3,)
-        Identified frequencies, Hz.
-    healthy : Model
-        Adjusted model.
-
-    Returns
-    -------
-    array, shape (3,)
-        DDI of every story; NaN if the updating does not converge.
-    """
+def ddi_by_frequencies(frequencies_hz: Annotated[Array, "3"], healthy: Model) -> Annotated[Array, "3"]:
+    """Compute the DDI against the adjusted model from frequencies alone, as in the paper (NaN as of `_ddi`)."""
     return _ddi(update(healthy, np.eye(3), _frequencies_only(frequencies_hz), _BY_FREQUENCIES), healthy)
 
 
-def ddi_by_frequencies_and_shapes(modes: ModalEstimate, healthy: Model) -> Array:
-    """Compute the DDI against the adjusted model from frequencies and mode shapes.
-
-    Returns
-    -------
-    array, shape (3,)
-        DDI of every story; NaN if the updating does not converge.
-    """
+def ddi_by_frequencies_and_shapes(modes: ModalEstimate, healthy: Model) -> Annotated[Array, "3"]:
+    """Compute the DDI against the adjusted model from frequencies and mode shapes (NaN as of `_ddi`)."""
     target = observe(modes, _BY_FREQUENCIES_AND_SHAPES)
     # Noise-free data have zero variance: a floor far below any noise keeps the weights finite.
     target = replace(target, weight=np.diag(1.0 / (1.0 / np.diag(target.weight) + 1e-12)))
     return _ddi(update(healthy, np.eye(3), target, _BY_FREQUENCIES_AND_SHAPES), healthy)
 
 
-def _ddi(fit: Update, healthy: Model) -> Array:
-    """Compute the DDI of an updated model, shape (3,); NaN if the updating did not converge."""
+def _ddi(fit: Update, healthy: Model) -> Annotated[Array, "3"]:
+    """Compute the DDI of every story of an updated model; NaN if the updating did not converge."""
     if not fit.converged:
         return np.full(3, np.nan)
     return np.asarray(1.0 - fit.parameters / healthy.structure.stiffness_n_per_m)
@@ -208,10 +149,7 @@ def _ddi(fit: Update, healthy: Model) -> Array:
 def run_simulated_tests(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> list[dict[str, Any]]:
     """Run the twelve tests of Tables 6 and 7 and Figures 9 and 10, each over `seeds` draws of force and noise.
 
-    Returns
-    -------
-    list of dict
-        Mean frequencies (Hz), DDI and their errors for each case, excitation and noise.
+    Of each case, excitation and noise come mean frequencies, DDI and their errors.
     """
     healthy = paper_frame(updating_history()[-1])
     tests: list[dict[str, Any]] = []

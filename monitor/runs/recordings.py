@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -32,22 +32,27 @@ _LEAST_OVERLAP_S = 1.0
 
 
 def read_blocks(
-    paths: list[Path], config: Configuration, on_warning: OnWarning, longest_s: float = _BLOCK_S
+    paths: Sequence[Path], config: Configuration, on_warning: OnWarning, longest_s: float = _BLOCK_S
 ) -> Iterator[SampleBlock]:
-    """Read all samples of the recordings in time order, small blocks joined to blocks of at most `longest_s` seconds.
+    """Read what a site evaluates of its recordings, small blocks joined to at most `longest_s` (errors as `read_topics`)."""
+    topics = tuple(dict.fromkeys([*UNIT_OF, *(table.topic for table in config.covariates)]))
+    return read_topics(paths, topics, on_warning, longest_s, config.topics)
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If a recording is missing or unusable.
+
+def read_topics(
+    paths: Sequence[Path],
+    topics: tuple[str, ...],
+    on_warning: OnWarning,
+    longest_s: float = _BLOCK_S,
+    topic_map: Mapping[str, str] | None = None,
+) -> Iterator[SampleBlock]:
+    """Read all samples of the topics of recordings in time order, small blocks joined to blocks of at most `longest_s`.
+
+    Raises MissingInputError or BadInputError if a recording is missing or unusable.
     """
     try:
         yield from read_recordings(
-            paths,
-            topics=tuple(dict.fromkeys([*UNIT_OF, *(table.topic for table in config.covariates)])),
-            topic_map=config.topics or None,
-            on_warning=on_warning,
-            longest_s=longest_s,
+            list(paths), topics=topics, topic_map=topic_map or None, on_warning=on_warning, longest_s=longest_s
         )
     except RecordingMissingError as error:
         raise MissingInputError(str(error)) from error
@@ -138,10 +143,7 @@ def duration_s(first: SampleBlock | None, last: SampleBlock | None) -> float:
 class Progress:
     """Progress through the data of recordings, with a check that they are long enough for one window.
 
-    Parameters
-    ----------
-    on_progress : callable
-        Called with the length of the acceleration data so far, s, after each block.
+    `on_progress` is called with the length of the acceleration data so far, s, after each block.
     """
 
     def __init__(self, on_progress: OnProgress) -> None:
@@ -162,13 +164,7 @@ class Progress:
             self._on_progress(self.data_s)
 
     def require_window(self, pipeline: Pipeline, windows: int, paths: list[Path]) -> None:
-        """Refuse recordings that did not fill one window.
-
-        Raises
-        ------
-        BadInputError
-            If `windows` is 0; the message gives the length of the usable data.
-        """
+        """Raise BadInputError for recordings that did not fill one window; the message gives the length of the usable data."""
         if windows:
             return
         state, window_s = pipeline.state.align, pipeline.config.processing.window_s
@@ -180,13 +176,7 @@ class Progress:
         )
 
     def require_periods(self, windows: Sequence[ModalEstimate], paths: list[Path]) -> None:
-        """Refuse to learn modes from recordings that are too short to state them.
-
-        Raises
-        ------
-        BadInputError
-            If there are less than `LEAST_RECORD_S` of data, or `LEAST_PERIODS` of a mode.
-        """
+        """Raise BadInputError for recordings too short to learn modes of: `LEAST_RECORD_S`, and `LEAST_PERIODS` of each mode."""
         lowest_hz = min((float(modes.frequencies_hz.min(initial=inf)) for modes in windows), default=inf)
         least_s = max(LEAST_RECORD_S, LEAST_PERIODS / lowest_hz)
         if self.data_s < least_s * (1.0 - 1e-9):
@@ -196,7 +186,7 @@ class Progress:
             )
 
 
-def file_names(paths: list[Path]) -> str:
+def file_names(paths: Sequence[Path]) -> str:
     """Join the recordings' names for a message."""
     return ", ".join(map(str, paths))
 
@@ -209,13 +199,7 @@ class BlockConsumer(Protocol):
 
 
 def push_block(consumer: BlockConsumer, block: SampleBlock, paths: list[Path]) -> list[Result]:
-    """Push a block of the recordings `paths`, and return its results.
-
-    Raises
-    ------
-    BadInputError
-        If the block is refused; the message names the recordings.
-    """
+    """Push a block of the recordings `paths`, and return its results; BadInputError with their names if it is refused."""
     try:
         return consumer.push(block)
     except BadInputError as error:

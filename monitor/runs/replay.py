@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
-from monitor.core import MissingInputError, WindowResult, demand_place, write_atomically
+from monitor.core import WindowResult, demand_place, os_errors_of, write_atomically
 from monitor.damage import AnyBaseline
 from monitor.events import Event
 from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, event_text, to_json
@@ -34,10 +35,12 @@ from monitor.runs.viewer import open_viewer
 __all__ = [
     "RESULT_FILES",
     "ResultFiles",
+    "ending",
     "pass_through",
     "recorded_content",
     "replay",
     "warn_of_losses",
+    "whole_session",
     "with_first_block_read",
 ]
 
@@ -46,15 +49,7 @@ RESULT_FILES = ("results.jsonl", EVENTS, "results.mcap", "live.rrd", "summary.js
 
 
 class ResultFiles(Publisher):
-    """Publisher to the files of a replay; each file takes its final name when it is whole, after the last window.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of the files.
-    mcap : bool
-        Whether results.mcap is one of them.
-    """
+    """Publisher to the files of a replay; each takes its final name when it is whole, after the last window."""
 
     def __init__(self, out: Path, *, mcap: bool = True) -> None:
         for name in RESULT_FILES:
@@ -79,14 +74,8 @@ class ResultFiles(Publisher):
             self.told[event.id] = {"id": event.id, "says": event_text(event)}
 
     def close(self, summary: dict[str, Any], findings: Iterable[dict[str, Any]]) -> None:
-        """Finish all files and write summary.json.
-
-        Raises
-        ------
-        MissingInputError
-            The folder cannot be written.
-        """
-        try:
+        """Finish all files and write summary.json; MissingInputError if the folder cannot be written."""
+        with os_errors_of(self._out, "cannot be written: "):
             self._lines.close()
             self._events.close()
             if self._results is not None:
@@ -94,8 +83,6 @@ class ResultFiles(Publisher):
                     self._results.write_json("/findings", finding["t_ns"], to_json(finding))
                 self._results.close()
             write_atomically(self._out / "summary.json", to_json(summary) + "\n")
-        except OSError as error:
-            raise MissingInputError(f"{self._out}: cannot be written: {error.strerror}") from error
 
     def abandon(self) -> None:
         """Remove the unfinished files."""
@@ -119,27 +106,12 @@ def replay(
 ) -> dict[str, Any]:
     """Run recordings through the pipeline, write `RESULT_FILES` and return the content of summary.json, and the events.
 
-    Parameters
-    ----------
-    paths : list of Path
-        Recordings.
-    config : Configuration
-        Settings of the site.
-    baseline : Baseline or ModalBaseline, optional
-        Healthy reference; no alarm is raised without one.
-    out : Path
-        Folder of the results.
-    speed : float, optional
-        Speed as a multiple of real time; as fast as possible by default.
-    serve : (str, int), optional
-        Address and port at which Rerun viewers may connect during the replay.
-    files : (Path, Path or None), optional
-        Structure and baseline file for the diagnoses that alarms request; no diagnosis is made without.
+    No alarm is raised without a baseline, and no diagnosis is made without `files`, the structure file and the baseline's.
+    `speed` is a multiple of real time, by default as fast as possible; `serve` is an address and a port at which Rerun
+    viewers may connect during the replay.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If the recordings are too short for one window and hold no event, lack channels, or cannot be read.
+    Raises MissingInputError or BadInputError if the recordings are too short for one window and hold no event, lack channels,
+    or cannot be read.
     """
     pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
     source = with_first_block_read(
@@ -148,35 +120,45 @@ def replay(
     spans = recorded_spans(paths, config)
     written = ResultFiles(out)
     view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True, on_warning=on_warning)
-    recordings = EventRecordings(out, config.events)
     publishers = (written,) if view is None else (written, view)
-    session = Session(
-        config,
-        baseline,
-        publishers,
-        files,
-        out / "findings",
-        whole=True,
-        recordings=recordings,
-        between=times_between(spans),
-    )
-    try:
+    session = whole_session(config, baseline, publishers, files, out, spans)
+    with ending(session, written.abandon, *([] if view is None else [view.abort])):
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress, event_suffices=True)
         content = session.content(factor) | recorded_content(session, spans)
         written.close(content, session.online_diagnosis.findings)
         if view is not None:
             view.close(timeout_s=120.0)
-    except BaseException:
-        written.abandon()
-        if view is not None:
-            view.abort()
-        raise
-    finally:
-        session.online_diagnosis.close()
     if view is not None and view.failed is not None:
         on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
     warn_of_losses(session, spans, on_warning)
     return content | {"events": list(written.told.values())}
+
+
+def whole_session(
+    config: Configuration,
+    baseline: AnyBaseline | None,
+    publishers: Sequence[Publisher],
+    files: tuple[Path, Path | None] | None,
+    out: Path,
+    spans: list[RecordedSpan],
+) -> Session:
+    """Make the session of a whole run, with the findings and the recordings of events in the folder `out`."""
+    recordings, between = EventRecordings(out, config.events), times_between(spans)
+    findings = out / "findings"
+    return Session(config, baseline, publishers, files, findings, whole=True, recordings=recordings, between=between)
+
+
+@contextmanager
+def ending(session: Session, *abandon: Callable[[], None]) -> Iterator[None]:
+    """Abandon the outputs of a session if an error leaves the block, and stop its diagnoses in any case."""
+    try:
+        yield
+    except BaseException:
+        for give_up in abandon:
+            give_up()
+        raise
+    finally:
+        session.online_diagnosis.close()
 
 
 def with_first_block_read(source: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
@@ -193,36 +175,17 @@ def pass_through(
     on_progress: OnProgress = lambda _: None,
     event_suffices: bool = False,
 ) -> float:
-    """Push all blocks through a session and wait for the findings; return the real-time factor.
+    """Push all blocks through a session and wait for the findings; return the length of the data over the run time.
 
-    Parameters
-    ----------
-    session : Session
-        Session that takes the blocks.
-    source : iterable of SampleBlock
-        Blocks in time order.
-    paths : list of Path
-        Recordings of the blocks, for messages.
-    speed : float, optional
-        Speed as a multiple of real time; as fast as possible by default.  Time without samples is not waited for.
-    event_suffices : bool
-        Whether recordings shorter than a window are welcome where they hold an event, as those of earthquakes do.
-
-    Returns
-    -------
-    float
-        Length of the data over the run time.
-
-    Raises
-    ------
-    BadInputError
-        If the recordings are too short for one window and no event suffices, or the pipeline refuses them.
+    `speed` is a multiple of real time, by default as fast as possible; time without samples is not waited for.  Recordings
+    shorter than a window are welcome if `event_suffices` and they hold an event, as those of earthquakes do.  Raises
+    BadInputError if others are too short for one window, or the pipeline refuses the blocks.
     """
     progress, started = Progress(on_progress), time.monotonic()
     for block in source:
         progress.add(block)
         if speed is not None:
-            _sleep_until_due(started, progress.data_s / speed)
+            time.sleep(max(0.0, started + progress.data_s / speed - time.monotonic()))
         push_block(session, block, paths)
     factor = progress.data_s / max(time.monotonic() - started, 1e-9)
     session.finish()
@@ -252,8 +215,3 @@ def warn_of_losses(session: Session, spans: list[RecordedSpan], on_warning: OnWa
         on_warning(says)
     if double := overlaps(spans):
         on_warning(f"{'; '.join(double)}: samples of one stream alone are judged; leave out the other recording")
-
-
-def _sleep_until_due(started: float, due_s: float) -> None:
-    """Sleep until `due_s` seconds after `started` (monotonic clock, s)."""
-    time.sleep(max(0.0, started + due_s - time.monotonic()))

@@ -59,30 +59,13 @@ class SessionState:
 
 
 class Session:
-    """Session that pushes blocks of samples through the pipeline, and passes the results to publishers.
+    """Session that pushes blocks of samples through the pipeline, and passes the results to publishers, in their order.
 
-    Parameters
-    ----------
-    config : Configuration
-        Settings of the site.
-    baseline : Baseline or ModalBaseline, optional
-        Healthy reference; no alarm is raised without one.
-    publishers : sequence of Publisher
-        Publishers, in the order in which they take each result.
-    files : (Path, Path or None), optional
-        Structure or site file, and baseline, for the diagnoses that alarms request; no diagnosis is made without, nor where
-        there is no model.
-    findings : Path
-        Folder of the findings of these diagnoses.
-    whole : bool
-        Whether the state is that of the whole run, as of a recording, or the present one, as of a site.
-    recordings : EventRecordings, optional
-        Writes the samples of events; without it they have none of their own.
-    store : BlockStore, optional
-        Store of the latest blocks for diagnoses; in memory by default.
-    between : sequence of (int, int)
-        Times between the recordings that are replayed, UTC in ns: no window that holds some of them is due, so the summary
-        does not count it.
+    No alarm is raised without a baseline.  The diagnoses that alarms request read `files`, the structure or site file and the
+    baseline, and write into the folder `findings`; none is made without files, nor where there is no model.  They take their
+    blocks from `store`, by default in memory.  `recordings` writes the samples of events, if it is given.  The state is that
+    of the `whole` run, as of a recording, or the present one, as of a site.  No window that holds time `between` the
+    recordings that are replayed (UTC in ns) is due, so the summary does not count it.
     """
 
     def __init__(
@@ -166,17 +149,8 @@ class Session:
     def push(self, block: SampleBlock, accepted: Callable[[list[Result]], None] = lambda _: None) -> list[Result]:
         """Evaluate a block of samples, publish the results, and return them.
 
-        Parameters
-        ----------
-        block : SampleBlock
-            Samples of any length.
-        accepted : callable
-            Called with the results before any publisher takes them, except where the block came before.
-
-        Raises
-        ------
-        BadInputError
-            If the pipeline refuses the block; the state of the session is then unchanged.
+        `accepted` is called with the results before any publisher takes them, except where the block came before.  Raises
+        BadInputError if the pipeline refuses the block; the state of the session is then unchanged.
         """
         going = bool(self.pipeline.state.events.strong)  # what this block ends is saved below, so it is kept until then
         known = self.pipeline.state.known
@@ -193,7 +167,7 @@ class Session:
 
     @property
     def longest_s(self) -> float:
-        """Length of data before a checkpoint that a diagnosis or an event after it may need, s."""
+        """Length of data before a checkpoint that a diagnosis or an event after it may need."""
         reach_s = 0.0 if self._recordings is None else self._recordings.reach_s
         return max(self.online_diagnosis.longest_s, reach_s)
 
@@ -228,10 +202,7 @@ class Session:
     def content(self, realtime_factor: float) -> dict[str, Any]:
         """Return the content of summary.json: the run so far, its alarms with their verdicts, and its findings.
 
-        Parameters
-        ----------
-        realtime_factor : float
-            Length of the data over the run time of the evaluation.
+        `realtime_factor` is the length of the data over the run time of the evaluation.
         """
         self._summary.dropped_samples = self.dropped
         findings = self.online_diagnosis.findings
@@ -310,7 +281,6 @@ class Session:
                 publisher.finding(finding)
 
     def _publish_state(self) -> None:
-        """Publish the present state where it changed."""
         present = self.present
         if present != self._assessment:
             self._assessment = present

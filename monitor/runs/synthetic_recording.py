@@ -9,14 +9,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
-from typing import cast, get_args
+from typing import Annotated, cast, get_args
 
 import numpy as np
 
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, SensorTable
-from monitor.core import Array, BadConfigurationError, MissingInputError
+from monitor.core import Array, BadConfigurationError, os_errors_of
 from monitor.model import (
     Effect,
     EffectError,
@@ -38,21 +38,16 @@ class TemperatureCycle:
 
     mean_degc: float
     swing_k: float
-    """Difference between the highest and the lowest temperature, K."""
+    """Difference between the highest and the lowest temperature."""
     period_s: float
     reference_degc: float
-    """Temperature at which the stiffness is that of the structure file, degC."""
+    """Temperature at which the stiffness is that of the structure file."""
 
     @classmethod
     def parse(cls, text: str | None, duration_s: float) -> TemperatureCycle:
-        """Parse ``MEAN[,SWING[,PERIOD[,REFERENCE]]]`` (degC, K, s, degC).
+        """Parse ``MEAN[,SWING[,PERIOD[,REFERENCE]]]`` (degC, K, s, degC); ValueError for another form.
 
         The defaults are a mean of 20 degC, a swing of 10 K, one period in `duration_s`, and the mean as reference.
-
-        Raises
-        ------
-        ValueError
-            If the text is not of that form.
 
         Examples
         --------
@@ -69,15 +64,15 @@ class TemperatureCycle:
             raise ValueError(f"--temperature {text!r}: needs finite numbers, SWING >= 0, PERIOD_S > 0")
         return cls(mean, swing, period, reference)
 
-    def degc(self, n: int, rate_hz: float) -> Array:
-        """Compute the temperature of `n` samples at `rate_hz`, shape (n,), degC."""
+    def degc(self, n: int, rate_hz: float) -> Annotated[Array, "n"]:
+        """Compute the temperature of `n` samples at `rate_hz`."""
         turn = 2.0 * np.pi / (rate_hz * self.period_s)
         return np.asarray(self.mean_degc - 0.5 * self.swing_k * np.cos(turn * np.arange(n)))
 
 
 def cut_into_blocks(
     topic: str,
-    values: Array,
+    values: Annotated[Array, "samples channels"],
     channels: tuple[str, ...],
     rate_hz: float,
     t0_ns: int,
@@ -85,26 +80,9 @@ def cut_into_blocks(
     first: int = 0,
     unit: str = "m/s^2",
 ) -> Iterator[SampleBlock]:
-    """Cut samples into blocks.
+    """Cut samples into blocks of `block_n` samples; the last block may be shorter.
 
-    Parameters
-    ----------
-    topic : str
-        Topic of the blocks.
-    values : array, shape (n_samples, n_channels)
-        Samples, in `unit`.
-    channels : tuple of str
-        Names of the columns.
-    rate_hz : float
-        Sample rate, Hz.
-    t0_ns : int
-        UTC of the sample with sequence number 0, ns.
-    block_n : int
-        Number of samples in a block; the last block may be shorter.
-    first : int
-        Sequence number of the first sample.
-    unit : str
-        Unit of the samples.
+    `t0_ns` is the UTC of the sample with sequence number 0, `first` the sequence number of the first sample.
     """
     for start in range(0, values.shape[0], block_n):
         t_ns = t0_ns + round((first + start) / rate_hz * 1e9)
@@ -114,12 +92,7 @@ def cut_into_blocks(
 
 
 def parse_damage(text: str) -> Effect:
-    """Parse ``storyN=LOSS`` as an effect; LOSS is the relative loss of stiffness, from 0 to below 1.
-
-    Raises
-    ------
-    EffectError
-        If the text is not of that form.
+    """Parse ``storyN=LOSS`` as an effect; LOSS is the relative loss of stiffness, from 0 to below 1 (else EffectError).
 
     Examples
     --------
@@ -151,39 +124,13 @@ def write_simulated_recording(
     seed: int,
     temperature: str | None = None,
 ) -> None:
-    """Write a simulated recording, with the truth in its metadata.
+    """Write a simulated recording, with the truth in its metadata; noise and level spread are as of `monitor.model.simulate`.
 
-    Parameters
-    ----------
-    out : Path
-        Recording to write.
-    config : Configuration
-        Structure and sensors.
-    duration_s : float
-        Length, s.
-    excitation : str
-        Kind of excitation (`monitor.model.ExcitationKind`).
-    noise, level_spread
-        As of `monitor.model.simulate`.
-    damage : list of str
-        Losses of stiffness, as of `parse_damage`.
-    effects : list of str
-        Further effects, as of `monitor.model.parse_effect`.
-    rate_hz : float
-        Sample rate, Hz.
-    t0_ns : int
-        Time of the first sample, UTC in ns since 1970.
-    seed : int
-        Seed of the random numbers.
-    temperature : str, optional
-        Temperature, as of `TemperatureCycle.parse`; none is simulated by default, unless an effect needs one.
+    The kinds of excitation are those of `monitor.model.ExcitationKind`.  Damage, effects and temperature are texts as of
+    `parse_damage`, `monitor.model.parse_effect` and `TemperatureCycle.parse`; no temperature is simulated by default, unless an
+    effect needs one.  `t0_ns` is the UTC of the first sample.
 
-    Raises
-    ------
-    BadConfigurationError
-        If damage, effect, excitation or temperature cannot be understood.
-    MissingInputError
-        If the file cannot be written.
+    Raises BadConfigurationError if one of the texts cannot be understood, MissingInputError if the file cannot be written.
     """
     if excitation not in get_args(ExcitationKind):
         raise BadConfigurationError(f"--excitation {excitation!r}: one of {', '.join(get_args(ExcitationKind))}")
@@ -222,11 +169,13 @@ def write_simulated_recording(
     }
     if weather is not None:
         metadata["reference_degc"] = repr(weather.reference_degc)
-    _write_blocks(out, _sample_blocks(motion, config, weather, t0_ns), {"simulated": metadata})
+    with os_errors_of(out, "cannot be written: "), McapWriter(out, {"simulated": metadata}) as writer:
+        for block in _sample_blocks(motion, config, weather, t0_ns):
+            writer.write(block)
 
 
-def _turning(config: Configuration, truth: Model) -> Array | None:
-    """Compute the rotation at each gyroscope by the floors' displacements, shape (g, n), rad/m; None where the model tells none.
+def _turning(config: Configuration, truth: Model) -> Annotated[Array, "g n"] | None:
+    """Compute the rotation at each gyroscope by the floors' displacements, rad/m; None where the model tells none.
 
     Joints of a frame turn about y, by the bending of columns and girders; of another structure a degree of freedom may be a
     rotation.  The model knows no other one, and without the stories' heights no angle.
@@ -247,18 +196,11 @@ def _turning(config: Configuration, truth: Model) -> Array | None:
 
 
 def _gyroscopes(config: Configuration) -> list[SensorTable]:
-    """List the gyroscopes of a structure file."""
     return [sensor for sensor in config.witnesses if sensor.quantity == "rotation_rate"]
 
 
 def require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
-    """Return the model if its effects fit the structure and its stiffness matrix is positive definite.
-
-    Raises
-    ------
-    ValueError
-        If an effect does not fit, or the structure is unstable.
-    """
+    """Return the model if its effects fit and its stiffness matrix is positive definite; ValueError otherwise."""
     for effect in truth.effects:
         effect.check(truth.structure, channels)
     if np.linalg.eigvalsh(truth.stiffness_matrix()).min() <= 0:
@@ -287,13 +229,3 @@ def _sample_blocks(
         degc = weather.degc(int((n_samples - 1) / rate_hz * _TEMPERATURE_HZ) + 1, _TEMPERATURE_HZ)
         streams.append(cut_into_blocks(TEMPERATURE, degc[:, None], ("air",), _TEMPERATURE_HZ, t0_ns, 1, unit="degC"))
     return heapq.merge(*streams, key=lambda block: block.t_ns)
-
-
-def _write_blocks(out: Path, blocks: Iterator[SampleBlock], metadata: dict[str, dict[str, str]]) -> None:
-    """Write blocks and metadata as a recording."""
-    try:
-        with McapWriter(out, metadata) as writer:
-            for block in blocks:
-                writer.write(block)
-    except OSError as error:
-        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error

@@ -43,17 +43,11 @@ def _model(config: Configuration, baseline: AnyBaseline | None) -> Model:
 
 
 def warm_up(config: Configuration | None = None, baseline: AnyBaseline | None = None) -> int:
-    """Push simulated samples through pipelines of a site's settings, and return the number of windows judged.
+    """Push simulated samples through pipelines of a site's settings, by default of a small frame; count the windows judged.
 
     What a window needs is compiled by that, with and without refinement, or loaded where an earlier process compiled it
-    (`monitor.core.compiled`): half a minute of one processor the first time, about a second later.
-
-    Parameters
-    ----------
-    config : Configuration, optional
-        Settings of the site; those of a small frame by default.
-    baseline : Baseline or ModalBaseline, optional
-        Healthy reference of the site; the functions that alarms need are compiled only with one.
+    (`monitor.core.compiled`): half a minute of one processor the first time, about a second later.  The functions that alarms
+    need are compiled only with a baseline.
     """
     config = Configuration.model_validate(_FRAME) if config is None else config
     p = config.processing

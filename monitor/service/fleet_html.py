@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from html import escape
 
+from monitor.core import rounded
 from monitor.damage import State
 from monitor.service.fleet import SiteStatus
 
@@ -118,11 +119,11 @@ def fleet_page(statuses: Sequence[SiteStatus], title: str, at_ns: int) -> str:
         [
             s.site,
             states.index(s.state),
-            _rounded(s.ddi),
-            _rounded(s.ddi_std),
-            _rounded(s.frequency_hz),
+            rounded(s.ddi, 6),
+            rounded(s.ddi_std, 6),
+            rounded(s.frequency_hz, 6),
             None if s.t_end_ns is None else s.t_end_ns // 1_000_000_000,
-            _rounded(s.availability),
+            rounded(s.availability, 6),
             s.says,
         ]
         for s in statuses
@@ -144,8 +145,3 @@ def fleet_page(statuses: Sequence[SiteStatus], title: str, at_ns: int) -> str:
         f'<div id="space"></div></div>\n<script type="application/json" id="data">{data}</script>\n'
         f"<script>{_SCRIPT}</script></body></html>\n"
     )
-
-
-def _rounded(value: float | None) -> float | None:
-    """Round to six digits; None for what is no number."""
-    return None if value is None or value != value else float(f"{value:.6g}")

@@ -6,7 +6,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from monitor.publish import utc
+import numpy as np
+
 from monitor.service.fleet import SiteStatus
 
 _HEAD = ("site", "state", "largest loss", "first mode", "window until", "last event", "says")
@@ -20,7 +21,7 @@ def cells(status: SiteStatus) -> tuple[str, ...]:
         else f"{100 * status.ddi:.1f} +- {100 * status.ddi_std:.1f} %"
     )
     mode = "" if status.frequency_hz is None else f"{status.frequency_hz:.4g} Hz"
-    until = "" if status.t_end_ns is None else str(utc(status.t_end_ns).astype("datetime64[s]"))
+    until = "" if status.t_end_ns is None else str(np.datetime64(status.t_end_ns, "ns").astype("datetime64[s]"))
     return status.site, status.state.words, loss, mode, until, status.event, status.says
 
 
@@ -64,7 +65,7 @@ class FleetView:
         import rerun as rr
 
         stream = self._output.stream
-        stream.set_time("time", timestamp=utc(time.time_ns()))
+        stream.set_time("time", timestamp=np.datetime64(time.time_ns(), "ns"))
         lines = ["| " + " | ".join(row) + " |" for row in (_HEAD, ("---",) * len(_HEAD), *map(cells, statuses))]
         stream.log("/table", rr.TextDocument("\n".join(lines), media_type="text/markdown"))
         for status in statuses:

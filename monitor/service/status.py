@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from monitor.core import AlarmCondition, MissingInputError, name_stories, parse_json, utc
+from monitor.core import AlarmCondition, MissingInputError, name_stories, parse_json, tail_lines, utc
 from monitor.damage import Assessment, State, outdated
 from monitor.publish import EVENTS, read_line
 from monitor.runs import ledger, ledger_chain
@@ -378,13 +378,7 @@ def _read_named_head(text: bytes) -> dict[str, Any]:
 
 def _last_line(path: Path, read: Callable[[bytes], dict[str, Any]], *, last: int | None = 2) -> dict[str, Any] | None:
     """Read the last complete line that can be read; None if it is not one of the `last` lines (None: of the file's end)."""
-    try:
-        with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - _TAIL_BYTES))
-            rows = file.read().split(b"\n")[:-1]
-    except OSError:
-        return None
+    rows = tail_lines(path, _TAIL_BYTES)
     for row in reversed(rows if last is None else rows[-last:]):
         try:
             return read(row)

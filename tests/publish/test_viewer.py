@@ -541,11 +541,7 @@ def bridge_scene() -> tuple[Scene, Configuration]:
         file = Path(folder) / "bridge.toml"
         bridge(file)
         config = configuration.load(file)
-    scene = make_scene(
-        "bridge", config.drawing, config.story_names, {s.channel: s.floor for s in config.sensors}, config.model(), None,
-        alarm_loss=0.1, cutoff_hz=40.0, misfit_threshold=5.0, max_modes=8,
-    )  # fmt: skip
-    return scene, config
+    return make_scene(config, None), config
 
 
 def bridge_window(config: Configuration) -> WindowResult:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Annotated
 
 import numpy as np
 
@@ -63,6 +64,10 @@ class Axes:
     height: float
     """Height of the box, px."""
     log_y: bool = False
+    x_names: Sequence[str] = ()
+    """What x counts, if it counts named things."""
+    y_names: Sequence[str] = ()
+    """What y counts in rows, from the top."""
 
     def px(self, x: Array | float) -> Array:
         """Return horizontal places, 0 at the left to `WIDTH` at the right, of the shape of `x`."""
@@ -94,32 +99,39 @@ class Axes:
             words.append(text("100%", self.height + below, x_title, "end"))
             below += 14.0
         frame = f'<rect class="frame" width="{WIDTH:g}" height="{self.height:g}"/>'
-        box = _stretched(self.height, *grid, *marks, frame)
+        size = (
+            f'viewBox="0 0 {WIDTH:g} {self.height:g}" preserveAspectRatio="none" width="100%" height="{self.height:g}"'
+        )
+        box = f"<svg {size}>{''.join([*grid, *marks, frame])}</svg>"
         drawing = svg(self.height + below, title, box, *words)
         return f'<figure class="chart{kind}"><figcaption>{escape(title)}</figcaption>{drawing}</figure>'
 
     def x_ticks(self) -> list[tuple[float, str]]:
         """Return the values and the labels of the ticks along x."""
+        if self.x_names:
+            return [(float(i), name) for i, name in enumerate(self.x_names)]
         return [(float(value), f"{value:.6g}") for value in ticks(self.x)]
 
     def y_ticks(self) -> list[tuple[float, str]]:
         """Return the values and the labels of the ticks along y; none on a strip."""
+        if self.y_names:
+            return [(len(self.y_names) - 0.5 - i, name) for i, name in enumerate(self.y_names)]
         if self.height < _LEAST_HEIGHT_PX:
             return []
         return [(float(value), f"{value:.6g}") for value in (decades(self.y) if self.log_y else ticks(self.y, 4))]
 
-    def band(self, x: Array, low: Array, high: Array, kind: str) -> str:
-        """Draw the area between two lines; `x`, `low`, `high` of shape (n,), in the units of the axes."""
+    def band(self, x: Annotated[Array, "n"], low: Annotated[Array, "n"], high: Annotated[Array, "n"], kind: str) -> str:
+        """Draw the area between two lines, in the units of the axes."""
         sides = (*zip(self.px(x), self.py(high), strict=True), *zip(self.px(x)[::-1], self.py(low)[::-1], strict=True))
         return f'<polygon class="{kind}" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in sides)}"/>'
 
-    def line(self, x: Array, y: Array, kind: str) -> str:
-        """Draw a polyline; `x`, `y` of shape (n,)."""
+    def line(self, x: Annotated[Array, "n"], y: Annotated[Array, "n"], kind: str) -> str:
+        """Draw a polyline."""
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(self.px(x), self.py(y), strict=True))
         return f'<polyline class="line {kind}" points="{points}"/>'
 
-    def dots(self, x: Array, y: Array, half: Array) -> str:
-        """Draw points with intervals of `half` on either side; all of shape (n,)."""
+    def dots(self, x: Annotated[Array, "n"], y: Annotated[Array, "n"], half: Annotated[Array, "n"]) -> str:
+        """Draw points with intervals of `half` on either side."""
         out = []
         for a, b, h in zip(self.px(x), y, half, strict=True):
             low, middle, high = self.py(b - h), self.py(b), self.py(b + h)
@@ -134,28 +146,8 @@ class Axes:
         return f'<rect class="{kind}" x="{a:.1f}" y="{high:.1f}" width="{b - a:.1f}" height="{low - high:.1f}"/>'
 
 
-@dataclass(frozen=True, slots=True)
-class _Rows(Axes):
-    """Axes whose y counts rows, of `names` from the top."""
-
-    names: Sequence[str] = ()
-
-    def y_ticks(self) -> list[tuple[float, str]]:
-        """Return the middles and the names of the rows."""
-        return [(len(self.names) - 0.5 - i, name) for i, name in enumerate(self.names)]
-
-
 def svg(height: float, label: str, *marks: str) -> str:
-    """Put marks into an SVG element as wide as the page.
-
-    Parameters
-    ----------
-    height : float
-        Height of the drawing, px.
-    label : str
-        What the drawing shows, in words, for readers who do not see it.
-    *marks : str
-        SVG elements.
+    """Put marks, SVG elements, into one as wide as the page and `height` px high; `label` is for readers who do not see it.
 
     Examples
     --------
@@ -163,12 +155,6 @@ def svg(height: float, label: str, *marks: str) -> str:
     '<svg height="10" role="img" aria-label="a &lt; b"><path d="M0 0h5"/></svg>'
     """
     return f'<svg height="{height:g}" role="img" aria-label="{escape(label)}">{"".join(marks)}</svg>'
-
-
-def _stretched(height: float, *marks: str) -> str:
-    """Put marks into a box that is stretched to the width of the page."""
-    size = f'viewBox="0 0 {WIDTH:g} {height:g}" preserveAspectRatio="none"'
-    return f'<svg {size} width="100%" height="{height:g}">{"".join(marks)}</svg>'
 
 
 def _share(place: float) -> str:
@@ -188,8 +174,8 @@ def text(x: str, y: float, words: str, anchor: str = "start", kind: str = "") ->
     return f'<text x="{x}" y="{y:.1f}" text-anchor="{anchor}"{kind}>{escape(words)}</text>'
 
 
-def ticks(span: Range, n: int = 8) -> Array:
-    """Return about `n` round numbers within a range and never fewer than three, shape (k,).
+def ticks(span: Range, n: int = 8) -> Annotated[Array, "k"]:
+    """Return about `n` round numbers within a range and never fewer than three.
 
     Examples
     --------
@@ -209,8 +195,8 @@ def ticks(span: Range, n: int = 8) -> Array:
     return np.asarray((places + 0.0) * step)  # never -0
 
 
-def decades(span: Range) -> Array:
-    """Return powers of ten within a range, shape (k,), and multiples of them where the range has few powers."""
+def decades(span: Range) -> Annotated[Array, "k"]:
+    """Return powers of ten within a range, and multiples of them where the range has few powers."""
     low, high = np.log10(span[0]), np.log10(span[1])
     powers = np.arange(np.floor(low), np.ceil(high) + 1)
     wide = max(1, round((high - low) / 5))
@@ -234,10 +220,10 @@ def bars(names: Sequence[str], values: Sequence[float], kinds: Sequence[str], la
     return f'<div class="bars" aria-label="{escape(label)}">{"".join(rows)}</div>'
 
 
-def heat(values: Array, x: Range, rows: Sequence[str], limit: float, title: str) -> str:
-    """Draw a map of signed values, shape (rows, columns): blue below zero, red above, full colour from +-`limit` on."""
+def heat(values: Annotated[Array, "rows columns"], x: Range, rows: Sequence[str], limit: float, title: str) -> str:
+    """Draw a map of signed values: blue below zero, red above, full colour from +-`limit` on."""
     row = 16.0
-    axes = _Rows(x, (0.0, float(len(rows))), row * len(rows), names=rows)
+    axes = Axes(x, (0.0, float(len(rows))), row * len(rows), y_names=rows)
     edges = axes.px(np.linspace(*x, values.shape[1] + 1))
     out = []
     for i in range(len(rows)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,42 +26,41 @@ class Comparison:
     """
 
     channels: tuple[str, ...]
-    hz: Array
-    """Shape (n_bins,), Hz."""
-    measured: Array
-    """Shape (c, n_bins), one-sided, (m/s^2)^2/Hz, mean over the segments."""
-    whole_hz: Array
-    """Frequencies of the whole band, of which `hz` is the judged part, shape (n_whole,), Hz."""
-    whole_measured: Array
-    """Measured spectra in the whole band, shape (c, n_whole), one-sided, (m/s^2)^2/Hz, mean over the segments."""
-    before: Array
-    """Power spectra of the old model form, refitted; shape (c, n_bins), (m/s^2)^2/Hz."""
-    after: Array
-    """Power spectra of the model with the causes; shape (c, n_bins), (m/s^2)^2/Hz."""
-    ratio_hz: Array
-    """Middles of the bands over which ratios are averaged, shape (b,), Hz."""
-    ratio_before: Array
-    """Measured over modelled power, shape (c, b)."""
-    ratio_after: Array
+    hz: Annotated[Array, "bins"]
+    measured: Annotated[Array, "c bins"]
+    """One-sided, (m/s^2)^2/Hz, mean over the segments; so are all power spectra here."""
+    whole_hz: Annotated[Array, "whole"]
+    """Frequencies of the whole band, of which `hz` is the judged part."""
+    whole_measured: Annotated[Array, "c whole"]
+    """Measured spectra in the whole band."""
+    before: Annotated[Array, "c bins"]
+    """Power spectra of the old model form, refitted."""
+    after: Annotated[Array, "c bins"]
+    """Power spectra of the model with the causes."""
+    ratio_hz: Annotated[Array, "ratios"]
+    """Middles of the bands over which ratios are averaged."""
+    ratio_before: Annotated[Array, "c ratios"]
+    """Measured over modelled power."""
+    ratio_after: Annotated[Array, "c ratios"]
     """The same with the causes."""
     chance: float
     """Two relative standard deviations of a ratio by random error."""
-    band_hz: Array
-    """Middles of the misfit's bands, shape (n_bands,), Hz."""
-    z_before: Array
-    """Standard deviations, shape (n_bands, c, c), see `residual_bands`."""
-    z_after: Array
+    band_hz: Annotated[Array, "bands"]
+    """Middles of the misfit's bands."""
+    z_before: Annotated[Array, "bands c c"]
+    """Standard deviations, see `residual_bands`."""
+    z_after: Annotated[Array, "bands c c"]
     """The same with the causes."""
     limit: float
     """Standard deviations from which a band counts as misfit."""
     doubtful_hz: list[list[float]]
-    """Bands in which the model contradicted the healthy data, so that their misfit counts less; lower and upper ends, Hz."""
+    """Bands, by their ends, in which the model contradicted the healthy data, so that their misfit counts less."""
     extended: bool
     """Whether there is a cause, so that before and after differ."""
 
     @property
     def width_hz(self) -> float:
-        """Width of the misfit's bands, Hz."""
+        """Width of the misfit's bands."""
         return float(np.diff(self.band_hz).mean()) if self.band_hz.size > 1 else float(np.ptp(self.hz))
 
     def rows(self) -> list[tuple[str, int, int]]:
@@ -80,31 +80,20 @@ class LevelDependence:
 
     axis: str
     """Quantity in which the classes differ, with its unit."""
-    at: Array
-    """Value of this quantity for each class, ascending, shape (k,)."""
-    frequency_hz: Array
-    """Measured frequencies, shape (k, n), Hz."""
-    frequency_std: Array
-    """Their standard deviations, shape (k, n), Hz."""
-    damping: Array
-    """Measured damping ratios, shape (k, n)."""
-    damping_std: Array
-    """Their standard deviations, shape (k, n)."""
-    model_frequency_hz: Array
-    """Frequencies that the model with the causes predicts, shape (k, n), Hz."""
-    model_damping: Array
-    """Damping ratios that the model with the causes predicts, shape (k, n)."""
+    at: Annotated[Array, "k"]
+    """Value of this quantity for each class, ascending."""
+    frequency_hz: Annotated[Array, "k n"]
+    """Measured, as are the damping ratios below."""
+    frequency_std: Annotated[Array, "k n"]
+    damping: Annotated[Array, "k n"]
+    damping_std: Annotated[Array, "k n"]
+    model_frequency_hz: Annotated[Array, "k n"]
+    """What the model with the causes predicts."""
+    model_damping: Annotated[Array, "k n"]
 
 
 def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
-    """Compare the spectra of a diagnosis before and after its causes with the measured ones.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    segments : Segments
-        The segments that were diagnosed.
-    """
+    """Compare the spectra of a diagnosis before and after its causes with the measured ones."""
     problem, e = diagnosis.posterior, diagnosis.posterior.observed
     share = e.counts / e.counts.sum()
 
@@ -151,12 +140,7 @@ def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
     """Compute how the modes move with the vibration level or the temperature.
 
     Every class is fitted alone, with free stiffness and damping.  The spectra that the model predicts for the class are fitted
-    in the same way.
-
-    Returns
-    -------
-    LevelDependence or None
-        None where no cause of the structure makes the modes move, or where there is one class only.
+    in the same way.  None where no cause of the structure makes the modes move, or where there is one class only.
     """
     problem, final = diagnosis.posterior, diagnosis.final_fit
     moving = [e for e in final.effects if e.conditional and e.family == "structure"]
@@ -175,34 +159,21 @@ def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
     return LevelDependence(axis, at[order], f, f_std, d, d_std, model_f, model_d)
 
 
-def _fit_classes(problem: Posterior, spectra: ComplexArray, x: Array, classes: NDArray[np.intp]) -> list[Array]:
-    """Fit the old model form to several classes; results as of `_fit_class`, shape (n_classes, n) each."""
+def _fit_classes(
+    problem: Posterior, spectra: ComplexArray, x: Array, classes: NDArray[np.intp]
+) -> list[Annotated[Array, "classes n"]]:
+    """Fit the old model form to several classes; results as of `_fit_class`."""
     fitted = parallel_map(lambda k: _fit_class(problem, spectra[k], x, k), classes)
     return [np.array(column) for column in zip(*fitted, strict=True)]
 
 
-def _fit_class(problem: Posterior, spectra: ComplexArray, x: Array, k: int) -> tuple[Array, Array, Array, Array]:
-    """Fit the old model form to the spectra of class k.
-
-    Parameters
-    ----------
-    spectra : ndarray of complex, shape (n_bins, c, c)
-        Cross-spectra of the class.
-    x : ndarray, shape (p,)
-        Parameters at which the fit starts.
-
-    Returns
-    -------
-    tuple of ndarray, shape (n,) each
-        Frequencies and their standard deviations in Hz, damping ratios and their standard deviations.
-    """
+def _fit_class(
+    problem: Posterior, spectra: Annotated[ComplexArray, "bins c c"], x: Annotated[Array, "p"], k: int
+) -> tuple[Annotated[Array, "n"], ...]:
+    """Fit the old model form to class k from `x` on; return frequencies (Hz) and damping ratios, each with its deviations."""
     e, reference = problem.observed, problem.prior
     single_class = replace(
-        e,
-        spectra=spectra[None],
-        counts=e.counts[k : k + 1],
-        rms=e.rms[k : k + 1],
-        members=e.members[k : k + 1],
+        e, spectra=spectra[None], counts=e.counts[k : k + 1], rms=e.rms[k : k + 1], members=e.members[k : k + 1]
     )
     layout = problem.layout
     std = np.full(reference.mean.size, _FIXED)

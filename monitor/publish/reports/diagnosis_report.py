@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from monitor.model import FORMS, Effect, interval, unit
 from monitor.publish.reports import charts
 from monitor.publish.reports.charts import Axes
 from monitor.publish.reports.comparison import Comparison, LevelDependence, compare, level_dependence
-from monitor.publish.reports.page import document, table
+from monitor.publish.reports.page import document, doubts, figures, table, verdict
 
 Content = Mapping[str, Any]
 
@@ -32,22 +32,7 @@ def write_report(
     story_names: Sequence[str] = (),
     laws: Sequence[StoryLaw] = (),
 ) -> None:
-    """Write the page; the file appears under its name only when complete.
-
-    Parameters
-    ----------
-    path : Path
-        File of the page.
-    diagnosis : Diagnosis
-    content : mapping
-        diagnosis.json.
-    segments : Segments
-        The segments that were diagnosed.
-    story_names : sequence of str
-        What people call each story.
-    laws : sequence of StoryLaw
-        Laws of the stories straight from the data.
-    """
+    """Write the page, which appears under its name only when complete; `content` is that of diagnosis.json."""
     names = [escape(name) for name in story_names]
     write_atomically(path, name_stories(page(diagnosis, content, segments, laws), names))
 
@@ -72,32 +57,31 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments, laws: Seque
 
 def _head(verdict_text: str, content: Content, compared: Comparison, segments: Segments) -> str:
     """Write the verdict, the separating measurement, the key figures and how to read the page."""
-    verdict = content["verdict"]
-    badge = {"none": "explained", "named": "cause named"}.get(verdict, verdict)
-    out = [f'<span class="verdict {verdict}">{badge}</span><h1>{escape(verdict_text)}</h1>']
-    if doubts := content.get("doubts"):
-        out.append(f'<ul class="doubts">{"".join(f"<li>{escape(doubt)}</li>" for doubt in doubts)}</ul>')
+    kind = str(content["verdict"])
+    out = [verdict(kind, {"none": "explained", "named": "cause named"}.get(kind, kind), verdict_text)]
+    if content.get("doubts"):
+        out.append(doubts(content["doubts"]))
     if content["separating_measurement"]:
         out.append(f"<p><b>To tell them apart:</b> {escape(content['separating_measurement'])}.</p>")
     gain, error = content["gain"]["log_score_per_sample"], content["gain"]["csd_error"]
     low, high = gain["ci95"]
     wrong = [int((np.abs(z) > compared.limit).sum()) for z in (compared.z_before, compared.z_after)]
-    figures = [
+    shown = [
         (f"{wrong[0]} → {wrong[1]}" if compared.extended else f"{wrong[0]}",
          f"bands with a misfit beyond {compared.limit:g} standard deviations"),
         (_minutes(segments), f"of data, {len(compared.channels)} channels"),
     ]  # fmt: skip
     was_held_out = not content["gain"]["heldout"].startswith("none")  # else the sentence above says why not
-    if compared.extended and verdict != "none" and was_held_out:
-        figures = [
+    if compared.extended and kind != "none" and was_held_out:
+        shown = [
             (
                 f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})",
                 "gain on held-out data, nats a sample, 95 % interval; above 0: the cause predicts better",
             ),
             (_change(error["before"], error["after"]), "error of held-out cross-spectra"),
-            *figures,
+            *shown,
         ]
-    out.append('<div class="figures">' + "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures) + "</div>")
+    out.append(figures(shown))
     out.append(
         '<p class="muted"><b>How to read this page.</b> A simulation of the structure was fitted to the measured '
         "vibration twice: <i>before</i>, with the model as it was, its numbers refitted, and <i>after</i>, with the "
@@ -241,16 +225,8 @@ def _story_laws(laws: Sequence[StoryLaw], *, extended: bool) -> str:
                 f"{100.0 * law.loss[i]:.2g} ± {200.0 * law.loss_std[i]:.1g}", f"{100.0 * law.model_loss[i]:.2g}",
                 escape(law.says) if i else "",
             ))  # fmt: skip
-    head = [
-        "story",
-        "drifts",
-        "#RMS, mm",
-        "#stiffness, N/m",
-        "#of the model",
-        "#loss factor, %",
-        "#of the model",
-        "in words",
-    ]
+    numbers = ["#RMS, mm", "#stiffness, N/m", "#of the model", "#loss factor, %", "#of the model"]
+    head = ["story", "drifts", *numbers, "in words"]
     note = (
         "Force of a story: masses above it times their measured accelerations, less the measured forces. Drawn: the "
         "segment with the largest drift, in the band that is judged. Black: measured; the model's as in the spectra "
@@ -309,49 +285,17 @@ def _ranking(diagnosis: Diagnosis, content: Content) -> str:
 def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     """Tabulate the causes with their parameters, the alternatives and the causes found at calibration."""
     reference = diagnosis.posterior.prior
-    out = []
-    if content["refit"]:
-        refit = [
-            (row["location"], row["parameter"], f"{row['drawn']:.5g}",
-             interval({"value": row["refitted"], "std": row["std"]}, 1.0, unit(row["parameter"])),
-             "" if row["tolerance"] is None else f"± {100 * row['tolerance']:.3g} %", row["says"])
-            for row in content["refit"]
-        ]  # fmt: skip
-        head = ["place", "parameter", "#drawn", "refitted", "#tolerance", "in words"]
-        out.append("<h2>What was refitted against the drawing</h2>" + table(head, refit))
-    lists = (
-        ("Causes", content["causes"]),
-        ("Also fitted, no news", content["also_fitted"]),
-        ("Already so at calibration", content["standing"]),
-    )
-    for title, causes in lists:
-        rows: list[Sequence[str]] = []
-        for c in causes:
-            first = in_words(c["effect"], c["location"], c["parameters"], reference)
-            drawn = {p.name for p in FORMS[c["effect"]].parameters if p.drawn}
-            shown = {name: entry for name, entry in c["parameters"].items() if name not in drawn}
-            for name, entry in shown.items() or [("", {})]:
-                value = interval(entry, 1.0, unit(name)) if name else ""
-                rows.append((c["effect"], c["location"], name, value, first))
-                first = ""
-            if "shape" in c:
-                components = ", ".join(
-                    f"{name} {part['value']:.2f}"
-                    for name, part in zip(diagnosis.posterior.context.channels, c["shape"], strict=True)
-                )
-                rows.append((c["effect"], c["location"], "shape", components, ""))
-        if rows:
-            out.append(f"<h2>{title}</h2>" + table(["effect", "place", "parameter", "value", "in words"], rows))
-            out.append(_signatures(causes))
+    out = [_refit(content["refit"])]
+    lists = (("Causes", "causes"), ("Also fitted, no news", "also_fitted"), ("Already so at calibration", "standing"))
+    out += [_causes(title, content[key], diagnosis) for title, key in lists]
     if content["standing_misfit"] is not None:
         out.append(f"<p>Already so at calibration: {content['standing_misfit']['says']}.</p>")
     out += [f"<p>Left out: {escape(item['says'])}.</p>" for item in content["left_out"]]
     out += [_force_spectrum(effect, hz) for effect in reference.effects(reference.mean) if effect.colour_title]
     if content["alternatives"]:
         rivals = [
-            (a["effect"], a["location"], f"{100 * a['probability']:.0f} %", a["says"])
-            for a in content["alternatives"]
-        ]  # fmt: skip
+            (a["effect"], a["location"], f"{100 * a['probability']:.0f} %", a["says"]) for a in content["alternatives"]
+        ]
         out.append("<h2>Alternatives</h2>" + table(["effect", "place", "#probability", "in words"], rivals))
         out.append(_signatures(content["alternatives"]))
     index = content.get("ddi_effect", {})
@@ -363,8 +307,39 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     return "".join(out)
 
 
-def _force_spectrum(effect: Effect, hz: Array) -> str:
-    """Draw the power spectral density of an effect's forces; `hz` of shape (n_hz,)."""
+def _refit(refitted: Sequence[Content]) -> str:
+    """Tabulate what was refitted against the drawing."""
+    rows = [
+        (row["location"], row["parameter"], f"{row['drawn']:.5g}",
+         interval({"value": row["refitted"], "std": row["std"]}, 1.0, unit(row["parameter"])),
+         "" if row["tolerance"] is None else f"± {100 * row['tolerance']:.3g} %", row["says"])
+        for row in refitted
+    ]  # fmt: skip
+    head = ["place", "parameter", "#drawn", "refitted", "#tolerance", "in words"]
+    return "<h2>What was refitted against the drawing</h2>" + table(head, rows) if rows else ""
+
+
+def _causes(title: str, causes: Sequence[Content], diagnosis: Diagnosis) -> str:
+    """Tabulate causes with their parameters, and say how they show."""
+    rows: list[Sequence[str]] = []
+    for c in causes:
+        first = in_words(c["effect"], c["location"], c["parameters"], diagnosis.posterior.prior)
+        drawn = {p.name for p in FORMS[c["effect"]].parameters if p.drawn}
+        shown = {name: entry for name, entry in c["parameters"].items() if name not in drawn}
+        for name, entry in shown.items() or [("", {})]:
+            value = interval(entry, 1.0, unit(name)) if name else ""
+            rows.append((c["effect"], c["location"], name, value, first))
+            first = ""
+        if "shape" in c:
+            parts = zip(diagnosis.posterior.context.channels, c["shape"], strict=True)
+            components = ", ".join(f"{name} {part['value']:.2f}" for name, part in parts)
+            rows.append((c["effect"], c["location"], "shape", components, ""))
+    head = ["effect", "place", "parameter", "value", "in words"]
+    return f"<h2>{title}</h2>{table(head, rows)}{_signatures(causes)}" if rows else ""
+
+
+def _force_spectrum(effect: Effect, hz: Annotated[Array, "bins"]) -> str:
+    """Draw the power spectral density of an effect's forces."""
     density = np.asarray(effect.colour(hz))
     axes = Axes(
         (float(hz[0]), float(hz[-1])), (float(density.min()) / 1.3, float(density.max()) * 1.3), 120.0, log_y=True

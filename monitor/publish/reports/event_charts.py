@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from typing import Annotated
 
 import numpy as np
 
 from monitor.core import Array
 from monitor.events import Event, FirstMode, LimitTable, Review, Spectrum, compared
 from monitor.publish.reports.charts import WIDTH, Axes
+from monitor.publish.reports.page import rest
 from monitor.publish.results.event_lines import with_interval
 
 _HEIGHT, _TALL = 90.0, 220.0
@@ -23,8 +25,10 @@ _ROW = 34.0
 _MARGIN = 1.06
 
 
-def thinned(t: Array, values: Array) -> tuple[Array, Array]:
-    """Thin a curve, shape (n,) each, to the least and the greatest value within each unit of a chart's width.
+def thinned(
+    t: Annotated[Array, "n"], values: Annotated[Array, "n"]
+) -> tuple[Annotated[Array, "k"], Annotated[Array, "k"]]:
+    """Thin a curve to the least and the greatest value within each unit of a chart's width.
 
     Examples
     --------
@@ -73,8 +77,7 @@ def _over_time(review: Review, curves: Sequence[tuple[str, Array]], left_out: in
         marks = [axes.shade(shade, "known"), axes.line(*thinned(review.t_s, values), "measured")]
         last = i == len(curves) - 1
         out.append(axes.chart(title, *marks, numbers=last, x_title="time, s" if last else ""))
-    more = f"<p>{left_out} more are not drawn.</p>" if left_out > 0 else ""
-    return "".join(out) + more
+    return "".join(out) + rest(left_out, "drawn")
 
 
 def story_map(event: Event, names: Sequence[str], limits: Sequence[LimitTable]) -> str:
@@ -163,8 +166,8 @@ def loops(review: Review, names: Sequence[str]) -> str:
         axes = Axes((-x, x), (-y, y), _TALL)
         out.append(axes.chart(f"{name}: force, N", axes.line(drift, force, "measured"), x_title="drift, mm"))
     pairs = (out[i : i + 2] for i in range(0, len(out), 2))
-    more = f"<p>{len(names) - _MOST_CURVES} more are not drawn.</p>" if len(names) > _MOST_CURVES else ""
-    return "".join(f"<div class='pair'>{''.join(pair)}</div>" for pair in pairs) + more
+    drawn = "".join(f"<div class='pair'>{''.join(pair)}</div>" for pair in pairs)
+    return drawn + rest(len(names) - _MOST_CURVES, "drawn")
 
 
 def response_spectrum(spectrum: Spectrum, modes_hz: Array) -> str:

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from monitor.core import write_atomically
-from monitor.events import POSSIBLY, Event, FloorMotion, Review, Site, compared
+from monitor.events import POSSIBLY, Event, Review, Site, compared
 from monitor.publish.reports import event_charts as charts
-from monitor.publish.reports.page import document, table
+from monitor.publish.reports.page import document, doubts, figures, table, verdict
 from monitor.publish.reports.period_data import utc
-from monitor.publish.results.event_lines import event_text, with_interval
+from monitor.publish.results.event_lines import event_text, strongest_floor, with_interval
 
 _UNKNOWN = "–"
 _FINAL, _REVISED = 0, 1
@@ -35,9 +35,8 @@ class EventPage:
     site: Site | None
     """What the site's files said; None where the event has no recording."""
     review: Review | None
-    """Motion over time; None where the recording does not show it."""
+    """Motion over time; None where the recording does not show it, as `why_not` says in a sentence."""
     why_not: str = ""
-    """Why there is no motion over time, as a sentence."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -65,28 +64,27 @@ def _head(page: EventPage) -> str:
     state, words = _verdict(e)
     length_s = (e.end_ns - e.begin_ns) * 1e-9
     told_in_words = event_text(e).replace("m/s^2", "m/s²")
-    figures = [(f"{length_s:.0f} s", "of strong motion")]
-    strongest = _strongest(e)
+    shown = [(f"{length_s:.0f} s", "of strong motion")]
+    strongest = strongest_floor(e)
     if strongest is not None:
-        figures.append((f"{strongest.peak_m_s2:.3g} m/s²", f"largest acceleration, at {strongest.channel}"))
+        shown.append((f"{strongest.peak_m_s2:.3g} m/s²", f"largest acceleration, at {strongest.channel}"))
     if e.ground is not None:
-        figures.append((f"{e.ground.peak_m_s2:.3g} m/s²", "largest acceleration of the ground"))
+        shown.append((f"{e.ground.peak_m_s2:.3g} m/s²", "largest acceleration of the ground"))
     if np.isfinite(e.drift_m).any():
         j = int(np.nanargmax(e.drift_m))
-        figures.append((f"{1e3 * e.drift_m[j]:.3g} mm", f"largest drift, {page.names[j]}"))
+        shown.append((f"{1e3 * e.drift_m[j]:.3g} mm", f"largest drift, {page.names[j]}"))
     if np.isfinite(e.drift_ratio).any():
         j = int(np.nanargmax(e.drift_ratio))
-        figures.append((f"{100 * e.drift_ratio[j]:.2g} %", f"largest drift ratio, {page.names[j]}"))
+        shown.append((f"{100 * e.drift_ratio[j]:.2g} %", f"largest drift ratio, {page.names[j]}"))
     if e.instrumental_intensity is not None:
-        figures.append((f"{e.instrumental_intensity:.1f}", "intensity by one component, UNOFFICIAL (Wald et al. 1999)"))
-    boxes = "".join(f"<div><b>{escape(a)}</b>{escape(b)}</div>" for a, b in figures)
+        shown.append((f"{e.instrumental_intensity:.1f}", "intensity by one component, UNOFFICIAL (Wald et al. 1999)"))
     told = {_FINAL: "final line, by the event alone", _REVISED: "revised, by ambient motion after it"}
-    doubts = "".join(f"<li>{escape(part[:1].upper() + part[1:])}.</li>" for part in filter(None, e.note.split("; ")))
+    limits = (f"{part[:1].upper()}{part[1:]}." for part in filter(None, e.note.split("; ")))
     span = f"{utc(e.begin_ns)} to {utc(e.end_ns)} UTC"
     return (
-        f'<span class="verdict {state}">{words}</span><h1>Strong motion of {length_s:.0f} s. {escape(told_in_words)}</h1>'
-        f'<ul class="doubts">{doubts}</ul><p class="muted">{escape(page.name)}, event {escape(e.id)}: {span}; '
-        f'{told.get(-1 if e.revision is None else e.revision, "preliminary")}</p><div class="figures">{boxes}</div>'
+        f"{verdict(state, words, f'Strong motion of {length_s:.0f} s. {told_in_words}')}{doubts(limits)}"
+        f'<p class="muted">{escape(page.name)}, event {escape(e.id)}: {span}; '
+        f"{told.get(-1 if e.revision is None else e.revision, 'preliminary')}</p>{figures(shown)}"
     )
 
 
@@ -96,12 +94,6 @@ def _verdict(event: Event) -> tuple[str, str]:
         possibly = event.verdict is not None and event.verdict.startswith(POSSIBLY)
         return "alarm", "limit possibly exceeded" if possibly else "limit exceeded"
     return ("normal", "within limits") if event.verdict is not None else ("", "no limit judged")
-
-
-def _strongest(event: Event) -> FloorMotion | None:
-    """Return the channel with the largest acceleration; None where none is known."""
-    known = [f for f in event.floors if np.isfinite(f.peak_m_s2)]
-    return max(known, key=lambda f: f.peak_m_s2) if known else None
 
 
 def _limits(page: EventPage) -> str:
@@ -163,17 +155,16 @@ def _floors(page: EventPage) -> str:
     else:
         out.append(f"<p>{escape(page.why_not)}</p>")
     motions = [*page.event.floors, *([] if page.event.ground is None else [page.event.ground])]
+    least = {name: " (at least)" for name in page.event.saturated}
     rows = [
-        (_named(f, page), *(_number(v, 3) for v in (f.peak_m_s2, f.rms_m_s2, 1e3 * f.peak_m_s, f.arias_m_s, f.cav_m_s)))
+        (
+            f.channel + least.get(f.channel, ""),
+            *(_number(v, 3) for v in (f.peak_m_s2, f.rms_m_s2, 1e3 * f.peak_m_s, f.arias_m_s, f.cav_m_s)),
+        )
         for f in motions
     ]
     head = ["channel", "#peak, m/s²", "#RMS, m/s²", "#velocity, mm/s", "#Arias, m/s", "#CAV, m/s"]
     return "".join(out) + table(head, rows)
-
-
-def _named(motion: FloorMotion, page: EventPage) -> str:
-    """Name a channel, and say where its motion is a lower bound."""
-    return motion.channel + (" (at least)" if motion.channel in page.event.saturated else "")
 
 
 def _frequencies(page: EventPage) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -22,14 +22,13 @@ class LookedMode:
     frequency_std_hz: float
     damping_ratio: float
     damping_std: float
-    shape: ComplexArray
-    """Shape (c,); the largest component is 1."""
-    shape_std: Array
-    """Shape (c,): standard deviations of the real parts."""
+    shape: Annotated[ComplexArray, "c"]
+    """The largest component is 1."""
+    shape_std: Annotated[Array, "c"]
+    """Standard deviations of the real parts."""
     refined: bool
     """True for the maximum-likelihood estimate, False for the subspace estimate."""
     second: SingleMode | Skipped
-    """Second opinion."""
     differs: str = ""
     """In what the two opinions differ beyond chance; empty where they agree."""
     remark: str = ""
@@ -70,24 +69,21 @@ class LookedRecording:
     """Channels, unit, rate and number of samples of each topic."""
     gaps: tuple[tuple[np.datetime64, float], ...]
     """UTC and length in s."""
-    mean_m_s2: Array
-    """Shape (c,)."""
-    rms_m_s2: Array
-    """Shape (c,), about the mean."""
-    peak_m_s2: Array
-    """Shape (c,), about the mean."""
-    hz: Array
-    """Shape (n_bins,)."""
-    power: Array
-    """Shape (c, n_bins): power spectral densities, one-sided, (m/s^2)^2/Hz."""
-    singular_values: Array
-    """Shape (c, n_bins): of the spectral matrix, largest first, (m/s^2)^2/Hz."""
+    mean_m_s2: Annotated[Array, "c"]
+    rms_m_s2: Annotated[Array, "c"]
+    """About the mean, as is the peak."""
+    peak_m_s2: Annotated[Array, "c"]
+    hz: Annotated[Array, "bins"]
+    power: Annotated[Array, "c bins"]
+    """Power spectral densities, one-sided, (m/s^2)^2/Hz."""
+    singular_values: Annotated[Array, "c bins"]
+    """Of the spectral matrix, largest first, (m/s^2)^2/Hz."""
     n_segments: int
     """Half-overlapping segments over which the spectra are averaged."""
     spectrogram_s: tuple[float, float]
     """Begin and end of the spectrogram, s since the start."""
-    spectrogram: Array
-    """Shape (columns, n_bins, c): power spectral densities over time, (m/s^2)^2/Hz."""
+    spectrogram: Annotated[Array, "columns bins c"]
+    """Power spectral densities over time, (m/s^2)^2/Hz."""
     bands: tuple[LookedBand, ...]
     modes: tuple[LookedMode, ...]
     """By frequency."""
@@ -135,7 +131,6 @@ class LookedRecording:
         }
 
     def _mode(self, number: int, mode: LookedMode) -> dict[str, Any]:
-        """Form the record of a mode in look.json."""
         second = mode.second
         return {
             "mode": number,
@@ -147,15 +142,7 @@ class LookedRecording:
             "shape_std": dict(zip(self.channels, mode.shape_std.tolist(), strict=True)),
             "collinearity": mode.collinearity,
             "refined": mode.refined,
-            "second_opinion": {"skipped": second.reason}
-            if isinstance(second, Skipped)
-            else {
-                "frequency_hz": second.frequency_hz,
-                "frequency_std_hz": second.frequency_std_hz,
-                "damping_ratio": second.damping_ratio,
-                "damping_std": second.damping_std,
-                "mac": second.mac,
-            },
+            "second_opinion": {"skipped": second.reason} if isinstance(second, Skipped) else asdict(second),
             "differs": mode.differs,
             "remark": mode.remark,
         }

@@ -5,10 +5,9 @@ from __future__ import annotations
 import struct
 import zlib
 from base64 import b64encode
-from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,8 @@ from numpy.typing import NDArray
 from monitor.core import Array, ModalEstimate, Skipped, write_atomically
 from monitor.publish.reports.charts import WIDTH, Axes
 from monitor.publish.reports.look_data import G_M_S2, LookedBand, LookedMode, LookedRecording
-from monitor.publish.reports.page import document, table
+from monitor.publish.reports.page import document, doubts, figures, table, verdict
+from monitor.publish.results.event_lines import with_interval
 
 _MOST_POINTS = 700
 """Most points of a spectrum's line; of the bins that fall on one the strongest is drawn. [count; cost]"""
@@ -35,17 +35,6 @@ _STYLE = """<style>
 .shapes { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: .4rem 1rem; }
 image { image-rendering: pixelated; }
 </style>"""
-
-
-@dataclass(frozen=True, slots=True)
-class _Channels(Axes):
-    """Axes whose x counts channels, by name."""
-
-    names: Sequence[str] = ()
-
-    def x_ticks(self) -> list[tuple[float, str]]:
-        """Return the places and the names of the channels."""
-        return [(float(i), name) for i, name in enumerate(self.names)]
 
 
 def write_look(path: Path, found: LookedRecording) -> None:
@@ -80,27 +69,13 @@ def mode_rows(found: LookedRecording) -> list[list[str]]:
     return [
         [
             str(number),
-            within(mode.frequency_hz, 2.0 * mode.frequency_std_hz),
-            within(100.0 * mode.damping_ratio, 200.0 * mode.damping_std),
+            with_interval(mode.frequency_hz, 2.0 * mode.frequency_std_hz, 5),
+            with_interval(100.0 * mode.damping_ratio, 200.0 * mode.damping_std, 5),
             *_second(mode),
             _says(mode),
         ]
         for number, mode in enumerate(found.modes, start=1)
     ]
-
-
-def within(value: float, half: float) -> str:
-    """Write a value with the half width of its interval, both to the second digit of the half width.
-
-    Examples
-    --------
-    >>> within(4.91957, 0.0071), within(112.3, 25.2)
-    ('4.9196 ± 0.0071', '112 ± 25')
-    """
-    if not 0.0 < half < np.inf:
-        return f"{value:.5g}"
-    digits = max(0, 1 - int(np.floor(np.log10(half))))
-    return f"{value:.{digits}f} ± {half:.{digits}f}"
 
 
 def _second(mode: LookedMode) -> tuple[str, str]:
@@ -109,8 +84,8 @@ def _second(mode: LookedMode) -> tuple[str, str]:
     if isinstance(second, Skipped):
         return "-", "-"
     return (
-        within(second.frequency_hz, 2.0 * second.frequency_std_hz),
-        within(100.0 * second.damping_ratio, 200.0 * second.damping_std),
+        with_interval(second.frequency_hz, 2.0 * second.frequency_std_hz, 5),
+        with_interval(100.0 * second.damping_ratio, 200.0 * second.damping_std, 5),
     )
 
 
@@ -130,23 +105,16 @@ def _head(found: LookedRecording) -> str:
     """Write the title, the key figures and the doubts."""
     kind = "doubtful" if found.doubts else "normal"
     count = f"{len(found.modes)} {'mode' if len(found.modes) == 1 else 'modes'}"
-    files = escape(", ".join(Path(name).name for name in found.files))
-    out = [
-        f'<span class="verdict {kind}">{"doubts" if found.doubts else "looked at"}</span><h1>{count} in {files}</h1>'
-    ]
-    figures = [
+    files = ", ".join(Path(name).name for name in found.files)
+    out = [verdict(kind, "doubts" if found.doubts else "looked at", f"{count} in {files}")]
+    shown = [
         (f"{found.rate_hz:g} Hz", "sampling rate"),
         (_duration(found.duration_s), f"from {str(np.datetime64(found.t_start_ns, 'ns'))[:19]} UTC"),
         (f"{len(found.channels)}", f"channels: {', '.join(found.channels)}"),
-        (
-            f"{found.rms_m_s2.mean():.3g} m/s²",
-            f"mean RMS acceleration, {found.rms_m_s2.mean() / G_M_S2:.2g} g",
-        ),
+        (f"{found.rms_m_s2.mean():.3g} m/s²", f"mean RMS acceleration, {found.rms_m_s2.mean() / G_M_S2:.2g} g"),
     ]
-    out.append('<div class="figures">' + "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures) + "</div>")
-    out += [f'<p class="muted">{escape(note)}</p>' for note in found.notes]
-    out.append('<ul class="doubts">' + "".join(f"<li>{escape(doubt)}</li>" for doubt in found.doubts) + "</ul>")
-    return "".join(out)
+    notes = [f'<p class="muted">{escape(note)}</p>' for note in found.notes]
+    return "".join([*out, figures(shown), *notes, doubts(found.doubts)])
 
 
 def _duration(seconds: float) -> str:
@@ -161,7 +129,6 @@ def _duration(seconds: float) -> str:
 
 
 def _modes(found: LookedRecording) -> str:
-    """Write the table of modes."""
     if not found.modes:
         reasons = {band.modes.reason for band in found.bands if isinstance(band.modes, Skipped)}
         return f"<h2>Modes</h2><p>None found: {escape('; '.join(sorted(reasons)) or 'the record is too short')}.</p>"
@@ -185,7 +152,7 @@ def _shapes(found: LookedRecording) -> str:
     at = np.arange(c, dtype=float)
     charts = []
     for number, mode in enumerate(found.modes, start=1):
-        axes = _Channels((-0.3, c - 0.7), (-1.15, 1.15), 110.0, names=found.channels)
+        axes = Axes((-0.3, c - 0.7), (-1.15, 1.15), 110.0, x_names=found.channels)
         charts.append(
             axes.chart(
                 f"mode {number}: {mode.frequency_hz:.4g} Hz",
@@ -264,8 +231,8 @@ def _decades(values: Array) -> tuple[float, float]:
     return float(10.0 ** max(low, high - 8.0)), float(10.0**high)
 
 
-def _pooled(x: Array, y: Array) -> tuple[Array, Array]:
-    """Draw together neighbouring points of a line, shape (n,), to at most `_MOST_POINTS`: the largest y of each group."""
+def _pooled(x: Annotated[Array, "n"], y: Annotated[Array, "n"]) -> tuple[Annotated[Array, "k"], Annotated[Array, "k"]]:
+    """Draw together neighbouring points of a line to at most `_MOST_POINTS`: the largest y of each group."""
     per = -(-len(x) // _MOST_POINTS)
     if per == 1:
         return x, y
@@ -298,8 +265,8 @@ def spectrograms(found: LookedRecording, top_hz: float) -> str:
     return "".join(out)
 
 
-def png(level: Array) -> bytes:
-    """Encode a picture of levels from 0 to 1, shape (rows, columns), the top row first, in the colours of `_PALETTE`.
+def png(level: Annotated[Array, "rows columns"]) -> bytes:
+    """Encode a picture of levels from 0 to 1, the top row first, in the colours of `_PALETTE`.
 
     Examples
     --------

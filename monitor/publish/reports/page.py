@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 
 from monitor.publish.reports import charts
@@ -57,37 +57,40 @@ ul.doubts li { margin: .2rem 0 .2rem .6rem; } ul.doubts:empty { display: none; }
 
 
 def document(title: str, parts: Sequence[str]) -> str:
-    """Write an HTML page without external files; the page is well-formed XML as well.
-
-    Parameters
-    ----------
-    title : str
-        Title of the page, not escaped.
-    parts : sequence of str
-        HTML of the body.
-    """
+    """Write an HTML page of a title, not yet escaped, and the HTML of its body; the page is well-formed XML as well."""
     viewport = '<meta name="viewport" content="width=device-width, initial-scale=1"/>'
     style = f"<style>{STYLE}{charts.STYLE}</style>"
     head = f'<head><meta charset="utf-8"/>{viewport}<title>{escape(title)}</title>{style}</head>'
     return f'<!DOCTYPE html>\n<html lang="en">{head}\n<body>{"".join(parts)}</body></html>\n'
 
 
+def verdict(kind: str, words: str, title: str) -> str:
+    """Write the verdict as a badge of a kind of the style sheet, and the title, not yet escaped, beside it."""
+    return f'<span class="verdict {kind}">{words}</span><h1>{escape(title)}</h1>'
+
+
+def doubts(said: Iterable[str]) -> str:
+    """List what is doubtful."""
+    return f'<ul class="doubts">{"".join(f"<li>{escape(doubt)}</li>" for doubt in said)}</ul>'
+
+
+def figures(pairs: Iterable[tuple[str, str]]) -> str:
+    """Write key figures, each with its meaning."""
+    return f'<div class="figures">{"".join(f"<div><b>{escape(a)}</b>{escape(b)}</div>" for a, b in pairs)}</div>'
+
+
+def rest(count: int, what: str) -> str:
+    """State how many are not shown or drawn; nothing if there are none."""
+    return f"<p>{count} more are not {what}.</p>" if count > 0 else ""
+
+
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, flows: bool = False) -> str:
-    """Write a table.
+    """Write a table; without headings it has no header row.
 
-    Parameters
-    ----------
-    head : sequence of str
-        Headings; none without a header row.  A heading that begins with ``#`` stands over numbers, which are aligned right; one
-        that begins with ``@`` stands over times, which do not wrap.
-    rows : sequence of sequence of str
-        Cells of each row.
-    flows : bool
-        Whether the folded cells of a row follow one another on its lines, and empty ones are left out: for many rows of numbers.
-
-    Notes
-    -----
-    On a narrow page a table of more than three columns is folded: each cell stands on a line of its own beside its heading.
+    A heading that begins with ``#`` stands over numbers, which are aligned right; one that begins with ``@`` over times,
+    which do not wrap.  On a narrow page a table of more than three columns is folded: each cell stands on a line of its own
+    beside its heading.  Where it `flows`, for many rows of numbers, the folded cells of a row follow one another, and empty
+    ones are left out.
 
     Examples
     --------

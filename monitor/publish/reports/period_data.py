@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from heapq import nlargest
 from itertools import pairwise
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,16 +43,15 @@ _T_END = re.compile(rb'"t_end_ns": (\d{1,18}|[1-8]\d{18})\b')
 class Envelope:
     """Envelope of a quantity over a period, in the n bins that have values."""
 
-    t_ns: Array
-    """Middles of the bins, shape (n,), UTC in ns."""
-    index: NDArray[np.intp]
-    """Numbers of the bins, shape (n,)."""
-    low: Array
-    """Least value less its half-interval, shape (n,)."""
-    mean: Array
-    """Mean value, shape (n,)."""
-    high: Array
-    """Greatest value plus its half-interval, shape (n,)."""
+    t_ns: Annotated[Array, "n"]
+    """Middles of the bins, UTC."""
+    index: Annotated[NDArray[np.intp], "n"]
+    """Numbers of the bins."""
+    low: Annotated[Array, "n"]
+    """Least value less its half-interval."""
+    mean: Annotated[Array, "n"]
+    high: Annotated[Array, "n"]
+    """Greatest value plus its half-interval."""
 
     def pieces(self) -> list[slice]:
         """Cut the bins into runs without more than one empty bin in between."""
@@ -61,27 +59,10 @@ class Envelope:
         return [slice(a, b) for a, b in pairwise(cuts) if b > a]
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Part of a grid: `n` equal bins from bin `first` on, over ``(from_ns, to_ns]``."""
-
-    from_ns: int
-    to_ns: int
-    first: int
-    n: int
-
-
 class Grid:
-    """Grid of bins over ``(from_ns, to_ns]``, equal but for the gaps in which no window ends and which charts shorten.
+    """Grid of bins over ``(from_ns, to_ns]`` (UTC), equal but for the gaps in which no window ends and which charts shorten.
 
-    Parameters
-    ----------
-    from_ns, to_ns : int
-        Ends of the period, UTC.
-    n : int
-        Number of bins outside the gaps.
-    gaps : sequence of (int, int)
-        Ends of each gap, UTC in ns, in order.
+    There are `n` bins outside the gaps, which are given by their ends, UTC in ns, in order.
 
     Examples
     --------
@@ -92,38 +73,30 @@ class Grid:
 
     def __init__(self, from_ns: int, to_ns: int, n: int, gaps: Sequence[tuple[int, int]] = ()) -> None:
         self.from_ns, self.to_ns, self.gaps = from_ns, to_ns, tuple(gaps)
-        ends = [from_ns, *(t for gap in gaps for t in gap), to_ns]
-        length = sum(b - a for a, b in zip(ends[::2], ends[1::2], strict=True))
-        parts, first = list[_Part](), 0
-        for k, (a, b) in enumerate(pairwise(ends)):
-            size = _GAP_BINS if k % 2 else max(1, round(n * (b - a) / length))
-            parts.append(_Part(a, b, first, size if gaps else n))
-            first += parts[-1].n
-        self._parts, self._ends = parts, [part.to_ns for part in parts]
-        self.n = first
-        self.edges_ns = np.array(
-            [from_ns, *(p.from_ns + (p.to_ns - p.from_ns) * k // p.n for p in parts for k in range(1, p.n + 1))]
-        )
-        """Ends of the bins, shape (n + 1,), UTC in ns."""
+        self._ends = [from_ns, *(t for gap in gaps for t in gap), to_ns]
+        parts, length = list(pairwise(self._ends)), sum(b - a for a, b in self.stretches)
+        counts = [_GAP_BINS if k % 2 else max(1, round(n * (b - a) / length)) for k, (a, b) in enumerate(parts)]
+        counts = counts if gaps else [n]
+        inside = (a + (b - a) * i // m for (a, b), m in zip(parts, counts, strict=True) for i in range(1, m + 1))
+        self.edges_ns = np.array([from_ns, *inside])
+        self.n = self.edges_ns.size - 1
         share = min(_GAP_WIDTH, 0.5 / max(1, len(gaps)))
         rest = 1.0 - share * len(gaps)
-        widths = [share if k % 2 else rest * (p.to_ns - p.from_ns) / length for k, p in enumerate(parts)]
+        widths = [share if k % 2 else rest * (b - a) / length for k, (a, b) in enumerate(parts)]
         self._shares = np.concatenate([[0.0], np.cumsum(widths)])
 
     @property
     def stretches(self) -> list[tuple[int, int]]:
         """Ends of what lies outside the gaps, UTC in ns."""
-        return [(part.from_ns, part.to_ns) for part in self._parts[::2]]
+        return list(zip(self._ends[::2], self._ends[1::2], strict=True))
 
     def at(self, t_ns: int) -> int:
         """Find the bin of a time; the nearest bin where the time is outside the period."""
-        part = self._parts[min(bisect_left(self._ends, t_ns), len(self._parts) - 1)]
-        inside = (t_ns - part.from_ns - 1) * part.n // (part.to_ns - part.from_ns)
-        return part.first + min(max(inside, 0), part.n - 1)
+        return min(max(int(np.searchsorted(self.edges_ns, t_ns)) - 1, 0), self.n - 1)
 
     def share(self, t_ns: Array | float) -> Array:
         """Return the places of times along a chart, from 0 at its left to 1 at its right, of the shape of `t_ns`."""
-        ends = np.array([self.from_ns, *self._ends]) - self.from_ns
+        ends = np.array(self._ends) - self.from_ns
         return np.asarray(np.interp(np.asarray(t_ns, dtype=float) - self.from_ns, ends, self._shares))
 
 
@@ -194,24 +167,38 @@ class PeriodResults:
 
     @property
     def due(self) -> int:
-        """Number of windows that an unbroken stream would have given since the run began.
-
-        None is due that would hold time between the recordings of a replay.
-        """
+        """Number of windows that an unbroken stream would have given since the run began; none between a replay's recordings."""
         ends_ns = max(self.grid.from_ns, self.begun_ns), self.grid.to_ns
         count = due_windows(ends_ns, self.begun_ns, round(self.hop_s * 1e9), self.window_s, self.between)
         return max(self.course.windows, count)
 
     def add(self, line: dict[str, Any]) -> None:
-        """Add the values of one line of results.jsonl."""
-        t_ns = int(line["t_end_ns"])
-        if line["skipped"] is not None and reaches_between(t_ns, self.window_s, self.between):
+        """Add the values of one line of results.jsonl; a line that cannot be read adds nothing."""
+        t_ns, skipped = int(line["t_end_ns"]), line["skipped"] is not None
+        if skipped and reaches_between(t_ns, self.window_s, self.between):
             return
         at = self.grid.at(t_ns)
         course = follow(self.course, facts_of_line(line), self.misfit_limit)
-        losses = [
-            float(v) for v in (*(line["ddi"] or ()), *(line["ddi_std"] or ()))
-        ]  # a line that cannot be read adds nothing
+        losses = [[float(v) for v in line[key] or ()] for key in ("ddi", "ddi_std")]
+        self._add_modes(at, line)
+        self.course = course
+        for name, value in line.get("covariates", {}).items():
+            self.covariates.setdefault(name, Curve(self.grid)).add(at, value)
+        (self.refused if skipped else self.judged)[at] += 1
+        if skipped:
+            return
+        if losses[0]:
+            self._add_each(self.ddi, at, *losses)
+            self.unidentified |= set(line.get("unidentified") or [])
+        if (sizes := line.get("frequency_change")) is not None:
+            self._add_each(self.changes, at, sizes, line["frequency_change_std"])
+        if (misfit := line.get("misfit")) is not None:
+            self.misfit = self.misfit or Curve(self.grid)
+            self.misfit.add(at, misfit)
+        self.no_baseline = line["alarm"]["reason"].startswith("no baseline")
+
+    def _add_modes(self, at: int, line: dict[str, Any]) -> None:
+        """Add the frequencies of the model's modes and of the others."""
         tracks = line.get("mode_tracks") or []
         frequencies, stds = line["frequencies_hz"] or [], line["frequencies_std_hz"] or []
         numbers = line.get("model_modes") or range(1, len(frequencies) + 1)
@@ -222,27 +209,13 @@ class PeriodResults:
         for other in line.get("other_modes") or []:
             f, std = other["frequency_hz"], other["frequency_std_hz"]
             self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
-        self.course = course
-        for name, value in line.get("covariates", {}).items():
-            self.covariates.setdefault(name, Curve(self.grid)).add(at, value)
-        if line["skipped"] is not None:
-            self.refused[at] += 1
-            return
-        self.judged[at] += 1
-        if losses:
-            self.ddi = self.ddi or [Curve(self.grid) for _ in line["ddi"]]
-            for curve, value, std in zip(self.ddi, line["ddi"], line["ddi_std"], strict=False):
+
+    def _add_each(self, curves: list[Curve], at: int, values: list[Any], stds: list[Any]) -> None:
+        """Add the values of all stories or modes to their curves, which the first of them makes; None is not known."""
+        curves += [Curve(self.grid) for _ in values] if not curves else []
+        for curve, value, std in zip(curves, values, stds, strict=False):
+            if value is not None and std is not None:
                 curve.add(at, value, 2.0 * std)
-            self.unidentified |= set(line.get("unidentified") or [])
-        if (sizes := line.get("frequency_change")) is not None:
-            self.changes = self.changes or [Curve(self.grid) for _ in sizes]
-            for curve, size, std in zip(self.changes, sizes, line["frequency_change_std"], strict=False):
-                if size is not None and std is not None:
-                    curve.add(at, size, 2.0 * std)
-        if (misfit := line.get("misfit")) is not None:
-            self.misfit = self.misfit or Curve(self.grid)
-            self.misfit.add(at, misfit)
-        self.no_baseline = line["alarm"]["reason"].startswith("no baseline")
 
     def _mode(self, track: int, frequency: float, apart: float = _SAME_MODE) -> Curve:
         """Find the curve that a frequency continues: the curve of its track, else the nearest one, else a new one."""
@@ -272,27 +245,13 @@ def read_results(
     between: Sequence[tuple[int, int]] = (),
     window_s: float = 0.0,
 ) -> PeriodResults:
-    """Read results.jsonl of a folder, and its closed months; windows belong to the period in which they end.
+    """Read results.jsonl of a folder, and its closed months; windows belong to the period (UTC) in which they end.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of a replay or of the daemon.
-    from_ns, to_ns : int or None
-        Ends of the period, UTC; None for the beginning or the end of the run.
-    misfit_limit : float
-        Goodness of fit from which stiffness explains too little.
-    between : sequence of (int, int)
-        Ends of the times between the recordings of a replay, UTC in ns.
-    window_s : float
-        Length of a window of a replay.
+    By default the period is that of the run.  A replay has times `between` its recordings, UTC in ns, and windows of
+    `window_s`. From a goodness of fit `misfit_limit` on, stiffness explains too little.
 
-    Raises
-    ------
-    MissingInputError
-        The file does not exist.
-    BadInputError
-        No window ends in the period, the files hold no results, or a packed month is damaged.
+    Raises MissingInputError if the file does not exist, BadInputError if no window ends in the period, the files hold no
+    results, or a packed month is damaged.
     """
     path = folder / RESULTS
     try:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from monitor.core import AlarmCondition, parse_json, utc_ns
 from monitor.damage import Loss
 from monitor.events import Event, EventAlarm
 from monitor.publish.reports.period_data import utc
-from monitor.publish.results.event_lines import EVENTS, read_event
+from monitor.publish.results.event_lines import EVENTS, last_told, read_event
 from monitor.publish.results.recorded_time import between_recordings
+from monitor.publish.results.summary import Quality as Totals
 
 _REQUEST = re.compile(
     r"(acknowledge|reset|shelve|unshelve) alarm of (story|mode|the shape of mode) (\d+)[^:]*: ?(.*)", re.DOTALL
@@ -64,26 +66,14 @@ class Decision:
     """Story of an operator's request, or what else has this alarm; `WHOLE` is the structure."""
 
 
-@dataclass(slots=True)
-class _ChannelTotals:
-    """Totals of one channel over the period."""
-
-    power: float = 0.0
-    peak: float = 0.0
-    spikes: int = 0
-    stuck_s: float = 0.0
-    clipped: float = 0.0
-    floors: list[float] = field(default_factory=list)
-
-
 class HealthFile:
     """Contents of health.jsonl over a period, the rotated file included."""
 
     def __init__(self, folder: Path, from_ns: int, to_ns: int) -> None:
-        self._sums: dict[str, _ChannelTotals] = {}
+        self._total = Totals()
+        self._peaks: dict[str, float] = {}
+        self._floors: dict[str, list[float]] = {}
         self._clocks: dict[str, tuple[float, float]] = {}
-        self._seconds = self._lost_s = 0.0
-        self._gaps = self._overlaps = 0
         self._ends: list[int] = []
         self._times: list[tuple[int, int]] = []
         for line in (line for name in ("health.jsonl.1", "health.jsonl") for line in _read_json_objects(folder / name)):
@@ -94,22 +84,18 @@ class HealthFile:
                 self._add(line)
 
     def _add(self, line: dict[str, Any]) -> None:
-        """Add the values of one line to the totals."""
-        stream = line["stream"]
-        seconds = stream["samples"] / stream["rate_hz"]
+        stream, total = line["stream"], self._total
+        of = ("spikes", "repeated", "clipped")
+        channels = ((c["channel"], c["rms_m_s2"] or 0.0, *(c[key] for key in of)) for c in line["channels"])
         self._ends.append(line["t_ns"])
-        self._seconds += seconds
-        self._lost_s += stream["lost_s"]
-        self._gaps += stream["gaps"]
-        self._overlaps += stream["overlaps"]
+        total.add_span(stream["samples"], stream["rate_hz"], channels)
+        total.lost_s += stream["lost_s"]
+        total.gaps += stream["gaps"]
+        total.overlaps += stream["overlaps"]
         for c in line["channels"]:
-            total = self._sums.setdefault(c["channel"], _ChannelTotals())
-            total.power += (c["rms_m_s2"] or 0.0) ** 2 * seconds
-            total.peak = max(total.peak, c["peak_m_s2"] or 0.0)
-            total.spikes += c["spikes"]
-            total.stuck_s += seconds if c["repeated"] == 1.0 else 0.0
-            total.clipped += c["clipped"] * stream["samples"]
-            total.floors += [c["noise_floor"]] if c["noise_floor"] is not None else []
+            name, floor = c["channel"], c["noise_floor"]
+            self._peaks[name] = max(self._peaks.get(name, 0.0), c["peak_m_s2"] or 0.0)
+            self._floors.setdefault(name, []).extend([] if floor is None else [floor])
         for clock in (line.get("source") or {}).get("clocks", ()):
             offset, drift = clock["offset_s"] or 0.0, clock["drift_ppm"] or 0.0
             largest = self._clocks.get(clock["node"], (0.0, 0.0))[0]
@@ -119,23 +105,17 @@ class HealthFile:
         """Sum up the period's quality; return None without a line in the period."""
         if not self._ends:
             return None
+        total = self._total
+        floors = {name: float(np.median(seen)) if seen else None for name, seen in self._floors.items()}
         channels = tuple(
-            ChannelQuality(
-                name,
-                float(np.sqrt(s.power / max(self._seconds, 1e-9))),
-                s.spikes,
-                s.stuck_s,
-                s.clipped,
-                s.peak,
-                float(np.median(s.floors)) if s.floors else None,
-            )
-            for name, s in self._sums.items()
+            replace(channel, peak_m_s2=self._peaks[channel.name], noise_floor=floors[channel.name])
+            for channel in _channels(total.content())
         )
         ends = [utc(t) for t in (min(self._ends), max(self._ends))]
         says = f"health.jsonl, {len(self._ends)} spans that end from {ends[0]} to {ends[1]} UTC"
-        share = self._seconds / max(self._seconds + self._lost_s, 1e-9)
+        share = total.seconds / max(total.seconds + total.lost_s, 1e-9)
         clocks = tuple((node, *c) for node, c in self._clocks.items())
-        return Quality(says, share, self._gaps, self._lost_s, self._overlaps, channels, clocks)
+        return Quality(says, share, total.gaps, total.lost_s, total.overlaps, channels, clocks)
 
     def data_ns(self, wall_ns: int) -> int:
         """Convert wall-clock time to the data's time, both UTC in ns, since a stream may run faster than the clock."""
@@ -166,12 +146,16 @@ def summary_quality(summary: dict[str, Any]) -> Quality | None:
         came_s = lost_s * availability / (1.0 - availability)
         lost_s = max(0.0, lost_s - 1e-9 * sum(end - begin for begin, end in between))
         availability = came_s / (came_s + lost_s)
-    channels = tuple(
-        ChannelQuality(name, c["rms_m_s2"], c["spikes"], c["stuck_s"], c["clipped_samples"])
-        for name, c in table["channels"].items()
-    )
     says = "summary.json, the whole run" + (" without the time between its recordings" if between else "")
-    return Quality(says, availability, max(0, table["gaps"] - len(between)), lost_s, table["overlaps"], channels)
+    return Quality(
+        says, availability, max(0, table["gaps"] - len(between)), lost_s, table["overlaps"], _channels(table)
+    )
+
+
+def _channels(table: Mapping[str, Any]) -> tuple[ChannelQuality, ...]:
+    """List the channels of the table `quality`."""
+    keys = ("rms_m_s2", "spikes", "stuck_s", "clipped_samples")
+    return tuple(ChannelQuality(name, *(c[key] for key in keys)) for name, c in table["channels"].items())
 
 
 def read_findings(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]]:
@@ -182,15 +166,12 @@ def read_findings(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]
 
 def read_events(folder: Path) -> list[Event]:
     """Read the events of a run, each as its highest revision says, in the order of time."""
-    found: dict[str, Event] = {}
-    for line in _read_json_objects(folder / EVENTS):
-        try:
-            event = read_event(line)
-        except (KeyError, TypeError, ValueError):  # a line that a crash cut
-            continue
-        if event.revision is not None and event.revision >= (found.get(event.id, event).revision or 0):
-            found[event.id] = event
-    return sorted(found.values(), key=lambda e: e.begin_ns)
+    events = []
+    with suppress(FileNotFoundError):
+        for line in last_told(folder / EVENTS).values():
+            with suppress(KeyError, TypeError, ValueError):
+                events.append(read_event(line))
+    return sorted(events, key=lambda e: e.begin_ns)
 
 
 def event_alarms(summary: dict[str, Any]) -> list[EventAlarm]:
@@ -220,13 +201,7 @@ def requests_for(episode: Loss, decisions: list[Decision], following_ns: float) 
 
 
 def _read_json_objects(path: Path, *, whole: bool = False) -> Iterator[dict[str, Any]]:
-    """Read the JSON objects of a file and skip what cannot be read.
-
-    Parameters
-    ----------
-    whole : bool
-        Read the file as one object, not line by line.
-    """
+    """Read the JSON objects of a file, one a line or `whole` as one, and skip what cannot be read."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -17,8 +17,8 @@ from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
 from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, assess, diagnosis_of, is_seen
 from monitor.events import Event, EventAlarm
 from monitor.publish.reports import period_notes as notes
-from monitor.publish.reports.page import document, table
-from monitor.publish.reports.period_data import Grid, PeriodResults, read_results, utc
+from monitor.publish.reports.page import document, doubts, figures, rest, table, verdict
+from monitor.publish.reports.period_data import Envelope, Grid, PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality
 from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, panel, time_axes
 from monitor.publish.results.event_lines import event_text
@@ -59,18 +59,9 @@ class Period:
 
 
 def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
-    """Read the records of a period that a replay or the daemon left in a folder.
+    """Read the records of a period (UTC; by default the run) that a replay or the daemon left in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-    from_ns, to_ns : int or None
-        Ends of the period, UTC; None for the beginning or the end of the run.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        There are no results, or none of that period.
+    Raises MissingInputError or BadInputError where there are no results, or none of that period.
     """
     with _name_file_in_errors(folder / "summary.json"):
         summary = notes.read_summary(folder)
@@ -152,46 +143,36 @@ def page(period: Period) -> str:
 
 
 def _span(period: Period) -> str:
-    """Write the ends of the period."""
     return f"{utc(period.results.grid.from_ns)} to {utc(period.results.grid.to_ns)} UTC"
 
 
 def _story(story: int, period: Period) -> str:
-    """Write the name of a story."""
     if story == WHOLE:
         return period.known.words.every
     return period.known.names[story - 1] if story <= len(period.known.names) else f"story {story}"
 
 
-def _percent(value: float, std: float) -> str:
-    """Write a share in percent with two standard deviations."""
-    return f"{100 * value:.2f} ± {200 * std:.2f} %"
-
-
 def _head(period: Period) -> str:
     """Write the verdict, the span and the key figures."""
     r, said = period.results, period.assessment
-    doubts = "".join(f"<li>{escape(doubt)}</li>" for doubt in said.doubts)
     apart = ", the time between recordings apart" if r.between else ""
     evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s{apart}"
-    figures = [(f"{100 * sum(r.judged) / r.due:.1f} %", evaluated)]
+    shown = [(f"{100 * sum(r.judged) / r.due:.1f} %", evaluated)]
     if period.known.has_baseline or period.alarms:
-        figures.append((f"{period.alarms}", "alarm" if period.alarms == 1 else "alarms"))
+        shown.append((f"{period.alarms}", "alarm" if period.alarms == 1 else "alarms"))
     if period.quality is not None and period.quality.availability is not None:
-        figures.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
+        shown.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
     if r.ddi and period.known.has_baseline:
         latest = [
             (f"{100 * c.latest:.2f} %", f"{_story(j, period)}, latest")
             for j, c in enumerate(r.ddi, 1)
             if _sight(j, period)[0]
         ]
-        figures += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
-    figures += [(f"{100 * c.latest:+.2f} %", f"mode {k}, latest") for k, c in enumerate(r.changes[:4], 1) if c.values]
-    boxes = "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures)
+        shown += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
+    shown += [(f"{100 * c.latest:+.2f} %", f"mode {k}, latest") for k, c in enumerate(r.changes[:4], 1) if c.values]
     return (
-        f'<span class="verdict {said.state}">{said.state.words}</span><h1>{escape(said.headline)}</h1>'
-        f'<ul class="doubts">{doubts}</ul><p class="muted">{escape(period.name)}, {_span(period)}</p>'
-        f'<div class="figures">{boxes}</div>'
+        f"{verdict(said.state, said.state.words, said.headline)}{doubts(said.doubts)}"
+        f'<p class="muted">{escape(period.name)}, {_span(period)}</p>{figures(shown)}'
         '<p class="muted">Shaded: least to greatest value in each step of time, with two standard deviations; line: '
         f"their mean. Times are those of the windows' ends, by the data.{_shortened(r.grid)}</p>"
     )
@@ -218,17 +199,10 @@ def _damage(period: Period) -> str:
     since = "since the baseline" if judged else "against the structure file"
     out = [f"<h2>{'Damage index' if judged else 'Stiffness'}</h2>"]
     for j, e in enumerate(curves, 1):
-        axes = time_axes(period.results.grid, low, high)
-        marks = [
-            axes.shade(_clipped(axes, a.t_first_ns, a.t_last_ns), "still" if a.level == "alarm" else "off")
-            for a in period.course.losses
-            if a.story in (j, WHOLE)
-        ]
-        lines = [(0.0, "before dashed")] + ([(100 * limit, "limit dashed")] if limit is not None else [])
-        marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
+        axes = time_axes(r.grid, low, high)
         seen, says = _sight(j, period)
         title = f"{_story(j, period)}: stiffness lost {since}, %; {says}"
-        marks += draw_envelope(axes, e, 100.0)
+        marks = _over_alarms(axes, period, (j, WHOLE), None if limit is None else 100 * limit, e)
         out.append(axes.chart(title, *marks, x_title=TIME, kind="" if seen else " unseen"))
     how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
     return "".join(out) + f"<p class='muted'>{how}</p>"
@@ -246,15 +220,7 @@ def _changes(period: Period) -> str:
     out = ["<h2>Change of the modes</h2>"]
     for k, e in curves:
         axes = time_axes(r.grid, min(low, -limit), max(high, 0.2 * limit))
-        of_shape = k + (period.known.n_modes or 0)
-        marks = [
-            axes.shade(_clipped(axes, a.t_first_ns, a.t_last_ns), "still" if a.level == "alarm" else "off")
-            for a in period.course.losses
-            if a.story in (k, of_shape, WHOLE)
-        ]
-        lines = [(0.0, "before dashed"), (-limit, "limit dashed")]
-        marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
-        marks += draw_envelope(axes, e, 100.0)
+        marks = _over_alarms(axes, period, (k, k + (period.known.n_modes or 0), WHOLE), -limit, e)
         title = f"mode {k}: frequency since the baseline, less what covariates explain, %"
         out.append(axes.chart(title, *marks, x_title=TIME))
     says = "Shaded where frequency or shape was announced as changed; dashed red: a confirmed fall of this size is an alarm."
@@ -291,10 +257,18 @@ def _thresholds(thresholds: Mapping[str, float]) -> str:
     )
 
 
-def _clipped(axes: TimeAxes, from_ns: int, to_ns: int | None) -> tuple[float, float]:
-    """Clip a span in ns to the axes, s."""
+def _over_alarms(axes: TimeAxes, period: Period, parts: tuple[int, ...], limit: float | None, e: Envelope) -> list[str]:
+    """Draw an envelope in percent over the alarms of some parts, no change, and the limit of an alarm."""
     start, stop = axes.x
-    return max(start, from_ns * 1e-9), min(stop, stop if to_ns is None else to_ns * 1e-9)
+    marks = []
+    for a in period.course.losses:
+        if a.story in parts:
+            last = stop if a.t_last_ns is None else a.t_last_ns * 1e-9
+            span = max(start, a.t_first_ns * 1e-9), min(stop, last)
+            marks.append(axes.shade(span, "still" if a.level == "alarm" else "off"))
+    lines = [(0.0, "before dashed")] + ([] if limit is None else [(limit, "limit dashed")])
+    marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
+    return marks + draw_envelope(axes, e, 100.0)
 
 
 def _alarms(period: Period) -> str:
@@ -308,9 +282,9 @@ def _alarms(period: Period) -> str:
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
-        verdict = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
-        size = _percent(e.ddi, e.ddi_std)
-        rows.append((e.level, _story(e.story, period), utc(e.t_first_ns), ended, size, verdict, actions))
+        diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
+        size = f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"
+        rows.append((e.level, _story(e.story, period), utc(e.t_first_ns), ended, size, diagnosis, actions))
     began = {event.id: utc(event.begin_ns) for event in period.events}
     for alarm in period.event_alarms[:_MAX_ROWS]:
         seen = "nobody yet" if alarm.unacknowledged else f"by {alarm.acknowledged_by}"
@@ -319,7 +293,7 @@ def _alarms(period: Period) -> str:
         rows.append((Level.ALARM, what, began.get(alarm.id, _UNKNOWN), lasts, _UNKNOWN, "a limit of the site", seen))
     size = "#stiffness lost" if period.known.n_modes is None else "#change"
     head = ["level", "where", "@from, UTC", "@to, UTC", size, "diagnosis", "acknowledged"]
-    return "<h2>Alarms</h2>" + table(head, rows) + _rest_count(len(period.course.losses))
+    return "<h2>Alarms</h2>" + table(head, rows) + rest(len(period.course.losses) - _MAX_ROWS, "shown")
 
 
 def _events(period: Period) -> str:
@@ -328,16 +302,10 @@ def _events(period: Period) -> str:
         return ""
     rows = [(e.id, utc(e.begin_ns), utc(e.end_ns), event_text(e), e.note) for e in period.events[:_MAX_ROWS]]
     head = ["event", "@from, UTC", "@to, UTC", "what it was", "note"]
-    return "<h2>Events</h2>" + table(head, rows) + _rest_count(len(period.events))
-
-
-def _rest_count(count: int) -> str:
-    """State how many rows are not shown."""
-    return f"<p>{count - _MAX_ROWS} more are not shown.</p>" if count > _MAX_ROWS else ""
+    return "<h2>Events</h2>" + table(head, rows) + rest(len(period.events) - _MAX_ROWS, "shown")
 
 
 def _modes(period: Period) -> str:
-    """Draw the frequencies."""
     curves = period.results.common_modes()
     if not curves:
         return ""
@@ -437,8 +405,12 @@ def _findings(period: Period) -> str:
             for f in period.findings[:_MAX_ROWS]
         ]  # fmt: skip
         out.append("<h2>Findings</h2>" + table(["no.", "@data until, UTC", "asked because", "verdict", "says"], rows))
-        out.append(_rest_count(len(period.findings)))
+        out.append(rest(len(period.findings) - _MAX_ROWS, "shown"))
     if period.decisions:
         lines = [(utc(d.t_ns), d.who, d.what) for d in period.decisions[:_MAX_ROWS]]
-        out.append("<h2>Ledger</h2>" + table(["@when, UTC", "who", "what"], lines) + _rest_count(len(period.decisions)))
+        out.append(
+            "<h2>Ledger</h2>"
+            + table(["@when, UTC", "who", "what"], lines)
+            + rest(len(period.decisions) - _MAX_ROWS, "shown")
+        )
     return "".join(out)

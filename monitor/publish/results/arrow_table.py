@@ -56,26 +56,11 @@ def _columns(field: Field) -> list[tuple[str, pa.DataType]]:
 
 
 WINDOWS_SCHEMA = pa.schema([("stream", pa.string()), *(column for field in FIELDS for column in _columns(field))])
-"""Columns of the table: the keys of a line of results.jsonl, with `alarm` as six columns, the stream's name, and the end of the
-window as a timestamp.
-"""
+"""Columns: the keys of a line of results.jsonl, `alarm` as six, the stream's name, and the window's end as a timestamp."""
 
 
 def windows_table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:
-    """Convert lines of results.jsonl to rows of an Arrow table.
-
-    Parameters
-    ----------
-    lines : iterable of mapping
-        Parsed lines.
-    stream : str
-        Name of the stream, the same in every row.
-
-    Returns
-    -------
-    pyarrow.Table
-        Columns as in `WINDOWS_SCHEMA`.
-    """
+    """Convert parsed lines of results.jsonl to rows with the columns `WINDOWS_SCHEMA`; `stream` is the stream's name."""
     rows = []
     for line in lines:
         alarm = {f"alarm_{key}": value for key, value in line["alarm"].items()}

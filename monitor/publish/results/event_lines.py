@@ -4,71 +4,68 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from monitor.core import Array
+from monitor.core import Array, parse_json, rounded
 from monitor.events import Event, FloorMotion, Spectrum
 
 EVENTS = "events.jsonl"
 """File of the events, beside results.jsonl. [name; contract]"""
 
 
-def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
-    """Collect the values of an event's line of events.jsonl; None where a value cannot be said.
+_NUMBERS = {
+    "drift_peak_m": "drift_m",
+    "drift_peak_std_m": "drift_std_m",
+    "drift_ratio_peak": "drift_ratio",
+    "drift_corner_hz": "corner_hz",
+    "frequencies_before_hz": "before_hz",
+    "frequencies_during_hz": "during_hz",
+    "frequencies_after_hz": "after_hz",
+    "loss": "loss",
+    "loss_std": "loss_std",
+}
+"""Key of a line -> field of an event. [names; contract]"""
+_OF_MOTION = ("peak_m_s2", "rms_m_s2", "peak_m_s", "arias_m_s", "cav_m_s")
+"""Numbers of a channel's motion, as keys and as fields. [names; contract]"""
+_OF_SPECTRUM = ("period_s", "pseudo_acceleration_m_s2")
+"""Those of the response spectrum. [names; contract]"""
 
-    Parameters
-    ----------
-    event : Event
-    recording : str, optional
-        File with the event's samples.
-    """
+
+def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
+    """Collect the values of an event's line of events.jsonl, None where one cannot be said; `recording` has its samples."""
+    numbers = {key: rounded(getattr(event, field)) for key, field in _NUMBERS.items()}
+    if not np.isfinite(event.drift_ratio).any():
+        numbers["drift_ratio_peak"] = None
+    spectrum = event.spectrum
     return {
         "id": event.id,
         "revision": event.revision,
         "t_begin_ns": event.begin_ns,
         "t_end_ns": event.end_ns,
-        "peak_acceleration_m_s2": {f.channel: _number(f.peak_m_s2) for f in event.floors},
-        "ground_peak_m_s2": None if event.ground is None else _number(event.ground.peak_m_s2),
-        "drift_peak_m": _numbers(event.drift_m),
-        "drift_peak_std_m": _numbers(event.drift_std_m),
-        "drift_ratio_peak": _numbers(event.drift_ratio) if np.isfinite(event.drift_ratio).any() else None,
-        "drift_corner_hz": _number(event.corner_hz),
-        "frequencies_before_hz": _numbers(event.before_hz),
-        "frequencies_during_hz": _numbers(event.during_hz),
-        "frequencies_after_hz": _numbers(event.after_hz),
-        "loss": _numbers(event.loss),
-        "loss_std": _numbers(event.loss_std),
+        "peak_acceleration_m_s2": {f.channel: rounded(f.peak_m_s2) for f in event.floors},
+        "ground_peak_m_s2": None if event.ground is None else rounded(event.ground.peak_m_s2),
+        **numbers,
         "verdict": event.verdict,
         "exceeded": list(event.exceeded),
         "saturated": list(event.saturated),
         "floors": [_motion(f) for f in event.floors],
         "ground": None if event.ground is None else _motion(event.ground),
-        "instrumental_intensity": None
-        if event.instrumental_intensity is None
-        else _number(event.instrumental_intensity),
-        "spectrum": None
-        if event.spectrum is None
-        else {
-            "period_s": _numbers(event.spectrum.period_s),
-            "pseudo_acceleration_m_s2": _numbers(event.spectrum.pseudo_acceleration_m_s2),
-        },
+        "instrumental_intensity": rounded(event.instrumental_intensity),
+        "spectrum": None if spectrum is None else {key: rounded(getattr(spectrum, key)) for key in _OF_SPECTRUM},
         "recording": recording,
         "note": event.note,
     }
 
 
 def read_event(line: Mapping[str, Any]) -> Event:
-    """Read an event from its line of events.jsonl; NaN for what cannot be said.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        It is no line of an event.
-    """
-    n = len(line["drift_peak_m"])
-    spectrum, ratio = line["spectrum"], line["drift_ratio_peak"]
+    """Read an event from its line of events.jsonl, NaN where it cannot say; KeyError, TypeError or ValueError if it is none."""
+    numbers = {field: line[key] for key, field in _NUMBERS.items()}
+    corner_hz = float(numbers.pop("corner_hz"))
+    numbers["drift_ratio"] = numbers["drift_ratio"] or [None] * len(line["drift_peak_m"])
+    spectrum = line["spectrum"]
     return Event(
         id=str(line["id"]),
         revision=line["revision"],
@@ -76,24 +73,29 @@ def read_event(line: Mapping[str, Any]) -> Event:
         end_ns=int(line["t_end_ns"]),
         floors=tuple(_read_motion(f) for f in line["floors"]),
         ground=None if line["ground"] is None else _read_motion(line["ground"]),
-        spectrum=None
-        if spectrum is None
-        else Spectrum(_array(spectrum["period_s"]), _array(spectrum["pseudo_acceleration_m_s2"])),
+        spectrum=None if spectrum is None else Spectrum(*(_array(spectrum[key]) for key in _OF_SPECTRUM)),
         instrumental_intensity=line["instrumental_intensity"],
-        corner_hz=float(line["drift_corner_hz"]),
-        drift_m=_array(line["drift_peak_m"]),
-        drift_std_m=_array(line["drift_peak_std_m"]),
-        drift_ratio=_array([None] * n if ratio is None else ratio),
-        before_hz=_array(line["frequencies_before_hz"]),
-        during_hz=_array(line["frequencies_during_hz"]),
-        after_hz=_array(line["frequencies_after_hz"]),
-        loss=_array(line["loss"]),
-        loss_std=_array(line["loss_std"]),
+        corner_hz=corner_hz,
+        **{field: _array(values) for field, values in numbers.items()},
         verdict=line["verdict"],
         exceeded=tuple(line["exceeded"]),
         saturated=tuple(line.get("saturated", ())),
         note=str(line["note"]),
     )
+
+
+def last_told(path: Path) -> dict[str, dict[str, Any]]:
+    """Read the line of the highest revision of each event in events.jsonl, by its id; OSError if it cannot be read."""
+    found = dict[str, dict[str, Any]]()
+    for text in path.read_bytes().splitlines():
+        try:
+            line = parse_json(text)
+            id, revision = str(line["id"]), int(line["revision"])
+        except (ValueError, KeyError, TypeError):  # preliminary, or a line that a crash cut
+            continue
+        if id not in found or revision >= found[id]["revision"]:
+            found[id] = line
+    return found
 
 
 def telling(event: Event) -> str:
@@ -102,16 +104,17 @@ def telling(event: Event) -> str:
     return f"strong motion ({told[event.revision]}), {event.id}"
 
 
-def event_text(event: Event) -> str:
-    """Tell an event in one sentence, as for a message.
+def strongest_floor(event: Event) -> FloorMotion | None:
+    """Return the motion of the channel with the largest acceleration; None where none is known."""
+    known = (f for f in event.floors if math.isfinite(f.peak_m_s2))
+    return max(known, key=lambda f: f.peak_m_s2, default=None)
 
-    The sentence has the verdict first, then the largest acceleration and the largest drift.
-    """
+
+def event_text(event: Event) -> str:
+    """Tell an event in one sentence, as for a message: first the verdict, then the largest acceleration and the largest drift."""
     parts = [event.verdict or "no limit was judged"]
-    known = [f for f in event.floors if math.isfinite(f.peak_m_s2)]
     least = "at least " if event.saturated else ""
-    if known:
-        strongest = max(known, key=lambda f: f.peak_m_s2)
+    if (strongest := strongest_floor(event)) is not None:
         parts.append(f"largest acceleration {least}{strongest.peak_m_s2:.2g} m/s^2 at {strongest.channel}")
     if event.ground is not None:
         parts.append(f"ground {event.ground.peak_m_s2:.2g} m/s^2")
@@ -129,8 +132,8 @@ def event_text(event: Event) -> str:
     return text[0].upper() + text[1:] + "."
 
 
-def with_interval(value: float, half: float) -> str:
-    """Write a number with what lies on either side of it, to two digits of that; to three digits where that is not known.
+def with_interval(value: float, half: float, digits: int = 3) -> str:
+    """Write a number with what lies on either side of it, to two digits of that; to `digits` where that is not known.
 
     Examples
     --------
@@ -138,39 +141,19 @@ def with_interval(value: float, half: float) -> str:
     ('7.59 ± 0.13', '0.0 ± 1.3', '123 ± 25', '2')
     """
     if not math.isfinite(half) or half <= 0.0:
-        return f"{value:.3g}"
-    digits = max(0, 1 - math.floor(math.log10(half)))
-    return f"{round(value, digits) + 0.0:.{digits}f} ± {half:.{digits}f}"  # never -0
+        return f"{value:.{digits}g}"
+    places = max(0, 1 - math.floor(math.log10(half)))
+    return f"{round(value, places) + 0.0:.{places}f} ± {half:.{places}f}"  # never -0
 
 
 def _motion(floor: FloorMotion) -> dict[str, Any]:
-    """Collect the motion of one channel."""
-    return {
-        "channel": floor.channel,
-        "peak_m_s2": _number(floor.peak_m_s2),
-        "rms_m_s2": _number(floor.rms_m_s2),
-        "peak_m_s": _number(floor.peak_m_s),
-        "arias_m_s": _number(floor.arias_m_s),
-        "cav_m_s": _number(floor.cav_m_s),
-    }
+    return {"channel": floor.channel, **{key: rounded(getattr(floor, key)) for key in _OF_MOTION}}
 
 
 def _read_motion(content: Mapping[str, Any]) -> FloorMotion:
-    """Read the motion of one channel."""
-    numbers = ("peak_m_s2", "rms_m_s2", "peak_m_s", "arias_m_s", "cav_m_s")
-    return FloorMotion(content["channel"], *_array([content[name] for name in numbers]).tolist())
+    return FloorMotion(content["channel"], *_array([content[key] for key in _OF_MOTION]).tolist())
 
 
 def _array(values: Sequence[float | None]) -> Array:
     """Make an array of numbers; NaN for None."""
     return np.array([np.nan if v is None else float(v) for v in values])
-
-
-def _numbers(values: Array) -> list[float | None]:
-    """Round numbers to nine significant digits; None for one that is not finite."""
-    return [_number(float(v)) for v in values]
-
-
-def _number(value: float) -> float | None:
-    """Round a number to nine significant digits; None where it is not finite."""
-    return float(f"{value:.9g}") if math.isfinite(value) else None

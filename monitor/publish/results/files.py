@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 import os
 import re
+import shutil
 from collections import deque
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO
 
 from monitor.core import BadInputError, finish, partial
 
@@ -34,12 +34,7 @@ def closed_files(folder: Path) -> list[Path]:
 def read_lines(path: Path) -> Iterator[bytes]:
     """Read the lines of results.jsonl or of a closed month, each with its newline.
 
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    BadInputError
-        The packed bytes are damaged.
+    Raises OSError if the file cannot be read, BadInputError if its packed bytes are damaged.
     """
     if path.suffix != _PACKED:
         with path.open("rb") as file:
@@ -58,13 +53,7 @@ def read_lines(path: Path) -> Iterator[bytes]:
 
 
 def read_all_lines(folder: Path) -> Iterator[bytes]:
-    """Read the lines of all months and of results.jsonl, which must exist, in the order in which they were written.
-
-    Raises
-    ------
-    OSError, BadInputError
-        As `read_lines`.
-    """
+    """Read the lines of all months and of results.jsonl, which must exist, as they were written (errors as `read_lines`)."""
     for path in (*closed_files(folder), folder / RESULTS):
         yield from read_lines(path)
 
@@ -72,12 +61,7 @@ def read_all_lines(folder: Path) -> Iterator[bytes]:
 def pack_month(path: Path) -> None:
     """Replace the file of a closed month by its packed form, appended to what was packed of that month before.
 
-    Raises
-    ------
-    OSError
-        The disk does not allow it; both files are then as they were.
-    BadInputError
-        What was packed of that month before is damaged.
+    Raises OSError if the disk does not allow it, and BadInputError if what was packed is damaged; the files are then as before.
     """
     import zstandard
 
@@ -89,7 +73,7 @@ def pack_month(path: Path) -> None:
         with partial(place).open("wb") as out:
             if place.exists():
                 with place.open("rb") as before:
-                    _copy(before, out)
+                    shutil.copyfileobj(before, out, _COPY_BYTES)
             with path.open("rb") as file:
                 zstandard.ZstdCompressor(write_checksum=True).copy_stream(file, out)
             out.flush()
@@ -103,8 +87,3 @@ def pack_month(path: Path) -> None:
 
 def _last_line(path: Path) -> bytes:
     return next(iter(deque(read_lines(path), maxlen=1)), b"")
-
-
-def _copy(source: BinaryIO, target: BinaryIO) -> None:
-    while data := source.read(_COPY_BYTES):
-        target.write(data)

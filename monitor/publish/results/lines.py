@@ -10,14 +10,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any
 
-from monitor.core import (
-    WHOLE,
-    Alarm,
-    Level,
-    finish,
-    parse_json,
-    partial,
-)
+from monitor.core import WHOLE, Alarm, Level, finish, parse_json, partial
 from monitor.damage import AlarmState, State, WindowFacts, hold
 from monitor.publish.results.window_fields import LINE_SCHEMA, announced
 
@@ -47,12 +40,7 @@ def current_alarm_line(state: AlarmState) -> dict[str, Any]:
 
 
 def to_json(value: dict[str, Any]) -> str:
-    """Write values as strict JSON on one line.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite.
+    """Write values as strict JSON on one line; ValueError if a number is not finite.
 
     Examples
     --------
@@ -87,19 +75,7 @@ class LinesFile:
 
 
 def read_line(text: str | bytes, defaults: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Read a line of results.jsonl, which may be damaged.
-
-    Parameters
-    ----------
-    text : str or bytes
-        The line.
-    defaults : mapping, optional
-        Values of keys that the line may lack.
-
-    Raises
-    ------
-    ValueError
-        It is no line of results.
+    """Read a line of results.jsonl, with `defaults` of keys that it may lack; ValueError if it is damaged.
 
     Examples
     --------
@@ -130,7 +106,6 @@ def _fits(value: Any, schema: Mapping[str, Any]) -> bool:
 
 
 def _is_of(value: Any, kind: str) -> bool:
-    """Return whether a value is of a type of JSON schema."""
     if isinstance(value, int) and not isinstance(value, bool):
         return kind in {"integer", "number"} and -(1 << 63) <= value < 1 << 63
     if isinstance(value, float) and not math.isfinite(value):
@@ -139,13 +114,7 @@ def _is_of(value: Any, kind: str) -> bool:
 
 
 def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
-    """Collect what the state needs of a window from its line of results.jsonl.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        The line is damaged.
-    """
+    """Collect what the state needs of a window from its line; KeyError, TypeError or ValueError if the line is damaged."""
     is_modal = line.get("frequency_change") is not None
     detectable, (stated, stamped) = line.get("detectable_loss"), line.get("rates_hz") or (None, None)
     Level(line["alarm"]["level"])  # a damaged line may have none

@@ -13,15 +13,10 @@ _ROUNDING_NS = 10**6
 
 
 def recorded_stretches(spans: Iterable[Mapping[str, Any]]) -> list[tuple[int, int]]:
-    """Join the spans of recordings to stretches, UTC in ns, in order.
+    """Join the spans of recordings, as under `recorded` in summary.json, to stretches, UTC in ns, in order.
 
     Recordings that follow one another as one stream, with less than `_LEAST_BETWEEN_NS` missing, are one stretch: what is
     missing there was lost.
-
-    Parameters
-    ----------
-    spans : iterable of mappings
-        With the keys `t_begin_ns` and `t_end_ns`, as under `recorded` in summary.json.
 
     Examples
     --------
@@ -62,18 +57,9 @@ def reaches_between(t_end_ns: int, window_s: float, between: Sequence[tuple[int,
 def due_windows(
     ends_ns: tuple[int, int], first_ns: int, hop_ns: int, window_s: float, between: Sequence[tuple[int, int]]
 ) -> int:
-    """Count the windows of a regular grid that end in ``(ends_ns[0], ends_ns[1]]`` and hold no time between recordings.
+    """Count the windows that end in ``(ends_ns[0], ends_ns[1]]``, UTC, and hold no time `between` recordings.
 
-    Parameters
-    ----------
-    ends_ns : (int, int)
-        Ends of the period, UTC.
-    first_ns : int
-        UTC of any end of a window, from which the others lie whole hops apart.
-    hop_ns : int
-    window_s : float
-    between : sequence of (int, int)
-        Times between recordings, UTC in ns, in order.
+    `first_ns` is any end of a window, from which the others lie whole hops apart.
 
     Examples
     --------

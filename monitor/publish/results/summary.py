@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -50,19 +51,10 @@ class Summary:
     def window(
         self, result: WindowResult, facts: WindowFacts, misfit: float, stated: WindowFacts | None = None
     ) -> None:
-        """Count a window.
+        """Count a window by what the state needs of its line; from a goodness of fit `misfit` on, stiffness explains too little.
 
-        Parameters
-        ----------
-        result : WindowResult
-            Result of the window.
-        facts : WindowFacts
-            What the state needs of its line (`facts_of_line`).
-        misfit : float
-            Goodness of fit from which stiffness explains too little.
-        stated : WindowFacts, optional
-            What an earlier run wrote of this window; it counts where it says otherwise of whether the window was judged, as
-            when samples of the window were lost with that run.
+        What an earlier run `stated` of this window counts where it says otherwise of whether the window was judged, as when
+        samples of the window were lost with that run.
         """
         if stated is not None and stated.skipped != facts.skipped:
             facts = stated
@@ -90,12 +82,8 @@ class Summary:
     def content(self, realtime_factor: float, model_frequencies_hz: list[float]) -> dict[str, Any]:
         """Return the counts for summary.json.
 
-        Parameters
-        ----------
-        realtime_factor : float
-            Length of the data over the time that its evaluation took.
-        model_frequencies_hz : list of float
-            Natural frequencies of the structure file's model, Hz; empty without a model.
+        `realtime_factor` is the length of the data over the time of their evaluation; without a model there are no
+        frequencies of it.
         """
         most = max((n for n, _ in [*self.modes.values(), *self.other_modes]), default=0)
         means = {mode: hz for mode, (n, hz) in sorted(self.modes.items()) if n >= _COMMON_MODE * most}
@@ -122,7 +110,6 @@ class Summary:
 
 
 def _with_value(mean: tuple[int, float], value: float) -> tuple[int, float]:
-    """Update a count and its mean by a value."""
     count, share = mean[0] + 1, 1.0 / (mean[0] + 1)
     return count, mean[1] + share * (value - mean[1])
 
@@ -153,24 +140,27 @@ class Quality:
 
     def add(self, health: Health) -> None:
         """Add the health of a span."""
-        self.samples += health.samples
-        self.gaps += health.gaps
-        self.overlaps += health.overlaps
+        channels = ((c.channel, c.rms_m_s2, c.spikes, c.repeated, c.clipped) for c in health.channels)
+        self.add_span(health.samples, health.rate_hz, channels)
+        self.gaps, self.overlaps = self.gaps + health.gaps, self.overlaps + health.overlaps
         self.lost_s += health.lost_s
-        seconds = health.samples / health.rate_hz
-        self.seconds += seconds
-        for c in health.channels:
-            total = self.channels.setdefault(c.channel, dict.fromkeys(("power", "spikes", "stuck_s", "clipped"), 0.0))
-            total["power"] += c.rms_m_s2**2 * seconds
-            total["spikes"] += c.spikes
-            total["stuck_s"] += seconds if c.repeated == 1.0 else 0.0
-            total["clipped"] += c.clipped * health.samples
+
+    def add_span(self, samples: int, rate_hz: float, channels: Iterable[tuple[str, float, int, float, float]]) -> None:
+        """Add the samples of a span and, of each channel, its name, RMS, spikes and shares repeated and clipped."""
+        seconds = samples / rate_hz
+        self.samples, self.seconds = self.samples + samples, self.seconds + seconds
+        for name, rms_m_s2, spikes, repeated, clipped in channels:
+            total = self.channels.setdefault(name, dict.fromkeys(("power", "spikes", "stuck_s", "clipped"), 0.0))
+            total["power"] += rms_m_s2**2 * seconds
+            total["spikes"] += spikes
+            total["stuck_s"] += seconds if repeated == 1.0 else 0.0
+            total["clipped"] += clipped * samples
 
     def content(self) -> dict[str, Any]:
         """Return the table `quality` of summary.json."""
         channels = {
             name: {
-                "rms_m_s2": float(np.sqrt(c["power"] / self.seconds)),
+                "rms_m_s2": float(np.sqrt(c["power"] / max(self.seconds, 1e-9))),
                 "spikes": int(c["spikes"]),
                 "stuck_s": c["stuck_s"],
                 "clipped_samples": round(c["clipped"]),

@@ -6,7 +6,6 @@ and its description show of a window, and the table of docs/results.md.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -14,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, Alarm, AlarmCondition, ComplexArray, ModalReading, OtherMode, WindowResult
+from monitor.core import WHOLE, Alarm, AlarmCondition, ComplexArray, ModalReading, OtherMode, WindowResult, rounded
 from monitor.damage import LEVEL, drift_m, modal_parts
 
 _NUMBER: dict[str, Any] = {"type": ["number", "null"]}
@@ -23,56 +22,44 @@ _INTEGERS: dict[str, Any] = {"type": ["array", "null"], "items": {"type": "integ
 _TEXTS: dict[str, Any] = {"type": ["array", "null"], "items": {"type": "string"}}
 
 
-class Kind(Enum):
-    """Kind of a field's values."""
-
-    INTEGER = "an integer"
-    LENGTH = "a number"
-    NUMBER = "a number or null"
-    COUNT = "an integer or null"
-    FLAG = "true, false or null"
-    TEXT = "text or null"
-    NUMBERS = "numbers"
-    INTEGERS = "integers"
-    TEXTS = "texts"
-    SHAPES = "for each mode, a pair of real and imaginary part for each channel"
-    MODES = "modes"
-    BY_NAME = "numbers by name"
-    LISTS_BY_NAME = "lists of numbers by name"
-    ALARM = "an alarm"
-
-    @property
-    def schema(self) -> dict[str, Any]:
-        """JSON schema of the values."""
-        return _SCHEMAS[self]
-
-
-_SCHEMAS: dict[Kind, dict[str, Any]] = {
-    Kind.INTEGER: {"type": "integer"},
-    Kind.LENGTH: {"type": "number"},
-    Kind.NUMBER: _NUMBER,
-    Kind.COUNT: {"type": ["integer", "null"]},
-    Kind.FLAG: {"type": ["boolean", "null"]},
-    Kind.TEXT: {"type": ["string", "null"]},
-    Kind.NUMBERS: _NUMBERS,
-    Kind.INTEGERS: _INTEGERS,
-    Kind.TEXTS: _TEXTS,
-    Kind.SHAPES: {"type": ["array", "null"], "items": {"type": "array", "items": {"type": ["array", "null"]}}},
-    Kind.MODES: {"type": ["array", "null"], "items": {"type": "object"}},
-    Kind.BY_NAME: {"type": "object", "additionalProperties": _NUMBER},
-    Kind.LISTS_BY_NAME: {"type": ["object", "null"], "additionalProperties": _NUMBERS},
-    Kind.ALARM: {
-        "type": "object",
-        "properties": {
-            "level": {"type": "string"},
-            "stories": _INTEGERS,
-            "reason": {"type": "string"},
-            "active": {"type": "object", "additionalProperties": {"type": "string"}},
-            "shelved": _INTEGERS,
-            "changed": _TEXTS,
-        },
-    },
+_ALARM = {
+    "level": {"type": "string"},
+    "stories": _INTEGERS,
+    "reason": {"type": "string"},
+    "active": {"type": "object", "additionalProperties": {"type": "string"}},
+    "shelved": _INTEGERS,
+    "changed": _TEXTS,
 }
+_SHAPES = {"type": "array", "items": {"type": ["array", "null"]}}
+
+
+class Kind(Enum):
+    """Kind of a field's values, with their JSON schema."""
+
+    schema: dict[str, Any]
+    INTEGER = "an integer", {"type": "integer"}
+    LENGTH = "a number", {"type": "number"}
+    NUMBER = "a number or null", _NUMBER
+    COUNT = "an integer or null", {"type": ["integer", "null"]}
+    FLAG = "true, false or null", {"type": ["boolean", "null"]}
+    TEXT = "text or null", {"type": ["string", "null"]}
+    NUMBERS = "numbers", _NUMBERS
+    INTEGERS = "integers", _INTEGERS
+    TEXTS = "texts", _TEXTS
+    SHAPES = (
+        "for each mode, a pair of real and imaginary part for each channel",
+        {"type": ["array", "null"], "items": _SHAPES},
+    )
+    MODES = "modes", {"type": ["array", "null"], "items": {"type": "object"}}
+    BY_NAME = "numbers by name", {"type": "object", "additionalProperties": _NUMBER}
+    LISTS_BY_NAME = "lists of numbers by name", {"type": ["object", "null"], "additionalProperties": _NUMBERS}
+    ALARM = "an alarm", {"type": "object", "properties": _ALARM}
+
+    def __new__(cls, words: str, schema: dict[str, Any]) -> Kind:
+        """Make a kind whose value is its words."""
+        kind = object.__new__(cls)
+        kind._value_, kind.schema = words, schema
+        return kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,18 +78,6 @@ class Field:
     """Whether the web page has it."""
 
 
-def _rounded(values: Any) -> Any:
-    """Round numbers of any shape to nine significant digits, which exceeds the precision of the data and keeps lines short."""
-    return _round_nested(np.asarray(values, dtype=float).tolist())
-
-
-def _round_nested(value: Any) -> Any:
-    """Round the numbers of nested lists; a number that is not finite becomes None."""
-    if isinstance(value, list):
-        return [_round_nested(v) for v in value]
-    return float(f"{value:.9g}") if math.isfinite(value) else None
-
-
 def _numbers(*names: str) -> Callable[[WindowResult], Any]:
     """Return what reads numbers of the result, or of a part of it such as `modes`; None without the part or the numbers."""
 
@@ -110,27 +85,22 @@ def _numbers(*names: str) -> Callable[[WindowResult], Any]:
         value: Any = result
         for name in names:
             value = None if value is None else getattr(value, name)
-        return None if value is None else _rounded(value)
+        return None if value is None else rounded(np.asarray(value, dtype=float))
 
     return read
 
 
 def _shape(shape: ComplexArray) -> list[list[float] | None]:
     """Write a mode's shape, a pair of real and imaginary part for each channel; None for a channel that is left out."""
-    pairs = _rounded(np.stack([shape.real, shape.imag], axis=-1))
+    pairs = rounded(np.stack([shape.real, shape.imag], axis=-1))
     return [pair if np.isfinite(value) else None for pair, value in zip(pairs, shape, strict=True)]
 
 
 def _other_modes(others: Sequence[OtherMode], tracks: Sequence[int]) -> list[dict[str, Any]]:
     """Collect the values of the modes that the model has no counterpart for."""
+    numbers = ("frequency_hz", "frequency_std_hz", "damping_ratio")
     return [
-        {
-            "frequency_hz": _rounded(mode.frequency_hz),
-            "frequency_std_hz": _rounded(mode.frequency_std_hz),
-            "damping_ratio": _rounded(mode.damping_ratio),
-            "mode_shape": _shape(mode.shape),
-            "track": track,
-        }
+        {**{key: rounded(getattr(mode, key)) for key in numbers}, "mode_shape": _shape(mode.shape), "track": track}
         for mode, track in zip(others, tracks, strict=True)
     ]
 
@@ -146,7 +116,7 @@ def _as_shown(name: str, value: float) -> float:
 
 def _of_shape(which: int) -> Callable[[WindowResult], Any]:
     """Return what reads the largest change of each mode's shape (0), or its deviation (1)."""
-    return lambda result: result.modal and _rounded(result.modal.largest_shape_change()[which])
+    return lambda result: result.modal and rounded(result.modal.largest_shape_change()[which])
 
 
 def announced(alarm: Alarm) -> dict[str, Any]:
@@ -160,7 +130,6 @@ def announced(alarm: Alarm) -> dict[str, Any]:
 
 
 def _alarm(result: WindowResult) -> dict[str, Any]:
-    """Collect the values of the alarm."""
     alarm = result.alarm
     return {
         **announced(alarm),
@@ -193,7 +162,7 @@ FIELDS = (
     Field("refined", Kind.FLAG, lambda r: r.modes and r.modes.refined, "Whether the modes were refined by maximum likelihood."),
     Field("stiffness_n_per_m", Kind.NUMBERS, _numbers("stiffness", "stiffness_n_per_m"),
           "Stiffness of each story of the updated model, N/m; story 1 is the top one; null without a model.", shown=True),
-    Field("stiffness_std", Kind.NUMBERS, lambda r: r.stiffness and _rounded(np.sqrt(np.diag(r.stiffness.covariance))),
+    Field("stiffness_std", Kind.NUMBERS, lambda r: r.stiffness and rounded(np.sqrt(np.diag(r.stiffness.covariance))),
           "Its standard deviation, N/m.", shown=True),
     Field("ddi", Kind.NUMBERS, _numbers("damage", "ddi"),
           "Damage detection index of each story: relative stiffness lost since the baseline (0.12 = 12 %); null "
@@ -219,18 +188,18 @@ FIELDS = (
     Field("misfit", Kind.NUMBER, _numbers("stiffness", "misfit"),
           "Goodness of fit of the change since the baseline: near 1 when a change of stiffness explains what is "
           "seen, large when something else does.", kept=True, shown=True),
-    Field("temperature_degc", Kind.NUMBER, lambda r: r.temperature and _rounded(r.temperature.lagged_degc[0]),
+    Field("temperature_degc", Kind.NUMBER, lambda r: r.temperature and rounded(r.temperature.lagged_degc[0]),
           "Temperature of the window, degC.", kept=True, shown=True),
     Field("temperature_effect", Kind.NUMBERS, _numbers("damage", "temperature_effect"),
           "Change of ln stiffness of each story that the temperature explains and that was taken out."),
     Field("covariates", Kind.BY_NAME,
-          lambda r: {name: _rounded(_as_shown(name, values[0])) for name, values in r.covariates.items()},
+          lambda r: {name: rounded(_as_shown(name, values[0])) for name, values in r.covariates.items()},
           "Value of each covariate (`level`: RMS story drift, m)."),
     Field("covariate_effect", Kind.LISTS_BY_NAME,
-          lambda r: r.damage and {name: _rounded(part) for name, part in r.damage.covariate_effect.items()},
+          lambda r: r.damage and {name: rounded(part) for name, part in r.damage.covariate_effect.items()},
           "Change of ln stiffness of each story that each covariate explains and that was taken out; `unmeasured`: "
           "what all stories do together without a known cause ([temperature](temperature.md))."),
-    Field("frequency_change", Kind.NUMBERS, lambda r: r.modal and _rounded(np.expm1(r.modal.ln_frequency)),
+    Field("frequency_change", Kind.NUMBERS, lambda r: r.modal and rounded(np.expm1(r.modal.ln_frequency)),
           "Without a model: relative change of each mode's frequency since the baseline.", kept=True, shown=True),
     Field("frequency_change_std", Kind.NUMBERS, _numbers("modal", "ln_frequency_std"),
           "Its standard deviation.", kept=True, shown=True),
@@ -238,7 +207,7 @@ FIELDS = (
           "Without a model: largest change of each mode's shape since the baseline.", shown=True),
     Field("shape_change_std", Kind.NUMBERS, _of_shape(1), "Its standard deviation.", shown=True),
     Field("frequency_effect", Kind.LISTS_BY_NAME,
-          lambda r: r.modal and {name: _rounded(np.expm1(part)) for name, part in r.modal.covariate_effect.items()},
+          lambda r: r.modal and {name: rounded(np.expm1(part)) for name, part in r.modal.covariate_effect.items()},
           "Without a model: relative change of each frequency that each covariate explains and that was taken out."),
     Field("alarm", Kind.ALARM, _alarm,
           "`normal`, `advisory` (significant, not confirmed), `warning` (confirmed), `alarm` (confirmed, 10 % or "
@@ -270,17 +239,7 @@ LINE_SCHEMA: dict[str, Any] = {
 
 
 def window_line(result: WindowResult) -> dict[str, Any]:
-    """Collect the values of a window's line of results.jsonl.
-
-    Parameters
-    ----------
-    result : WindowResult
-        The estimates of the window, or why there are none.
-
-    Returns
-    -------
-    dict
-        Keys and units as in docs/results.md; None where nothing was estimated.
+    """Collect the values of a window's line; keys and units as in docs/results.md, None where nothing was estimated.
 
     Examples
     --------

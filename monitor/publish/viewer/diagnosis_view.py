@@ -14,9 +14,10 @@ from monitor.core import Array, name_stories
 from monitor.diagnosis import Diagnosis, StoryLaw, in_words
 from monitor.inference import Segments
 from monitor.publish.reports.comparison import Comparison, compare
-from monitor.publish.viewer.layout import ALL_TIME, DARK
+from monitor.publish.viewer.layout import ALL_TIME, DARK, alone
 from monitor.publish.viewer.output import Output
-from monitor.publish.viewer.scene import GREY, Colour
+from monitor.publish.viewer.rows import name_line
+from monitor.publish.viewer.scene import GREY, Colour, markdown_table
 from monitor.publish.viewer.trust import VERDICTS
 
 _TIMELINE = "frequency_mHz"
@@ -41,24 +42,8 @@ def write_view(
 ) -> None:
     """Write the recording; the file appears under its name only when complete.
 
-    Parameters
-    ----------
-    path : Path
-        File of the recording.
-    diagnosis : Diagnosis
-    content : mapping
-        diagnosis.json.
-    segments : Segments
-        The segments that were diagnosed.
-    story_names : sequence of str
-        What people call each story.
-    laws : sequence of StoryLaw
-        Laws of the stories straight from the data.
-
-    Raises
-    ------
-    OSError, RuntimeError
-        The file cannot be written.
+    `content` is that of diagnosis.json, `laws` are those of the stories straight from the data.  Raises OSError or RuntimeError
+    if the file cannot be written.
     """
     compared = compare(diagnosis, segments)
     output = Output("diagnosis", path, None)
@@ -82,7 +67,7 @@ def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
     """Draw the spectra in dB, the ratios in dB and the misfit in bands, over frequency."""
 
     def line(path: str, name: str, colour: Colour, hz: Array, values: Array) -> None:
-        stream.log(path, rr.SeriesLines(names=[name], colors=[colour], widths=[1.5]), static=True)
+        name_line(stream, path, name, colour, widths=[1.5])
         column = rr.TimeColumn(_TIMELINE, sequence=np.round(1e3 * hz).astype(np.int64))
         stream.send_columns(path, [column], rr.Scalars.columns(scalars=values))
 
@@ -140,10 +125,10 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
         lines += [f"Left out: {item['says']}.", ""]
     if content["standing_misfit"] is not None:
         lines += [f"Already so at calibration: {content['standing_misfit']['says']}.", ""]
-    lines += ["| tried | place | log evidence, nats |", "|---|---|---|"]
-    lines += [f"| {t['effect']} | {t['location']} | {t['log_evidence_over_none']:.1f} |" for t in content["tried"]]
-    lines += ["", "| misfit before | std. dev. | what it says |", "|---|---|---|"]
-    lines += [f"| {m['where']} | {m['size']:.1f} | {m['says']} |" for m in content["misfit"][:10]]
+    tried = [(t["effect"], t["location"], f"{t['log_evidence_over_none']:.1f}") for t in content["tried"]]
+    misfit = [(m["where"], f"{m['size']:.1f}", m["says"]) for m in content["misfit"][:10]]
+    lines += [*markdown_table(("tried", "place", "log evidence, nats"), tried), ""]
+    lines += markdown_table(("misfit before", "std. dev.", "what it says"), misfit)
     rows = "; ".join(name for name, _, _ in compared.rows())
     lines += [
         "",
@@ -191,22 +176,15 @@ def _blueprint(c: Comparison, laws: Sequence[StoryLaw], story_names: Sequence[st
         )
         for law in laws
     ]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.TextDocumentView(origin="/verdict", name="Verdict"),
-                rrb.Horizontal(*maps),
-                *([rrb.Horizontal(*loops)] if loops else []),
-                row_shares=[3, 1, *([2] if loops else [])],
-            ),
-            rrb.Vertical(
-                rrb.Horizontal(*columns) if len(columns) <= 3 else rrb.Tabs(*columns),
-                plot("/worst", "Worst misfit of a band, standard deviations, over mHz"),
-                row_shares=[3, 1],
-            ),
-            column_shares=[2, 3],
-        ),
-        rrb.TimePanel(state="collapsed", timeline=_TIMELINE),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
+    left = rrb.Vertical(
+        rrb.TextDocumentView(origin="/verdict", name="Verdict"),
+        rrb.Horizontal(*maps),
+        *([rrb.Horizontal(*loops)] if loops else []),
+        row_shares=[3, 1, *([2] if loops else [])],
     )
+    right = rrb.Vertical(
+        rrb.Horizontal(*columns) if len(columns) <= 3 else rrb.Tabs(*columns),
+        plot("/worst", "Worst misfit of a band, standard deviations, over mHz"),
+        row_shares=[3, 1],
+    )
+    return alone(rrb.Horizontal(left, right, column_shares=[2, 3]), timeline=_TIMELINE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import rerun as rr
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.events import Event, Review, Site
 from monitor.model import Drawing
-from monitor.publish.viewer.layout import ALL_TIME, view_from_front
+from monitor.publish.viewer.layout import ALL_TIME, alone, view_from_front
 from monitor.publish.viewer.output import Output
-from monitor.publish.viewer.rows import Rows, Strips
+from monitor.publish.viewer.rows import Rows, Strips, name_line
 from monitor.publish.viewer.scene import GREY, SERIES, loss_colour
 
 _TIMELINE = "event"
@@ -39,21 +40,7 @@ def write_motion(path: Path, name: str, event: Event, site: Site, review: Review
     drift of any story in the event.  A story whose drift no sensors tell is grey and stays upright, as the title says.  Beside
     the frame stand the drifts and accelerations over time.
 
-    Parameters
-    ----------
-    path : Path
-    name : str
-        Name of the site.
-    event : Event
-    site : Site
-        What the site's files said.
-    review : Review
-        Motion over time.
-
-    Raises
-    ------
-    OSError, RuntimeError
-        The file cannot be written.
+    Raises OSError or RuntimeError if the file cannot be written.
     """
     heights = np.ones(site.n_stories) if site.heights_m is None else site.heights_m
     drawing = Drawing.of_frame(heights / heights.sum())
@@ -79,8 +66,8 @@ def write_motion(path: Path, name: str, event: Event, site: Site, review: Review
         output.abandon()
 
 
-def _most(site: Site, heights: Array, drift: Array) -> Array:
-    """Return the drift of each story that is drawn red, shape (n,), m."""
+def _most(site: Site, heights: Array, drift: Array) -> Annotated[Array, "n"]:
+    """Return the drift of each story that is drawn red, m."""
     ratios = [limit.drift_ratio for limit in site.settings.limits if limit.drift_ratio is not None]
     if ratios and site.heights_m is not None:
         return np.asarray(min(ratios) * heights)
@@ -89,19 +76,14 @@ def _most(site: Site, heights: Array, drift: Array) -> Array:
 
 
 def _frames(
-    stream: rr.RecordingStream, drawing: Drawing, t_ns: NDArray[np.int64], floors: Array, drift: Array, most: Array
+    stream: rr.RecordingStream,
+    drawing: Drawing,
+    t_ns: Annotated[NDArray[np.int64], "t"],
+    floors: Annotated[Array, "t n"],
+    drift: Annotated[Array, "t n"],
+    most: Annotated[Array, "n"],
 ) -> None:
-    """Draw the structure at every time.
-
-    Parameters
-    ----------
-    t_ns : ndarray, shape (n_times,)
-    floors : ndarray, shape (n_times, n), m
-        Displacement of each floor as drawn.
-    drift : ndarray, shape (n_times, n), m
-    most : ndarray, shape (n,), m
-        Drift that is drawn red.
-    """
+    """Draw the structure at every time, with the floors displaced as drawn; a drift as large as `most` (m) is drawn red."""
     rest = list(drawing.points[drawing.lines].astype(np.float32))
     ghost = rr.LineStrips3D(rest, colors=[GREY] * len(rest), radii=0.15 * _RADIUS)
     stream.log("/frame/at_rest", ghost, static=True)
@@ -121,13 +103,17 @@ def _frames(
 
 
 def _series(
-    stream: rr.RecordingStream, path: str, names: tuple[str, ...], t_ns: NDArray[np.int64], values: Array
+    stream: rr.RecordingStream,
+    path: str,
+    names: tuple[str, ...],
+    t_ns: Annotated[NDArray[np.int64], "t"],
+    values: Annotated[Array, "t k"],
 ) -> None:
-    """Draw values over time, shape (n_times, k)."""
+    """Draw values over time."""
     column = rr.TimeColumn(_TIMELINE, duration=t_ns.astype("timedelta64[ns]"))
     for i, (name, own) in enumerate(zip(names, values.T, strict=True)):
         place = _place(path, name)
-        stream.log(place, rr.SeriesLines(names=[name], colors=[SERIES[i % len(SERIES)]], widths=[1.5]), static=True)
+        name_line(stream, place, name, SERIES[i % len(SERIES)], widths=[1.5])
         stream.send_columns(place, [column], rr.Scalars.columns(scalars=own))
 
 
@@ -151,18 +137,10 @@ def _blueprint(title: str, drawing: Drawing, stories: tuple[str, ...], drift_mm:
     accelerations = rrb.TimeSeriesView(
         origin="/acceleration", name="Accelerations, m/s²", axis_x=ALL_TIME, plot_legend=rrb.PlotLegend("RightTop")
     )
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            view_from_front("/frame", title, low, high), rrb.Vertical(rrb.Grid(*drifts, grid_columns=1), accelerations)
-        ),
-        rrb.TimePanel(
-            state="collapsed", timeline=_TIMELINE, playback_speed=_SPEED, play_state="playing", loop_mode="all"
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-    )
+    frame = view_from_front("/frame", title, low, high)
+    views = rrb.Horizontal(frame, rrb.Vertical(rrb.Grid(*drifts, grid_columns=1), accelerations))
+    return alone(views, timeline=_TIMELINE, playback_speed=_SPEED, play_state="playing", loop_mode="all")
 
 
 def _place(path: str, name: str) -> str:
-    """Return the entity of a series."""
     return f"{path}/{rr.escape_entity_path_part(name)}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -31,9 +33,15 @@ def _plot(origin: str, name: str, *, legend: bool = True) -> rrb.TimeSeriesView:
 
 def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
     """Make the layout with page 0 ("Is it healthy?"), 1 ("Can I trust it?") or 2 ("What does it do now?") in front."""
+    pages = rrb.Tabs(_healthy(scene), _trust(scene), _present_motion(scene), active_tab=page)
+    return alone(pages, timeline="time", play_state="following")
+
+
+def alone(views: rrb.Container, **time: Any) -> rrb.Blueprint:
+    """Make a layout of views with all panels collapsed; `time` sets the panel of the timeline."""
     return rrb.Blueprint(
-        rrb.Tabs(_healthy(scene), _trust(scene), _present_motion(scene), active_tab=page),
-        rrb.TimePanel(state="collapsed", timeline="time", play_state="following"),
+        views,
+        rrb.TimePanel(state="collapsed", **time),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
@@ -121,10 +129,7 @@ def _trust(scene: Scene) -> rrb.Horizontal:
     """Make the page of trust, with state, verdict and fit at the left, and the sensors and clocks at the right."""
     fit = _plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}")
     covariates = [
-        _plot(
-            f"/trust/covariate/{rr.escape_entity_path_part(name)}",
-            f"{name}, {learned.unit}, and the range learned",
-        )
+        _plot(f"/trust/covariate/{rr.escape_entity_path_part(name)}", f"{name}, {learned.unit}, and the range learned")
         for name, learned in scene.learned.items()
     ]
     known = [fit, *covariates] if scene.n_stories else covariates

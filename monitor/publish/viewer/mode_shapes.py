@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
@@ -24,21 +26,12 @@ def label(rows: Rows, path: str, places: list[tuple[float, float, float]], label
     rows.add(path, rr.Points3D, positions=places, labels=labels, colors=colours, radii=[0.0001], show_labels=[True])
 
 
-def expand_shape(shape: ComplexArray, model_shape: Array, sensors: Array) -> ComplexArray:
+def expand_shape(
+    shape: Annotated[ComplexArray, "c"], model_shape: Annotated[Array, "n"], sensors: Annotated[Array, "c"]
+) -> Annotated[ComplexArray, "n"]:
     """Expand a measured mode shape to all degrees of freedom by the model's shape, which is fitted to the sensors.
 
-    Parameters
-    ----------
-    shape : ndarray, shape (c,)
-        Measured shape; NaN at a channel that is left out.
-    model_shape : ndarray, shape (N,)
-        The model's shape of the same mode.
-    sensors : ndarray, shape (c,)
-        Degree of freedom of each sensor, from 0.
-
-    Returns
-    -------
-    ndarray, shape (N,)
+    The measured shape is NaN at a channel that is left out; `sensors` are their degrees of freedom, from 0.
 
     Examples
     --------
@@ -111,8 +104,8 @@ class ModeShapes:
         of_dots = np.repeat(colours, self._moving.size, axis=0)
         to.add("/frame/modes/nodes", rr.Points3D, positions=np.concatenate(dots), colors=of_dots, radii=[0.018])
 
-    def _deflection(self, shape: ComplexArray, mode: int, turn: complex) -> Array:
-        """Compute the motion of the points, shape (n, 3): at most `_DEFLECTION` where `turn` is 1."""
+    def _deflection(self, shape: ComplexArray, mode: int, turn: complex) -> Annotated[Array, "n 3"]:
+        """Compute the motion of the points: at most `_DEFLECTION` where `turn` is 1."""
         model_shape = np.zeros(self._n_dofs) if self._model_shapes is None else self._model_shapes[:, mode]
         whole = expand_shape(shape, model_shape, self._sensors)
         dofs = self._scene.drawing.dofs

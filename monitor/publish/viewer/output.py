@@ -14,23 +14,11 @@ from monitor.core import finish, partial
 
 
 class Output:
-    """Rerun recording that goes to a file, to viewers that join, or both.
+    """Rerun recording that goes to a file, to viewers that join, or both; OSError or RuntimeError where it cannot be made.
 
-    Parameters
-    ----------
-    name : str
-        Application and recording id, so that the same data give the same recording.
-    file : Path, optional
-        Takes this name only once complete.
-    serve : (str, int), optional
-        Address and port to listen on; viewers join at ``rerun+http://ADDRESS:PORT/proxy``.
-    memory : str
-        Amount of data that the server keeps for viewers that join late; the oldest data are dropped first.
-
-    Raises
-    ------
-    OSError, RuntimeError
-        The file cannot be made or the port is taken.
+    `name` is the recording's id too, so that the same data give the same recording.  The file takes its name only once
+    complete. Viewers join at ``rerun+http://ADDRESS:PORT/proxy`` of `serve`; of the data that the server keeps for those that
+    join late, `memory`, the oldest are dropped first.
     """
 
     def __init__(self, name: str, file: Path | None, serve: tuple[str, int] | None, memory: str = "64MB") -> None:
@@ -52,10 +40,7 @@ class Output:
     def close(self, timeout_s: float) -> None:
         """Write the remaining data, check that the file is complete, and give it its name.
 
-        Raises
-        ------
-        OSError, RuntimeError
-            Some data did not arrive, as on a full disk; no file is left.
+        Raises OSError or RuntimeError if some data did not arrive, as on a full disk; no file is left then.
         """
         try:
             self.stream.flush(timeout_sec=timeout_s)

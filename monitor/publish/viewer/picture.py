@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from monitor.publish.results.event_lines import event_text as words_of
 from monitor.publish.results.event_lines import telling
 from monitor.publish.viewer.layout import DRIFT, blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
-from monitor.publish.viewer.rows import Rows, Strips, ui_radius
+from monitor.publish.viewer.rows import Rows, Strips, name_line, ui_radius
 from monitor.publish.viewer.scene import (
     GREEN,
     GREY,
@@ -29,9 +30,8 @@ from monitor.publish.viewer.scene import (
     mode_rows,
     plus_minus,
     status_markdown,
-    utc,
 )
-from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, SpectraDrawing
+from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, SpectraDrawing, follows
 from monitor.publish.viewer.state import PLAIN, StateDrawing, event_text
 from monitor.publish.viewer.thinning import Thinning
 from monitor.publish.viewer.trust import TrustDrawing
@@ -68,6 +68,16 @@ class ResultDrawing:
         self._is_member = scene.drawing.stories >= 0
         self._members = Strips(self._plan.points[scene.drawing.lines[self._is_member]])
         self._thin = Thinning() if thin else None
+        self._drawn_by: dict[type[Any], Callable[[Any], None]] = {
+            Assessment: self._state.take,
+            Clocks: self._trust.clocks,
+            Event: self.event,
+            Gap: self.gap,
+            Health: self._trust.health,
+            Samples: self.samples,
+            WindowResult: self.window,
+            dict: self._trust.finding,
+        }
 
     def begin(self) -> None:
         """Draw the names, the colours and the static parts."""
@@ -84,8 +94,7 @@ class ResultDrawing:
         for i in range(self._scene.n_modes):
             for entity in ("frequency", "change", "damping"):
                 self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
-        threshold = rr.SeriesLines(names=["alarm"], colors=[RED], widths=[1.0])
-        self._stream.log("/ddi/alarm_loss", threshold, static=True)
+        name_line(self._stream, "/ddi/alarm_loss", "alarm", RED, widths=[1.0])
         drawing, points = self._scene.drawing, self._plan.points
         others = rr.LineStrips3D(list(points[drawing.lines[~self._is_member]]), colors=[GREY], radii=[0.006])
         self._stream.log("/frame/lines", others, static=True)
@@ -112,22 +121,7 @@ class ResultDrawing:
 
     def draw(self, item: Item) -> None:
         """Draw an item from the queue."""
-        if isinstance(item, Assessment):
-            self._state.take(item)
-        elif isinstance(item, Samples):
-            self.samples(item)
-        elif isinstance(item, Health):
-            self._trust.health(item)
-        elif isinstance(item, Clocks):
-            self._trust.clocks(item)
-        elif isinstance(item, dict):
-            self._trust.finding(item)
-        elif isinstance(item, Gap):
-            self.gap(item)
-        elif isinstance(item, Event):
-            self.event(item)
-        else:
-            self.window(item)
+        self._drawn_by[type(item)](item)
         if isinstance(item, Health | WindowResult):
             self._gathered += 1
             if self._gathered >= self._most * self._stretch:
@@ -142,11 +136,8 @@ class ResultDrawing:
         """Collect blocks until they are long enough to send."""
         self._state.reached(samples.t_ns)
         self._spectra.samples(samples)
-        if self._blocks:
-            last = self._blocks[-1]
-            due = last.t_ns + len(last.values) / last.rate_hz * 1e9
-            if samples.rate_hz != last.rate_hz or abs(samples.t_ns - due) > 0.5e9 / samples.rate_hz:
-                self.flush()
+        if self._blocks and not follows(self._blocks[-1], samples):
+            self.flush()
         self._blocks.append(samples)
         if sum(len(block.values) for block in self._blocks) >= self._block_s * self._stretch * samples.rate_hz:
             self.flush()
@@ -200,6 +191,19 @@ class ResultDrawing:
         self._set_time(result.t_end_ns)
         self._rows.text("/status", status_markdown(self._scene, result))
         self._state.draw(result.t_end_ns)
+        self._tell_changes(result)
+        self._modes(result)
+        self._stiffness(result.stiffness)
+        self._damage(result)
+        self._shapes.draw(result.modes if result.modes is not None and result.modes.model_mode.size else None)
+        self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
+        self._trust.covariates({n: drift_m(v[0]) if n == LEVEL else float(v[0]) for n, v in result.covariates.items()})
+        self._spectra.window(result)
+        if result.modes is not None:
+            self._stabilisation(result.modes)
+
+    def _tell_changes(self, result: WindowResult) -> None:
+        """Write into the log from when on windows are skipped and channels left out, and where that ends."""
         reason = result.skipped.reason if result.skipped else None
         if reason != self._skipped:
             text = f"no result: {reason}" if reason else "results again"
@@ -207,13 +211,12 @@ class ResultDrawing:
             self._skipped = reason
         left_out = {gone.channel: gone.reason for gone in result.left_out}
         for channel in sorted(left_out.keys() ^ self._left_out):
-            text = (
-                f"{channel} is left out: it {left_out[channel]}"
-                if channel in left_out
-                else f"{channel} is in use again"
-            )
-            self._event(result.t_end_ns, text, rr.TextLogLevel.WARN)
+            text = f"is left out: it {left_out[channel]}" if channel in left_out else "is in use again"
+            self._event(result.t_end_ns, f"{channel} {text}", rr.TextLogLevel.WARN)
         self._left_out = set(left_out)
+
+    def _modes(self, result: WindowResult) -> None:
+        """Draw frequency, damping and change of every mode that was found before."""
         modes = {row[0]: row for row in mode_rows(result.modes)} if result.modes else {}
         self._found |= modes.keys()
         for k in sorted(self._found):
@@ -225,18 +228,10 @@ class ResultDrawing:
             if result.modal is not None and f is not None:  # less what the covariates explain
                 change, change_std = np.expm1(result.modal.ln_frequency[k]), result.modal.ln_frequency_std[k]
             self._bounded(f"/modes/change/{k + 1}", change, change_std, 100.0)
-        self._stiffness(result.stiffness)
-        self._damage(result)
-        self._shapes.draw(result.modes if modes else None)
-        self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
-        self._trust.covariates({n: drift_m(v[0]) if n == LEVEL else float(v[0]) for n, v in result.covariates.items()})
-        self._spectra.window(result)
-        if result.modes is not None:
-            self._stabilisation(result.modes)
 
     def _set_time(self, t_ns: int) -> None:
         """Set the time of what is drawn next, UTC in ns."""
-        self._stream.set_time("time", timestamp=utc(t_ns))
+        self._stream.set_time("time", timestamp=np.datetime64(t_ns, "ns"))
         self._rows.at(t_ns)
 
     def _event(self, t_ns: int, text: str, level: rr.TextLogLevel) -> None:
@@ -250,7 +245,6 @@ class ResultDrawing:
             self._rows.scalars(path, scale * value, scale * (value - 2 * std), scale * (value + 2 * std))
 
     def _stiffness(self, stiffness: StiffnessEstimate | None) -> None:
-        """Draw the stiffness of every story."""
         n = self._scene.n_stories
         values = stiffness.stiffness_n_per_m.tolist() if stiffness else [None] * n
         stds = np.sqrt(np.diag(stiffness.covariance)).tolist() if stiffness else [None] * n

@@ -26,21 +26,9 @@ if TYPE_CHECKING:
 class RerunPublisher(Publisher):
     """Publisher of results to a file, to viewers that join, or both; no method waits for a viewer or raises.
 
-    Parameters
-    ----------
-    scene : Scene
-    file : Path, optional
-        Written beside itself as ``.part`` and renamed by `close`.
-    serve : (str, int), optional
-        Address and port where viewers may join.
-    lossless : bool
-        Whether a full queue makes the caller wait (replay to a file) or drops and counts (daemon).
-    queue_size : int
-        Blocks and results that may wait.
-
-    Notes
-    -----
-    Errors of any kind, such as an unwritable file or a taken port, show in `failed` and are logged once.
+    The file is written beside itself as ``.part`` and renamed by `close`; viewers join at the address and port `serve`.  A full
+    queue of `queue_size` blocks and results makes the caller wait if `lossless` (replay to a file), else it drops and counts
+    (daemon).  Errors of any kind, such as an unwritable file or a taken port, show in `failed` and are logged once.
     """
 
     def __init__(
@@ -61,7 +49,7 @@ class RerunPublisher(Publisher):
         return self._worker.failed
 
     def samples(self, samples: Samples) -> None:
-        """Publish conditioned samples, shape (n_samples, c), m/s^2, in blocks of any size."""
+        """Publish conditioned samples, m/s^2, in blocks of any size."""
         self._worker.put(replace(samples, values=samples.values.copy()))  # the caller may reuse its buffer
 
     def window(self, result: WindowResult, line: str) -> None:

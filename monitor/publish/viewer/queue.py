@@ -19,19 +19,10 @@ _log = logging.getLogger(__name__)
 class Worker(Generic[T]):
     """Daemon thread that handles items in order.
 
-    Its first exception is logged once and ends the work: `failed` holds the reason, and later items are ignored.  While the
-    thread is with one item for long, `failed` says that it does not answer.
-
-    Parameters
-    ----------
-    name : str
-        Name of the thread.
-    run : callable
-        Called in the thread with `take`, which returns the next item, or None when the queue is closed and empty.
-    size : int
-        Items that may wait.
-    lossless : bool
-        When full, `put` waits; otherwise it drops the item and counts it.
+    `run` is called in the thread with a function that returns the next item, or None when the queue is closed and empty.  While
+    `size` items wait, `put` waits too if `lossless`; otherwise it drops the item and counts it.  The first exception is logged
+    once and ends the work: `failed` holds the reason, and later items are ignored.  While the thread is with one item for long,
+    `failed` says that it does not answer.
     """
 
     def __init__(self, name: str, run: Callable[[Callable[[], T | None]], None], size: int, lossless: bool) -> None:

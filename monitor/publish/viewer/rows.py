@@ -17,19 +17,11 @@ _Key = tuple[str, type[Any], tuple[str, ...]]
 
 
 class Strips(list[Array]):
-    """Line strips of a row, each of shape (points, 2 or 3)."""
+    """Line strips of a row, each a row of coordinates for each point."""
 
 
 class Rows:
-    """Collector of rows, entity by entity, in the worker's thread.
-
-    Parameters
-    ----------
-    stream : rr.RecordingStream
-        Recording to which the rows are sent.
-    timeline : str
-        ``time``, in nanoseconds of UTC, or another one, in nanoseconds from 0.
-    """
+    """Collector of rows, entity by entity, in the worker's thread; the timeline ``time`` is UTC in ns, others count ns from 0."""
 
     def __init__(self, stream: rr.RecordingStream, timeline: str = "time") -> None:
         self._stream, self._timeline, self._t_ns = stream, timeline, 0
@@ -70,10 +62,14 @@ class Rows:
         self._rows.clear()
 
     def _index(self, times: list[int]) -> rr.TimeColumn:
-        """Make the time column of rows."""
         if self._timeline == "time":
             return rr.TimeColumn("time", timestamp=np.array(times, dtype="datetime64[ns]"))
         return rr.TimeColumn(self._timeline, duration=np.array(times, dtype="timedelta64[ns]"))
+
+
+def name_line(stream: rr.RecordingStream, path: str, name: str, colour: tuple[int, int, int], **more: Any) -> None:
+    """Give the line of an entity its name and its colour."""
+    stream.log(path, rr.SeriesLines(names=[name], colors=[colour], **more), static=True)
 
 
 def ui_radius(points: float) -> list[float]:
@@ -91,7 +87,6 @@ def _strip_type(dimensions: int) -> pa.DataType:
 
 
 def _concatenate(instances: Sequence[Any]) -> Any:
-    """Concatenate the instances of all rows."""
     if isinstance(instances[0], Strips):
         strips = [np.asarray(strip, dtype=np.float32) for row in instances for strip in row]
         points = np.concatenate(strips)

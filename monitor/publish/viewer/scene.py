@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from drivers.base import ClockHealth
-from monitor.core import Array, ModalEstimate, WindowResult
-from monitor.damage import Baseline, LearnedRange, ModalBaseline, learned_ranges
+from monitor.config import Configuration
+from monitor.core import Array, ModalEstimate, WindowResult, utc
+from monitor.damage import AnyBaseline, Baseline, LearnedRange, ModalBaseline, learned_ranges
 from monitor.model import Drawing, Model
 
 Colour = tuple[int, int, int]
@@ -55,16 +55,15 @@ def _pitch(size: Array, *, is_long: bool) -> float:
 class Plan:
     """Places in the view of a structure: it is drawn 1 large, its mode shapes beside it, or below it if it is long."""
 
-    points: Array
-    """Shape (n, 3)."""
-    labels: Array
-    """Place of the label of every story, shape (p, 3)."""
-    size: Array
-    """Extent of the structure along x, y and z, shape (3,)."""
+    points: Annotated[Array, "n 3"]
+    labels: Annotated[Array, "p 3"]
+    """Place of the label of every story."""
+    size: Annotated[Array, "3"]
+    """Extent of the structure along x, y and z."""
     is_long: bool
-    low: Array
-    """Lower corner of structure, labels and mode shapes, shape (3,)."""
-    high: Array
+    low: Annotated[Array, "3"]
+    """Lower corner of structure, labels and mode shapes."""
+    high: Annotated[Array, "3"]
     """Their upper corner."""
 
     @classmethod
@@ -93,8 +92,8 @@ class Plan:
             )
         return cls(points, labels, size, is_long, np.array(low), np.array(high))
 
-    def offset(self, mode: int) -> Array:
-        """Compute the place of a mode shape relative to the structure, shape (3,)."""
+    def offset(self, mode: int) -> Annotated[Array, "3"]:
+        """Compute the place of a mode shape relative to the structure."""
         axis = np.array([0.0, 0.0, -1.0] if self.is_long else [1.0, 0.0, 0.0])
         return (mode + 1) * axis * _pitch(self.size, is_long=self.is_long)
 
@@ -115,16 +114,15 @@ class Scene:
     """Floor of each channel, from 1 = top."""
     drawing: Drawing
     story_names: tuple[str, ...]
-    """What people call each story."""
-    baseline_frequencies_hz: Array | None
-    """Shape (m,); mode 0 = the model's lowest, NaN where the baseline lacks a mode."""
+    baseline_frequencies_hz: Annotated[Array, "m"] | None
+    """Mode 0 is the model's lowest; NaN where the baseline lacks a mode."""
     has_baseline: bool
     alarm_loss: float
     """Relative stiffness loss that counts as an alarm."""
     model: Model | None = None
     """Model that predicts spectra; no spectra are predicted without one."""
     cutoff_hz: float = 40.0
-    """Highest frequency of the analysis, Hz."""
+    """Highest frequency of the analysis."""
     misfit_threshold: float = 5.0
     """Goodness of fit from which a diagnosis is requested."""
     n_modes: int = 3
@@ -151,93 +149,40 @@ class Clocks(NamedTuple):
     clocks: Sequence[ClockHealth]
 
 
-def make_scene(
-    name: str,
-    drawing: Drawing,
-    story_names: tuple[str, ...],
-    sensor_floor: Mapping[str, int],
-    model: Model,
-    baseline: Baseline | None,
-    *,
-    alarm_loss: float,
-    cutoff_hz: float,
-    misfit_threshold: float,
-    max_modes: int,
-) -> Scene:
-    """Describe a site to the viewer.
+def make_scene(config: Configuration, baseline: AnyBaseline | None) -> Scene:
+    """Describe a site to the viewer; the baseline's model, if there is one, replaces that of the structure file.
 
-    Parameters
-    ----------
-    name : str
-        Name of the site.
-    drawing : Drawing
-        Points and lines of the structure.
-    story_names : tuple of str
-        What people call each story.
-    sensor_floor : Mapping
-        Floor of each channel by the channel's name, from 1 = top, in column order of the samples.
-    model : Model
-        Nominal model; the baseline's model replaces it.
-    baseline : Baseline, optional
-        The healthy reference.
-    alarm_loss : float
-        Relative stiffness loss that counts as an alarm.
-    cutoff_hz : float
-        Highest frequency of the analysis, Hz.
-    misfit_threshold : float
-        Goodness of fit of the updated stiffness from which a diagnosis is requested.
-    max_modes : int
-        Most modes that are identified, the lowest ones below `cutoff_hz`.
+    Without a model each channel is a degree of freedom of the drawing.
     """
-    below = int((model.modes().frequencies_hz <= cutoff_hz).sum())
-    return Scene(
-        name=name,
-        channels=tuple(sensor_floor),
-        sensor_floor=tuple(sensor_floor.values()),
-        drawing=drawing,
-        story_names=story_names,
-        baseline_frequencies_hz=None if baseline is None else _by_model_mode(baseline),
-        has_baseline=baseline is not None,
-        alarm_loss=alarm_loss,
-        model=model if baseline is None else baseline.model,
-        cutoff_hz=cutoff_hz,
-        misfit_threshold=misfit_threshold,
-        n_modes=max(1, min(below, max_modes)),
-        learned={} if baseline is None else learned_ranges(baseline.law),
-    )
-
-
-def make_modal_scene(
-    name: str,
-    drawing: Drawing,
-    channels: tuple[str, ...],
-    baseline: ModalBaseline | None,
-    *,
-    alarm_loss: float,
-    cutoff_hz: float,
-    max_modes: int,
-) -> Scene:
-    """Describe to the viewer a site without a model, of which the modes alone are judged.
-
-    Parameters
-    ----------
-    channels : tuple of str
-        Names of the channels, each a degree of freedom of the drawing.
-    alarm_loss, cutoff_hz, max_modes
-        As of `make_scene`.
-    """
-    return Scene(
-        name=name,
-        channels=channels,
-        sensor_floor=tuple(range(1, len(channels) + 1)),
-        drawing=drawing,
+    scene = Scene(
+        name=config.site.name or config.structure.name or "structure",
+        channels=config.channels,
+        sensor_floor=tuple(range(1, len(config.channels) + 1)),
+        drawing=config.drawing,
         story_names=(),
-        baseline_frequencies_hz=None if baseline is None else baseline.frequencies_hz,
+        baseline_frequencies_hz=None,
         has_baseline=baseline is not None,
-        alarm_loss=alarm_loss,
-        cutoff_hz=cutoff_hz,
-        n_modes=max_modes if baseline is None else baseline.frequencies_hz.size,
-        learned={} if baseline is None else learned_ranges(baseline.law),
+        alarm_loss=config.alarm.alarm_loss,
+        cutoff_hz=config.processing.cutoff_hz,
+        n_modes=config.selection.max_modes,
+        learned=learned_ranges(None if baseline is None else baseline.law),
+    )
+    if isinstance(baseline, ModalBaseline):
+        return replace(scene, baseline_frequencies_hz=baseline.frequencies_hz, n_modes=baseline.frequencies_hz.size)
+    if not config.has_model:
+        return scene
+    floors = {sensor.channel: sensor.floor for sensor in config.floor_sensors if sensor.floor is not None}
+    model = config.model()
+    below = int((model.modes().frequencies_hz <= scene.cutoff_hz).sum())
+    return replace(
+        scene,
+        channels=tuple(floors),
+        sensor_floor=tuple(floors.values()),
+        story_names=config.story_names,
+        baseline_frequencies_hz=None if baseline is None else _by_model_mode(baseline),
+        model=model if baseline is None else baseline.model,
+        misfit_threshold=config.watch.misfit,
+        n_modes=max(1, min(below, scene.n_modes)),
     )
 
 
@@ -258,17 +203,6 @@ def loss_colour(loss: float | None, alarm_loss: float) -> Colour:
     return red, green, blue
 
 
-def utc(t_ns: int) -> np.datetime64:
-    """Convert UTC nanoseconds to NumPy's time.
-
-    Examples
-    --------
-    >>> str(utc(1_700_000_000_000_000_000))
-    '2023-11-14T22:13:20.000000000'
-    """
-    return np.datetime64(t_ns, "ns")
-
-
 def plus_minus(value: float, std: float, scale: float = 1.0, digits: int = 1) -> str:
     """Write a value with two standard deviations."""
     return f"{value * scale:.{digits}f} ± {2 * std * scale:.{digits}f}"
@@ -276,36 +210,35 @@ def plus_minus(value: float, std: float, scale: float = 1.0, digits: int = 1) ->
 
 def status_markdown(scene: Scene, result: WindowResult) -> str:
     """Describe the estimates of a window in Markdown; intervals are two standard deviations."""
-    end = datetime.fromtimestamp(result.t_end_ns * 1e-9, UTC)
     modes, damage, lines = result.modes, result.damage, []
     if result.skipped is not None:
         lines += [f"**No result for this window:** {result.skipped.reason}", ""]
     if damage is not None:
         since = f"since the baseline, alarm from {100 * scene.alarm_loss:g} %"
         lines += [f"Stiffness lost {since if scene.has_baseline else 'against the structure file (no baseline)'}", ""]
-        lines += ["| story | loss, % (± 2σ) |", "|---|---|"]
         rows = zip(scene.story_names, damage.ddi, damage.ddi_std, strict=True)
-        lines += [f"| {name.removeprefix('story ')} | {plus_minus(d, s, 100)} |" for name, d, s in rows] + [""]
+        losses = [(name.removeprefix("story "), plus_minus(d, s, 100)) for name, d, s in rows]
+        lines += [*markdown_table(("story", "loss, % (± 2σ)"), losses), ""]
     if modes is not None:
-        changes = dict(enumerate(_modal_changes(result)))
-        lines += [
-            "| mode | frequency, Hz (± 2σ) | baseline, Hz | damping, % (± 2σ) |"
-            + (" change, % (± 2σ) |" if changes else "")
-        ]
-        lines += ["|---|---|---|---|" + ("---|" if changes else "")]
+        changes, table = dict(enumerate(_modal_changes(result))), []
         for k, f, fs, d, ds in mode_rows(modes):
             base = scene.baseline_frequencies_hz
             was = f"{base[k]:.3f}" if base is not None and k < len(base) and base[k] > 0 else "-"
-            lines.append(f"| {k + 1} | {plus_minus(f, fs, digits=3)} | {was} | {plus_minus(d, ds, 100, 2)} |")
-            lines[-1] += f" {changes[k]} |" if changes else ""
+            table.append((f"{k + 1}", plus_minus(f, fs, digits=3), was, plus_minus(d, ds, 100, 2), changes.get(k, "")))
+        which = "not of the model" if scene.n_stories else "another one"
         for other in modes.others:
             f, fs, d = other.frequency_hz, other.frequency_std_hz, other.damping_ratio
-            which = "not of the model" if scene.n_stories else "another one"
-            lines.append(
-                f"| {which} | {plus_minus(f, fs, digits=3)} | - | {100 * d:.2f} |" + (" - |" if changes else "")
-            )
-    lines += ["", f"{scene.name}, window of {result.window_s:g} s to {end:%Y-%m-%d %H:%M:%S} UTC"]
+            table.append((which, plus_minus(f, fs, digits=3), "-", f"{100 * d:.2f}", "-"))
+        head = ("mode", "frequency, Hz (± 2σ)", "baseline, Hz", "damping, % (± 2σ)", "change, % (± 2σ)")
+        shown = len(head) if changes else len(head) - 1
+        lines += markdown_table(head[:shown], [row[:shown] for row in table])
+    lines += ["", f"{scene.name}, window of {result.window_s:g} s to {utc(result.t_end_ns, seconds=True)} UTC"]
     return "\n".join(lines)
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Write the lines of a table in Markdown."""
+    return [f"| {' | '.join(head)} |", "|" + "---|" * len(head), *(f"| {' | '.join(row)} |" for row in rows)]
 
 
 def _modal_changes(result: WindowResult) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Annotated
 
 import numpy as np
 import rerun as rr
@@ -25,21 +26,16 @@ _MOST_CHANNELS = 6
 MODEL = (235, 235, 235)
 
 
-def predict_power(scene: Scene, result: WindowResult, hz: Array) -> Array:
+def follows(last: Samples, samples: Samples) -> bool:
+    """Tell whether samples come where the last ones end, within half a step, at their rate."""
+    due_ns = last.t_ns + len(last.values) / last.rate_hz * 1e9
+    return samples.rate_hz == last.rate_hz and abs(samples.t_ns - due_ns) <= 0.5e9 / samples.rate_hz
+
+
+def predict_power(scene: Scene, result: WindowResult, hz: Annotated[Array, "bins"]) -> Annotated[Array, "bins c"]:
     """Predict the power of the channels under equal white forces on all floors, up to a common factor.
 
     Modes are superposed: the model has the window's stiffnesses, and the window's damping where it was measured.
-
-    Parameters
-    ----------
-    scene : Scene
-    result : WindowResult
-    hz : ndarray, shape (n_hz,)
-        Frequencies, Hz.
-
-    Returns
-    -------
-    ndarray, shape (n_hz, c)
     """
     assert isinstance(scene.model, Model)
     k = result.stiffness
@@ -65,11 +61,8 @@ class SpectraDrawing:
 
     def samples(self, samples: Samples) -> None:
         """Keep the latest samples; samples before a gap or at another rate are discarded."""
-        if self._blocks:
-            last = self._blocks[-1]
-            due = last.t_ns + len(last.values) / last.rate_hz * 1e9
-            if samples.rate_hz != last.rate_hz or abs(samples.t_ns - due) > 0.5e9 / samples.rate_hz:
-                self._blocks.clear()
+        if self._blocks and not follows(self._blocks[-1], samples):
+            self._blocks.clear()
         self._blocks.append(samples)
         while samples.t_ns - self._blocks[0].t_ns > _LONGEST_S * 1e9:
             self._blocks.popleft()
@@ -124,20 +117,10 @@ class SpectraDrawing:
         )
 
 
-def _welch_power(values: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Compute the one-sided power spectral density from half-overlapping tapered segments.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n_samples, c)
-
-    Returns
-    -------
-    hz : ndarray, shape (n_hz,)
-        Frequencies, Hz.
-    power : ndarray, shape (n_hz, c)
-        (m/s^2)^2/Hz.
-    """
+def _welch_power(
+    values: Annotated[Array, "samples c"], rate_hz: float
+) -> tuple[Annotated[Array, "bins"], Annotated[Array, "bins c"]]:
+    """Compute the one-sided power spectral density from half-overlapping tapered segments; return Hz and (m/s^2)^2/Hz."""
     n = round(_SEGMENT_S * rate_hz)
     # Single precision is enough for a picture.
     segments = np.lib.stride_tricks.sliding_window_view(values.astype(np.float32), n, axis=0)[:: n // 2]
@@ -146,7 +129,9 @@ def _welch_power(values: Array, rate_hz: float) -> tuple[Array, Array]:
     return np.asarray(np.arange(n // 2 + 1) * (rate_hz / n), dtype=float), np.asarray(power)
 
 
-def _scale_to_lane(hz: Array, power: Array, top_db: float, lane: int) -> Array:
-    """Place a channel's power in its lane, which is 1 high for `_SPAN_DB` and ends at `top_db`; shape (n_hz, 2)."""
+def _scale_to_lane(
+    hz: Annotated[Array, "bins"], power: Annotated[Array, "bins"], top_db: float, lane: int
+) -> Annotated[Array, "bins 2"]:
+    """Place a channel's power in its lane, which is 1 high for `_SPAN_DB` and ends at `top_db`."""
     level = (10.0 * np.log10(np.maximum(power, 1e-300)) - top_db) / _SPAN_DB + 1.0
     return np.column_stack([hz, lane + np.clip(level, 0.0, 1.0)])

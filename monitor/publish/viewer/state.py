@@ -28,14 +28,10 @@ LAMP = (100.0, 4.0)
 
 
 class StateDrawing:
-    """Drawing of the state into one recording, in the worker's thread.
+    """Drawing of the state into one recording, in the worker's thread; `live` where viewers watch.
 
-    Parameters
-    ----------
-    stream : rr.RecordingStream
-    live : bool
-        Whether viewers watch.  Otherwise all states but the first one, "nothing yet", are sent at the end: a file that is still
-        loading must not show the state of its beginning as that of its end.
+    Otherwise all states but the first one, "nothing yet", are sent at the end: a file that is still loading must not show the
+    state of its beginning as that of its end.
     """
 
     def __init__(self, stream: rr.RecordingStream, *, live: bool) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,26 +41,13 @@ class Thinning:
 
     @property
     def stretch(self) -> int:
-        """Factor on the amount that is sent at once.
-
-        A file's writer keeps one index entry in memory for each message until the file is closed.
-        """
+        """Factor on the amount that is sent at once: a file's writer keeps an index entry in memory for each message."""
         return min(max(1, self._seen // _GROWTH), _LONGEST)
 
-    def samples(self, t_ns: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
-        """Thin out samples: keep all at first, later the lowest and the highest sample of each bin.
-
-        Parameters
-        ----------
-        t_ns : ndarray of int, shape (n,)
-            Times, UTC in ns.
-        values : ndarray, shape (n, c)
-
-        Returns
-        -------
-        t_ns : ndarray of int, shape (k,)
-        values : ndarray, shape (k, c)
-        """
+    def samples(
+        self, t_ns: Annotated[NDArray[np.int64], "n"], values: Annotated[Array, "n c"]
+    ) -> tuple[Annotated[NDArray[np.int64], "k"], Annotated[Array, "k c"]]:
+        """Thin out samples (UTC in ns): keep all at first, later the lowest and the highest sample of each bin."""
         self._first_ns = int(t_ns[0]) if self._first_ns is None else self._first_ns
         if t_ns[0] - self._first_ns < FULL_RATE_NS:
             return t_ns, values

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import rerun as rr
 
-from monitor.publish.viewer.rows import Rows
-from monitor.publish.viewer.scene import GREY, RED, SERIES, Clocks, Scene, utc
+from monitor.publish.viewer.rows import Rows, name_line
+from monitor.publish.viewer.scene import GREY, RED, SERIES, Clocks, Scene
 from monitor.publish.viewer.state import PLAIN, event_text
 from monitor.signals import Health
 
@@ -31,22 +32,17 @@ class TrustDrawing:
     def begin(self) -> None:
         """Draw the names and the colours."""
         for i, channel in enumerate(self._scene.channels):
-            colour = SERIES[i % len(SERIES)]
             for kind in ("rms", "noise_floor", "clipped"):
-                line = rr.SeriesLines(names=[channel], colors=[colour])
-                self._stream.log(f"/quality/{kind}/{rr.escape_entity_path_part(channel)}", line, static=True)
-        self._stream.log("/trust/misfit/line", rr.SeriesLines(names=["misfit"], colors=[SERIES[0]]), static=True)
-        self._stream.log("/trust/misfit/one", rr.SeriesLines(names=["expected"], colors=[GREY]), static=True)
-        self._stream.log(
-            "/trust/misfit/asks", rr.SeriesLines(names=["a diagnosis is asked for"], colors=[RED]), static=True
-        )
-
+                path = f"/quality/{kind}/{rr.escape_entity_path_part(channel)}"
+                name_line(self._stream, path, channel, SERIES[i % len(SERIES)])
+        lines = [("misfit/line", "misfit", SERIES[0]), ("misfit/one", "expected", GREY)]
+        lines += [("misfit/asks", "a diagnosis is asked for", RED)]
         for name, learned in self._scene.learned.items():
-            path = f"/trust/covariate/{rr.escape_entity_path_part(name)}"
-            self._stream.log(f"{path}/value", rr.SeriesLines(names=[learned.unit], colors=[SERIES[0]]), static=True)
-            for side in ("low", "high"):
-                says = f"{side}est at calibration"
-                self._stream.log(f"{path}/{side}", rr.SeriesLines(names=[says], colors=[GREY]), static=True)
+            path = f"covariate/{rr.escape_entity_path_part(name)}"
+            lines += [(f"{path}/value", learned.unit, SERIES[0])]
+            lines += [(f"{path}/{side}", f"{side}est at calibration", GREY) for side in ("low", "high")]
+        for path, name, colour in lines:
+            name_line(self._stream, f"/trust/{path}", name, colour)
 
     def covariates(self, values: Mapping[str, float]) -> None:
         """Draw each covariate beside the range that calibration learned from; the recording's time is the window's end."""
@@ -79,14 +75,14 @@ class TrustDrawing:
 
     def clocks(self, state: Clocks) -> None:
         """Draw the offset of every node's clock, ms."""
-        self._stream.set_time("time", timestamp=utc(state.t_ns))
+        self._stream.set_time("time", timestamp=np.datetime64(state.t_ns, "ns"))
         for clock in state.clocks:
             path = f"/clock/{rr.escape_entity_path_part(clock.node)}"
             self._stream.log(path, rr.Scalars(1000.0 * clock.offset_s))
 
     def finding(self, finding: dict[str, Any]) -> None:
         """Draw the finding of a diagnosis at the end of its data."""
-        self._stream.set_time("time", timestamp=utc(finding["t_ns"]))
+        self._stream.set_time("time", timestamp=np.datetime64(finding["t_ns"], "ns"))
         verdict = VERDICTS.get(finding.get("verdict") or "", "Diagnosis failed")
         says = finding.get("says") or finding.get("error") or ""
         text = f"# {verdict}\n\n{says}\n\nAsked because: {finding.get('reason', '')}"
@@ -97,6 +93,5 @@ class TrustDrawing:
         self._stream.log("/events", rr.TextLog(event, level=rr.TextLogLevel.INFO, color=PLAIN))
 
     def _verdict(self, text: str) -> None:
-        """Draw the text of the verdict."""
         self._has_verdict = True
         self._stream.log("/verdict", rr.TextDocument(text, media_type="text/markdown"))

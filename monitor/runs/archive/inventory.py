@@ -35,9 +35,8 @@ class Run:
     """Run of consecutive recordings, which are replayed together."""
 
     stream: str
-    """Folder of the recordings."""
+    """Folder of the recordings, in the order of their times."""
     paths: tuple[Path, ...]
-    """Recordings in the order of their times."""
     versions: tuple[str, ...]
     """Version of each, as of `file_version`."""
     t_start_ns: int

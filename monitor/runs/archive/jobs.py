@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,17 @@ from monitor.damage import load_baseline
 from monitor.publish import WINDOWS_SCHEMA, Publisher, windows_table
 from monitor.runs.archive.inventory import Survey
 from monitor.runs.baselines import load_healthy
-from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.object_storage import address, local_copies
-from monitor.runs.recordings import OnWarning, read_blocks, recorded_spans, times_between
-from monitor.runs.replay import ResultFiles, pass_through, recorded_content, warn_of_losses, with_first_block_read
-from monitor.runs.session import Session
+from monitor.runs.recordings import OnWarning, read_blocks, recorded_spans
+from monitor.runs.replay import (
+    ResultFiles,
+    ending,
+    pass_through,
+    recorded_content,
+    warn_of_losses,
+    whole_session,
+    with_first_block_read,
+)
 
 WINDOWS, RUNS, DIAGNOSES = "windows", "runs", "diagnoses"
 """Folders in the output: the Parquet dataset, the files of each run as a replay writes them, the diagnosis of each recording."""
@@ -53,7 +60,7 @@ class Outcome:
     name: str
     paths: tuple[Path, ...]
     error: str | None = None
-    """Reason for the failure, or None."""
+    """Reason for the failure."""
     made: bool = True
     """False if the result existed already."""
     warnings: list[str] = field(default_factory=list)
@@ -110,15 +117,22 @@ def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
 
 def replay_run(task: Task) -> Outcome:
     """Replay the recordings of one run, and write the files of a replay and its part of the dataset."""
-    outcome = Outcome(task.name, task.paths)
     keep_freed()
+    with no_empty_folder(task.out / RUNS / task.name):
+        return _outcome(task, _replay)
+
+
+def diagnose_recording(task: Task) -> Outcome:
+    """Diagnose one recording, and write the diagnosis."""
+    return _outcome(task, _diagnose)
+
+
+def _outcome(task: Task, job: Callable[[Task, list[Path], OnWarning], None]) -> Outcome:
+    """Do the job of a task with the files to read, and return what became of it."""
+    outcome = Outcome(task.name, task.paths)
     try:
-        with (
-            threadpool_limits(limits=1),
-            no_empty_folder(task.out / RUNS / task.name),
-            local_copies(task.paths) as (paths, named),
-        ):
-            _replay(task, paths, lambda text: outcome.warnings.append(named(text)))
+        with threadpool_limits(limits=1), local_copies(task.paths) as (paths, named):
+            job(task, paths, lambda text: outcome.warnings.append(named(text)))
     except UserError as error:
         return replace(outcome, error=str(error))
     except OSError as error:
@@ -127,7 +141,6 @@ def replay_run(task: Task) -> Outcome:
 
 
 def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
-    """Replay a run, of which `paths` are the files to read, as `replay_run`; errors are raised."""
     settings = configuration.load(task.structure)
     healthy = None if task.baseline is None else load_healthy(task.baseline, settings)
     folder = task.out / RUNS / task.name
@@ -137,45 +150,19 @@ def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
     rows = WindowsFile(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
     written = ResultFiles(folder, mcap=False)  # the dataset holds the windows for tools that read no JSON lines
     spans = recorded_spans(paths, settings)
-    session = Session(
-        settings,
-        healthy,
-        (rows, written),
-        (task.structure, task.baseline),
-        folder / "findings",
-        whole=True,
-        recordings=EventRecordings(folder, settings.events),
-        between=times_between(spans),
-    )
-    try:
+    session = whole_session(settings, healthy, (rows, written), (task.structure, task.baseline), folder, spans)
+    with ending(session, rows.abandon, written.abandon):
         factor = pass_through(session, source, paths, event_suffices=True)
         written.close(session.content(factor) | recorded_content(session, spans) | kept, ())
         rows.close()  # the run counts as done once this file is there, so it comes last
-    except BaseException:
-        rows.abandon()
-        written.abandon()
-        raise
-    finally:
-        session.online_diagnosis.close()
     warn_of_losses(session, spans, on_warning)
 
 
-def diagnose_recording(task: Task) -> Outcome:
-    """Diagnose one recording, and write the diagnosis."""
+def _diagnose(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
     from monitor.runs import diagnose
 
-    outcome = Outcome(task.name, task.paths)
-    try:
-        settings = configuration.load(task.structure)
-        healthy = (
-            None if task.baseline is None else load_baseline(task.baseline, settings.instrumented(), settings.updating)
-        )
-        with threadpool_limits(limits=1), local_copies(task.paths) as (paths, named):
-            found = diagnose.diagnose(paths, settings, healthy, lambda text: outcome.warnings.append(named(text)))
-        final = task.out / DIAGNOSES / f"{task.name}.json"
-        write_atomically(final, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
-    except UserError as error:
-        return replace(outcome, error=str(error))
-    except OSError as error:
-        return replace(outcome, error=f"{error.filename or task.out}: {error.strerror or error}")
-    return outcome
+    settings = configuration.load(task.structure)
+    known = task.baseline and load_baseline(task.baseline, settings.instrumented(), settings.updating)
+    found = diagnose.diagnose(paths, settings, known, on_warning)
+    final = task.out / DIAGNOSES / f"{task.name}.json"
+    write_atomically(final, json.dumps(found.content, indent=1, allow_nan=False) + "\n")

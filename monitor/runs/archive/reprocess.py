@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from dask.callbacks import Callback
 
 from monitor.config import configuration as config
-from monitor.core import MissingInputError, UserError, parse_json, spare_inputs, write_atomically
+from monitor.core import MissingInputError, UserError, os_errors_of, parse_json, spare_inputs, write_atomically
 from monitor.runs.archive.inventory import Run, Survey, file_version, fingerprint, group_into_runs
 from monitor.runs.archive.jobs import (
     DIAGNOSES,
@@ -57,51 +57,24 @@ def reprocess(
     workers: int | None = None,
     on_done: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[Outcome]:
-    """Replay, and optionally diagnose, all recordings without results.
+    """Replay all recordings without results, and `diagnose` each by itself if asked; alarms request their diagnoses in any case.
 
-    Parameters
-    ----------
-    recordings : sequence of Path
-        Recordings of the archive.
-    structure : Path
-        Structure or site file.
-    baseline : Path, optional
-        Healthy reference; no alarm is raised without one.
-    out : Path
-        Folder of the results.
-    diagnose : bool
-        Also diagnose each recording by itself; alarms request their diagnoses in any case, as in `replay`.
-    longest_gap_s : float, optional
-        Longest gap, s, between recordings of one folder that are replayed together; the window's length by default.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers see the same files; processes on this machine by default.
-    workers : int, optional
-        Number of processes on this machine; one for each core by default.
-    on_done : callable
-        Called with the number of finished jobs and the number of all jobs.
+    Recordings of one folder are replayed together over gaps of at most `longest_gap_s`, by default the length of a window.
+    The work is done by the workers of the Dask scheduler at an address, which see the same files, else by `workers` processes
+    on this machine, by default one for each core.  `on_done` is called with the numbers of finished and of all jobs.
+    Outcomes are those of every run and diagnosis, and of every recording that cannot be read.
 
-    Returns
-    -------
-    list of Outcome
-        Outcome of every run and diagnosis, and of every recording that cannot be read.
-
-    Raises
-    ------
-    WrongUsageError
-        If a result would overwrite an input.
-    BadConfigurationError, MissingInputError
-        If the structure file or the baseline cannot be used.  An error of a recording is part of its outcome.
+    Raises WrongUsageError if a result would overwrite an input, and BadConfigurationError or MissingInputError if the structure
+    file or the baseline cannot be used.
     """
     spare_inputs([out / _SURVEYS], [*recordings, structure, baseline])
     settings = config.load_with_model(structure) if diagnose else config.load(structure)
     if baseline is not None:
         load_healthy(baseline, settings)
     configuration = _configuration_fingerprint(settings, baseline)
-    try:
+    with os_errors_of(out, "cannot be written: "):
         for folder in (WINDOWS, RUNS, DIAGNOSES):
             (out / folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
 
     with _open_workers(scheduler, workers, on_done) as work:
         surveys, failed = _survey_recordings(recordings, settings.topics, out, work)
@@ -122,15 +95,11 @@ def reprocess(
 
 
 def _task(name: str, stream: str, paths: tuple[Path, ...], structure: Path, baseline: Path | None, out: Path) -> Task:
-    """Create a task with absolute paths."""
     return Task(name, stream, paths, structure.resolve(), baseline and baseline.resolve(), out.resolve())
 
 
 def _compute_missing(
-    function: Callable[[Task], Outcome],
-    tasks: Sequence[Task],
-    results: Sequence[Path],
-    work: Work,
+    function: Callable[[Task], Outcome], tasks: Sequence[Task], results: Sequence[Path], work: Work
 ) -> list[Outcome]:
     """Compute the results that do not exist."""
     existing = [Outcome(t.name, t.paths, made=False) for t, r in zip(tasks, results, strict=True) if r.exists()]
@@ -198,7 +167,8 @@ def _survey_recordings(
         if known is None:
             new.append((key, path))
         else:
-            surveys.append(_survey_from_json(known, key))
+            as_made = {"channels": tuple(known["channels"]), "path": Path(known["path"]), "version": key}
+            surveys.append(Survey(**known | as_made))
     surveyed = work(survey_recording, [(path, topics) for _, path in new])
     for (key, path), found in zip(new, surveyed, strict=True):
         if isinstance(found, str):
@@ -208,11 +178,6 @@ def _survey_recordings(
             kept[key] = asdict(found) | {"path": str(path)}
     write_atomically(kept_in, json.dumps(kept, indent=0) + "\n")
     return surveys, failed
-
-
-def _survey_from_json(kept: dict[str, Any], version: str) -> Survey:
-    """Restore a survey kept as JSON."""
-    return Survey(**{**kept, "channels": tuple(kept["channels"]), "path": Path(kept["path"]), "version": version})
 
 
 def _remove_superseded(out: Path, now: dict[str, Run], failed: list[str]) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -58,9 +59,9 @@ class ImportedChannel:
     topic: str
     name: str
     source: str
-    """File and column, as FILE:COLUMN."""
+    """As FILE:COLUMN."""
     unit: str
-    """Unit of the column."""
+    """Of the column."""
     stated: bool
     """Whether the file states the unit."""
     by_name: bool
@@ -68,7 +69,7 @@ class ImportedChannel:
     mean: float
     """Mean of the finite readings, in the unit of the topic."""
     rms: float
-    """Root mean square of the finite readings about their mean, in the unit of the topic."""
+    """About their mean, in the unit of the topic."""
 
 
 def import_files(
@@ -92,16 +93,12 @@ def import_files(
     unpacked_bytes: int = _UNPACKED_BYTES,
     reader_s: float = own_process.LEAST_S,
 ) -> RecordingInfo:
-    """Write the readings of `files` as one recording, and return the content of the recording.
+    """Write the readings of `files`, sampled at the same time, as one recording, and return the content of the recording.
 
     Parameters
     ----------
-    files
-        Files to import, sampled at the same time.
-    out
-        Recording to write.
     rate_hz
-        Sample rate, Hz.  Required if no file states it; overrides the rate of a time column.
+        Sample rate.  Required if no file states it; overrides the rate of a time column.
     unit
         Unit of columns whose header states none, and of no other: m/s^2, g, mg, gal.  Without it `ask_unit` is asked for it,
         else m/s^2 is taken with a warning.
@@ -127,14 +124,12 @@ def import_files(
         Shift the clocks of the files so that their readings fit each other (`clocks.align`).
     ask_unit
         Asks the user for the unit of columns, given as "FILE:COLUMN".
-    on_warning
-        Shows a warning to the user.
     on_channel
         Told of each channel that was written; not of those of a CAN log.
     unpacked_bytes
         Most that any archive may unpack to, however small it is.
     reader_s
-        Longest time in which a small file is read by a process of its own (HDF5, MAT, MiniSEED, K-NET), s.
+        Longest time in which a small file is read by a process of its own (HDF5, MAT, MiniSEED, K-NET).
 
     Raises
     ------
@@ -286,8 +281,10 @@ def _without_unit(chosen: dict[str, _Column], base: _Column | None) -> list[str]
     return [f"{table.path.name}:{column}" for table, column in columns if not table.unit(column)]
 
 
-def _warn_of_missing(samples: Array, numbers: Ticks, rate_hz: float, on_warning: OnWarning) -> None:
-    """Warn of `samples`, shape (n, c), that are not finite, and of jumps in their `numbers`, shape (n,)."""
+def _warn_of_missing(
+    samples: Annotated[Array, "n c"], numbers: Annotated[Ticks, "n"], rate_hz: float, on_warning: OnWarning
+) -> None:
+    """Warn of `samples` that are not finite, and of jumps in their `numbers`."""
     if not np.isfinite(samples).all():
         on_warning(f"{np.count_nonzero(~np.isfinite(samples))} samples are missing or no finite numbers")
     gaps, lost = np.count_nonzero(np.diff(numbers) > 1), int(numbers[-1]) + 1 - len(numbers)
@@ -489,9 +486,13 @@ def _start_ns(tables: list[Table], unknown_ns: int | None, on_warning: OnWarning
 
 
 def _write(
-    out: Path, streams: dict[str, tuple[tuple[str, ...], Array]], rate: float, numbers: Ticks, start_ns: int
+    out: Path,
+    streams: dict[str, tuple[tuple[str, ...], Annotated[Array, "n c"]]],
+    rate: float,
+    numbers: Ticks,
+    start_ns: int,
 ) -> None:
-    """Write channels and samples, shape (n, c), of each topic in blocks of at most one second; a lost sample ends a block."""
+    """Write channels and samples of each topic in blocks of at most one second; a lost sample ends a block."""
     limit = max(1, round(rate))
     breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
     with McapWriter(out) as writer:

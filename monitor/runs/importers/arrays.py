@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,21 +31,8 @@ def build_table(
     Besides may stand `rate_hz`, `fs` or `dt`, `t` or `time` (s, or as the name says: `t_ms`), `channels` (names) and `unit`, in
     any case.
 
-    Parameters
-    ----------
-    path, kind : Path, str
-        File and the name of its format, for messages.
-    arrays : mapping
-        Name -> array; a name may be a path of groups with slashes.
-    on_warning : callable
-        Shows a warning to the user.
-    units : mapping
-        Name -> unit that the file states for this array.
-
-    Raises
-    ------
-    BadInputError
-        If there are no readings, or the arrays do not fit each other.
+    The name of an array may be a path of groups with slashes; its unit is that which the file states.  Raises BadInputError
+    if there are no readings, or the arrays do not fit each other.
     """
     try:
         return _build(path, arrays, on_warning, units)
@@ -122,8 +110,8 @@ def _vector(array: AnyArray) -> Array:
 
 def _readings(
     arrays: Mapping[str, AnyArray], length: int | None, units: Mapping[str, str], on_warning: OnWarning
-) -> tuple[tuple[str, ...], tuple[str, ...], Array]:
-    """Return columns, their units and their readings, shape (n, columns), of all arrays of the same length."""
+) -> tuple[tuple[str, ...], tuple[str, ...], Annotated[Array, "n columns"]]:
+    """Return columns, their units and their readings of all arrays of the same length."""
     found: dict[str, Array] = {}
     for name, array in arrays.items():
         numbers = np.issubdtype(array.dtype, np.number) and not np.issubdtype(array.dtype, np.complexfloating)

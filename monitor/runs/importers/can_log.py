@@ -26,13 +26,7 @@ def is_log(path: Path) -> bool:
 def check_options(
     files: list[Path], dbc: Path | None, channels: dict[str, str] | None, ground: str | None, start_ns: int | None
 ) -> None:
-    """Check the options of an import: one log with a DBC, and nothing that log and DBC already state.
-
-    Raises
-    ------
-    BadInputError
-        If the DBC is missing, or there are several logs or redundant options.
-    """
+    """Raise BadInputError unless an import has one log with a DBC, and no option for what log and DBC already state."""
     if len(files) > 1:
         raise BadInputError(f"{files[0]}: import CAN logs one by one")
     if dbc is None:
@@ -42,27 +36,9 @@ def check_options(
 
 
 def import_log(path: Path, out: Path, *, dbc: Path, rate_hz: float | None, on_warning: OnWarning) -> RecordingInfo:
-    """Write the samples of a log as a recording, and return the content of the recording.
+    """Write the samples of a log, at a nominal rate which is required, as a recording, and return its content.
 
-    Parameters
-    ----------
-    path
-        CAN log.
-    out
-        Recording to write.
-    dbc
-        DBC file that describes the frames.
-    rate_hz
-        Nominal sample rate, Hz; required.
-    on_warning
-        Shows a warning to the user.
-
-    Raises
-    ------
-    BadInputError
-        If log or DBC cannot be used.
-    MissingInputError
-        If log or DBC cannot be read.
+    Raises BadInputError if log or DBC cannot be used, MissingInputError if one of them cannot be read.
     """
     if rate_hz is None:
         raise BadInputError(f"{path}: neither frames nor DBC tell the sample rate; give --rate HZ")

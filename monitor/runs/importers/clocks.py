@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,24 +23,12 @@ _MOST_ALIGNED = 1 << 24
 """Most samples of a file to be aligned. [samples; cost: half a GB of memory]"""
 
 
-def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks | None]:
-    """Cut tables to their common samples.
+def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annotated[Ticks, "n"] | None]:
+    """Cut tables to their common samples, and return them with their common clock, ns; None without clocks.
 
     With clocks, only the samples whose times agree in all files within half a step are kept.  Without clocks, all files are
-    assumed to begin at the same time.
-
-    Returns
-    -------
-    list of Table
-        Tables with n samples each.
-    array, shape (n,), or None
-        Common clock, ns; None without clocks.
-
-    Raises
-    ------
-    BadInputError
-        If only some files have a clock, the clocks run at different rates or not forwards, or the files have less than half of
-        the shortest file in common.
+    assumed to begin at the same time.  Raises BadInputError if only some files have a clock, the clocks run at different
+    rates or not forwards, or the files have less than half of the shortest file in common.
     """
     clocks = [table.time_ns for table in tables if table.time_ns is not None]
     if len(tables) == 1:
@@ -83,8 +72,8 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks
     return [_select_rows(table, near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
 
 
-def _select_rows(table: Table, rows: NDArray[np.int64]) -> Table:
-    """Select rows, shape (n,), of a table; its start moves to the first of these rows."""
+def _select_rows(table: Table, rows: Annotated[NDArray[np.int64], "n"]) -> Table:
+    """Select rows of a table; its start moves to the first of these rows."""
     start = table.start_ns
     if start is not None and table.time_ns is not None and len(rows):
         start += int(table.time_ns[rows[0]] - table.time_ns[0])
@@ -119,24 +108,9 @@ def _overlaps(tables: Sequence[Table]) -> str:
 def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning: OnWarning) -> list[Table]:
     """Shift the clock of each file so that its readings fit those of the first file best, by their correlation.
 
-    Parameters
-    ----------
-    tables : list of Table
-        Files, each with a clock.
-    columns : sequence of (Table, str)
-        Columns to compare, by files; of other files, the first of their default columns.
-    on_warning : callable
-        Told of each shift and of its correlation, for the user to judge.
-
-    Returns
-    -------
-    list of Table
-        The files with their clocks shifted by whole steps; half a step remains unknown.
-
-    Raises
-    ------
-    BadInputError
-        A file has no clock, the rates differ, or the readings of a file fit nowhere.
+    Each file has a clock, and is compared by its column among `columns`, else by the first of its default columns.  Clocks
+    are shifted by whole steps; half a step remains unknown.  `on_warning` is told of each shift and of its correlation, for
+    the user to judge.  Raises BadInputError if a file has no clock, the rates differ, or the readings of a file fit nowhere.
     """
     if len(tables) < 2 or any(table.time_ns is None or len(table.time_ns) < 2 for table in tables):
         raise BadInputError(f"{tables[0].path}: --align is for several files, each with a column of time")
@@ -181,15 +155,12 @@ class Shift:
     other_correlation: float
 
 
-def best_shift(reference: Array, readings: Array) -> Shift:
+def best_shift(reference: Annotated[Array, "n"], readings: Annotated[Array, "m"]) -> Shift:
     """Find the shift at which readings fit a reference best, by the correlation of both whitened (phase transform).
 
     All frequencies count alike: by the plain correlation a structure's record fits itself once a period of its mode.
 
-    Parameters
-    ----------
-    reference, readings : array, shape (n,), shape (m,)
-        Readings on the same step, without mean; lost ones are 0.
+    Reference and readings are on the same step and without mean; lost ones are 0.
 
     References
     ----------
@@ -220,8 +191,8 @@ def best_shift(reference: Array, readings: Array) -> Shift:
     )
 
 
-def _on_grid(table: Table, column: str | None, step_ns: float) -> Array:
-    """Return a column on a regular grid of its clock, shape (n,), without its mean; 0 where a reading is missing."""
+def _on_grid(table: Table, column: str | None, step_ns: float) -> Annotated[Array, "n"]:
+    """Return a column on a regular grid of its clock, without its mean; 0 where a reading is missing."""
     assert table.time_ns is not None
     values = table.values[:, table.columns.index(column or table.default[0])]
     place = np.rint((table.time_ns - table.time_ns[0]) / step_ns).astype(np.int64)

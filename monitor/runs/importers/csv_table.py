@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class Cells:
     delimiter: str | None
     """Mark between cells; None for white space."""
     first_line: int
-    """Line number of the first row, counted from 1."""
+    """Of the first row, counted from 1."""
 
     @property
     def first_row(self) -> list[str]:
@@ -62,17 +63,14 @@ class Cells:
         """Return the cells of a column, from the first row on."""
         return [_split(line, self.delimiter)[at] for line in self.lines]
 
-    def numbers(self, column: int) -> Array:
-        """Convert one column to numbers, shape (n_rows,) (errors as `table`)."""
+    def numbers(self, column: int) -> Annotated[Array, "rows"]:
+        """Convert one column to numbers (errors as `table`)."""
         return self.table([column])[:, 0]
 
-    def table(self, columns: Sequence[int]) -> Array:
-        """Convert columns to numbers, shape (n_rows, n_columns); an empty cell is a missing sample (NaN).
+    def table(self, columns: Sequence[int]) -> Annotated[Array, "rows columns"]:
+        """Convert columns to numbers; an empty cell is a missing sample (NaN).
 
-        Raises
-        ------
-        BadInputError
-            If a cell is no number; the message gives its line.
+        Raises BadInputError if a cell is no number; the message gives its line.
         """
         out = np.empty((len(self.lines), len(columns)))
         step = max(1, _CHUNK_CELLS // len(self.first_row))
@@ -94,10 +92,7 @@ class Cells:
 def decode_text(path: Path, raw: bytes) -> str:
     """Decode a file's bytes: UTF-16 if they begin with its byte order mark, else UTF-8, cp1252 or latin-1.
 
-    Raises
-    ------
-    BadInputError
-        If the bytes are no text.
+    Raises BadInputError if the bytes are no text.
     """
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         return raw.decode("utf-16", errors="replace")
@@ -118,10 +113,7 @@ def decode_text(path: Path, raw: bytes) -> str:
 def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
     """Find delimiter, header and data rows of a text, and cut it into cells.
 
-    Raises
-    ------
-    BadInputError
-        If there is no table of numbers, or the rows differ in their number of cells.
+    Raises BadInputError if there is no table of numbers, or the rows differ in their number of cells.
     """
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     while lines and not lines[-1].strip(" ,;\t"):
@@ -164,10 +156,7 @@ def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
 def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     """Convert cells to a table of numbers, with the time column, if there is one, as clock.
 
-    Raises
-    ------
-    BadInputError
-        If a cell is no number or no time.
+    Raises BadInputError if a cell is no number or no time.
     """
     first_row = cells.first_row
     width = len(first_row)
@@ -230,8 +219,8 @@ def _is_data(row: list[str]) -> bool:
     return numbers > 0 and others == 0
 
 
-def _tick_column(cells: Cells, column: int, name: str, unit: str) -> Ticks:
-    """Convert a column of numbers in a unit of time to ns, shape (n_rows,)."""
+def _tick_column(cells: Cells, column: int, name: str, unit: str) -> Annotated[Ticks, "rows"]:
+    """Convert a column of numbers in a unit of time to ns."""
     if name.casefold() == "sampletimefine":
         tick = TICKS["us"]
     else:
@@ -246,8 +235,8 @@ def _tick_column(cells: Cells, column: int, name: str, unit: str) -> Ticks:
     return ticks
 
 
-def _date_column(cells: Cells, column: int) -> Ticks:
-    """Convert a column of dates to UTC, ns since 1970, shape (n_rows,)."""
+def _date_column(cells: Cells, column: int) -> Annotated[Ticks, "rows"]:
+    """Convert a column of dates to UTC, ns since 1970."""
     texts = cells.column(column)
     # One date format for the whole file, so that month and day are never exchanged within it.
     for form in _DATE_FORMATS:

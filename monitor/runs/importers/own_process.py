@@ -38,25 +38,8 @@ def read_apart(
 ) -> tuple[Arrays, dict[str, str]]:
     """Run a module as a process that reads the arrays of a file (`hand_over`); return them and what is told of them.
 
-    Parameters
-    ----------
-    module : str
-        Name of the module.
-    kind : str
-        Name of the format, for messages.
-    path : Path
-        File.
-    most_bytes : int
-        Most that the file may unpack to.
-    least_s : float
-        Longest time of reading a small file, s.
-    more : str
-        Further arguments of the module's function.
-
-    Raises
-    ------
-    BadInputError
-        If the file is damaged or would unpack to too much.
+    A small file is read for `least_s` at most.  `more` are further arguments of the module's function.  Raises BadInputError
+    if the file is damaged or would unpack to more than `most_bytes`.
     """
     with TemporaryDirectory() as folder:
         out = Path(folder, "arrays.npz")

@@ -10,7 +10,7 @@ import warnings
 from collections import Counter
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -51,23 +51,10 @@ def to_table(
 ) -> Table:
     """Convert the traces of a file to a table of at most `most_bytes`, whose columns are named NETWORK.STATION.LOCATION.CHANNEL.
 
-    K-NET and KiK-net state their scale, and take no other.  What is missing between records of MiniSEED is NaN.
-
-    Parameters
-    ----------
-    scale : float, optional
-        m/s^2 of a count of MiniSEED.
-    inventory : Path, optional
-        StationXML with the sensitivity of each channel, taken as flat.
-    least_s : float
-        As of `own_process.read_apart`.
-
-    Raises
-    ------
-    BadInputError
-        The file is damaged, its traces do not fit each other, or nothing tells what a count is.
-    MissingInputError
-        ObsPy is not installed, or the inventory cannot be read.
+    K-NET and KiK-net state their scale, and take no other.  What is missing between records of MiniSEED is NaN; `scale` is
+    the m/s^2 of its counts, else the StationXML `inventory` has the sensitivity of each channel, taken as flat.  Raises
+    BadInputError if the file is damaged, its traces do not fit each other, or nothing tells what a count is;
+    MissingInputError if ObsPy is not installed, or the inventory cannot be read.
     """
     obspy, is_nied = import_extra("obspy", f"{path}: MiniSEED or K-NET"), raw.startswith(_NIED)
     if not is_nied and (scale is None) == (inventory is None):
@@ -109,8 +96,8 @@ def read(path: Path, most_bytes: int, kind: str) -> tuple[Arrays, dict[str, str]
 
 def join(
     path: Path, arrays: Arrays, told: dict[str, str], most_bytes: int, on_warning: OnWarning
-) -> tuple[tuple[str, ...], Array, int, float]:
-    """Put traces as `read` tells them on one clock: names, values of shape (n, c), time of the first in ns, rate in Hz."""
+) -> tuple[tuple[str, ...], Annotated[Array, "n c"], int, float]:
+    """Put traces as `read` tells them on one clock: names, values, time of the first in ns, rate in Hz."""
     for note in json.loads(told[_NOTES]):
         on_warning(f"{path}: {note}")
     stream = [(*json.loads(told[k]), data) for k, data in arrays.items()]

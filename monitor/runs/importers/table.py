@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from math import radians
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,19 +52,19 @@ class Table:
     path: Path
     columns: tuple[str, ...]
     units: tuple[str, ...]
-    """Unit of each column as stated in the file; empty if none is stated."""
-    values: Array
-    """Readings, shape (n_samples, n_columns), in `units`."""
+    """As stated in the file; empty if none is stated."""
+    values: Annotated[Array, "n columns"]
+    """In `units`."""
     default: tuple[str, ...]
     """Columns that are used when the caller names none."""
-    time_ns: Ticks | None = None
-    """Time of each sample by the file's own clock, shape (n_samples,), ns; None without a clock."""
-    index: Ticks | None = None
-    """Sample counter of the device, shape (n_samples,); None without a counter."""
+    time_ns: Annotated[Ticks, "n"] | None = None
+    """Time of each sample by the file's own clock; None without a clock."""
+    index: Annotated[Ticks, "n"] | None = None
+    """Sample counter of the device; None without a counter."""
     start_ns: int | None = None
     """UTC of the first sample, ns since 1970; None if the file does not state it."""
     rate_hz: float | None = None
-    """Sample rate stated in the file, Hz; None if the file does not state it."""
+    """As stated in the file; None if it does not state it."""
     start_text: str = ""
     """Time of the first sample as the file writes it, where it has no zone and is taken as UTC; else empty."""
 
@@ -74,53 +75,22 @@ class Table:
         return (stem, self.path.stem, self.path.name, str(self.path))
 
     def unit(self, column: str) -> str:
-        """Return the unit that the file states of a column; empty if it states none.
-
-        Raises
-        ------
-        BadInputError
-            If there is no such column.
-        """
+        """Return the unit that the file states of a column, empty if it states none; BadInputError if there is no such column."""
         if column not in self.columns:
             meant = meant_instead(column, self.columns)
             raise BadInputError(f"{self.path}: no column {column!r}{meant}; it has {', '.join(self.columns)}")
         return self.units[self.columns.index(column)]
 
-    def acceleration(self, column: str, unit: str) -> Array:
-        """Convert a column to m/s^2, shape (n_samples,).
-
-        Parameters
-        ----------
-        column : str
-            Name of the column.
-        unit : str
-            Unit of the column if the file states none.
-
-        Raises
-        ------
-        BadInputError
-            If there is no such column, or its unit is no unit of acceleration.
-        """
+    def acceleration(self, column: str, unit: str) -> Annotated[Array, "n"]:
+        """Convert a column, in `unit` if the file states none, to m/s^2 (errors as `_converted`)."""
         return self._converted(column, unit, unit_factor, "acceleration", UNITS)
 
-    def force(self, column: str) -> Array:
-        """Convert a column to N, shape (n_samples,); a column without a unit is in N.
-
-        Raises
-        ------
-        BadInputError
-            If there is no such column, or its unit is no unit of force.
-        """
+    def force(self, column: str) -> Annotated[Array, "n"]:
+        """Convert a column, in N if the file states no unit, to N (errors as `_converted`)."""
         return self._converted(column, "N", lambda unit: FORCE_UNITS.get(unit.strip().casefold()), "force", FORCE_UNITS)
 
-    def rotation_rate(self, column: str) -> Array:
-        """Convert a column to rad/s, shape (n_samples,).
-
-        Raises
-        ------
-        BadInputError
-            If there is no such column, or its unit is no unit of a rate of rotation.
-        """
+    def rotation_rate(self, column: str) -> Annotated[Array, "n"]:
+        """Convert a column to rad/s (errors as `_converted`)."""
         return self._converted(column, "", rotation_factor, "a rate of rotation", ROTATION_UNITS)
 
     def turns(self, column: str) -> bool:
@@ -129,8 +99,8 @@ class Table:
 
     def _converted(
         self, column: str, unit: str, factor_of: Callable[[str], float | None], quantity: str, known: Iterable[str]
-    ) -> Array:
-        """Convert a column to the SI unit of a quantity, shape (n_samples,); `unit` is that of a column without one."""
+    ) -> Annotated[Array, "n"]:
+        """Convert a column to the SI unit of a quantity, from `unit` if it states none; BadInputError for one of another."""
         stated = self.unit(column) or unit
         factor = factor_of(stated)
         if factor is None:
@@ -207,27 +177,11 @@ def rotation_factor(unit: str) -> float | None:
     return ROTATION_UNITS.get(unit.strip().casefold().replace(" ", ""))
 
 
-def sample_numbers(path: Path, time_ns: Ticks) -> tuple[float, Ticks]:
+def sample_numbers(path: Path, time_ns: Annotated[Ticks, "n"]) -> tuple[float, Annotated[Ticks, "n"]]:
     """Estimate the sample rate of a clock, and number its samples.
 
-    Parameters
-    ----------
-    path : Path
-        File of the clock, for messages.
-    time_ns : array, shape (n,)
-        Time of every sample, ns.
-
-    Returns
-    -------
-    float
-        Sample rate, Hz.
-    array, shape (n,)
-        Number of every sample from 0; lost samples leave a jump.
-
-    Raises
-    ------
-    BadInputError
-        If the clock is irregular: one sample in a thousand is off by more than 20 % of a step.
+    The rate is in Hz, and numbers begin at 0; lost samples leave a jump.  Raises BadInputError, which names the file, if the
+    clock is irregular: one sample in a thousand is off by more than 20 % of a step.
 
     Examples
     --------

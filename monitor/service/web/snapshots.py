@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import threading
 import time
 from bisect import bisect_right, insort
@@ -20,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from monitor import __version__
-from monitor.core import BadInputError, parse_json
+from monitor.core import BadInputError, parse_json, rounded, tail_lines
 from monitor.damage import Assessment, State, outdated
 from monitor.publish import EVENTS, SHOWN, closed_files, read_line, read_lines
 from monitor.service.status import troubles_of
@@ -253,7 +252,7 @@ def latest_windows(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
     Read are the end of results.jsonl and, where it holds less than `Keep.read` windows, of the last closed month.  Of more
     than so many the latest half is given, and of the older ones every k-th.
     """
-    rows = _tail(out / "results.jsonl", keep.tail_bytes)
+    rows = tail_lines(out / "results.jsonl", keep.tail_bytes)
     closed = closed_files(out)[-1:]
     if len(rows) < keep.read and closed:
         before: Iterable[bytes] = ()
@@ -261,7 +260,7 @@ def latest_windows(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
             before = (
                 deque(read_lines(closed[0]), keep.packed)
                 if closed[0].suffix == ".zst"
-                else _tail(closed[0], keep.tail_bytes)
+                else tail_lines(closed[0], keep.tail_bytes)
             )
         except (OSError, BadInputError):
             before = ()
@@ -277,25 +276,13 @@ def latest_windows(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
 
 def latest_events(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
     """Read the lines of events.jsonl in an output folder; what is damaged is left out."""
-    for row in _tail(out / EVENTS, keep.tail_bytes):
+    for row in tail_lines(out / EVENTS, keep.tail_bytes):
         try:
             line = parse_json(row)
         except ValueError:
             continue
         if isinstance(line, dict) and isinstance(line.get("id"), str) and isinstance(line.get("t_begin_ns"), int):
             yield line
-
-
-def _tail(path: Path, most_bytes: int) -> list[bytes]:
-    """Read the whole lines in the last `most_bytes` of a file; none if it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - most_bytes))
-            rows = file.read(most_bytes).split(b"\n")[:-1]
-    except OSError:
-        return []
-    return rows[1:] if size > most_bytes else rows
 
 
 def _window(line: Mapping[str, Any]) -> dict[str, Any]:
@@ -305,18 +292,10 @@ def _window(line: Mapping[str, Any]) -> dict[str, Any]:
     if line["skipped"]:
         kept = {key: value for key, value in kept.items() if value not in (None, [])}
     return {
-        **_rounded(kept),
+        **rounded(kept, _DIGITS),
         "level": alarm.get("level"),
         **{key: alarm.get(key) or [] for key in ("stories", "changed")},
     }
-
-
-def _rounded(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _rounded(part) for key, part in value.items()}
-    if isinstance(value, list):
-        return [_rounded(part) for part in value]
-    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
 def _revision(line: Mapping[str, Any]) -> int:
