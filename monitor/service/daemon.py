@@ -20,8 +20,6 @@ class Daemon(Site):
 
     Parameters
     ----------
-    path, source, outlets, clock, quiet_s
-        As of `Site`.
     tick_s : float
         Longest wait for a block before requests and deadlines are looked at, s.
 

@@ -10,25 +10,7 @@ from monitor.service.appended_lines import AppendedLines
 
 
 class EventsFile(AppendedLines):
-    """Append lines of events; what a run before a restart wrote already is not written again.
-
-    Parameters
-    ----------
-    path : Path
-        The file events.jsonl.
-    run : callable
-        As of `AppendedLines`.
-
-    Attributes
-    ----------
-    last : str or None
-        The last line that an earlier run wrote.
-
-    Raises
-    ------
-    OSError
-        The file cannot be opened.
-    """
+    """Append lines of events; what a run before a restart wrote already is not written again, and its last line is `last`."""
 
     def __init__(self, path: Path, run: Callable[[Callable[[], None]], None]) -> None:
         super().__init__(path, run=run)

@@ -68,10 +68,6 @@ def export(
     ----------
     folder : Path
         Folder that `run` or `replay` wrote; its daemon may be running.
-    table : str
-        Name of the table, one of `run_tables.RUN_TABLES`.
-    out : Path
-        File to write.
     span_ns : (int, int)
         Start (included) and end (excluded) of the period, UTC, ns since 1970.
     form : str, optional

@@ -53,7 +53,6 @@ class SiteStatus:
     state: State
     """As the monitor says it; not judged where it is silent or not there."""
     headline: str
-    """The state in one sentence."""
     doubts: tuple[str, ...] = ()
     """What else holds, as sentences."""
     troubles: tuple[str, ...] = ()
@@ -63,7 +62,6 @@ class SiteStatus:
     ddi: float | None = None
     """Largest relative loss of stiffness of any story in the latest window; None if that was not judged."""
     ddi_std: float | None = None
-    """Standard deviation of `ddi`."""
     frequency_hz: float | None = None
     """Lowest natural frequency."""
     t_end_ns: int | None = None
@@ -105,13 +103,6 @@ def load(path: Path) -> FleetSettings:
 
 class Fleet:
     """Session on the network of a fleet; a context manager.
-
-    Parameters
-    ----------
-    settings : FleetSettings
-        Settings of the fleet file.
-    folder : Path
-        Folder to which relative paths of the settings refer.
 
     Raises
     ------
@@ -168,8 +159,6 @@ def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: 
 
     Parameters
     ----------
-    site : str
-        Name of the site.
     answer : bytes or None
         Answer as JSON; None if there was none.
     alive : bool

@@ -104,14 +104,7 @@ _HEAD = (
 def fleet_page(statuses: Sequence[SiteStatus], title: str, at_ns: int) -> str:
     """Write the page of a fleet; only the rows in view are elements of it, so that ten thousand sites are drawn at once.
 
-    Parameters
-    ----------
-    statuses : sequence of SiteStatus
-        States of the sites, in the order in which they are first shown: the gravest first.
-    title : str
-        Title of the page, not escaped.
-    at_ns : int
-        Time at which the sites were asked, UTC, ns since 1970.
+    The sites are first shown in the given order, the gravest first; they were asked at `at_ns`, UTC, ns since 1970.
     """
     states = list(State)
     rows = [

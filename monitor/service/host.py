@@ -196,8 +196,6 @@ class Host:
         Whether a site that another daemon monitors stands by, and is taken over when that daemon is gone.
     first : callable
         Whether a site is taken as soon as nobody monitors it; any other only when nobody has for some seconds.
-    clock : callable
-        Seconds of a clock that never goes back.
     say : callable
         Takes the word READY.
 
@@ -567,13 +565,7 @@ class Host:
         self._call(lambda: self._opened(place, site))
 
     def _take_name(self, place: Place, name: str) -> None:
-        """Give a site its name, which no other may have.
-
-        Raises
-        ------
-        BadConfigurationError
-            Another site has it.
-        """
+        """Give a site its name; raise BadConfigurationError where another site has it."""
         other = self._names.setdefault(name, place)
         if other is not place:
             raise BadConfigurationError(

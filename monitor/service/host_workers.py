@@ -63,14 +63,10 @@ class HostWorkers:
     ----------
     places : sequence of Path
         Site files, which are dealt out in turn, and folders, whose files are dealt out by their names.
-    workers : int
-        Number of processes.
     metrics : (str, int), optional
         Host and port of the endpoint for Prometheus.
-    standby, share
-        As of `Host`; the share as its number and the number of shares.
-    clock : callable
-        Seconds of a clock that never goes back.
+    share : (int, int)
+        Number of the share of sites that `Host` takes first, from 1, and the number of shares.
 
     Raises
     ------

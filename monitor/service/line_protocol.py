@@ -14,22 +14,9 @@ _TAGS = ("mode", "other", "story")
 def write(
     batches: Iterable[Mapping[str, list[Any]]], out: Path, table: str, time: str, run: str, integers: Collection[str]
 ) -> int:
-    """Write rows as measurement ``shm_TABLE`` with the tag ``run``, and return their number.
+    """Write rows, given as batches of column -> values, as measurement ``shm_TABLE`` with the tag ``run``; return their number.
 
-    Parameters
-    ----------
-    batches : iterable of mapping
-        Column -> values.
-    out : Path
-        File to write.
-    table : str
-        Name of the table.
-    time : str
-        Column of the time, ns since 1970.
-    run : str
-        Name of the run.
-    integers : collection of str
-        Columns of integers.
+    `time` names the column of the time, ns since 1970, and `integers` those of integers.
     """
     count = 0
     with out.open("w", encoding="utf-8", newline="\n") as file:

@@ -21,16 +21,8 @@ _BLOCK_NS = 600_000_000_000
 class RecordedBlocks:
     """Store of the latest blocks that reads them from the recordings when a diagnosis asks (`monitor.runs.BlockStore`).
 
-    A diagnosis gets the blocks that one in memory would get, as far as they were recorded.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the recordings.
-    recording : Recording
-        Recorder that writes them.
-    longest_s : float
-        Length of data that a diagnosis may ask for, s.
+    A diagnosis, which may ask for data of `longest_s`, gets the blocks that one in memory would get, as far as they were
+    recorded.
     """
 
     longest_s = 0.0  # nothing need be kept again after a restart
@@ -42,13 +34,7 @@ class RecordedBlocks:
         """Keep nothing: the recorder has the block."""
 
     def between(self, from_ns: int, to_ns: int) -> Iterator[SampleBlock]:
-        """Return the samples taken from `from_ns` to `to_ns` (UTC, ns), read when they are asked for.
-
-        Raises
-        ------
-        OSError
-            The recorder does not answer (while they are read).
-        """
+        """Return the samples taken from `from_ns` to `to_ns` (UTC, ns), read when they are asked for; this may raise OSError."""
         written: list[int] = []
         done = threading.Event()
 

@@ -48,25 +48,9 @@ class Keeper(Protocol):
 class RequestHandler:
     """Handler of the requests of all outlets, one batch at a time.
 
-    Parameters
-    ----------
-    outlets : sequence of Outlet
-        Outlets from which requests come, and which pass the answers on.
-    place : Path
-        The file ledger.jsonl.
-    chores : Chores
-        Worker in whose thread the ledger is written.
-    keeper : Keeper
-        Writer of the checkpoint that follows a change.
-    history : History
-        Database in which each applied request is stored.
-    clock : callable
-        Seconds of a clock that never goes back.
-
-    Attributes
-    ----------
-    head : str or None
-        Hash of the ledger's last line as last written or read by this process; None without a line.
+    The ledger at `place` is written in the thread of `chores`; `keeper` writes the checkpoint that follows a change; each applied
+    request is stored in the history.  `head` is the hash of the ledger's last line as last written or read by this process, None
+    without a line.
     """
 
     dropped = 0  # no request is lost: one that cannot be noted is refused
@@ -101,12 +85,7 @@ class RequestHandler:
     def step(self, session: Session, *, timed: bool) -> None:
         """Do what can be done now for the present batch, or begin the next one; waits for nothing.
 
-        Parameters
-        ----------
-        session : Session
-            Session whose alarms the requests concern.
-        timed : bool
-            Whether data have come, by whose clock a request is timed; until then requests wait or are refused.
+        A request is `timed` by the clock of data that have come; until then requests wait or are refused.
         """
         if not timed:
             for outlet in self._outlets:
@@ -232,7 +211,6 @@ class _Batch:
     error: str = ""
     applied: bool = False
     saved: bool = False
-    """Whether a checkpoint was begun."""
 
 
 def _entry(request: Request, story_names: Sequence[str]) -> dict[str, Any]:

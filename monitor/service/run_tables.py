@@ -27,23 +27,10 @@ CREATE TABLE modes (
 
 @contextmanager
 def open_table(folder: Path, table: str) -> Iterator[sqlite3.Connection]:
-    """Open the database that holds a table of a run.
+    """Open the database that holds a table of a run, in the folder that `run` or `replay` wrote; its daemon is not disturbed.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder that `run` or `replay` wrote; a running daemon is not disturbed.
-    table : str
-        One of `RUN_TABLES`.
-
-    Raises
-    ------
-    WrongUsageError
-        The table is unknown, or only a daemon's history has it.
-    MissingInputError
-        There is neither a history nor results.jsonl.
-    BadInputError
-        The history, or a line of the results, cannot be read.
+    WrongUsageError tells that the table is unknown, or that only a daemon's history has it; MissingInputError that there is
+    neither a history nor results.jsonl; BadInputError that the history, or a line of the results, cannot be read.
     """
     if table not in RUN_TABLES:
         raise WrongUsageError(f"--table {table}: known: {', '.join(RUN_TABLES)}")

@@ -88,18 +88,12 @@ class Site(Publisher):
 
     Parameters
     ----------
-    path : Path
-        Site file; its paths are relative to its folder.
     source : Source, optional
         Source to read in place of the one that the file names.
     outlets : sequence of Outlet, optional
         Outlets in addition to those that the file names; they are closed in reverse order.
-    clock : callable
-        Seconds of a clock that never goes back.
     quiet_s : float
         Interval between health lines while no data arrive, and shortest interval between summaries, s.
-    queue : BlockQueue, optional
-        Queue of the reader's blocks; a new one by default.
     warm : callable
         Compiles what the windows of a configuration and its baseline need.
     lean : bool
@@ -326,13 +320,7 @@ class Site(Publisher):
         return self._stopping
 
     def raise_failure(self) -> None:
-        """Raise the error that ended reading for good, if one did.
-
-        Raises
-        ------
-        MissingInputError, BadInputError
-            The files of the source are missing or unusable.
-        """
+        """Raise the error that ended reading for good, if one did: MissingInputError or BadInputError of the source's files."""
         if isinstance(self.reader.failure, RecordingMissingError):
             raise MissingInputError(str(self.reader.failure)) from self.reader.failure
         if isinstance(self.reader.failure, RecordingError):

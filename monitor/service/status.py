@@ -217,13 +217,7 @@ def _findings(found: list[dict[str, Any]]) -> str:
 
 
 def _read_event(text: bytes) -> dict[str, Any]:
-    """Read a line of events.jsonl.
-
-    Raises
-    ------
-    ValueError
-        It is no line of an event.
-    """
+    """Read a line of events.jsonl; raise ValueError if it is none."""
     line = parse_json(text)
     if not isinstance(line, dict) or not isinstance(line.get("id"), str):
         raise ValueError("it has no id")

@@ -27,22 +27,7 @@ _T_END = re.compile(rb'"t_end_ns": (\d{1,19})\b')
 
 
 class ResultsFile(AppendedLines):
-    """File results.jsonl, from which each closed month may go into a file of its own.
-
-    Parameters
-    ----------
-    path : Path
-        The file results.jsonl.
-    by_month : bool
-        Whether the first window of another month begins a new file.
-    run : callable, optional
-        As of `AppendedLines`.
-
-    Raises
-    ------
-    OSError
-        The file cannot be opened.
-    """
+    """File results.jsonl; with `by_month` the first window of another month begins a new file."""
 
     def __init__(self, path: Path, *, by_month: bool, run: Callable[[Callable[[], None]], None] = at_once) -> None:
         super().__init__(path, run=run)
@@ -126,22 +111,9 @@ def _lines_from(path: Path, offset: int) -> Iterator[bytes]:
 class Storage:
     """Keeper of the budget of the output folder.
 
-    What is beyond the budget goes in this order: the oldest recordings, all but the one being written; then the oldest closed
-    months of results.  Nothing else is removed: if that does not suffice, `failed` says so.
-
-    Parameters
-    ----------
-    out : Path
-        Output folder.
-    settings : OutputSettings
-        Budget, and whether months are packed.
-    recording : Recording
-        Recorder, to which the rest of the budget is given.
-
-    Attributes
-    ----------
-    failed : str or None
-        Why the folder exceeds the budget, or a month could not be packed; None if all is well.
+    What is beyond the budget goes in this order: the oldest recordings, all but the one being written (the recorder gets the
+    rest of the budget); then the oldest closed months of results.  Nothing else is removed: if that does not suffice, or a
+    month cannot be packed, `failed` says so.
     """
 
     dropped = 0  # what goes for the budget is named in the log, and counts as removed, not as lost

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -20,19 +20,8 @@ _ACCELERATION, _TIME, _FREQUENCY, _GENERAL = 12, 17, 18, 1
 def write(rows: Iterable[Mapping[str, Any]], out: Path, channels: Sequence[str]) -> int:
     """Write the modes of the model, the mean over all rows of each, and return their number.
 
-    Parameters
-    ----------
-    rows : iterable of mapping
-        Rows of the table `modes`, in order of time.
-    out : Path
-        File to write.
-    channels : sequence of str
-        Names of the channels; channel k is node k, direction +x.
-
-    Raises
-    ------
-    BadConfigurationError
-        The library pyuff is not installed.
+    The rows are those of the table `modes`, in order of time; channel k is node k, direction +x.  BadConfigurationError tells
+    that the library pyuff is not installed.
     """
     pyuff = import_extra("pyuff", "a universal file (UFF)")
     courses: dict[int, list[Mapping[str, Any]]] = defaultdict(list)
@@ -48,7 +37,7 @@ def write(rows: Iterable[Mapping[str, Any]], out: Path, channels: Sequence[str])
     return len(courses)
 
 
-def mean_shape(shapes: Sequence[ComplexArray]) -> ComplexArray:
+def mean_shape(shapes: Sequence[Annotated[ComplexArray, "channels"]]) -> Annotated[ComplexArray, "channels"]:
     """Average shapes of one mode, each scaled and turned to fit the first; not a number where a channel was always left out.
 
     Examples

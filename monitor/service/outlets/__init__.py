@@ -27,15 +27,6 @@ _log = logging.getLogger(__name__)
 def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:
     """Create the outlets that a site file asks for; with `dry` only check its tables.
 
-    Parameters
-    ----------
-    path : Path
-        Site file, to whose folder relative paths refer.
-    config : Configuration
-        Settings of that file.
-    dry : bool
-        If true, no outlet is created.
-
     Raises
     ------
     BadConfigurationError
@@ -89,11 +80,6 @@ def prepare_change(path: Path, config: Configuration, outlets: Sequence[Outlet])
 
 def send_test_messages(path: Path, config: Configuration) -> list[Trial]:
     """Send a test message to every address of ``[notify]``, and return the outcomes.
-
-    Parameters
-    ----------
-    path, config : Path, Configuration
-        As of `make_outlets`.
 
     Raises
     ------

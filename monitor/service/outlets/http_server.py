@@ -46,46 +46,20 @@ class Bounds:
     """What readers may cost."""
 
     connections: int = _MAX_CONNECTIONS
-    """Largest number of open connections."""
     per_s: float = _MAX_PER_S
-    """Largest number of connections accepted in a second."""
     connection_s: float = _CONNECTION_S
-    """Longest time of a connection, from its start to the last byte of its answer, s."""
     share: float = _MAX_SHARE
     """Largest share of a core's time that answers take: after costly ones the next connection waits longer."""
     waiting: int = _MAX_CONNECTIONS
     """Number of connections that the system keeps until they are accepted."""
     rest_s: float = _REST_S
-    """Pause where the system has no room for a connection, s."""
 
 
 class HttpServer:
-    """Answer requests without a body, one a connection.
+    """Answer requests without a body, one a connection, in one thread, at `port` (0 asks for any); with `tls` it speaks TLS.
 
-    A connection beyond the largest number replaces the oldest, so that readers that hang do not shut out others.
-
-    Parameters
-    ----------
-    host : str
-        Name or address to listen at.
-    port : int
-        Port; 0 for any.
-    respond : function
-        Answer of the head of a request (`wsgi`, `asgi`); called in the server's thread.
-    tls : SSLContext, optional
-        With it the server speaks TLS.
-    bounds : Bounds
-        What readers may cost.
-
-    Attributes
-    ----------
-    port : int
-        Port at which it listens.
-
-    Raises
-    ------
-    OSError
-        The port cannot be opened.
+    A connection beyond the largest number replaces the oldest, so that readers that hang do not shut out others.  OSError is
+    raised where the port cannot be opened.
     """
 
     def __init__(
@@ -175,12 +149,8 @@ class HttpServer:
     async def _answer(self, connection: socket.socket) -> None:
         """Read a request and write its answer.
 
-        Raises
-        ------
-        OSError, EOFError, LimitOverrunError
-            The connection failed, or the request is not complete or too long.
-        ValueError
-            It is no request.
+        OSError, EOFError or LimitOverrunError tell that the connection failed, or that the request is not complete or too long;
+        ValueError that it is none.
         """
         reader = asyncio.StreamReader(limit=_MAX_HEAD_BYTES)
         protocol = asyncio.StreamReaderProtocol(reader)
@@ -255,13 +225,7 @@ def asgi(application: AsgiApplication) -> Respond:
 
 
 def _parts(head: bytes) -> tuple[str, str, str, list[tuple[str, str]]]:
-    """Split the head of a request into method, path, query, and names (lower case) and values of its fields.
-
-    Raises
-    ------
-    ValueError
-        It is not the head of a request.
-    """
+    """Split the head of a request into method, path, query, and names (lower case) and values of its fields; else ValueError."""
     first, *rows = head.decode("latin-1").split("\r\n")
     method, target, _version = first.split(" ")
     path, _, query = target.partition("?")

@@ -27,22 +27,11 @@ class Messages(Outlet):
     """Publish results as JSON texts under the names results, alarm, state, event, gap, health and finding.
 
     No method but `close` waits, and none raises.  A class of one network says how texts are sent (`_publish`); a thread does so.
-
-    Parameters
-    ----------
-    prefix : str
-        Common prefix of the names on the network.
-    queue_size : int
-        Largest number of messages that wait while there is no network; beyond it the oldest are discarded and counted in
-        `dropped`.
-
-    Notes
-    -----
-    While the network fails, `failed` gives the reason, which is logged once; joining is tried again without end.
+    While the network fails, `failed` gives the reason, which is logged once; joining is tried again without end.  Beyond
+    `queue_size` waiting messages the oldest are discarded and counted in `dropped`.
     """
 
     network: ClassVar[str]
-    """Name of the network in messages."""
     dropped: int = 0
 
     def __init__(self, prefix: str, queue_size: int) -> None:

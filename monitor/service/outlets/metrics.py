@@ -75,23 +75,10 @@ class MetricsSettings(Settings):
 
 
 class Metrics(Collector, Outlet):
-    """Answer Prometheus over HTTP with the latest results and counts.
+    """Answer Prometheus over HTTP with the latest results and counts; without settings only `collect` is asked.
 
-    If the port cannot be opened, `failed` says so, and every health line triggers another attempt.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site.
-    settings : MetricsSettings or None
-        Settings of ``[output.metrics]``; with None it does not listen, and others ask it to `collect`.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-
-    Attributes
-    ----------
-    port : int or None
-        Port of the server; None until it listens.
+    If the port cannot be opened, `failed` says so, and every health line triggers another attempt; `port` is None until it
+    listens.
     """
 
     failed: str | None = None
@@ -189,13 +176,7 @@ class Metrics(Collector, Outlet):
             self.failed = f"{s.listen}: {error}"
 
     def _tls(self, s: MetricsSettings) -> ssl.SSLContext | None:
-        """Load the certificates; None without one.
-
-        Raises
-        ------
-        OSError
-            A file is missing or not what it should be; the message names the files.
-        """
+        """Load the certificates; None without one, OSError that names the files where one is missing or not what it should be."""
         if s.certificate is None or s.private_key is None:
             return None
         names = [str(path) for path in (s.certificate, s.private_key, s.client_ca) if path is not None]

@@ -28,19 +28,7 @@ class MqttOutSettings(BrokerSettings):
 
 
 class MqttOut(Messages):
-    """Publish results over MQTT.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site in the topics, if the settings give no prefix.
-    settings : MqttOutSettings
-        Settings of ``[output.mqtt]``.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-    queue_size : int
-        See `Messages`.
-    """
+    """Publish results over MQTT; the settings' prefix of the topics replaces the site's name."""
 
     network: ClassVar[str] = "MQTT"
 
@@ -52,7 +40,7 @@ class MqttOut(Messages):
 
     @property
     def failed(self) -> str | None:
-        """See `Messages.failed`."""
+        """Reason for which nothing can be published at present, also one that the broker gave; None if all is published."""
         connection = self._connection
         told = None if connection is None else connection.problem or connection.refused
         return self._failure or told or self._busy.overdue

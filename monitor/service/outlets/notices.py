@@ -87,26 +87,11 @@ class Told:
 def of_window(
     told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
 ) -> tuple[Told, list[Notice]]:
-    """Derive the notices that a window calls for: alarms raised, escalated and cleared, doubts, and long times without a word.
+    """Derive the notices that a window calls for, and the announced state after them: alarms, doubts, long times without a word.
 
-    An alarm is announced at once.  That nothing is judged is announced when it has lasted `blind_s`, and that the state is, or
-    no longer is, doubtful when it has lasted a window's length, so that a single window calls for neither.
-
-    Parameters
-    ----------
-    told : Told
-        State that was announced last.
-    result : WindowResult
-        The window.
-    present : Assessment
-        State of the structure with that window, whose sentences are the text of the notices.
-    settings : NoticeSettings
-        Selection of what is announced.
-
-    Returns
-    -------
-    (Told, list of Notice)
-        The announced state after the notices, and the notices.
+    An alarm is announced at once when it is raised, escalated or cleared.  That nothing is judged is announced when it has lasted
+    `blind_s`, and that the state is, or no longer is, doubtful when it has lasted a window's length, so that a single window
+    calls for neither.  The sentences of `present`, the state with that window, are the text of the notices.
     """
     told, notices = _blindness(told, result, present, settings)
     if result.skipped is None:
@@ -178,23 +163,9 @@ def _alarms(
 def of_health(
     told: Told, line: Mapping[str, Any], silent_s: float, settings: NoticeSettings
 ) -> tuple[Told, list[Notice]]:
-    """Derive the notices that a health line calls for: source lost or back, recorder stopped or going on.
+    """Derive the notices that a line of health.jsonl calls for, and the announced state after them.
 
-    Parameters
-    ----------
-    told : Told
-        State that was announced last.
-    line : mapping
-        Line of health.jsonl.
-    silent_s : float
-        Time since the latest data, s.
-    settings : NoticeSettings
-        Selection of what is announced.
-
-    Returns
-    -------
-    (Told, list of Notice)
-        The announced state after the notices, and the notices.
+    They say that the source is lost (`silent_s` without data, s) or back, and that the recorder stopped or goes on.
     """
     notices = []
     source = line["source"]

@@ -75,17 +75,7 @@ class Addresses:
 def addresses(settings: NotifySettings, folder: Path) -> Addresses:
     """Resolve the URLs of the settings: read the environment and the URL file, and check every URL.
 
-    Parameters
-    ----------
-    settings : NotifySettings
-        Settings of ``[notify]``.
-    folder : Path
-        Folder of the site file.
-
-    Raises
-    ------
-    ValueError
-        The addresses are invalid; the message lists one problem a line, without any part of a URL.
+    Of invalid addresses ValueError lists one problem a line, without any part of a URL.
     """
     problems: list[str] = []
     named = [(f"urls[{k}]", url) for k, url in enumerate(settings.urls)]
@@ -127,22 +117,7 @@ def _known(url: str) -> bool:
 
 
 class Notifier(Outlet):
-    """Send people a message when the state of the structure, the sensors' health or a finding changes.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site, given in each message.
-    settings : NotifySettings
-        Settings of ``[notify]``.
-    to : Addresses
-        Resolved addresses.
-    place : Path
-        File of the outbox.
-    clock : callable
-        Monotonic clock, s.
-    deliveries : Deliveries
-    """
+    """Send people a message when the state of the structure, the sensors' health or a finding changes."""
 
     def __init__(
         self,

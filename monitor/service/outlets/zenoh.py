@@ -42,19 +42,7 @@ class ZenohOutSettings(SessionSettings):
 
 
 class ZenohOut(Messages):
-    """Publish results over Zenoh and collect operators' requests.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site in the keys, if the settings give no prefix.
-    settings : ZenohOutSettings
-        Settings of ``[output.zenoh]``.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-    queue_size : int
-        See `Messages`.
-    """
+    """Publish results over Zenoh and collect operators' requests; the settings' prefix of the keys replaces the site's name."""
 
     network: ClassVar[str] = "Zenoh"
 
@@ -211,20 +199,7 @@ def key_prefix(site: str, settings: ZenohOutSettings) -> str:
 
 
 def ask(settings: ZenohOutSettings, folder: Path, prefix: str, request: str, timeout_s: float) -> dict[str, Any] | None:
-    """Send a request to a running monitor; return its answer, or None if no monitor answers.
-
-    Parameters
-    ----------
-    settings : ZenohOutSettings
-        The monitor's settings of ``[output.zenoh]``.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-    prefix : str
-        Prefix of the monitor's keys (`key_prefix`).
-    request : str
-        Request as JSON (`monitor.service.requests`).
-    timeout_s : float
-        Longest wait for the answer, s.
+    """Send a request (JSON of a `Request`) to a running monitor; return its answer, or None if no monitor answers in time.
 
     Raises
     ------

@@ -52,13 +52,8 @@ _LARGEST_NS = (1 << 63) - 1
 def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     """Make the ASGI application.
 
-    Parameters
-    ----------
-    snapshots : Snapshots
-        What is shown.
-    token : str or None
-        What the field ``Authorization: Bearer TOKEN`` of a request for data must hold.  With None anyone may read, but only by
-        a name of this machine's own, so that a page from elsewhere cannot lead a browser here by a name of its own.
+    A request for data must hold the field ``Authorization: Bearer TOKEN``.  Without a token anyone may read, but only by a
+    name of this machine's own, so that a page from elsewhere cannot lead a browser here by a name of its own.
     """
     files = resources.files("monitor.service.web") / "pages"
     routes = [Route(path, _page(files.joinpath(name).read_bytes(), kind)) for path, (name, kind) in _PAGES.items()]
@@ -155,13 +150,7 @@ def _error(status: int, text: str, headers: Any = None) -> Response:
 
 
 def _range(request: Request) -> tuple[int | None, int]:
-    """Read `since_ns` and `limit` of a request.
-
-    Raises
-    ------
-    HTTPException
-        One of them is no whole number within its bounds.
-    """
+    """Read `since_ns` and `limit` of a request; HTTPException tells that one is no whole number within its bounds."""
     since, limit = request.query_params.get("since_ns"), request.query_params.get("limit", str(DEFAULT_LIMIT))
     return (
         None if since is None else _whole("since_ns", since, 0, _LARGEST_NS),

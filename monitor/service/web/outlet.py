@@ -29,13 +29,7 @@ _MOST_SUMMARY_BYTES = 16 << 20
 
 
 def read_token(path: Path) -> str:
-    """Read the token of the page.
-
-    Raises
-    ------
-    ValueError
-        The file cannot be read, or holds no token; the message names it.
-    """
+    """Read the token of the page; ValueError, which names the file, tells that it cannot be read or holds none."""
     try:
         token = path.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
@@ -50,25 +44,9 @@ def read_token(path: Path) -> str:
 class WebPage(Outlet):
     """Serve the page; no method but `close` waits, and none raises.
 
-    If the port cannot be opened, `failed` says so, and every health line triggers another attempt.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site.
-    address : (str, int)
-        Host and port to listen at; port 0 for any.
-    token : str or None
-        What readers must show; None if anyone may read.
-    out : Path
-        Output folder of the daemon, from which the past is read.
-    most_waiting : int
-        Number of results that wait for the page's thread: an hour of windows a second.
-
-    Attributes
-    ----------
-    url : str or None
-        Address of the page; None until it listens.
+    If the port cannot be opened, `failed` says so, and every health line triggers another attempt; `url` is None until it
+    listens.  The past is read from the output folder.  `most_waiting` results wait for the page's thread: an hour of windows a
+    second.
     """
 
     def __init__(

@@ -71,16 +71,7 @@ class Answer:
 
 
 class Snapshots:
-    """Keep what was published last, and write it as JSON; any thread may call any method.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site.
-    clock : callable
-        Seconds of a clock that never goes back.
-    keep : Keep
-    """
+    """Keep what was published last, and write it as JSON; any thread may call any method."""
 
     def __init__(self, site: str, clock: Callable[[], float] = time.monotonic, keep: Keep = KEEP) -> None:
         self._site, self._clock, self._keep = site, clock, keep
