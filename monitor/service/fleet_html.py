@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from html import escape
 
+from monitor.core import utc
 from monitor.damage import State
 from monitor.service.fleet import SiteStatus
 
@@ -120,8 +120,7 @@ def fleet_page(statuses: Sequence[SiteStatus], title: str, at_ns: int) -> str:
         ]
         for s in statuses
     ]
-    at = datetime.fromtimestamp(at_ns // 1_000_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S")
-    content = {"at": at, "states": [state.words for state in states], "rows": rows}
+    content = {"at": utc(at_ns, seconds=True), "states": [state.words for state in states], "rows": rows}
     # "<" could end the script; everything of the data is shown as text.
     data = json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
     head = "".join(

@@ -86,34 +86,17 @@ class Site(Publisher):
     The owner calls `start`; then `take` with each block of the reader's queue, and `step` now and then, until the queue is over;
     `finish` then, unless something failed; and `close` in any case.
 
-    Parameters
-    ----------
-    source : Source, optional
-        Source to read in place of the one that the file names.
-    outlets : sequence of Outlet, optional
-        Outlets in addition to those that the file names; they are closed in reverse order.
-    quiet_s : float
-        Interval between health lines while no data arrive, and shortest interval between summaries, s.
-    warm : callable
-        Compiles what the windows of a configuration and its baseline need.
-    lean : bool
-        Whether memory and processor are spared for other sites in the process: a diagnosis then reads its data from the
-        recordings, where these are written, and the reader looks up less often.
-    viewer : bool
-        Whether Rerun viewers are served where the site file says so.
-    store : SiteStore, optional
-        Copy of the output folder in object storage, not yet open; by default that of the site file, if it names one.  Until it
-        is known whether another monitor is at work, a lean site does not start, and any other waits.
+    A given source is read in place of the one that the file names; given outlets are closed after its own.  Lines of health
+    follow each other after `quiet_s` while no data arrive, and summaries at the earliest.  `warm` compiles what the windows of
+    a configuration and its baseline need.  A `lean` site spares memory and processor for others in the process: a diagnosis
+    reads its data from the recordings, where these are written, and the reader looks up less often.  Rerun viewers are served
+    by `viewer`, where the site file says so.  `store` is the copy of the output folder in object storage, not yet open, by
+    default that of the site file.  Until it is known whether another monitor is at work, a lean site does not start, and any
+    other waits.
 
-    Raises
-    ------
-    MissingInputError
-        A file is missing, or the output folder cannot be written.
-    BadInputError
-        The baseline file is unusable.
-    BadConfigurationError
-        The site file is invalid, the baseline is another structure's, or another daemon writes into the output folder or its
-        copy in object storage.
+    MissingInputError tells that a file is missing, or that the output folder cannot be written; BadInputError that the
+    baseline file is unusable; BadConfigurationError that the site file is invalid, the baseline another structure's, or that
+    another daemon writes into the output folder or its copy.
     """
 
     def __init__(

@@ -130,6 +130,8 @@ class Reader:
     reopening cannot cure.
     """
 
+    dropped = 0  # the source waits while the queue is full
+
     def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None, poll_s: float = _POLL_S) -> None:
         self.source, self._poll_s = source, poll_s
         self.queue: BlockQueue[SampleBlock] = BlockQueue() if queue is None else queue
@@ -146,11 +148,6 @@ class Reader:
     def failed(self) -> str | None:
         """Words that say that the source's driver does not answer; None while it does, whether there are data or not."""
         return self._busy.overdue
-
-    @property
-    def dropped(self) -> int:
-        """Number of lost blocks: none, since the source waits while the queue is full."""
-        return 0
 
     def start(self) -> None:
         """Start reading."""
@@ -318,6 +315,8 @@ class Chores:
     Of waiting jobs with the same name only the latest is done.
     """
 
+    dropped = 0  # the latest job of a name stands for those before
+
     def __init__(self, name: str = "chores") -> None:
         self._jobs: dict[str, Callable[[], None]] = {}
         self._errors: dict[Path, str] = {}
@@ -341,11 +340,6 @@ class Chores:
     def failed(self) -> str | None:
         """Reason for which a file could not be written last, or for which none is written; None if there is none."""
         return self._busy.overdue or next((f"{path}: {reason}" for path, reason in self._errors.copy().items()), None)
-
-    @property
-    def dropped(self) -> int:
-        """Number of lost jobs: none, since the latest job of a name stands for those before."""
-        return 0
 
     def settle(self, timeout_s: float) -> None:
         """Wait until the jobs that are queued now are done, for at most `timeout_s`."""

@@ -17,26 +17,14 @@ from urllib.parse import unquote
 
 _log = logging.getLogger(__name__)
 
-_MAX_CONNECTIONS = 8
-"""Largest number of open connections. [1; judgement: one or two readers, and some that hang]"""
-_MAX_PER_S = 20
-"""Largest number of connections accepted in a second. [1/s; cost: an answer takes some ms of the interpreter]"""
-_CONNECTION_S = 5.0
-"""Longest time of a connection, from its start to the last byte of its answer. [s; judgement]"""
-_MAX_SHARE = 0.25
-"""Largest share of a core that answers take while many are asked for. [1; judgement: the rest is the monitor's]"""
 _MAX_HEAD_BYTES = 8192
 """Largest size of the head of a request. [B; judgement]"""
-_REST_S = 1.0
-"""Pause where the system has no room for a connection. [s; judgement]"""
 
 WsgiApplication = Callable[[dict[str, Any], Callable[[str, list[tuple[str, str]]], object]], Iterable[bytes]]
 Message = MutableMapping[str, Any]
 AsgiApplication = Callable[
     [MutableMapping[str, Any], Callable[[], Awaitable[Message]], Callable[[Message], Awaitable[None]]], Awaitable[None]
 ]
-
-
 Respond = Callable[[bytes], Awaitable[bytes]]
 """Function that answers the head of a request; it raises ValueError where that is none."""
 
@@ -45,14 +33,19 @@ Respond = Callable[[bytes], Awaitable[bytes]]
 class Bounds:
     """What readers may cost."""
 
-    connections: int = _MAX_CONNECTIONS
-    per_s: float = _MAX_PER_S
-    connection_s: float = _CONNECTION_S
-    share: float = _MAX_SHARE
-    """Largest share of a core's time that answers take: after costly ones the next connection waits longer."""
-    waiting: int = _MAX_CONNECTIONS
-    """Number of connections that the system keeps until they are accepted."""
-    rest_s: float = _REST_S
+    connections: int = 8
+    """Largest number of open connections. [1; judgement: one or two readers, and some that hang]"""
+    per_s: float = 20.0
+    """Largest number of connections accepted in a second. [1/s; cost: an answer takes some ms of the interpreter]"""
+    connection_s: float = 5.0
+    """Longest time of a connection, from its start to the last byte of its answer. [s; judgement]"""
+    share: float = 0.25
+    """Largest share of a core that answers take: after costly ones the next connection waits longer. [1; judgement: the rest is
+    the monitor's]"""
+    waiting: int = 8
+    """Number of connections that the system keeps until they are accepted. [1; judgement: as many as may be open]"""
+    rest_s: float = 1.0
+    """Pause where the system has no room for a connection. [s; judgement]"""
 
 
 class HttpServer:
@@ -63,12 +56,7 @@ class HttpServer:
     """
 
     def __init__(
-        self,
-        host: str,
-        port: int,
-        respond: Respond,
-        tls: ssl.SSLContext | None = None,
-        bounds: Bounds = Bounds(),
+        self, host: str, port: int, respond: Respond, tls: ssl.SSLContext | None = None, bounds: Bounds = Bounds()
     ) -> None:
         self._bounds = bounds
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]

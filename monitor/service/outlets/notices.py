@@ -84,9 +84,11 @@ class Told:
     """End of the first window of those since which the state is doubtful, or no longer, other than announced."""
 
 
-def of_window(
-    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
+Derived = tuple[Told, list[Notice]]
+"""Announced state after notices, and these."""
+
+
+def of_window(told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings) -> Derived:
     """Derive the notices that a window calls for, and the announced state after them: alarms, doubts, long times without a word.
 
     An alarm is announced at once when it is raised, escalated or cleared.  That nothing is judged is announced when it has lasted
@@ -106,9 +108,7 @@ def _text(present: Assessment) -> str:
     return "\n".join([present.headline, *present.doubts])[:_MOST_TEXT]
 
 
-def _blindness(
-    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
+def _blindness(told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings) -> Derived:
     """Derive the notice that nothing has been judged for `blind_s`, or is judged again."""
     if result.skipped is None and present.state is not State.NOT_JUDGED:
         notices = [Notice("blind", True, "judged again", _text(present), "structure")] if told.blind else []
@@ -123,7 +123,7 @@ def _blindness(
     return replace(told, blind=True), [Notice("blind", False, State.NOT_JUDGED.words, text[:_MOST_TEXT], "structure")]
 
 
-def _doubts(told: Told, result: WindowResult, present: Assessment) -> tuple[Told, list[Notice]]:
+def _doubts(told: Told, result: WindowResult, present: Assessment) -> Derived:
     """Derive the notice that the state has been doubtful, or no longer, for a window's length."""
     doubtful = present.state is State.DOUBTFUL
     if (
@@ -138,9 +138,7 @@ def _doubts(told: Told, result: WindowResult, present: Assessment) -> tuple[Told
     return replace(told, doubtful=doubtful, doubt_ns=None), [notice]
 
 
-def _alarms(
-    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
+def _alarms(told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings) -> Derived:
     """Derive the notices of alarms raised, escalated and cleared."""
     active = result.alarm.active
     if result.modal is not None and active:  # one change moves several modes and shapes: it is told once
@@ -160,9 +158,7 @@ def _alarms(
     return replace(told, levels=levels), notices
 
 
-def of_health(
-    told: Told, line: Mapping[str, Any], silent_s: float, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
+def of_health(told: Told, line: Mapping[str, Any], silent_s: float, settings: NoticeSettings) -> Derived:
     """Derive the notices that a line of health.jsonl calls for, and the announced state after them.
 
     They say that the source is lost (`silent_s` without data, s) or back, and that the recorder stopped or goes on.
@@ -186,9 +182,7 @@ def of_health(
     return told, notices
 
 
-def of_finding(
-    told: Told, finding: Mapping[str, Any], present: Assessment, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
+def of_finding(told: Told, finding: Mapping[str, Any], present: Assessment, settings: NoticeSettings) -> Derived:
     """Derive the notice of a finding; a diagnosis that failed is not announced.
 
     Where the finding is what makes the state doubtful, its notice announces that too.
