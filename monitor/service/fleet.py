@@ -181,10 +181,7 @@ def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: 
 def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: float) -> SiteStatus:
     """Read a site's state from the decoded answer of its monitor."""
     result, alarm, health = answer.get("results") or {}, answer.get("alarm") or {}, answer.get("health") or {}
-    age_s = answer.get("silent_s")  # by the monitor's own clock
-    quiet_s = ((now_ns - int(health["wall_ns"])) * 1e-9 if age_s is None else float(age_s)) if health else None
-    if age_s is not None and not float(age_s) >= 0.0:
-        raise ValueError("an age that is none")
+    quiet_s = _quiet_s(answer, now_ns)
     said: Assessment = read_assessment(answer)
     if quiet_s is None and said.state is State.NORMAL:
         said = outdated(said, "the monitor has sent no health line", result.get("t_end_ns"))
@@ -192,7 +189,6 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
         said = outdated(said, f"the monitor is silent for {quiet_s:.0f} s", result.get("t_end_ns"))
     losses = [(float(d), float(s)) for d, s in zip(result.get("ddi") or (), result.get("ddi_std") or (), strict=True)]
     ddi, ddi_std = max(losses, default=(None, None))
-    frequencies = result.get("frequencies_hz") or [None]
     return SiteStatus(
         site=site,
         state=said.state,
@@ -202,15 +198,25 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
         stories=() if result.get("frequency_change") is not None else tuple(int(j) for j in alarm.get("active", {})),
         ddi=ddi,
         ddi_std=ddi_std,
-        frequency_hz=None if frequencies[0] is None else float(frequencies[0]),
+        frequency_hz=_number((result.get("frequencies_hz") or [None])[0]),
         t_end_ns=result.get("t_end_ns") and int(result["t_end_ns"]),
         silent_s=quiet_s,
-        availability=_share((health.get("stream") or {}).get("availability")),
+        availability=_number((health.get("stream") or {}).get("availability")),
         event=last_event(answer.get("event"))[:_MOST_TEXT],
     )
 
 
-def _share(value: Any) -> float | None:
+def _quiet_s(answer: Mapping[str, Any], now_ns: int) -> float | None:
+    """Return the time since the monitor's latest line of health, s; None if it has sent none."""
+    age_s, health = _number(answer.get("silent_s")), answer.get("health") or {}
+    if age_s is not None and not age_s >= 0.0:
+        raise ValueError("an age that is none")
+    if not health:
+        return None
+    return (now_ns - int(health["wall_ns"])) * 1e-9 if age_s is None else age_s  # the latter by the monitor's own clock
+
+
+def _number(value: Any) -> float | None:
     return None if value is None else float(value)
 
 

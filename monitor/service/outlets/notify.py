@@ -80,32 +80,38 @@ def addresses(settings: NotifySettings, folder: Path) -> Addresses:
     problems: list[str] = []
     named = [(f"urls[{k}]", url) for k, url in enumerate(settings.urls)]
     if settings.url_file is not None:
-        try:
-            text = (folder / settings.url_file).read_text(encoding="utf-8")
-            rows = [(f"url_file line {k}", row.strip()) for k, row in enumerate(text.splitlines(), start=1)]
-            named += [(place, row) for place, row in rows if row and not row.startswith("#")]
-        except (OSError, UnicodeDecodeError) as error:
-            problems.append(f"url_file: {settings.url_file}: {getattr(error, 'strerror', None) or 'not UTF-8 text'}")
-
-    def expanded(place: str, text: str) -> str:
-        missing = [name for name in _VARIABLE.findall(text) if not os.environ.get(name)]
-        problems.extend(f"{place}: the environment has no {name}" for name in missing)
-        return "" if missing else _VARIABLE.sub(lambda match: os.environ[match[1]], text)
-
-    urls = [(place, expanded(place, url)) for place, url in named]
+        named += _of_file(folder, settings.url_file, problems)
+    urls = [(place, _expanded(place, url, problems)) for place, url in named]
     left_out = f"[notify] sends no message: it {missing}" if urls and (missing := missing_extra("notify")) else None
     if left_out is None:
         problems += [f"{place}: {_UNKNOWN_URL}" for place, url in urls if url and not _known(url)]
     beats: list[str | None] = []
     for place in ("heartbeat_url", "heartbeat_blocked_url"):
         text = getattr(settings, place)
-        beats.append(None if text is None else expanded(place, text))
+        beats.append(None if text is None else _expanded(place, text, problems))
         if beats[-1] and not beats[-1].startswith(("http://", "https://")):
             problems.append(f"{place}: no http:// or https:// URL")
     if problems:
         raise ValueError("\n".join(problems))
     usable = () if left_out else tuple(dict.fromkeys(url for _, url in urls))
     return Addresses(usable, beats[0], beats[1], left_out)
+
+
+def _of_file(folder: Path, file: Path, problems: list[str]) -> list[tuple[str, str]]:
+    """Read the URLs of a file, with the place of each; blank lines and those that begin with # are none."""
+    try:
+        rows = enumerate((folder / file).read_text(encoding="utf-8").splitlines(), start=1)
+    except (OSError, UnicodeDecodeError) as error:
+        problems.append(f"url_file: {file}: {getattr(error, 'strerror', None) or 'not UTF-8 text'}")
+        return []
+    return [(f"url_file line {k}", row.strip()) for k, row in rows if row.strip() and not row.strip().startswith("#")]
+
+
+def _expanded(place: str, url: str, problems: list[str]) -> str:
+    """Put the environment's variables into a URL; empty where one is missing."""
+    missing = [name for name in _VARIABLE.findall(url) if not os.environ.get(name)]
+    problems.extend(f"{place}: the environment has no {name}" for name in missing)
+    return "" if missing else _VARIABLE.sub(lambda match: os.environ[match[1]], url)
 
 
 def _known(url: str) -> bool:

@@ -41,14 +41,12 @@ class ZenohOutSettings(SessionSettings):
     """Largest number of waiting requests of operators; further requests are refused."""
 
 
-class ZenohOut(Messages):
-    """Publish results over Zenoh and collect operators' requests; the settings' prefix of the keys replaces the site's name."""
+class ZenohOut(Messages[ZenohOutSettings]):
+    """Publish results over Zenoh and collect operators' requests."""
 
     network: ClassVar[str] = "Zenoh"
 
     def __init__(self, site: str, settings: ZenohOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
-        super().__init__(key_prefix(site, settings), queue_size)
-        self._settings, self._folder = settings, folder
         self._requests: deque[tuple[Request, zenoh.Query]] = deque()
         self._taken: list[zenoh.Query] = []
         self._answers: deque[tuple[zenoh.Query, str | None]] = deque()
@@ -56,7 +54,7 @@ class ZenohOut(Messages):
         self._latest: dict[str, str] = {}
         self._heard_s: float | None = None
         """When the latest line of health came, by a clock that nobody sets."""
-        self._thread.start()
+        super().__init__(site, settings, folder, queue_size=queue_size)
 
     def known_event(self, line: str) -> None:
         """Answer queries of the state with an event of an earlier run, until there is another."""
