@@ -22,6 +22,18 @@ def at_once(flush: Callable[[], None]) -> None:
     flush()
 
 
+def last_lines(path: Path, most_bytes: int) -> list[bytes]:
+    """Read the whole lines in the last `most_bytes` of a file, without their newlines; none if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - most_bytes))
+            rows = file.read(most_bytes).split(b"\n")[:-1]
+    except OSError:
+        return []
+    return rows[1:] if size > most_bytes else rows
+
+
 class AppendedLines:
     """Append-only file of lines that other programs may follow while it grows.
 

@@ -15,6 +15,7 @@ from monitor.core import AlarmCondition, MissingInputError, name_stories, parse_
 from monitor.damage import Assessment, State, outdated
 from monitor.publish import EVENTS, read_line
 from monitor.runs import ledger, ledger_chain
+from monitor.service.appended_lines import last_lines
 from monitor.service.boot import boot_time
 
 HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
@@ -372,13 +373,7 @@ def _read_named_head(text: bytes) -> dict[str, Any]:
 
 def _last_line(path: Path, read: Callable[[bytes], dict[str, Any]], *, last: int | None = 2) -> dict[str, Any] | None:
     """Read the last complete line that can be read; None if it is not one of the `last` lines (None: of the file's end)."""
-    try:
-        with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - _TAIL_BYTES))
-            rows = file.read().split(b"\n")[:-1]
-    except OSError:
-        return None
+    rows = last_lines(path, _TAIL_BYTES)
     for row in reversed(rows if last is None else rows[-last:]):
         try:
             return read(row)

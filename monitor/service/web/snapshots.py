@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import threading
 import time
 from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from operator import itemgetter
@@ -23,6 +23,7 @@ from monitor import __version__
 from monitor.core import BadInputError, parse_json
 from monitor.damage import Assessment, State, outdated
 from monitor.publish import EVENTS, SHOWN, closed_files, read_line, read_lines
+from monitor.service.appended_lines import last_lines
 from monitor.service.status import troubles_of
 
 DEFAULT_LIMIT = 500
@@ -244,19 +245,13 @@ def latest_windows(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
     Read are the end of results.jsonl and, where it holds less than `Keep.read` windows, of the last closed month.  Of more
     than so many the latest half is given, and of the older ones every k-th.
     """
-    rows = _tail(out / "results.jsonl", keep.tail_bytes)
+    rows = last_lines(out / "results.jsonl", keep.tail_bytes)
     closed = closed_files(out)[-1:]
     if len(rows) < keep.read and closed:
-        before: Iterable[bytes] = ()
-        try:
-            before = (
-                deque(read_lines(closed[0]), keep.packed)
-                if closed[0].suffix == ".zst"
-                else _tail(closed[0], keep.tail_bytes)
-            )
-        except (OSError, BadInputError):
-            before = ()
-        rows = [*before, *rows]
+        with suppress(OSError, BadInputError):
+            packed = closed[0].suffix == ".zst"
+            before = deque(read_lines(closed[0]), keep.packed) if packed else last_lines(closed[0], keep.tail_bytes)
+            rows = [*before, *rows]
     half = keep.read // 2
     newest, older = rows[-half:], rows[:-half]
     for row in (*older[:: math.ceil(len(older) / half) or 1], *newest):
@@ -268,25 +263,13 @@ def latest_windows(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
 
 def latest_events(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
     """Read the lines of events.jsonl in an output folder; what is damaged is left out."""
-    for row in _tail(out / EVENTS, keep.tail_bytes):
+    for row in last_lines(out / EVENTS, keep.tail_bytes):
         try:
             line = parse_json(row)
         except ValueError:
             continue
         if isinstance(line, dict) and isinstance(line.get("id"), str) and isinstance(line.get("t_begin_ns"), int):
             yield line
-
-
-def _tail(path: Path, most_bytes: int) -> list[bytes]:
-    """Read the whole lines in the last `most_bytes` of a file; none if it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - most_bytes))
-            rows = file.read(most_bytes).split(b"\n")[:-1]
-    except OSError:
-        return []
-    return rows[1:] if size > most_bytes else rows
 
 
 def _window(line: Mapping[str, Any]) -> dict[str, Any]:
