@@ -155,18 +155,10 @@ def code(statuses: Sequence[SiteStatus]) -> int:
 
 
 def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: float) -> SiteStatus:
-    """Read the state of a site from its monitor's answer; an answer of any content is accepted.
+    """Read the state of a site from its monitor's answer, JSON, or None if there was none; an answer of any content is accepted.
 
-    Parameters
-    ----------
-    answer : bytes or None
-        Answer as JSON; None if there was none.
-    alive : bool
-        True if the monitor holds its liveliness token.
-    now_ns : int
-        Present time, UTC, ns since 1970; it counts only for a monitor that does not say how long it has been silent.
-    silent_s : float
-        Age of the latest health line beyond which the monitor counts as hung, s.
+    A monitor that is `alive` holds its liveliness token.  `now_ns`, UTC, ns since 1970, counts only for a monitor that does
+    not say how long it has been silent; after `silent_s` without a health line it counts as hung.
     """
     if answer is None:
         says = "is there, but does not answer" if alive else "is not there"

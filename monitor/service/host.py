@@ -314,7 +314,6 @@ class Host:
 
     @named_in_the_log
     def _open(self, place: Place) -> None:
-        """Start a site."""
         try:
             settings = configuration.load(place.path)
             self._take_name(place, settings.site_name)

@@ -112,7 +112,6 @@ class HostWorkers:
                 self._scratch.cleanup()
 
     def _ports(self) -> dict[int, int | None]:
-        """Return the ports of the processes' metrics."""
         return {worker.number: worker.port for worker in self.workers if not worker.is_over}
 
     def _listen(self, number: int) -> socket.socket:
@@ -193,7 +192,6 @@ class HostWorkers:
         worker.pause_s = min(max(_RETRY_S[0], 2.0 * worker.pause_s), _RETRY_S[1])
 
     def _start(self, worker: Worker, now: float) -> None:
-        """Start a process."""
         command = [sys.executable, "-m", "monitor.service.host_worker", str(worker.number), str(self._count)]
         command += ["metrics" if self._is_asked else "no-metrics", *self._options, *map(str, worker.places)]
         environment = {name: text for name, text in os.environ.items() if name != "WATCHDOG_PID"}

@@ -13,13 +13,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from monitor.core import MissingInputError, name_stories
 from monitor.runs import Session, ledger, ledger_chain
 from monitor.service.history import History
 from monitor.service.outlets import Outlet
 from monitor.service.requests import Answer, Request, apply, apply_to_events
+from monitor.service.restart import Checkpointer
 from monitor.service.threads import Chores
 
 _log = logging.getLogger(__name__)
@@ -27,22 +28,9 @@ _log = logging.getLogger(__name__)
 _WAIT_S = 2.0
 """Time from which a disk counts as one that does not answer.  A request in the ledger is then answered without a checkpoint.
 [s; judgement]"""
-
-
 _TOLD_S = 60.0
 """Time for which a refused write to the ledger is told: only the next request shows whether it can be written again.
 [s; judgement]"""
-
-
-class Keeper(Protocol):
-    """Writer of checkpoints, as far as requests need it."""
-
-    @property
-    def busy(self) -> bool:
-        """Whether a checkpoint is being written."""
-
-    def save(self, session: Session) -> None:
-        """Write a checkpoint in the background."""
 
 
 class RequestHandler:
@@ -60,7 +48,7 @@ class RequestHandler:
         outlets: Sequence[Outlet],
         place: Path,
         chores: Chores,
-        keeper: Keeper,
+        keeper: Checkpointer,
         history: History,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -214,7 +202,6 @@ class _Batch:
 
 
 def _entry(request: Request, story_names: Sequence[str]) -> dict[str, Any]:
-    """Build the ledger line of a request."""
     place = f"event {request.event}" if request.story is None else name_stories(f"story {request.story}", story_names)
     says = f"{request.action} alarm of {place}: {request.note}"
     return ledger.entry({"says": says, "causes": []}, {}, request.who)

@@ -17,15 +17,7 @@ from typing import Any
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration
-from monitor.core import (
-    BadInputError,
-    InUseError,
-    MissingInputError,
-    parse_json,
-    set_aside,
-    sha256,
-    write_atomically,
-)
+from monitor.core import BadInputError, InUseError, MissingInputError, parse_json, set_aside, sha256, write_atomically
 from monitor.damage import StoryState, WindowFacts
 from monitor.events import EventAlarm
 from monitor.pipeline import PipelineState
@@ -80,7 +72,6 @@ class KeptAlarms:
 
 
 def _alarms_of(state: PipelineState) -> KeptAlarms:
-    """Return the states of all alarms."""
     return KeptAlarms(state.alarm.stories, state.events.alarms)
 
 

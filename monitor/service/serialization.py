@@ -118,11 +118,7 @@ def to_bytes(key: str, value: object) -> bytes:
 
 
 def from_bytes(
-    data: bytes,
-    key: str,
-    cls: type[T],
-    version: int = VERSION,
-    upgrades: Mapping[int, Callable[[Any], Any]] = UPGRADES,
+    data: bytes, key: str, cls: type[T], version: int = VERSION, upgrades: Mapping[int, Callable[[Any], Any]] = UPGRADES
 ) -> T:
     """Restore a value of class `cls`, as it is since `version`, from the content of a checkpoint of that version or before.
 

@@ -48,14 +48,13 @@ from monitor.runs import (
 from monitor.service import restart
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
-from monitor.service.events_file import EventsFile
 from monitor.service.history import History
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.recorded_blocks import RecordedBlocks
 from monitor.service.reload import Reloaded, reread
 from monitor.service.request_handler import RequestHandler
 from monitor.service.site_store import SiteStore, store_of
-from monitor.service.storage import ResultsFile, Storage
+from monitor.service.storage import EventsFile, ResultsFile, Storage
 from monitor.service.threads import BlockQueue, Chores, Reader, Recording, background
 from monitor.signals import Health
 
@@ -135,9 +134,8 @@ class Site(Publisher):
         self._alarm: object = None
         self._told_episodes: list[tuple[int, Level, bool]] = []
         with ExitStack() as undo:
-            self._lock = restart.lock(
-                self.out / "state" / "lock", self.out
-            )  # before anything of this daemon can be seen from outside
+            # Before anything of this daemon can be seen from outside.
+            self._lock = restart.lock(self.out / "state" / "lock", self.out)
             undo.callback(os.close, self._lock)
             self._store = store_of(settings, self.out, clock) if store is None else store
             if self._store is not None:
@@ -167,9 +165,8 @@ class Site(Publisher):
         # Lines are written by a thread that waits for no fsync, so that health.jsonl can say that the others wait for one.
         self._chores, self._line_writer = Chores(), Chores("lines")
         self._event_writer = Chores("events")  # a page takes a second or two, for which no other file waits
-        undo.callback(self._chores.close, _END_S)
-        undo.callback(self._line_writer.close, _END_S)
-        undo.callback(self._event_writer.close, _END_S)
+        for chores in (self._chores, self._line_writer, self._event_writer):
+            undo.callback(chores.close, _END_S)
         later = self._line_writer.do
         try:
             results, by_month = self.out / "results.jsonl", settings.output.pack_months
@@ -249,13 +246,7 @@ class Site(Publisher):
             self._vitals.unprocessed += 1
 
     def step(self, now: float) -> None:
-        """Reload settings, apply requests, and write health, results and the summary when they are due.
-
-        Parameters
-        ----------
-        now : float
-            Present time of the clock, s.
-        """
+        """Reload settings, apply requests, and write health, results and the summary when they are due at `now`, s."""
         self._reload()
         self._requests.step(self.session, timed=self._progress.first is not None)
         if self._is_late != self._was_late:
@@ -516,10 +507,15 @@ class Site(Publisher):
 
     def outputs(self) -> list[tuple[str, Way]]:
         """List every part beside the main thread with its name: source, recorder, outlets, viewer, checkpoint, history, files."""
-        own: dict[str, Way | None] = {"source": self.reader, "recorder": self._recording, "viewer": self._view}
-        own |= {"checkpoint": self._keeper, "history": self._history, "store": self._store}
-        own |= {"ledger.jsonl": self._requests, "storage": self._storage}
-        own |= {
+        own: dict[str, Way | None] = {
+            "source": self.reader,
+            "recorder": self._recording,
+            "viewer": self._view,
+            "checkpoint": self._keeper,
+            "history": self._history,
+            "store": self._store,
+            "ledger.jsonl": self._requests,
+            "storage": self._storage,
             "results.jsonl": self._lines,
             EVENTS: self._events,
             "events": self._event_recordings,

@@ -618,7 +618,6 @@ def _is_state(name: str) -> bool:
 
 
 def _objects(files: dict[str, StoredFile]) -> set[str]:
-    """List the objects to which files refer."""
     return {part.object for file in files.values() for part in file.parts}
 
 

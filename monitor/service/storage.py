@@ -1,4 +1,4 @@
-"""What the output folder may hold: closed months of results are packed, and one budget bounds all files together."""
+"""Files of results, whose closed months are packed, and of events; and the budget that bounds the output folder."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from monitor.config import OutputSettings
-from monitor.core import BadInputError
+from monitor.core import BadInputError, parse_json
 from monitor.publish import closed_files, month_file, pack_month, read_lines
 from monitor.service.appended_lines import AppendedLines, at_once
 from monitor.service.threads import Recording
@@ -106,6 +106,30 @@ def _lines_from(path: Path, offset: int) -> Iterator[bytes]:
             begin += len(line)
     except (OSError, BadInputError) as error:
         _log.warning("%s: %s; windows at the turn of the month may be written twice", path, error)
+
+
+class EventsFile(AppendedLines):
+    """Append lines of events; what a run before a restart wrote already is not written again, and its last line is `last`."""
+
+    def __init__(self, path: Path, run: Callable[[Callable[[], None]], None]) -> None:
+        super().__init__(path, run=run)
+        self._written: set[tuple[str, int]] = set()
+        self.last: str | None = None
+        for text in path.read_bytes().splitlines():
+            try:
+                line = parse_json(text)
+                self._written.add((line["id"], line["revision"]))
+                self.last = text.decode()
+            except (ValueError, KeyError, TypeError):  # a line that a crash cut is written again
+                continue
+
+    def write_event(self, id: str, revision: int, line: str) -> bool:
+        """Append a line; return False where it was written before."""
+        if (id, revision) in self._written:
+            return False
+        self._written.add((id, revision))
+        self.write(line)
+        return True
 
 
 class Storage:

@@ -6,6 +6,7 @@ import logging
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,8 @@ class WebPage(Outlet):
     second.
     """
 
+    dropped: int = 0
+
     def __init__(
         self, site: str, address: tuple[str, int], token: str | None, out: Path, most_waiting: int = 4096
     ) -> None:
@@ -61,7 +64,6 @@ class WebPage(Outlet):
         self._application = make_application(self._snapshots, token)
         self._server: HttpServer | None = None
         self._waiting: deque[Callable[[], None]] = deque()
-        self._dropped = 0
         self._worker, self._files = Chores("web-results"), Chores("web-files")
         self._files.do("past", self._read_past)
         self._listen()
@@ -70,11 +72,6 @@ class WebPage(Outlet):
     def failed(self) -> str | None:
         """Why the page cannot be read, or is not up to date; None if it is."""
         return self._failure or self._worker.failed or self._files.failed
-
-    @property
-    def dropped(self) -> int:
-        """Number of results that the page does not show because too many waited."""
-        return self._dropped
 
     def state(self, assessment: Assessment) -> None:
         """Show the present state of the structure."""
@@ -113,7 +110,7 @@ class WebPage(Outlet):
     def _show(self, job: Callable[[], None]) -> None:
         """Queue what changes the snapshots, for the page's own thread."""
         if len(self._waiting) >= self._most_waiting:
-            self._dropped += 1
+            self.dropped += 1
             return
         self._waiting.append(job)
         self._worker.do("results", self._take)
@@ -124,20 +121,13 @@ class WebPage(Outlet):
 
     def _read_past(self) -> None:
         """Read what earlier runs left (in a thread that may wait for the disk)."""
-        self._read_summary()
+        with suppress(OSError, ValueError), (self._out / "summary.json").open("rb") as file:
+            content = parse_json(file.read(_MOST_SUMMARY_BYTES))
+            if isinstance(content, dict):
+                self._snapshots.summary(content)
         self._snapshots.windows_before(latest_windows(self._out))
         for line in latest_events(self._out):
             self._snapshots.event(line)
-
-    def _read_summary(self) -> None:
-        """Read summary.json, where there is a sound one (in a thread that may wait for the disk)."""
-        try:
-            with (self._out / "summary.json").open("rb") as file:
-                content = parse_json(file.read(_MOST_SUMMARY_BYTES))
-        except (OSError, ValueError):
-            return
-        if isinstance(content, dict):
-            self._snapshots.summary(content)
 
     def _listen(self) -> None:
         """Start the server; a failure is kept in `failed` and logged once."""

@@ -167,16 +167,10 @@ class Snapshots:
                 **shown.content,
                 "monitor": "starting" if not health else "silent" if silent else "running",
                 "troubles": troubles_of(health),
-                "t_ns": health.get("t_ns"),
-                "data_age_s": health.get("data_age_s"),
-                "uptime_s": health.get("uptime_s"),
-                "disk_free_bytes": health.get("disk_free_bytes"),
-                "windows": self._summary.get("windows"),
-                "skipped": self._summary.get("skipped"),
-                "alarm": self._summary.get("alarm"),
+                **{key: health.get(key) for key in ("t_ns", "data_age_s", "uptime_s", "disk_free_bytes")},
+                **{key: self._summary.get(key) for key in ("windows", "skipped", "alarm")},
                 "stories": list(known.get("names") or ()),
-                "has_baseline": known.get("has_baseline"),
-                "alarm_loss": known.get("alarm_loss"),
+                **{key: known.get(key) for key in ("has_baseline", "alarm_loss")},
                 "latest": self._latest,
                 "judged": self._judged,
                 "revisions": dict(self._revisions),
@@ -208,9 +202,8 @@ class Snapshots:
     def alarms_answer(self) -> Answer:
         """Write the latest alarm episodes, the newest first."""
         with self._lock:
-            return self._answer(
-                "alarms", {"alarms": list(islice(reversed(self._summary.get("alarms") or ()), self._keep.items))}
-            )
+            latest = islice(reversed(self._summary.get("alarms") or ()), self._keep.items)
+            return self._answer("alarms", {"alarms": list(latest)})
 
     def sensors_answer(self) -> Answer:
         """Write the sensors' health in the latest span of data, and of the stream, the source and the recorder."""
