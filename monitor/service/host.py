@@ -161,16 +161,11 @@ class Host:
 
     def _name_those_away(self) -> None:
         """Log the sites that do not run, though they do not stand by."""
-        away = [
-            place.name
-            for place in self.places
-            if place.state is not State.STANDBY
-            and (place.site is None or not (place.site.reader.opened or place.is_over))
-        ]
+        tried = [place for place in self.places if place.state is not State.STANDBY]
+        away = [p.name for p in tried if p.site is None or not (p.site.reader.opened or p.is_over)]
         if away:
-            _log.warning(
-                "%d of %d sites run; tried again: %s", len(self.places) - len(away), len(self.places), ", ".join(away)
-            )
+            count = len(self.places)
+            _log.warning("%d of %d sites run; tried again: %s", count - len(away), count, ", ".join(away))
 
     def _ended(self, place: Place) -> None:
         """Have a site end that was evaluated to its end."""

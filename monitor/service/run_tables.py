@@ -104,13 +104,8 @@ def _mode_rows(line: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         given = {name: (line.get(key) or [])[k : k + 1] for name, key in named.items()} | {"track": tracks[k : k + 1]}
         yield shared | {name: value[0] if value else None for name, value in given.items()} | _parts(shape)
     for number, other in enumerate(line.get("other_modes") or [], start=1):
-        names = ("frequency_hz", "frequency_std_hz", "damping_ratio", "track")
-        yield (
-            shared
-            | {"other": number}
-            | {name: other.get(name) for name in names}
-            | _parts(other.get("mode_shape") or [])
-        )
+        given = {name: other.get(name) for name in ("frequency_hz", "frequency_std_hz", "damping_ratio", "track")}
+        yield shared | {"other": number} | given | _parts(other.get("mode_shape") or [])
 
 
 def _parts(shape: list[list[float] | None]) -> dict[str, str]:

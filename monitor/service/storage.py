@@ -6,6 +6,7 @@ import logging
 import os
 import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from monitor.config import OutputSettings
@@ -176,9 +177,7 @@ class Storage:
         """Add up the sizes of all files but the recordings, bytes."""
         total = 0
         for path in self._out.rglob("*"):
-            if (self._out / "recordings") not in path.parents:
-                try:
-                    total += path.stat().st_size if path.is_file() else 0
-                except FileNotFoundError:  # removed meanwhile
-                    continue
+            with suppress(FileNotFoundError):  # removed meanwhile
+                if path.is_file() and (self._out / "recordings") not in path.parents:
+                    total += path.stat().st_size
         return total

@@ -61,9 +61,8 @@ def mean_shape(shapes: Sequence[Annotated[ComplexArray, "channels"]]) -> Annotat
 def _shape(pyuff: Any, mode: int, course: Sequence[Mapping[str, Any]], channels: Sequence[str]) -> dict[str, Any]:
     """Return dataset 55 of a mode: the pole of its mean frequency and damping, and its mean shape."""
     shape = mean_shape([_complex(row) for row in course])
-    frequency_hz, damping = (
-        float(np.mean([row[name] for row in course])) for name in ("frequency_hz", "damping_ratio")
-    )
+    frequency_hz = float(np.mean([row["frequency_hz"] for row in course]))
+    damping = float(np.mean([row["damping_ratio"] for row in course]))
     omega = 2.0 * np.pi * frequency_hz
     nodes = [k for k in range(len(shape)) if np.isfinite(shape[k])]
     zero = np.zeros(len(nodes), dtype=complex)
@@ -124,8 +123,7 @@ def _courses(pyuff: Any, mode: int, course: Sequence[Mapping[str, Any]]) -> list
 
 
 def _complex(row: Mapping[str, Any]) -> ComplexArray:
-    parts = (np.array(json.loads(row[name]), dtype=float) for name in ("shape_re", "shape_im"))
-    real, imaginary = parts
+    real, imaginary = (np.array(json.loads(row[name]), dtype=float) for name in ("shape_re", "shape_im"))
     shape: ComplexArray = real + 1j * imaginary
     return shape
 

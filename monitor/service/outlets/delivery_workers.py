@@ -121,15 +121,13 @@ class Trial:
 def send_test(urls: Sequence[str], beats: Sequence[str], site: str) -> list[Trial]:
     """Send a test message to every address (apprise), and fetch every heartbeat's address once, all at a time."""
     message = {"title": f"[{site}] test", "body": "A test of the notifications: nothing has happened.", "type": "info"}
-    jobs: list[tuple[str, Mapping[str, Any]]] = [
-        (_name(number, url), {"url": url, **message}) for number, url in enumerate(urls, start=1)
-    ]
-    jobs += [("heartbeat" if k == 0 else "heartbeat, blocked", {"url": url}) for k, url in enumerate(beats)]
+    jobs: dict[str, Mapping[str, Any]] = {_name(k, url): {"url": url, **message} for k, url in enumerate(urls, start=1)}
+    jobs |= {name: {"url": url} for name, url in zip(("heartbeat", "heartbeat, blocked"), beats, strict=False)}
 
-    def deliver(job: tuple[str, Mapping[str, Any]]) -> Trial:
+    def deliver(name: str) -> Trial:
         begun_s = time.monotonic()
-        code = DeliveryProcess().run(job[1])
-        return Trial(job[0], code, round(time.monotonic() - begun_s, 2))
+        code = DeliveryProcess().run(jobs[name])
+        return Trial(name, code, round(time.monotonic() - begun_s, 2))
 
     with ThreadPoolExecutor(len(jobs) or 1) as pool:
         return list(pool.map(deliver, jobs))

@@ -148,12 +148,8 @@ class Notifier(Outlet):
     def failed(self) -> str | None:
         """Addresses that cannot be reached, or why messages cannot be stored; None if all is well."""
         stored = None if self._outbox is None else self._saving.overdue or self._outbox.failed
-        reasons = [
-            self._to.left_out,
-            stored,
-            self._heartbeat.failed,
-            *(worker.failed for worker in self._workers.values()),
-        ]
+        of_workers = (worker.failed for worker in self._workers.values())
+        reasons = [self._to.left_out, stored, self._heartbeat.failed, *of_workers]
         return "; ".join(reason for reason in reasons if reason) or None
 
     @property

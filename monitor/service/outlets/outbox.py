@@ -92,13 +92,9 @@ class Outbox:
         """
 
         def place(message: Message) -> tuple[bool, int, int, int]:
-            kind = message.notice.kind
-            return (
-                not message.notice.urgent,
-                lately.index(kind) if kind in lately else -1,
-                message.notice.rank,
-                -message.id,
-            )
+            notice = message.notice
+            turn = lately.index(notice.kind) if notice.kind in lately else -1
+            return not notice.urgent, turn, notice.rank, -message.id
 
         with self.changed:
             return min((m for m in self._messages if key in m.to and m.subject not in but), key=place, default=None)

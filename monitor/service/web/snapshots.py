@@ -271,11 +271,8 @@ def _window(line: Mapping[str, Any]) -> dict[str, Any]:
     kept = {key: line.get(key) for key in _WINDOW_KEYS}
     if line["skipped"]:
         kept = {key: value for key, value in kept.items() if value not in (None, [])}
-    return {
-        **_rounded(kept),
-        "level": alarm.get("level"),
-        **{key: alarm.get(key) or [] for key in ("stories", "changed")},
-    }
+    lists = {key: alarm.get(key) or [] for key in ("stories", "changed")}
+    return {**_rounded(kept), "level": alarm.get("level"), **lists}
 
 
 def _rounded(value: Any) -> Any:
