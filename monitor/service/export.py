@@ -101,9 +101,8 @@ def export(
         rows = _Rows(source, table, span_ns, channels)
         try:
             if form == "influx":
-                count = line_protocol.write(
-                    rows.batches(), partial(out), table, rows.time, folder.resolve().name, rows.integers
-                )
+                run = folder.resolve().name
+                count = line_protocol.write(rows.batches(), partial(out), table, rows.time, run, rows.integers)
             elif form == "uff":
                 count = universal_file.write(rows.stored(), partial(out), channels)
             else:
@@ -150,9 +149,8 @@ class _Rows:
         rows = self._ask(", ".join(names))
         while batch := rows.fetchmany(_BATCH):
             stored = dict(zip(names, zip(*batch, strict=True), strict=True))
-            lists = {
-                name: [json.loads(text or "[]") for text in stored[name]] for name in names if name in self._listed
-            }
+            listed = [name for name in names if name in self._listed]
+            lists = {name: [json.loads(text or "[]") for text in stored[name]] for name in listed}
             yield {
                 column: list(stored[name]) if k < 0 else [row[k] if k < len(row) else None for row in lists[name]]
                 for column, _, name, k in self.columns

@@ -288,9 +288,8 @@ def merge_gap(database: sqlite3.Connection, gap: Row, neighbour_ns: int) -> bool
 
     Return False if there is no such row.
     """
-    before = database.execute(
-        "SELECT id, t_ns, duration_s FROM gaps WHERE t_ns <= ? ORDER BY t_ns DESC LIMIT 1", (gap["t_ns"],)
-    ).fetchone()
+    latest = "SELECT id, t_ns, duration_s FROM gaps WHERE t_ns <= ? ORDER BY t_ns DESC LIMIT 1"
+    before = database.execute(latest, (gap["t_ns"],)).fetchone()
     if before is None:
         return False
     row, t_ns, duration_s = before

@@ -108,7 +108,6 @@ def _ask(port: int) -> str | None:
     """Fetch the metrics of a process; None if it does not answer."""
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=_ASK_S) as answer:
-            text: str = answer.read().decode()
-            return text
+            return str(answer.read().decode())
     except (OSError, ValueError):
         return None

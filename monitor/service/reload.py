@@ -40,9 +40,8 @@ def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: P
         apply = prepare_change(path, new, outlets)  # so that nothing of the change fails once the ledger has it
         if new != running:
             make_outlets(path, new, dry=True)
-            ledger.append_entry(
-                out / "results.jsonl", {"says": "settings read again", "causes": []}, {"site": path}, None
-            )
+            finding = {"says": "settings read again", "causes": []}
+            ledger.append_entry(out / "results.jsonl", finding, {"site": path}, None)
     except UserError as error:
         _log.error("not reloaded, all goes on as before: %s", error)
         return None

@@ -41,9 +41,8 @@ def open_table(folder: Path, table: str) -> Iterator[sqlite3.Connection]:
             f"--table {table}: only a daemon keeps it, in {stored}; {folder} has {', '.join(_FROM_FILES)}"
         )
     try:
-        database = (
-            sqlite3.connect(f"{stored.resolve().as_uri()}?mode=ro", uri=True, timeout=10.0) if kept else _made(folder)
-        )
+        address = f"{stored.resolve().as_uri()}?mode=ro"
+        database = sqlite3.connect(address, uri=True, timeout=10.0) if kept else _made(folder)
     except sqlite3.Error as error:
         raise BadInputError(f"{stored}: cannot be read: {error}") from error
     try:

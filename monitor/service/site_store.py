@@ -210,9 +210,7 @@ class SiteStore:
             begun = tag
             while found is not None and self._is_at_work(found, tag):
                 if not wait or tag != begun:
-                    raise InUseError(
-                        f"{self.url}: the monitor of {found.machine} (process {found.process}) is at work, in another folder"
-                    )
+                    raise self._in_use(found, "is at work, in another folder")
                 time.sleep(min(1.0, self.every_s))
                 found, tag = self._read()
             self._take(found, tag)
@@ -288,9 +286,7 @@ class SiteStore:
             if self._present is None:  # the storage has not answered before, or has lost the manifest
                 found, tag = self._read()
                 if found is not None and not (self._is_own(found) and self._is_from_here(found)):
-                    raise InUseError(
-                        f"{self.url}: the monitor of {found.machine} (process {found.process}) went on from other files"
-                    )
+                    raise self._in_use(found, "went on from other files")
                 self._take(found, tag)
             self._store_changes(state)
         except InUseError as error:
@@ -301,6 +297,9 @@ class SiteStore:
             if self._failure is not None:
                 _log.warning("%s: stored again", self.url)
             self._failure = None
+
+    def _in_use(self, found: Manifest, says: str) -> InUseError:
+        return InUseError(f"{self.url}: the monitor of {found.machine} (process {found.process}) {says}")
 
     def _lose(self, error: InUseError) -> None:
         self.is_lost, self._failure = True, str(error)
@@ -543,9 +542,8 @@ class SiteStore:
         """Write the parts of a stored file, and meanwhile go on to say that this monitor is at work."""
         crc32 = 0
         for part in file.parts:
-            answer = self._ask(
-                "get_object", Key=part.object, Range=f"bytes={part.offset}-{part.offset + part.length - 1}"
-            )
+            span = f"bytes={part.offset}-{part.offset + part.length - 1}"
+            answer = self._ask("get_object", Key=part.object, Range=span)
             if answer is None:
                 raise OSError(f"{name}: {part.object} is missing")
             target.write(answer[0])

@@ -23,7 +23,7 @@ _MAX_HEAD_BYTES = 8192
 WsgiApplication = Callable[[dict[str, Any], Callable[[str, list[tuple[str, str]]], object]], Iterable[bytes]]
 Message = MutableMapping[str, Any]
 AsgiApplication = Callable[
-    [MutableMapping[str, Any], Callable[[], Awaitable[Message]], Callable[[Message], Awaitable[None]]], Awaitable[None]
+    [Message, Callable[[], Awaitable[Message]], Callable[[Message], Awaitable[None]]], Awaitable[None]
 ]
 Respond = Callable[[bytes], Awaitable[bytes]]
 """Function that answers the head of a request; it raises ValueError where that is none."""

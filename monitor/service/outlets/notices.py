@@ -126,9 +126,8 @@ def _blindness(told: Told, result: WindowResult, present: Assessment, settings: 
 def _doubts(told: Told, result: WindowResult, present: Assessment) -> Derived:
     """Derive the notice that the state has been doubtful, or no longer, for a window's length."""
     doubtful = present.state is State.DOUBTFUL
-    if (
-        doubtful == told.doubtful or present.state.rank > State.DOUBTFUL.rank
-    ):  # beside an alarm doubts are its text only
+    is_graver = present.state.rank > State.DOUBTFUL.rank  # beside an alarm doubts are its text only
+    if doubtful == told.doubtful or is_graver:
         return replace(told, doubt_ns=None), []
     since = result.t_end_ns if told.doubt_ns is None else told.doubt_ns
     if result.t_end_ns - since < result.window_s * 1e9:

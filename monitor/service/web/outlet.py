@@ -55,10 +55,9 @@ class WebPage(Outlet):
     def __init__(
         self, site: str, address: tuple[str, int], token: str | None, out: Path, most_waiting: int = 4096
     ) -> None:
-        self._most_waiting = most_waiting
+        self._out, self._most_waiting = out, most_waiting
         self.url: str | None = None
         self._host, self._port = address
-        self._out = out
         self._failure: str | None = None
         self._snapshots = Snapshots(site)
         self._application = make_application(self._snapshots, token)
