@@ -25,32 +25,10 @@ def at_once(flush: Callable[[], None]) -> None:
 class AppendedLines:
     """Append-only file of lines that other programs may follow while it grows.
 
-    Lines that the disk does not accept wait in memory, up to a bound.  An incomplete last line, as a power cut leaves it, is
-    removed when the file is opened.
-
-    Parameters
-    ----------
-    path : Path
-        File to append to.
-    most_bytes : int, optional
-        Size limit.  A larger file is renamed to NAME.1 and replaces the previous NAME.1.
-    run : callable, optional
-        Calls the function that it is given, which writes the lines that wait: at once by default, else in another thread, so
-        that `write` waits for no disk.
-    most_pending_bytes : int
-        Size of the lines that may wait.
-
-    Attributes
-    ----------
-    dropped : int
-        Number of lines lost because too many waited.
-    size : int
-        Size of the file when all lines so far are written, bytes.
-
-    Raises
-    ------
-    OSError
-        The file cannot be opened.
+    Lines that the disk does not accept wait in memory, up to `most_pending_bytes`; beyond them lines are lost and counted in
+    `dropped`.  An incomplete last line, as a power cut leaves it, is removed when the file is opened.  A file larger than
+    `most_bytes` replaces NAME.1.  `run` calls the function that it is given, which writes the lines that wait: at once, or in
+    another thread, so that `write` waits for no disk.  `size` is that of the file when all lines so far are written.
     """
 
     def __init__(
@@ -132,13 +110,7 @@ class AppendedLines:
         return True
 
     def roll(self, place: Path) -> None:
-        """Rename the file to `place` and begin a new one.
-
-        Raises
-        ------
-        OSError
-            The disk does not allow it.
-        """
+        """Rename the file to `place` and begin a new one; raise OSError where the disk does not allow it."""
         path, place = destination(self._path), destination(place)
         os.replace(path, place)
         before = self._handle

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,8 +18,6 @@ class Daemon(Site):
 
     Parameters
     ----------
-    path, source, outlets, clock, quiet_s
-        As of `Site`.
     tick_s : float
         Longest wait for a block before requests and deadlines are looked at, s.
 
@@ -52,46 +48,26 @@ class Daemon(Site):
         MissingInputError, BadInputError
             The files of the source are missing or unusable.
         """
-        previous = {number: signal.signal(number, self._request_stop) for number in (signal.SIGTERM, signal.SIGINT)}
-        previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._request_reload)
-        try:
-            self.start()
-            self._loop()
-            self.finish()
-        finally:
-            self.close()
-            for number, handler in previous.items():
-                signal.signal(number, handler)
+        with systemd.signals(self.ask_to_stop, self.ask_to_reload):
+            try:
+                self.start()
+                self._loop()
+                self.finish()
+            finally:
+                self.close()
         self.raise_failure()
-
-    def _request_stop(self, number: int, _: object) -> None:
-        """Handle SIGTERM and SIGINT: stop within the deadlines."""
-        self.ask_to_stop()
-        signal.signal(number, signal.SIG_DFL)  # a second signal ends the process at once
-
-    def _request_reload(self, number: int, _: object) -> None:
-        """Handle SIGHUP: read the site file again in the main loop."""
-        self.ask_to_reload()
 
     def _loop(self) -> None:
         """Evaluate blocks from the queue until it is closed and empty."""
-        ready, stop_sent = False, False
-        watchdog_s, notified_s = systemd.watchdog_s(), self._clock()
+        service = systemd.Service(self._clock())
         while not self.reader.queue.over:
             item = self.reader.queue.take(self._tick_s)
             now = self._clock()
-            if self.reader.opened and not ready:
-                ready = True
-                print("READY", file=sys.stderr, flush=True)
-                systemd.notify("READY=1")
+            if self.reader.opened and service.ready():
                 self.tell_open()
-            if watchdog_s is not None and now - notified_s >= watchdog_s:
-                notified_s = now
-                systemd.notify("WATCHDOG=1")
+            service.at_work(now)
             if item is not None:
                 self.take(*item)
             self.step(now)
-            if self._stopping and not stop_sent:
-                stop_sent = True
-                systemd.notify("STOPPING=1")
+            if self._stopping and service.stopping():
                 self.stop_reading()

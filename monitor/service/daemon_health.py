@@ -42,13 +42,7 @@ class Way(Protocol):
 
 
 class Vitals:
-    """Counters and latencies of the daemon since its start.
-
-    Parameters
-    ----------
-    out : Path
-        Output folder, whose free disk space is reported.
-    """
+    """Counters and latencies of the daemon since its start, and the free space of the disk of its output folder."""
 
     def __init__(self, out: Path) -> None:
         self._out, self._begun_s = out, time.monotonic()
@@ -56,7 +50,6 @@ class Vitals:
         self.refused = 0
         """Number of blocks that neither the recorder nor the pipeline could accept."""
         self.refusal = ""
-        """Reason of the latest refusal."""
         self.unprocessed = 0
         """Number of blocks for which shutting down left no time."""
         self._bins = [0] * (len(LATENCY_MS) + 1)
@@ -105,16 +98,8 @@ class Vitals:
     ) -> dict[str, Any]:
         """Build a line of health.jsonl.
 
-        Parameters
-        ----------
-        span : mapping or None
-            Sensors' health (`Health`) as plain values; None if no data arrived.
-        reader : Reader or None
-            Reader of the source; None while the daemon starts.
-        recorder : RecorderHealth or None
-            Health of the recorder; None if nothing is recorded.
-        ways : iterable of (str, Way)
-            Outputs of the daemon with their names.
+        The span's sensors' health comes as plain values, None where no data arrived; there is no reader while the daemon
+        starts, and no recorder where nothing is recorded.
         """
         ways = list(ways)
         source = SourceHealth(False, {}) if reader is None else reader.source.health()

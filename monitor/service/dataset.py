@@ -25,12 +25,7 @@ _MONTH = re.compile(r"results-(\d{4}-\d{2})\.")
 
 
 def site_folders(places: Sequence[Path]) -> dict[str, Path]:
-    """Return the output folder of each site, by the site's name.
-
-    Parameters
-    ----------
-    places : sequence of Path
-        Site files, and folders whose files ``*.toml`` are site files; a file of a folder that is none is left out with a warning.
+    """Return the output folder of each site, by its name; a file of a folder that is no site file is left out with a warning.
 
     Raises
     ------
@@ -54,19 +49,10 @@ def site_folders(places: Sequence[Path]) -> dict[str, Path]:
 
 
 def write_dataset(folders: Mapping[str, Path], place: Path) -> dict[str, int]:
-    """Write the windows of sites as ``PLACE/site=NAME/month=YYYY-MM/results.parquet``; a closed month that stands is kept.
+    """Write the windows of sites as ``PLACE/site=NAME/month=YYYY-MM/results.parquet``, and return each site's number of windows.
 
-    Parameters
-    ----------
-    folders : mapping
-        Output folder of each site, by its name; a site without results is left out with a warning.
-    place : Path
-        Folder of the dataset; its columns are those of `monitor.publish.WINDOWS_SCHEMA`.
-
-    Returns
-    -------
-    dict
-        Number of windows written for each site.
+    A closed month that stands is kept; a site without results is left out with a warning.  The columns are those of
+    `monitor.publish.WINDOWS_SCHEMA`.
 
     Raises
     ------

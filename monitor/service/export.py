@@ -68,10 +68,6 @@ def export(
     ----------
     folder : Path
         Folder that `run` or `replay` wrote; its daemon may be running.
-    table : str
-        Name of the table, one of `run_tables.RUN_TABLES`.
-    out : Path
-        File to write.
     span_ns : (int, int)
         Start (included) and end (excluded) of the period, UTC, ns since 1970.
     form : str, optional
@@ -102,17 +98,15 @@ def export(
         raise WrongUsageError(f"--format uff: holds mode shapes: give --table {MODES}")
     with open_table(folder, table) as source:
         demand_place(out)
+        rows = _Rows(source, table, span_ns, channels)
         try:
-            batches = _batches(source, table, span_ns, channels)
             if form == "influx":
-                names = {n for n, kind, *_ in _columns(source, table, span_ns, channels) if kind == "INTEGER"}
-                count = line_protocol.write(
-                    batches, partial(out), table, _TIME.get(table, "t_ns"), folder.resolve().name, names
-                )
+                run = folder.resolve().name
+                count = line_protocol.write(rows.batches(), partial(out), table, rows.time, run, rows.integers)
             elif form == "uff":
-                count = universal_file.write(_rows(source, table, span_ns), partial(out), channels)
+                count = universal_file.write(rows.stored(), partial(out), channels)
             else:
-                count = _write_arrow(source, table, partial(out), form, span_ns, channels)
+                count = _write_arrow(rows, partial(out), form)
         except BaseException:
             partial(out).unlink(missing_ok=True)
             raise
@@ -120,68 +114,67 @@ def export(
     return count
 
 
-def _write_arrow(
-    source: sqlite3.Connection, table: str, out: Path, form: str, span_ns: tuple[int, int], channels: Sequence[str]
-) -> int:
+class _Rows:
+    """Rows of a table in a period, in order of time; the lists of `modes` have a column for each channel."""
+
+    def __init__(
+        self, source: sqlite3.Connection, table: str, span_ns: tuple[int, int], channels: Sequence[str]
+    ) -> None:
+        self._source, self._span_ns = source, span_ns
+        self.time = _TIME.get(table, "t_ns")
+        self._from = f"FROM {table} WHERE {self.time} >= ? AND {self.time} < ? ORDER BY {self.time}, id"
+        self._listed = _LISTS_OF.get(table, ())
+        self.columns: list[tuple[str, str, str, int]] = []
+        """Of each column: name, declared type, name in the database, and index in the list or -1."""
+        for _, name, declared, *_ in source.execute(f"PRAGMA table_info({table})").fetchall():
+            if name in self._listed:
+                (most,) = self._ask(f"max(json_array_length({name}))").fetchone()
+                for k in range(most or 0):
+                    label = channels[k] if name in _SHAPES and k < len(channels) else str(k + 1)
+                    self.columns.append((f"{name}_{label}", "REAL", name, k))
+            elif name != "id":
+                self.columns.append((name, declared, name, -1))
+
+    def _ask(self, what: str) -> sqlite3.Cursor:
+        return self._source.execute(f"SELECT {what} {self._from}", self._span_ns)
+
+    @property
+    def integers(self) -> set[str]:
+        """Names of the columns of integers."""
+        return {name for name, declared, *_ in self.columns if declared == "INTEGER"}
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield the rows in batches, as lists of values by column."""
+        names = list(dict.fromkeys(stored_name for *_, stored_name, _ in self.columns))
+        rows = self._ask(", ".join(names))
+        while batch := rows.fetchmany(_BATCH):
+            stored = dict(zip(names, zip(*batch, strict=True), strict=True))
+            listed = [name for name in names if name in self._listed]
+            lists = {name: [json.loads(text or "[]") for text in stored[name]] for name in listed}
+            yield {
+                column: list(stored[name]) if k < 0 else [row[k] if k < len(row) else None for row in lists[name]]
+                for column, _, name, k in self.columns
+            }
+
+    def stored(self) -> Iterator[dict[str, Any]]:
+        """Yield the rows as they are stored."""
+        cursor = self._ask("*")
+        names = [name for name, *_ in cursor.description]
+        for row in cursor:
+            yield dict(zip(names, row, strict=True))
+
+
+def _write_arrow(rows: _Rows, out: Path, form: str) -> int:
     """Write the rows in batches as Parquet or CSV, and return their number."""
     import pyarrow as pa
     import pyarrow.csv
     import pyarrow.parquet
 
-    schema = pa.schema([(n, _arrow_type(pa, k)) for n, k, *_ in _columns(source, table, span_ns, channels)])
+    types = {"INTEGER": pa.int64(), "REAL": pa.float64()}
+    schema = pa.schema([(name, types.get(declared, pa.string())) for name, declared, *_ in rows.columns])
     count, make = 0, pyarrow.parquet.ParquetWriter if form == "parquet" else pyarrow.csv.CSVWriter
     with make(str(out), schema) as writer:
-        for batch in _batches(source, table, span_ns, channels):
+        for batch in rows.batches():
             writer.write_table(pa.Table.from_pydict(batch, schema=schema))
             count += len(next(iter(batch.values())))
     return count
-
-
-def _arrow_type(pa: Any, declared: str) -> Any:
-    """Return the Arrow type of a column by its declared SQLite type."""
-    return {"INTEGER": pa.int64(), "REAL": pa.float64()}.get(declared, pa.string())
-
-
-def _span(table: str) -> str:
-    """Build the SQL that selects the rows of a period, in order of time."""
-    time = _TIME.get(table, "t_ns")
-    return f"FROM {table} WHERE {time} >= ? AND {time} < ? ORDER BY {time}, id"
-
-
-def _columns(
-    source: sqlite3.Connection, table: str, span_ns: tuple[int, int], channels: Sequence[str]
-) -> Iterator[tuple[str, str, str, int]]:
-    """Yield for each column: name, declared type, name in the database, and index in the list or -1."""
-    for _, name, declared, *_ in source.execute(f"PRAGMA table_info({table})").fetchall():
-        if name in _LISTS_OF.get(table, ()):
-            (most,) = source.execute(f"SELECT max(json_array_length({name})) {_span(table)}", span_ns).fetchone()
-            for k in range(most or 0):
-                label = channels[k] if name in _SHAPES and k < len(channels) else str(k + 1)
-                yield f"{name}_{label}", "REAL", name, k
-        elif name != "id":
-            yield name, declared, name, -1
-
-
-def _batches(
-    source: sqlite3.Connection, table: str, span_ns: tuple[int, int], channels: Sequence[str]
-) -> Iterator[Batch]:
-    """Yield the rows in batches, as lists of values by column."""
-    columns = list(_columns(source, table, span_ns, channels))
-    names = list(dict.fromkeys(stored_name for *_, stored_name, _ in columns))
-    rows = source.execute(f"SELECT {', '.join(names)} {_span(table)}", span_ns)
-    listed = _LISTS_OF.get(table, ())
-    while batch := rows.fetchmany(_BATCH):
-        stored = dict(zip(names, zip(*batch, strict=True), strict=True))
-        lists = {name: [json.loads(text or "[]") for text in stored[name]] for name in names if name in listed}
-        yield {
-            column: list(stored[name]) if k < 0 else [values[k] if k < len(values) else None for values in lists[name]]
-            for column, _, name, k in columns
-        }
-
-
-def _rows(source: sqlite3.Connection, table: str, span_ns: tuple[int, int]) -> Iterator[dict[str, Any]]:
-    """Yield the rows as they are stored."""
-    cursor = source.execute(f"SELECT * {_span(table)}", span_ns)
-    names = [name for name, *_ in cursor.description]
-    for row in cursor:
-        yield dict(zip(names, row, strict=True))

@@ -53,7 +53,6 @@ class SiteStatus:
     state: State
     """As the monitor says it; not judged where it is silent or not there."""
     headline: str
-    """The state in one sentence."""
     doubts: tuple[str, ...] = ()
     """What else holds, as sentences."""
     troubles: tuple[str, ...] = ()
@@ -63,7 +62,6 @@ class SiteStatus:
     ddi: float | None = None
     """Largest relative loss of stiffness of any story in the latest window; None if that was not judged."""
     ddi_std: float | None = None
-    """Standard deviation of `ddi`."""
     frequency_hz: float | None = None
     """Lowest natural frequency."""
     t_end_ns: int | None = None
@@ -105,13 +103,6 @@ def load(path: Path) -> FleetSettings:
 
 class Fleet:
     """Session on the network of a fleet; a context manager.
-
-    Parameters
-    ----------
-    settings : FleetSettings
-        Settings of the fleet file.
-    folder : Path
-        Folder to which relative paths of the settings refer.
 
     Raises
     ------
@@ -164,20 +155,10 @@ def code(statuses: Sequence[SiteStatus]) -> int:
 
 
 def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: float) -> SiteStatus:
-    """Read the state of a site from its monitor's answer; an answer of any content is accepted.
+    """Read the state of a site from its monitor's answer, JSON, or None if there was none; an answer of any content is accepted.
 
-    Parameters
-    ----------
-    site : str
-        Name of the site.
-    answer : bytes or None
-        Answer as JSON; None if there was none.
-    alive : bool
-        True if the monitor holds its liveliness token.
-    now_ns : int
-        Present time, UTC, ns since 1970; it counts only for a monitor that does not say how long it has been silent.
-    silent_s : float
-        Age of the latest health line beyond which the monitor counts as hung, s.
+    A monitor that is `alive` holds its liveliness token.  `now_ns`, UTC, ns since 1970, counts only for a monitor that does
+    not say how long it has been silent; after `silent_s` without a health line it counts as hung.
     """
     if answer is None:
         says = "is there, but does not answer" if alive else "is not there"
@@ -192,10 +173,7 @@ def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: 
 def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: float) -> SiteStatus:
     """Read a site's state from the decoded answer of its monitor."""
     result, alarm, health = answer.get("results") or {}, answer.get("alarm") or {}, answer.get("health") or {}
-    age_s = answer.get("silent_s")  # by the monitor's own clock
-    quiet_s = ((now_ns - int(health["wall_ns"])) * 1e-9 if age_s is None else float(age_s)) if health else None
-    if age_s is not None and not float(age_s) >= 0.0:
-        raise ValueError("an age that is none")
+    quiet_s = _quiet_s(answer, now_ns)
     said: Assessment = read_assessment(answer)
     if quiet_s is None and said.state is State.NORMAL:
         said = outdated(said, "the monitor has sent no health line", result.get("t_end_ns"))
@@ -203,7 +181,6 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
         said = outdated(said, f"the monitor is silent for {quiet_s:.0f} s", result.get("t_end_ns"))
     losses = [(float(d), float(s)) for d, s in zip(result.get("ddi") or (), result.get("ddi_std") or (), strict=True)]
     ddi, ddi_std = max(losses, default=(None, None))
-    frequencies = result.get("frequencies_hz") or [None]
     return SiteStatus(
         site=site,
         state=said.state,
@@ -213,15 +190,25 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
         stories=() if result.get("frequency_change") is not None else tuple(int(j) for j in alarm.get("active", {})),
         ddi=ddi,
         ddi_std=ddi_std,
-        frequency_hz=None if frequencies[0] is None else float(frequencies[0]),
+        frequency_hz=_number((result.get("frequencies_hz") or [None])[0]),
         t_end_ns=result.get("t_end_ns") and int(result["t_end_ns"]),
         silent_s=quiet_s,
-        availability=_share((health.get("stream") or {}).get("availability")),
+        availability=_number((health.get("stream") or {}).get("availability")),
         event=last_event(answer.get("event"))[:_MOST_TEXT],
     )
 
 
-def _share(value: Any) -> float | None:
+def _quiet_s(answer: Mapping[str, Any], now_ns: int) -> float | None:
+    """Return the time since the monitor's latest line of health, s; None if it has sent none."""
+    age_s, health = _number(answer.get("silent_s")), answer.get("health") or {}
+    if age_s is not None and not age_s >= 0.0:
+        raise ValueError("an age that is none")
+    if not health:
+        return None
+    return (now_ns - int(health["wall_ns"])) * 1e-9 if age_s is None else age_s  # the latter by the monitor's own clock
+
+
+def _number(value: Any) -> float | None:
     return None if value is None else float(value)
 
 

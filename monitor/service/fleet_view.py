@@ -33,14 +33,7 @@ def text(statuses: Sequence[SiteStatus]) -> str:
 
 
 class FleetView:
-    """Rerun view of a fleet, one query after another, timed by the clock of this machine.
-
-    Parameters
-    ----------
-    file : Path or None
-        Rerun recording to write.
-    serve : (str, int) or None
-        Host and port of a server that viewers may join.
+    """Rerun view of a fleet, one query after another, timed by the clock of this machine, in a file or served to viewers.
 
     Raises
     ------

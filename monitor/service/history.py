@@ -69,7 +69,6 @@ class Pace:
     lock_s: float = 2.0
     """Longest wait for a database that somebody else has locked."""
     most_queued: int = 20_000
-    """Most rows that wait."""
     most_gaps: int = 100_000
     """Most rows of gaps; the oldest go first (some 10 MB)."""
 
@@ -77,23 +76,9 @@ class Pace:
 class History:
     """Database of the results, written in the background; no method but `close` waits, and none raises.
 
-    With ``history = false`` the rows are discarded and no file is opened.
-
-    Parameters
-    ----------
-    path : Path
-        Database file.
-    settings : StateSettings
-        Ages up to which rows are kept.
-    hop_s, span_s : float
-        Time from one window to the next, and from one health span to the next, s.  Age is counted in rows, which a wrong
-        clock cannot falsify.  Gaps at most `hop_s` apart are one row.
-    pace : Pace
-
-    Attributes
-    ----------
-    dropped : int
-        Number of rows lost because too many waited.
+    Age is counted in rows, which a wrong clock cannot falsify: one window comes each `hop_s`, one health span each `span_s`.
+    Gaps at most `hop_s` apart are one row.  Rows for which there is no room are lost and counted in `dropped`.  Where the
+    settings want no history the rows are discarded and no file is opened.
     """
 
     def __init__(self, path: Path, settings: StateSettings, hop_s: float, span_s: float, pace: Pace = Pace()) -> None:
@@ -241,13 +226,7 @@ class History:
 def open_database(
     path: Path, version: int = VERSION, upgrades: Mapping[int, str] = UPGRADES, wait_s: float = 2.0
 ) -> sqlite3.Connection:
-    """Open the database; create it, or upgrade its schema to `version`, if necessary.
-
-    Raises
-    ------
-    sqlite3.Error
-        The database cannot be used, or was written by a newer program.
-    """
+    """Open the database; create it, or upgrade its schema, if necessary; raise sqlite3.Error as `make_tables`."""
     database = sqlite3.connect(path, timeout=wait_s, check_same_thread=False)
     try:
         database.execute("PRAGMA journal_mode = WAL")
@@ -260,13 +239,7 @@ def open_database(
 
 
 def make_tables(database: sqlite3.Connection, version: int = VERSION, upgrades: Mapping[int, str] = UPGRADES) -> None:
-    """Create the tables of an empty database, or upgrade those of an older one.
-
-    Raises
-    ------
-    sqlite3.Error
-        The database cannot be used, or was written by a newer program.
-    """
+    """Create the tables of an empty database, or upgrade older ones; raise sqlite3.Error where a newer program wrote them."""
     (written,) = database.execute("PRAGMA user_version").fetchone()
     if written > version:
         raise sqlite3.DatabaseError(f"written by a newer program (version {written}, this one knows {version})")
@@ -313,14 +286,10 @@ def set_aside(path: Path, reason: str) -> bool:
 def merge_gap(database: sqlite3.Connection, gap: Row, neighbour_ns: int) -> bool:
     """Merge a gap into the row before it in time, if that holds it already or ends at most `neighbour_ns` before it.
 
-    Returns
-    -------
-    bool
-        False if there is no such row.
+    Return False if there is no such row.
     """
-    before = database.execute(
-        "SELECT id, t_ns, duration_s FROM gaps WHERE t_ns <= ? ORDER BY t_ns DESC LIMIT 1", (gap["t_ns"],)
-    ).fetchone()
+    latest = "SELECT id, t_ns, duration_s FROM gaps WHERE t_ns <= ? ORDER BY t_ns DESC LIMIT 1"
+    before = database.execute(latest, (gap["t_ns"],)).fetchone()
     if before is None:
         return False
     row, t_ns, duration_s = before
@@ -337,17 +306,10 @@ def merge_gap(database: sqlite3.Connection, gap: Row, neighbour_ns: int) -> bool
 
 
 def limit(database: sqlite3.Connection, table: str, full: int, most: int) -> None:
-    """Thin out and remove old rows of a table, a limited number in each call.
+    """Thin out and remove old rows of ``windows`` or ``health``, a limited number in each call.
 
-    Parameters
-    ----------
-    database : sqlite3.Connection
-        Open database.
-    table : str
-        ``windows`` or ``health``.
-    full, most : int
-        The latest `full` rows are all kept.  Of older rows the unusual ones and one in sixty are kept.  Rows older than the
-        latest `most` are removed.
+    The latest `full` rows are all kept.  Of older rows the unusual ones and one in sixty are kept.  Rows older than the latest
+    `most` are removed.
     """
     (last,) = database.execute(f"SELECT coalesce(max(id), 0) FROM {table}").fetchone()
     (thinned,) = database.execute("SELECT coalesce(max(id), 0) FROM thinned WHERE name = ?", (table,)).fetchone()

@@ -1,31 +1,22 @@
-"""Monitoring of many sites in one process: which site is evaluated next, and what becomes of one that fails.
+"""Monitoring of many sites in one process: sites are started, ended, and started again where they fail.
 
-One thread evaluates all sites.  Sites are opened by one thread and ended by a few, so that no site waits for the disk or the
-network of another.
+One thread evaluates all sites (`monitor.service.schedule`).  Sites are opened by one thread and ended by a few, so that no
+site waits for the disk or the network of another.
 """
 
 from __future__ import annotations
 
 import hashlib
-import itertools
 import logging
 import resource
-import signal
-import sys
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
-from enum import Enum
-from functools import wraps
-from heapq import heappop, heappush
+from functools import partial
 from pathlib import Path
-from typing import Concatenate, ParamSpec, TypeVar
 
-from drivers.base import SampleBlock
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, InUseError, UserError
 from monitor.damage import AnyBaseline
@@ -33,22 +24,14 @@ from monitor.runs import warm_up
 from monitor.service import logs, systemd
 from monitor.service.host_metrics import HostMetrics
 from monitor.service.outlets import Outlet
+from monitor.service.schedule import TICK_S, Place, Schedule, State, named_in_the_log
 from monitor.service.site import Site
-from monitor.service.site_store import SiteStore, store_of
+from monitor.service.site_store import store_of
 from monitor.service.status import has_ended, running
 from monitor.service.threads import BlockQueue
 
 _log = logging.getLogger(__name__)
 
-_PACE = 8.0
-"""Multiple of real time up to which the blocks of a site keep the place in line that their arrival gave them. [1; judgement: four
-topics at once, and what a sensor kept while its link was broken]"""
-_STEP_S = 2.0
-"""Interval at which requests, health and summary of a site are looked after. [s; cost: at 1 s 8 % of its thread]"""
-_STEPS = 8
-"""Most sites that are looked after between two blocks. [1; cost: a fraction of a millisecond each]"""
-_TICK_S = 0.2
-"""Longest wait for a block. [s; judgement]"""
 _LOOK_S = 2.0
 """Interval at which the folders and the site files are looked at. [s; judgement]"""
 _RETRY_S = (1.0, 300.0)
@@ -61,122 +44,6 @@ _END_ALL_S = 60.0
 """Time in which all sites end after the stop signal; the process ends then in any case. [s; judgement]"""
 _MOST_BLOCKS, _MOST_BYTES = 1024, 2 << 20
 """Bounds of the queue of a site; beyond them its source waits. [1, bytes; cost]"""
-
-
-class State(Enum):
-    """What the host does with a site."""
-
-    WAITING = "waiting"
-    """To be started, or started again after a failure."""
-    STANDBY = "standby"
-    """To be started when nobody else monitors it."""
-    RUNNING = "running"
-    ENDING = "ending"
-    OVER = "over"
-
-
-@dataclass(eq=False)
-class Place:
-    """One site file, and what the host knows of its site."""
-
-    path: Path
-    name: str
-    """Name of the site; that of the file until it was read."""
-    stamp: tuple[int, int] | None
-    """Time of change (ns) and size of the file when it was last looked at; None where it could not be."""
-    state: State = State.WAITING
-    site: Site | None = None
-    queue: BlockQueue[SampleBlock] | None = None
-    due_s: float = float("-inf")
-    """When a waiting site is started."""
-    pause_s: float = 0.0
-    """Latest pause before it was started again; 0 if it has not failed lately."""
-    begun_s: float = 0.0
-    failure: str = ""
-    """Why it does not run; empty if it does."""
-    is_told: bool = False
-    """Whether READY need not wait for it: its source is open, or it was said why not."""
-    is_opened: bool = False
-    out: Path | None = None
-    """Output folder of its site; None before it was looked for."""
-    store: SiteStore | None = None
-    """Copy of its output folder in object storage, which remembers since when another monitor has not been heard of."""
-    free_s: float | None = None
-    """Since when nobody monitors a site that stands by; None while somebody does."""
-    was_held: bool = False
-    """Whether another daemon was seen to monitor a site that stands by."""
-    is_removed: bool = False
-    """Whether its file is gone, so that it is not started again."""
-    credit_s: float = 0.0
-    """Time from which its next block is due by the data before it."""
-    in_line: bool = False
-    stepped_s: float = 0.0
-
-    @property
-    def is_over(self) -> bool:
-        """Whether nothing more is to be done for it."""
-        return self.state is State.OVER
-
-
-@dataclass
-class Line:
-    """Sites with blocks that wait, in the order in which they are due.
-
-    A block is due when it came, but no earlier than the data before it allow at `_PACE` times real time, or than the time that
-    these cost: so a site that sends too much waits behind the others, and costs them one block at most.
-
-    References
-    ----------
-    Zhang, L. (1990). VirtualClock: a new traffic control algorithm for packet switching networks. ACM SIGCOMM.
-    """
-
-    _heap: list[tuple[float, int, Place]] = field(default_factory=list)
-    _numbers: Iterable[int] = field(default_factory=itertools.count)
-
-    def join(self, place: Place) -> bool:
-        """Put a site in line for its next block; return whether one waits."""
-        assert place.queue is not None
-        first_s = place.queue.first_s
-        if first_s is None or place.in_line:
-            return place.in_line
-        place.in_line = True
-        heappush(self._heap, (max(first_s, place.credit_s), next(iter(self._numbers)), place))
-        return True
-
-    def next(self) -> Place | None:
-        """Take the site that is due first out of the line; None if none waits."""
-        if not self._heap:
-            return None
-        _, _, place = heappop(self._heap)
-        place.in_line = False
-        return place
-
-    @staticmethod
-    def spend(place: Place, arrived_s: float, data_s: float, cost_s: float) -> None:
-        """Note that a block of `data_s` that came at `arrived_s` was evaluated in `cost_s`, all in s."""
-        place.credit_s = max(place.credit_s, arrived_s) + max(data_s / _PACE, cost_s)
-
-    def __len__(self) -> int:
-        return len(self._heap)
-
-
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
-_SiteWork = Callable[Concatenate["Host", Place, _P], _R]
-
-
-def named_in_the_log(work: _SiteWork[_P, _R]) -> _SiteWork[_P, _R]:
-    """Decorate the work for one site: while it lasts, the lines of the log carry the site's name."""
-
-    @wraps(work)
-    def named(host: Host, place: Place, /, *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        before = logs.site_name.set(place.name)
-        try:
-            return work(host, place, *args, **kwargs)
-        finally:
-            logs.site_name.reset(before)
-
-    return named
 
 
 class Host:
@@ -196,8 +63,6 @@ class Host:
         Whether a site that another daemon monitors stands by, and is taken over when that daemon is gone.
     first : callable
         Whether a site is taken as soon as nobody monitors it; any other only when nobody has for some seconds.
-    clock : callable
-        Seconds of a clock that never goes back.
     say : callable
         Takes the word READY.
 
@@ -216,23 +81,17 @@ class Host:
         standby: bool = False,
         first: Callable[[Path], bool] = lambda _: True,
         clock: Callable[[], float] = time.monotonic,
-        say: Callable[[str], None] = lambda word: print(word, file=sys.stderr, flush=True),
+        say: Callable[[str], None] = systemd.print_word,
     ) -> None:
         self._clock, self._mine, self._say = clock, mine, say
         self._standby, self._first = standby, first
         self._files = [path for path in places if not path.is_dir()]
         self._folders = [path for path in places if path.is_dir()]
         self._places: dict[Path, Place] = {}
-        self._line = Line()
-        self._arrived: deque[Place] = deque()
-        """Sites whose queues changed; any thread appends."""
-        self._done: deque[Callable[[], None]] = deque()
-        """What other threads want done by the main thread; any thread appends."""
-        self._wake = threading.Event()
-        self._stopping = self._is_ready = False
+        self._schedule = Schedule(clock, self._ended, self._fail)
+        self._stopping = False
         self._end_s = float("inf")
         self._reload_requested = False
-        self._rounds: deque[Place] = deque()
         self._warmed: set[object] = set()
         self._names: dict[str, Place] = {}
         self._enders = ThreadPoolExecutor(_ENDERS, "ender")
@@ -240,21 +99,18 @@ class Host:
 
     def run(self) -> None:
         """Monitor until SIGTERM or SIGINT arrives, or, where only files are named, until all sources have ended."""
-        previous = {number: signal.signal(number, self._request_stop) for number in (signal.SIGTERM, signal.SIGINT)}
-        previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._request_reload)
-        _take_all_files()
-        self._look()
-        opener = threading.Thread(target=self._open_all, name="opener", daemon=True)
-        opener.start()
-        try:
-            self._loop()
-        finally:
-            self._stopping = True
-            for number, handler in previous.items():
-                signal.signal(number, handler)
-            self._enders.shutdown(wait=False, cancel_futures=True)
-            if self.metrics is not None:
-                self.metrics.close(1.0)
+        with systemd.signals(self._ask_to_stop, self._ask_to_reload):
+            _take_all_files()
+            self._look()
+            opener = threading.Thread(target=self._open_all, name="opener", daemon=True)
+            opener.start()
+            try:
+                self._loop()
+            finally:
+                self._stopping = True
+                self._enders.shutdown(wait=False, cancel_futures=True)
+                if self.metrics is not None:
+                    self.metrics.close(1.0)
 
     @property
     def places(self) -> Sequence[Place]:
@@ -265,56 +121,37 @@ class Host:
         """Return what the host does with each site, by its name."""
         return {place.name: place.state.value for place in self.places if not (place.is_over and place.is_removed)}
 
-    def _request_stop(self, number: int, _: object) -> None:
-        """Handle SIGTERM and SIGINT: end all sites."""
+    def _ask_to_stop(self) -> None:
         self._stopping, self._end_s = True, self._clock() + _END_ALL_S
-        self._wake.set()
-        signal.signal(number, signal.SIG_DFL)  # a second signal ends the process at once
+        self._schedule.wake()
 
-    def _request_reload(self, number: int, _: object) -> None:
-        """Handle SIGHUP: read all site files again."""
+    def _ask_to_reload(self) -> None:
         self._reload_requested = True
-        self._wake.set()
+        self._schedule.wake()
 
     def _loop(self) -> None:
         """Evaluate the blocks of all sites until all have ended (the main thread's work)."""
-        is_stopping = False
-        watchdog_s, notified_s = systemd.watchdog_s(), self._clock()
+        service = systemd.Service(self._clock(), self._say)
         while True:
-            if not (self._line or self._is_step_due(self._clock())):
-                self._wake.wait(_TICK_S)
-            self._wake.clear()
-            while self._done:
-                self._done.popleft()()
-            while self._arrived:
-                self._go_on(self._arrived.popleft())
-            if (place := self._line.next()) is not None:
-                self._evaluate(place)
-            now = self._clock()
-            self._step(now)
-            if watchdog_s is not None and now - notified_s >= watchdog_s:
-                notified_s = now
-                systemd.notify("WATCHDOG=1")
-            if not self._is_ready and all(self._is_told(place) for place in self.places):
-                self._tell_ready()
+            now = self._schedule.turn()
+            service.at_work(now)
+            if not service.is_ready and all(self._is_told(place) for place in self.places):
+                self._name_those_away()
+                service.ready()
             if self._reload_requested:
                 self._reload_requested = False
-                for place in self._running():
-                    place.site.ask_to_reload()  # type: ignore[union-attr]
-            if self._stopping and not is_stopping:
-                is_stopping = True
-                systemd.notify("STOPPING=1")
+                for place in self.places:
+                    if place.state is State.RUNNING and place.site is not None:
+                        place.site.ask_to_reload()
+            if self._stopping and service.stopping():
                 for place in self.places:
                     self._stop(place)
             if now >= self._end_s:
                 late = [place.name for place in self.places if not place.is_over]
                 _log.error("not ended within %.0f s: %s", _END_ALL_S, ", ".join(late))
                 return
-            if all(place.is_over for place in self.places) and (is_stopping or not self._folders):
+            if all(place.is_over for place in self.places) and (service.is_stopping or not self._folders):
                 return
-
-    def _running(self) -> list[Place]:
-        return [place for place in self.places if place.state is State.RUNNING]
 
     def _is_told(self, place: Place) -> bool:
         """Return whether READY need not wait for a site."""
@@ -322,73 +159,18 @@ class Host:
             place.is_told = place.is_told or place.site.reader.opened or place.site.reader.lost > 0
         return place.is_told or place.is_over
 
-    def _tell_ready(self) -> None:
-        self._is_ready = True
-        away = [
-            place.name
-            for place in self.places
-            if place.state is not State.STANDBY
-            and (place.site is None or not (place.site.reader.opened or place.is_over))
-        ]
+    def _name_those_away(self) -> None:
+        """Log the sites that do not run, though they do not stand by."""
+        tried = [place for place in self.places if place.state is not State.STANDBY]
+        away = [p.name for p in tried if p.site is None or not (p.site.reader.opened or p.is_over)]
         if away:
-            _log.warning(
-                "%d of %d sites run; tried again: %s", len(self.places) - len(away), len(self.places), ", ".join(away)
-            )
-        self._say("READY")
-        systemd.notify("READY=1")
+            count = len(self.places)
+            _log.warning("%d of %d sites run; tried again: %s", count - len(away), count, ", ".join(away))
 
-    def _go_on(self, place: Place) -> None:
-        """Put a site in line if a block of it waits; end it if its queue is over."""
-        if place.queue is None or place.state not in {State.RUNNING, State.ENDING} or self._line.join(place):
-            return
-        if place.queue.over:
-            queue, place.queue = place.queue, None
-            assert queue is not None
-            place.state = State.ENDING
-            self._enders.submit(self._end, place, True)
-
-    @named_in_the_log
-    def _evaluate(self, place: Place) -> None:
-        """Evaluate the next block of a site."""
-        if place.queue is None or place.site is None or (item := place.queue.take(0.0)) is None:
-            return
-        begun_s = self._clock()
-        try:
-            place.site.take(*item)
-        except Exception as error:  # noqa: BLE001 - whatever fails of a site may not reach the others
-            self._fail(place, error)
-            return
-        block, arrived_s = item
-        self._line.spend(place, arrived_s, block.n_samples / block.sample_rate_hz, self._clock() - begun_s)
-        self._go_on(place)
-
-    def _is_step_due(self, now: float) -> bool:
-        """Return whether it is time to look after a site."""
-        return bool(self._rounds) and now - self._rounds[0].stepped_s >= _STEP_S
-
-    def _step(self, now: float) -> None:
-        """Look after requests, health and summaries of the sites for which it is time."""
-        for _ in range(_STEPS):
-            if not self._is_step_due(now):
-                return
-            place = self._rounds.popleft()
-            if place.site is None or place.queue is None:
-                continue
-            self._step_site(place, place.site, now)
-
-    @named_in_the_log
-    def _step_site(self, place: Place, site: Site, now: float) -> None:
-        """Look after one site."""
-        place.stepped_s = now
-        try:
-            if site.reader.opened and not place.is_opened:
-                place.is_opened = True
-                site.tell_open()
-            site.step(now)
-        except Exception as error:  # noqa: BLE001 - whatever fails of a site may not reach the others
-            self._fail(place, error)
-        else:
-            self._rounds.append(place)
+    def _ended(self, place: Place) -> None:
+        """Have a site end that was evaluated to its end."""
+        place.state = State.ENDING
+        self._enders.submit(self._end, place, True)
 
     def _fail(self, place: Place, error: Exception) -> None:
         """End a site that failed, without a checkpoint of what it had reached; it is started again after a pause."""
@@ -408,11 +190,6 @@ class Host:
 
     # What follows, but for `_over` and `_opened`, is done by other threads.
 
-    def _call(self, job: Callable[[], None]) -> None:
-        """Have the main thread do a job."""
-        self._done.append(job)
-        self._wake.set()
-
     @named_in_the_log
     def _end(self, place: Place, in_order: bool) -> None:
         """Finish and close a site (in a thread that may wait)."""
@@ -424,7 +201,7 @@ class Host:
                 site.ask_to_stop()  # its time to end begins now
             if in_order:
                 site.finish()
-        except Exception as error:  # noqa: BLE001 - as in `_evaluate`
+        except Exception as error:  # noqa: BLE001 - as in `_open`
             _log.exception("%s did not end in order", place.name)
             failure = failure or f"{type(error).__name__}: {error}"
         try:
@@ -433,10 +210,10 @@ class Host:
         except UserError as error:
             failure = failure or str(error)
             _log.error("%s: %s", place.name, error)
-        except Exception as error:  # noqa: BLE001 - as in `_evaluate`
+        except Exception as error:  # noqa: BLE001 - as in `_open`
             failure = failure or f"{type(error).__name__}: {error}"
             _log.exception("%s failed", place.name)
-        self._call(lambda: self._over(place, failure))
+        self._schedule.call(partial(self._over, place, failure))
 
     def _over(self, place: Place, failure: str) -> None:
         """Note that a site was closed, and when it is started again."""
@@ -475,7 +252,7 @@ class Host:
                     self._look()
             waiting = self._due(now)
             if not waiting:
-                time.sleep(_TICK_S)
+                time.sleep(TICK_S)
                 continue
             for place in waiting:
                 if self._stopping:
@@ -513,7 +290,7 @@ class Host:
         if is_taken and place.was_held:
             has_read = has_ended(place.out) if place.store is None else place.store.has_ended()
             if has_read:  # by its own account there is nothing to take over
-                self._call(lambda: self._over(place, ""))
+                self._schedule.call(partial(self._over, place, ""))
                 return False
         return is_taken
 
@@ -532,12 +309,11 @@ class Host:
 
     @named_in_the_log
     def _open(self, place: Place) -> None:
-        """Start a site."""
         try:
             settings = configuration.load(place.path)
             self._take_name(place, settings.site_name)
             logs.site_name.set(place.name)
-            place.queue = BlockQueue(_MOST_BLOCKS, _MOST_BYTES, lambda: self._tell_arrival(place))
+            place.queue = BlockQueue(_MOST_BLOCKS, _MOST_BYTES, partial(self._schedule.tell_arrival, place))
             if place.out is None:
                 self._find_folder(place, settings)
             outlets: tuple[Outlet, ...] = () if self.metrics is None else (self.metrics.outlet(place.name),)
@@ -553,27 +329,19 @@ class Host:
             )
         except UserError as error:
             if self._standby and isinstance(error, InUseError):  # that daemon was faster
-                self._call(lambda: self._stand_by(place))
+                self._schedule.call(partial(self._stand_by, place))
                 return
-            says = str(error)
-            _log.error("%s does not start: %s", place.name, says)
-            self._call(lambda: self._over(place, says))
+            _log.error("%s does not start: %s", place.name, error)
+            self._schedule.call(partial(self._over, place, str(error)))
             return
         except Exception as error:  # noqa: BLE001 - whatever fails of a site may not reach the others
-            failure = f"{type(error).__name__}: {error}"
             _log.exception("%s does not start", place.name)
-            self._call(lambda: self._over(place, failure))
+            self._schedule.call(partial(self._over, place, f"{type(error).__name__}: {error}"))
             return
-        self._call(lambda: self._opened(place, site))
+        self._schedule.call(partial(self._opened, place, site))
 
     def _take_name(self, place: Place, name: str) -> None:
-        """Give a site its name, which no other may have.
-
-        Raises
-        ------
-        BadConfigurationError
-            Another site has it.
-        """
+        """Give a site its name; raise BadConfigurationError where another site has it."""
         other = self._names.setdefault(name, place)
         if other is not place:
             raise BadConfigurationError(
@@ -588,10 +356,6 @@ class Host:
             warm_up(settings, healthy)
             self._warmed.add(alike)
 
-    def _tell_arrival(self, place: Place) -> None:
-        self._arrived.append(place)
-        self._wake.set()
-
     @named_in_the_log
     def _opened(self, place: Place, site: Site) -> None:
         """Begin to read the source of a site (in the main thread)."""
@@ -599,10 +363,10 @@ class Host:
         place.begun_s = place.credit_s = self._clock()
         try:
             site.start()
-        except Exception as error:  # noqa: BLE001 - as in `_evaluate`
+        except Exception as error:  # noqa: BLE001 - as in `_open`
             self._fail(place, error)
             return
-        self._rounds.append(place)
+        self._schedule.add(place)
         if self._stopping or place.is_removed:
             self._stop(place)
 
@@ -620,10 +384,10 @@ class Host:
                     place.state = State.STANDBY
             elif place.stamp != stamp:
                 place.stamp = stamp
-                self._call(lambda place=place: self._changed(place))  # type: ignore[misc]
+                self._schedule.call(partial(self._changed, place))
         for path, place in list(self._places.items()):
             if path not in found and not place.is_removed:
-                self._call(lambda place=place: self._removed(place))  # type: ignore[misc]
+                self._schedule.call(partial(self._removed, place))
 
     def _changed(self, place: Place) -> None:
         """Read the file of a running site again; look at one that waits at once (in the main thread)."""

@@ -22,23 +22,7 @@ _STATES = ("waiting", "running", "ending", "over")
 
 
 class _Endpoint(Collector):
-    """Answer Prometheus over HTTP with metrics of many sites.
-
-    Parameters
-    ----------
-    address : (str, int)
-        Host and port; port 0 for any.
-
-    Attributes
-    ----------
-    port : int
-        Port at which it listens.
-
-    Raises
-    ------
-    MissingInputError
-        The port cannot be opened.
-    """
+    """Answer Prometheus over HTTP with metrics of many sites, at `port`; raise MissingInputError where it cannot be opened."""
 
     def __init__(self, address: tuple[str, int]) -> None:
         registry = CollectorRegistry(auto_describe=False)
@@ -55,15 +39,7 @@ class _Endpoint(Collector):
 
 
 class HostMetrics(_Endpoint):
-    """Metrics of the sites of this process.
-
-    Parameters
-    ----------
-    address : (str, int)
-        As of the endpoint.
-    states : callable
-        Returns what the host does with each site, by its name.
-    """
+    """Metrics of the sites of this process; `states` returns what the host does with each site, by its name."""
 
     def __init__(self, address: tuple[str, int], states: Callable[[], Mapping[str, str]]) -> None:
         self._states = states
@@ -101,12 +77,7 @@ class HostMetrics(_Endpoint):
 class WorkersMetrics(_Endpoint):
     """Metrics of the sites of several processes, each of which is asked for its own.
 
-    Parameters
-    ----------
-    address : (str, int)
-        As of the endpoint.
-    ports : callable
-        Returns the port of each process on the loopback address, by its number; None while it has none.
+    `ports` returns the port of each process on the loopback address, by its number; None while it has none.
     """
 
     def __init__(self, address: tuple[str, int], ports: Callable[[], Mapping[int, int | None]]) -> None:
@@ -137,7 +108,6 @@ def _ask(port: int) -> str | None:
     """Fetch the metrics of a process; None if it does not answer."""
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=_ASK_S) as answer:
-            text: str = answer.read().decode()
-            return text
+            return str(answer.read().decode())
     except (OSError, ValueError):
         return None

@@ -63,14 +63,10 @@ class HostWorkers:
     ----------
     places : sequence of Path
         Site files, which are dealt out in turn, and folders, whose files are dealt out by their names.
-    workers : int
-        Number of processes.
     metrics : (str, int), optional
         Host and port of the endpoint for Prometheus.
-    standby, share
-        As of `Host`; the share as its number and the number of shares.
-    clock : callable
-        Seconds of a clock that never goes back.
+    share : (int, int)
+        Number of the share of sites that `Host` takes first, from 1, and the number of shares.
 
     Raises
     ------
@@ -94,7 +90,7 @@ class HostWorkers:
         self._scratch = tempfile.TemporaryDirectory(prefix="shm-host-", ignore_cleanup_errors=True)
         dealt = [(k, [*files[k::workers], *folders]) for k in range(workers)]
         self.workers = [Worker(k, mine, self._listen(k)) for k, mine in dealt if mine]
-        self._stopping = self._is_ready = False
+        self._stopping = False
         self._end_s = float("inf")
         self._reload_requested = False
         self._is_asked = metrics is not None
@@ -102,24 +98,20 @@ class HostWorkers:
 
     def run(self) -> None:
         """Run the processes until SIGTERM or SIGINT arrives, or, where only files are named, until all sources have ended."""
-        previous = {number: signal.signal(number, self._request_stop) for number in (signal.SIGTERM, signal.SIGINT)}
-        previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._request_reload)
-        try:
-            self._loop()
-        finally:
-            for worker in self.workers:
-                if worker.process is not None and worker.process.poll() is None:
-                    worker.process.kill()
-                    worker.process.wait()
-                worker.listener.close()
-            for number, handler in previous.items():
-                signal.signal(number, handler)
-            if self.metrics is not None:
-                self.metrics.close(1.0)
-            self._scratch.cleanup()
+        with systemd.signals(self._ask_to_stop, self._ask_to_reload):
+            try:
+                self._loop()
+            finally:
+                for worker in self.workers:
+                    if worker.process is not None and worker.process.poll() is None:
+                        worker.process.kill()
+                        worker.process.wait()
+                    worker.listener.close()
+                if self.metrics is not None:
+                    self.metrics.close(1.0)
+                self._scratch.cleanup()
 
     def _ports(self) -> dict[int, int | None]:
-        """Return the ports of the processes' metrics."""
         return {worker.number: worker.port for worker in self.workers if not worker.is_over}
 
     def _listen(self, number: int) -> socket.socket:
@@ -129,19 +121,15 @@ class HostWorkers:
         listener.setblocking(False)
         return listener
 
-    def _request_stop(self, number: int, _: object) -> None:
-        """Handle SIGTERM and SIGINT: end all processes."""
+    def _ask_to_stop(self) -> None:
         self._stopping, self._end_s = True, self._clock() + _END_S
-        signal.signal(number, signal.SIG_DFL)  # a second signal ends the process at once
 
-    def _request_reload(self, number: int, _: object) -> None:
-        """Handle SIGHUP: have all site files read again."""
+    def _ask_to_reload(self) -> None:
         self._reload_requested = True
 
     def _loop(self) -> None:
         """Start, hear and replace the processes until all have ended."""
-        is_stopping = False
-        watchdog_s, notified_s = systemd.watchdog_s(), self._clock()
+        service = systemd.Service(self._clock())
         while True:
             heard, _, _ = select.select([worker.listener for worker in self.workers], [], [], _TICK_S)
             now = self._clock()
@@ -149,19 +137,13 @@ class HostWorkers:
                 if worker.listener in heard:
                     self._hear(worker, now)
                 self._look_after(worker, now)
-            if watchdog_s is not None and now - notified_s >= watchdog_s:
-                notified_s = now
-                systemd.notify("WATCHDOG=1")
-            if not self._is_ready and all(worker.is_ready or worker.is_over for worker in self.workers):
-                self._is_ready = True
-                print("READY", file=sys.stderr, flush=True)
-                systemd.notify("READY=1")
+            service.at_work(now)
+            if all(worker.is_ready or worker.is_over for worker in self.workers):
+                service.ready()
             if self._reload_requested:
                 self._reload_requested = False
                 self._send(signal.SIGHUP)
-            if self._stopping and not is_stopping:
-                is_stopping = True
-                systemd.notify("STOPPING=1")
+            if self._stopping and service.stopping():
                 self._send(signal.SIGTERM)
             if all(worker.is_over for worker in self.workers):
                 return
@@ -210,7 +192,6 @@ class HostWorkers:
         worker.pause_s = min(max(_RETRY_S[0], 2.0 * worker.pause_s), _RETRY_S[1])
 
     def _start(self, worker: Worker, now: float) -> None:
-        """Start a process."""
         command = [sys.executable, "-m", "monitor.service.host_worker", str(worker.number), str(self._count)]
         command += ["metrics" if self._is_asked else "no-metrics", *self._options, *map(str, worker.places)]
         environment = {name: text for name, text in os.environ.items() if name != "WATCHDOG_PID"}

@@ -14,29 +14,15 @@ _TAGS = ("mode", "other", "story")
 def write(
     batches: Iterable[Mapping[str, list[Any]]], out: Path, table: str, time: str, run: str, integers: Collection[str]
 ) -> int:
-    """Write rows as measurement ``shm_TABLE`` with the tag ``run``, and return their number.
+    """Write rows, given as batches of column -> values, as measurement ``shm_TABLE`` with the tag ``run``; return their number.
 
-    Parameters
-    ----------
-    batches : iterable of mapping
-        Column -> values.
-    out : Path
-        File to write.
-    table : str
-        Name of the table.
-    time : str
-        Column of the time, ns since 1970.
-    run : str
-        Name of the run.
-    integers : collection of str
-        Columns of integers.
+    `time` names the column of the time, ns since 1970, and `integers` those of integers.
     """
     count = 0
     with out.open("w", encoding="utf-8", newline="\n") as file:
         for batch in batches:
-            names = list(batch)
             for values in zip(*batch.values(), strict=True):
-                row = dict(zip(names, values, strict=True))
+                row = dict(zip(batch, values, strict=True))
                 tags = {"run": run} | {name: str(row.pop(name)) for name in _TAGS if row.get(name) is not None}
                 text = line(f"shm_{table}", tags, row, row.pop(time), integers)
                 if text is not None:
@@ -55,16 +41,12 @@ def line(
     >>> line("shm windows", {"run": "a,b=c"}, {"f 1": 4.5, "n": 3, "says": 'a "b"', "none": None}, 7, {"n"})
     'shm\\\\ windows,run=a\\\\,b\\\\=c f\\\\ 1=4.5,n=3i,says="a \\\\"b\\\\"" 7'
     """
-    told = [
-        f"{_key(name)}={text}"
-        for name, value in fields.items()
-        if (text := _value(value, name in integers)) is not None
-    ]
+    texts = {name: _value(value, name in integers) for name, value in fields.items()}
+    told = [f"{_key(name)}={text}" for name, text in texts.items() if text is not None]
     if not told:
         return None
-    head = ",".join(
-        [_escaped(measurement, ", "), *(f"{_key(name)}={_key(value)}" for name, value in tags.items() if value)]
-    )
+    tagged = (f"{_key(name)}={_key(value)}" for name, value in tags.items() if value)
+    head = ",".join([_escaped(measurement, ", "), *tagged])
     return f"{head} {','.join(told)} {t_ns}"
 
 

@@ -23,12 +23,7 @@ site_name: ContextVar[str | None] = ContextVar("site_name", default=None)
 class LineFormatter(logging.Formatter):
     """Formatter that writes each event as exactly one line; text from outside is escaped, so it cannot forge a second line.
 
-    Parameters
-    ----------
-    style : {"text", "json"}
-        ``key=value`` pairs, or JSON.
-    site : str
-        Name of the site, written into each line, but for the work of a site that `site_name` names.
+    A line is ``key=value`` pairs, or JSON.  It names the site, but for the work of a site that `site_name` names.
     """
 
     def __init__(self, style: Literal["text", "json"], site: str) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from pathlib import Path
+from queue import Empty, SimpleQueue
 
 from drivers.base import SampleBlock
 from drivers.mcap_writer import arrival
@@ -21,16 +21,8 @@ _BLOCK_NS = 600_000_000_000
 class RecordedBlocks:
     """Store of the latest blocks that reads them from the recordings when a diagnosis asks (`monitor.runs.BlockStore`).
 
-    A diagnosis gets the blocks that one in memory would get, as far as they were recorded.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the recordings.
-    recording : Recording
-        Recorder that writes them.
-    longest_s : float
-        Length of data that a diagnosis may ask for, s.
+    A diagnosis, which may ask for data of `longest_s`, gets the blocks that one in memory would get, as far as they were
+    recorded.
     """
 
     longest_s = 0.0  # nothing need be kept again after a restart
@@ -42,29 +34,16 @@ class RecordedBlocks:
         """Keep nothing: the recorder has the block."""
 
     def between(self, from_ns: int, to_ns: int) -> Iterator[SampleBlock]:
-        """Return the samples taken from `from_ns` to `to_ns` (UTC, ns), read when they are asked for.
+        """Return the samples taken from `from_ns` to `to_ns` (UTC, ns), read when they are asked for; this may raise OSError."""
+        written: SimpleQueue[int] = SimpleQueue()
+        return self._read(written, from_ns, to_ns, self._recording.then(written.put))
 
-        Raises
-        ------
-        OSError
-            The recorder does not answer (while they are read).
-        """
-        written: list[int] = []
-        done = threading.Event()
-
-        def note(stamp_ns: int) -> None:
-            written.append(stamp_ns)
-            done.set()
-
-        return self._read(done, written, from_ns, to_ns, self._recording.then(note))
-
-    def _read(
-        self, done: threading.Event, written: list[int], from_ns: int, to_ns: int, asked: bool
-    ) -> Iterator[SampleBlock]:
+    def _read(self, written: SimpleQueue[int], from_ns: int, to_ns: int, asked: bool) -> Iterator[SampleBlock]:
         """Wait for the recorder, then yield the samples of the span."""
-        if not asked or not done.wait(_WAIT_S):
-            raise OSError(None, "the recorder does not answer", str(self._folder))
-        last_ns = written[0]
+        try:
+            last_ns = written.get(timeout=_WAIT_S if asked else 0.0)
+        except Empty as error:
+            raise OSError(None, "the recorder does not answer", str(self._folder)) from error
         begin_ns = last_ns - last_ns % arrival(0, 1) + from_ns - _BLOCK_NS  # by the clock as it is set now
         recent = RecentBlocks(self._longest_s)
         for stamp_ns, block in recorded(self._folder, begin_ns, unfinished=True):

@@ -33,30 +33,15 @@ class Reloaded:
 def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: Path) -> Reloaded | None:
     """Read the site file again, with what it names, and record a change in the ledger (in a thread that may wait for the disk).
 
-    Parameters
-    ----------
-    path : Path
-        Site file.
-    running : Configuration
-        Present configuration.
-    outlets : sequence of Outlet
-        Outlets that receive the new settings.
-    out : Path
-        Output folder, in whose ledger a change is recorded.
-
-    Returns
-    -------
-    Reloaded or None
-        None if the file cannot be used, with the reason logged: all goes on as before.
+    None is returned if the file cannot be used, with the reason logged: all goes on as before.
     """
     try:
         new = changed(path, running)
         apply = prepare_change(path, new, outlets)  # so that nothing of the change fails once the ledger has it
         if new != running:
             make_outlets(path, new, dry=True)
-            ledger.append_entry(
-                out / "results.jsonl", {"says": "settings read again", "causes": []}, {"site": path}, None
-            )
+            finding = {"says": "settings read again", "causes": []}
+            ledger.append_entry(out / "results.jsonl", finding, {"site": path}, None)
     except UserError as error:
         _log.error("not reloaded, all goes on as before: %s", error)
         return None
@@ -67,12 +52,8 @@ def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: P
 def changed(path: Path, running: Configuration) -> Configuration:
     """Load the site file and check that only settings changed that may change while the daemon runs.
 
-    Raises
-    ------
-    MissingInputError
-        The file cannot be read.
-    BadConfigurationError
-        The file is invalid, or a table other than `CHANGEABLE` or a key of `_FIXED_WATCH_KEYS` changed.
+    MissingInputError tells that the file cannot be read; BadConfigurationError that it is invalid, or that a table other than
+    `CHANGEABLE` or a key of `_FIXED_WATCH_KEYS` changed.
     """
     new = configuration.load(path)
     names = [name for name in type(new).model_fields if getattr(new, name) != getattr(running, name)]

@@ -13,13 +13,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from monitor.core import MissingInputError, name_stories
 from monitor.runs import Session, ledger, ledger_chain
 from monitor.service.history import History
 from monitor.service.outlets import Outlet
 from monitor.service.requests import Answer, Request, apply, apply_to_events
+from monitor.service.restart import Checkpointer
 from monitor.service.threads import Chores
 
 _log = logging.getLogger(__name__)
@@ -27,46 +28,17 @@ _log = logging.getLogger(__name__)
 _WAIT_S = 2.0
 """Time from which a disk counts as one that does not answer.  A request in the ledger is then answered without a checkpoint.
 [s; judgement]"""
-
-
 _TOLD_S = 60.0
 """Time for which a refused write to the ledger is told: only the next request shows whether it can be written again.
 [s; judgement]"""
 
 
-class Keeper(Protocol):
-    """Writer of checkpoints, as far as requests need it."""
-
-    @property
-    def busy(self) -> bool:
-        """Whether a checkpoint is being written."""
-
-    def save(self, session: Session) -> None:
-        """Write a checkpoint in the background."""
-
-
 class RequestHandler:
     """Handler of the requests of all outlets, one batch at a time.
 
-    Parameters
-    ----------
-    outlets : sequence of Outlet
-        Outlets from which requests come, and which pass the answers on.
-    place : Path
-        The file ledger.jsonl.
-    chores : Chores
-        Worker in whose thread the ledger is written.
-    keeper : Keeper
-        Writer of the checkpoint that follows a change.
-    history : History
-        Database in which each applied request is stored.
-    clock : callable
-        Seconds of a clock that never goes back.
-
-    Attributes
-    ----------
-    head : str or None
-        Hash of the ledger's last line as last written or read by this process; None without a line.
+    The ledger at `place` is written in the thread of `chores`; `keeper` writes the checkpoint that follows a change; each applied
+    request is stored in the history.  `head` is the hash of the ledger's last line as last written or read by this process, None
+    without a line.
     """
 
     dropped = 0  # no request is lost: one that cannot be noted is refused
@@ -76,7 +48,7 @@ class RequestHandler:
         outlets: Sequence[Outlet],
         place: Path,
         chores: Chores,
-        keeper: Keeper,
+        keeper: Checkpointer,
         history: History,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -101,12 +73,7 @@ class RequestHandler:
     def step(self, session: Session, *, timed: bool) -> None:
         """Do what can be done now for the present batch, or begin the next one; waits for nothing.
 
-        Parameters
-        ----------
-        session : Session
-            Session whose alarms the requests concern.
-        timed : bool
-            Whether data have come, by whose clock a request is timed; until then requests wait or are refused.
+        A request is `timed` by the clock of data that have come; until then requests wait or are refused.
         """
         if not timed:
             for outlet in self._outlets:
@@ -232,11 +199,9 @@ class _Batch:
     error: str = ""
     applied: bool = False
     saved: bool = False
-    """Whether a checkpoint was begun."""
 
 
 def _entry(request: Request, story_names: Sequence[str]) -> dict[str, Any]:
-    """Build the ledger line of a request."""
     place = f"event {request.event}" if request.story is None else name_stories(f"story {request.story}", story_names)
     says = f"{request.action} alarm of {place}: {request.note}"
     return ledger.entry({"says": says, "causes": []}, {}, request.who)

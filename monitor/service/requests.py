@@ -69,11 +69,6 @@ class Answer:
 class RateLimit:
     """Limit on the rate of requests: a token bucket for each asker.
 
-    Parameters
-    ----------
-    clock : callable
-        Seconds of a clock that never goes back.
-
     Examples
     --------
     >>> limit = RateLimit(clock=lambda: 0.0)
@@ -104,21 +99,9 @@ class RateLimit:
 
 
 def apply(state: alarm.AlarmState, request: Request, t_ns: int) -> alarm.AlarmState:
-    """Apply a request to the state of the alarms and return the new state.
+    """Apply a request to the state of the alarms and return the new state; ValueError tells that there is no such story.
 
-    Parameters
-    ----------
-    state : AlarmState
-        Present state of the alarms.
-    request : Request
-        Request of an operator.
-    t_ns : int
-        End of the latest window, UTC, ns since 1970; shelving counts from it.
-
-    Raises
-    ------
-    ValueError
-        There is no such story.
+    Shelving counts from `t_ns`, the end of the latest window, UTC, ns since 1970.
     """
     if request.story is None:
         return state
@@ -135,11 +118,5 @@ def apply(state: alarm.AlarmState, request: Request, t_ns: int) -> alarm.AlarmSt
 
 
 def apply_to_events(alarms: tuple[EventAlarm, ...], request: Request) -> tuple[EventAlarm, ...]:
-    """Apply a request to the alarms of events and return the new ones.
-
-    Raises
-    ------
-    ValueError
-        The event has no alarm.
-    """
+    """Apply a request to the alarms of events and return the new ones; ValueError tells that the event has no alarm."""
     return alarms if request.event is None else event_alarm.acknowledge(alarms, request.event, request.who)

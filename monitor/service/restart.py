@@ -17,15 +17,7 @@ from typing import Any
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration
-from monitor.core import (
-    BadInputError,
-    InUseError,
-    MissingInputError,
-    parse_json,
-    set_aside,
-    sha256,
-    write_atomically,
-)
+from monitor.core import BadInputError, InUseError, MissingInputError, parse_json, set_aside, sha256, write_atomically
 from monitor.damage import StoryState, WindowFacts
 from monitor.events import EventAlarm
 from monitor.pipeline import PipelineState
@@ -80,7 +72,6 @@ class KeptAlarms:
 
 
 def _alarms_of(state: PipelineState) -> KeptAlarms:
-    """Return the states of all alarms."""
     return KeptAlarms(state.alarm.stories, state.events.alarms)
 
 
@@ -89,30 +80,9 @@ class Checkpointer:
 
     The recorder's thread writes a checkpoint when all blocks that the state includes are on the disk.  So the recordings
     always continue where the checkpoint ends.  With ``checkpoint_s = 0`` only the alarms are written, when they change.
-
-    Parameters
-    ----------
-    out : Path
-        Output folder of the daemon.
-    config : Configuration
-        Settings of the site file; the tables on which results depend identify a usable checkpoint.
-    healthy : Path or None
-        Baseline file.
-    recording : Recording
-        Recorder, whose thread writes the checkpoints.
-    lines : AppendedLines
-        The file results.jsonl.
-
-    Attributes
-    ----------
-    key : str
-        Checksum of all that the results depend on; a checkpoint with another one is not resumed from.
-    written : dict of int to WindowFacts
-        Windows whose lines a previous run wrote after its last checkpoint, by their indices; they are not published again.
-    resuming : bool
-        True while blocks are read from the recordings, not from the source.
-    failed : str or None
-        Why no checkpoint could be written; None if the latest one was.
+    `key` is the checksum of all that the results depend on; a checkpoint with another one is not resumed from.  `written` has the
+    windows, by their indices, whose lines a previous run wrote after its last checkpoint; they are not published again.  While
+    `resuming`, blocks are read from the recordings, not from the source.
     """
 
     dropped = 0  # no checkpoint counts as lost: a newer one replaces one that could not be written
@@ -136,24 +106,10 @@ class Checkpointer:
         self.failed: str | None = None
 
     def resume(self, begin: Callable[[], Session], known: Callable[[dict[str, Any]], None]) -> int:
-        """Begin a session and restore the state in which the previous run stopped.
+        """Begin a session, restore the state in which the previous run stopped, and return the end of the samples processed then.
 
-        Parameters
-        ----------
-        begin : callable
-            Creates a new session.
-        known : callable
-            Receives each line of results.jsonl since the checkpoint.
-
-        Returns
-        -------
-        int
-            Time up to which samples were processed, UTC, ns since 1970; 0 if there was no usable checkpoint.
-
-        Notes
-        -----
-        Without a usable checkpoint only the alarms are restored: an announced alarm stays active until the data, or an
-        operator, end it.
+        That is UTC, ns since 1970; 0 without a usable checkpoint.  Then only the alarms are restored: an announced alarm stays
+        active until the data, or an operator, end it.  `known` receives each line of results.jsonl since the checkpoint.
         """
         saved = serialization.load(self._place, self.key, Saved) if self._config.state.checkpoint_s else None
         session = begin()
@@ -265,21 +221,10 @@ class Checkpointer:
 
 
 def lock(path: Path, out: Path) -> int:
-    """Lock the output folder `out` by a file, whose folder is created; the lock ends with the process.
+    """Lock the output folder `out` by a file, whose folder is created, and return the descriptor; the lock ends with the process.
 
-    Only its owner may open the file, so that nobody who may merely read the folder can hold the lock.
-
-    Returns
-    -------
-    int
-        File descriptor that holds the lock.
-
-    Raises
-    ------
-    MissingInputError
-        The folder cannot be written.
-    InUseError
-        Another daemon holds the lock.
+    Only its owner may open the file, so that nobody who may merely read the folder can hold the lock.  MissingInputError tells
+    that the folder cannot be written; InUseError that another daemon holds the lock.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -27,23 +27,10 @@ CREATE TABLE modes (
 
 @contextmanager
 def open_table(folder: Path, table: str) -> Iterator[sqlite3.Connection]:
-    """Open the database that holds a table of a run.
+    """Open the database that holds a table of a run, in the folder that `run` or `replay` wrote; its daemon is not disturbed.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder that `run` or `replay` wrote; a running daemon is not disturbed.
-    table : str
-        One of `RUN_TABLES`.
-
-    Raises
-    ------
-    WrongUsageError
-        The table is unknown, or only a daemon's history has it.
-    MissingInputError
-        There is neither a history nor results.jsonl.
-    BadInputError
-        The history, or a line of the results, cannot be read.
+    WrongUsageError tells that the table is unknown, or that only a daemon's history has it; MissingInputError that there is
+    neither a history nor results.jsonl; BadInputError that the history, or a line of the results, cannot be read.
     """
     if table not in RUN_TABLES:
         raise WrongUsageError(f"--table {table}: known: {', '.join(RUN_TABLES)}")
@@ -54,9 +41,8 @@ def open_table(folder: Path, table: str) -> Iterator[sqlite3.Connection]:
             f"--table {table}: only a daemon keeps it, in {stored}; {folder} has {', '.join(_FROM_FILES)}"
         )
     try:
-        database = (
-            sqlite3.connect(f"{stored.resolve().as_uri()}?mode=ro", uri=True, timeout=10.0) if kept else _made(folder)
-        )
+        address = f"{stored.resolve().as_uri()}?mode=ro"
+        database = sqlite3.connect(address, uri=True, timeout=10.0) if kept else _made(folder)
     except sqlite3.Error as error:
         raise BadInputError(f"{stored}: cannot be read: {error}") from error
     try:
@@ -117,13 +103,8 @@ def _mode_rows(line: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         given = {name: (line.get(key) or [])[k : k + 1] for name, key in named.items()} | {"track": tracks[k : k + 1]}
         yield shared | {name: value[0] if value else None for name, value in given.items()} | _parts(shape)
     for number, other in enumerate(line.get("other_modes") or [], start=1):
-        names = ("frequency_hz", "frequency_std_hz", "damping_ratio", "track")
-        yield (
-            shared
-            | {"other": number}
-            | {name: other.get(name) for name in names}
-            | _parts(other.get("mode_shape") or [])
-        )
+        given = {name: other.get(name) for name in ("frequency_hz", "frequency_std_hz", "damping_ratio", "track")}
+        yield shared | {"other": number} | given | _parts(other.get("mode_shape") or [])
 
 
 def _parts(shape: list[list[float] | None]) -> dict[str, str]:

@@ -45,26 +45,10 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
 
 
 def save(path: Path, key: str, value: object) -> int:
-    """Write a value to a file, completely or not at all; the value before it is kept beside it, as `previous`.
+    """Write a value to a file, completely or not at all, and return the number of bytes; the value before is kept as `previous`.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    key : str
-        Checksum of the settings (`fingerprint`), which a reader must give too.
-    value : object
-        Frozen dataclass of numbers, text and arrays.
-
-    Returns
-    -------
-    int
-        Number of bytes written.
-
-    Raises
-    ------
-    OSError
-        The disk does not accept the file; the last checkpoint is then unchanged.
+    A reader must give the same `key`, the checksum of the settings.  Where the disk does not accept the file OSError is
+    raised, and the last checkpoint is unchanged.
     """
     data, path = to_bytes(key, value), destination(path)
     temporary = partial(path)
@@ -111,13 +95,7 @@ def previous(path: Path) -> Path:
 
 
 def to_bytes(key: str, value: object) -> bytes:
-    """Serialize a value as the content of a checkpoint.
-
-    Raises
-    ------
-    TypeError
-        A part of the value has a type that cannot be stored.
-    """
+    """Serialize a value as the content of a checkpoint; TypeError tells that a part of it has a type that cannot be stored."""
     arrays: list[bytes] = []
     size = 0
 
@@ -140,19 +118,12 @@ def to_bytes(key: str, value: object) -> bytes:
 
 
 def from_bytes(
-    data: bytes,
-    key: str,
-    cls: type[T],
-    version: int = VERSION,
-    upgrades: Mapping[int, Callable[[Any], Any]] = UPGRADES,
+    data: bytes, key: str, cls: type[T], version: int = VERSION, upgrades: Mapping[int, Callable[[Any], Any]] = UPGRADES
 ) -> T:
     """Restore a value of class `cls`, as it is since `version`, from the content of a checkpoint of that version or before.
 
-    Raises
-    ------
-    CheckpointError
-        The content is no checkpoint, is damaged, has a newer version or one that cannot be upgraded, or belongs to another
-        configuration.
+    CheckpointError tells that the content is no checkpoint, is damaged, has a newer version or one that cannot be upgraded, or
+    belongs to another configuration.
     """
     try:
         line, _, body = data.partition(b"\n")

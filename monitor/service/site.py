@@ -48,14 +48,13 @@ from monitor.runs import (
 from monitor.service import restart
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
-from monitor.service.events_file import EventsFile
 from monitor.service.history import History
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.recorded_blocks import RecordedBlocks
 from monitor.service.reload import Reloaded, reread
 from monitor.service.request_handler import RequestHandler
 from monitor.service.site_store import SiteStore, store_of
-from monitor.service.storage import ResultsFile, Storage
+from monitor.service.storage import EventsFile, ResultsFile, Storage
 from monitor.service.threads import BlockQueue, Chores, Reader, Recording, background
 from monitor.signals import Health
 
@@ -86,40 +85,17 @@ class Site(Publisher):
     The owner calls `start`; then `take` with each block of the reader's queue, and `step` now and then, until the queue is over;
     `finish` then, unless something failed; and `close` in any case.
 
-    Parameters
-    ----------
-    path : Path
-        Site file; its paths are relative to its folder.
-    source : Source, optional
-        Source to read in place of the one that the file names.
-    outlets : sequence of Outlet, optional
-        Outlets in addition to those that the file names; they are closed in reverse order.
-    clock : callable
-        Seconds of a clock that never goes back.
-    quiet_s : float
-        Interval between health lines while no data arrive, and shortest interval between summaries, s.
-    queue : BlockQueue, optional
-        Queue of the reader's blocks; a new one by default.
-    warm : callable
-        Compiles what the windows of a configuration and its baseline need.
-    lean : bool
-        Whether memory and processor are spared for other sites in the process: a diagnosis then reads its data from the
-        recordings, where these are written, and the reader looks up less often.
-    viewer : bool
-        Whether Rerun viewers are served where the site file says so.
-    store : SiteStore, optional
-        Copy of the output folder in object storage, not yet open; by default that of the site file, if it names one.  Until it
-        is known whether another monitor is at work, a lean site does not start, and any other waits.
+    A given source is read in place of the one that the file names; given outlets are closed after its own.  Lines of health
+    follow each other after `quiet_s` while no data arrive, and summaries at the earliest.  `warm` compiles what the windows of
+    a configuration and its baseline need.  A `lean` site spares memory and processor for others in the process: a diagnosis
+    reads its data from the recordings, where these are written, and the reader looks up less often.  Rerun viewers are served
+    by `viewer`, where the site file says so.  `store` is the copy of the output folder in object storage, not yet open, by
+    default that of the site file.  Until it is known whether another monitor is at work, a lean site does not start, and any
+    other waits.
 
-    Raises
-    ------
-    MissingInputError
-        A file is missing, or the output folder cannot be written.
-    BadInputError
-        The baseline file is unusable.
-    BadConfigurationError
-        The site file is invalid, the baseline is another structure's, or another daemon writes into the output folder or its
-        copy in object storage.
+    MissingInputError tells that a file is missing, or that the output folder cannot be written; BadInputError that the
+    baseline file is unusable; BadConfigurationError that the site file is invalid, the baseline another structure's, or that
+    another daemon writes into the output folder or its copy.
     """
 
     def __init__(
@@ -158,9 +134,8 @@ class Site(Publisher):
         self._alarm: object = None
         self._told_episodes: list[tuple[int, Level, bool]] = []
         with ExitStack() as undo:
-            self._lock = restart.lock(
-                self.out / "state" / "lock", self.out
-            )  # before anything of this daemon can be seen from outside
+            # Before anything of this daemon can be seen from outside.
+            self._lock = restart.lock(self.out / "state" / "lock", self.out)
             undo.callback(os.close, self._lock)
             self._store = store_of(settings, self.out, clock) if store is None else store
             if self._store is not None:
@@ -190,9 +165,8 @@ class Site(Publisher):
         # Lines are written by a thread that waits for no fsync, so that health.jsonl can say that the others wait for one.
         self._chores, self._line_writer = Chores(), Chores("lines")
         self._event_writer = Chores("events")  # a page takes a second or two, for which no other file waits
-        undo.callback(self._chores.close, _END_S)
-        undo.callback(self._line_writer.close, _END_S)
-        undo.callback(self._event_writer.close, _END_S)
+        for chores in (self._chores, self._line_writer, self._event_writer):
+            undo.callback(chores.close, _END_S)
         later = self._line_writer.do
         try:
             results, by_month = self.out / "results.jsonl", settings.output.pack_months
@@ -272,13 +246,7 @@ class Site(Publisher):
             self._vitals.unprocessed += 1
 
     def step(self, now: float) -> None:
-        """Reload settings, apply requests, and write health, results and the summary when they are due.
-
-        Parameters
-        ----------
-        now : float
-            Present time of the clock, s.
-        """
+        """Reload settings, apply requests, and write health, results and the summary when they are due at `now`, s."""
         self._reload()
         self._requests.step(self.session, timed=self._progress.first is not None)
         if self._is_late != self._was_late:
@@ -326,13 +294,7 @@ class Site(Publisher):
         return self._stopping
 
     def raise_failure(self) -> None:
-        """Raise the error that ended reading for good, if one did.
-
-        Raises
-        ------
-        MissingInputError, BadInputError
-            The files of the source are missing or unusable.
-        """
+        """Raise the error that ended reading for good, if one did: MissingInputError or BadInputError of the source's files."""
         if isinstance(self.reader.failure, RecordingMissingError):
             raise MissingInputError(str(self.reader.failure)) from self.reader.failure
         if isinstance(self.reader.failure, RecordingError):
@@ -545,10 +507,15 @@ class Site(Publisher):
 
     def outputs(self) -> list[tuple[str, Way]]:
         """List every part beside the main thread with its name: source, recorder, outlets, viewer, checkpoint, history, files."""
-        own: dict[str, Way | None] = {"source": self.reader, "recorder": self._recording, "viewer": self._view}
-        own |= {"checkpoint": self._keeper, "history": self._history, "store": self._store}
-        own |= {"ledger.jsonl": self._requests, "storage": self._storage}
-        own |= {
+        own: dict[str, Way | None] = {
+            "source": self.reader,
+            "recorder": self._recording,
+            "viewer": self._view,
+            "checkpoint": self._keeper,
+            "history": self._history,
+            "store": self._store,
+            "ledger.jsonl": self._requests,
+            "storage": self._storage,
             "results.jsonl": self._lines,
             EVENTS: self._events,
             "events": self._event_recordings,

@@ -107,7 +107,6 @@ class Manifest(BaseModel):
     number: int
     """Counts how often the manifest was written, so that each one differs from the one before."""
     every_s: float
-    """Interval at which it is written, s."""
     state: State
     files: dict[str, StoredFile]
 
@@ -130,32 +129,11 @@ class _Note(BaseModel):
 
 
 class SiteStore:
-    """Copy of a site's output folder in object storage, and the right to monitor the site.
+    """Copy of a site's output folder in object storage, ``s3://BUCKET/NAME/SITE``, and the right to monitor the site.
 
-    From `open` to `close` a thread stores what has changed, and another one, which touches no disk, says that the monitor is at
-    work, whatever other threads wait for.
-
-    Parameters
-    ----------
-    url : str
-        ``s3://BUCKET/NAME``; each site has a folder of its own name below it.
-    site : str
-        Name of the site.
-    out : Path
-        Output folder.
-    every_s : float
-        Interval at which this is done, s.
-    clock : callable
-        Seconds of a clock that never goes back.
-    client : callable
-        Returns the client of the storage.
-    thread : callable
-        Makes the threads that do the work.
-
-    Attributes
-    ----------
-    is_lost : bool
-        Whether the monitor of another machine has taken the site over.
+    From `open` to `close` a thread stores what has changed every `every_s`, and another one, which touches no disk, says that
+    the monitor is at work, whatever other threads wait for.  `is_lost` tells that the monitor of another machine has taken the
+    site over.
     """
 
     dropped = 0  # what could not be stored is stored by a later attempt
@@ -180,13 +158,11 @@ class SiteStore:
         self._writing = threading.Lock()
         """Held while the manifest is written; no holder touches a disk."""
         self._present: Manifest | None = None
-        """Latest manifest of this monitor."""
         self._tag: str | None = None
         """ETag of the manifest on which the next one is based; None where there was none."""
         self._seen: tuple[str, float] | None = None
         """ETag of another's manifest, and since when it is that one, s."""
         self._committed_s = float("-inf")
-        """When the manifest was written last."""
         self._known: dict[str, tuple[int, int]] = {}
         """Number of the file and CRC-32 of its end, as it was stored, for files to which bytes are appended."""
         self.is_lost = False
@@ -205,13 +181,7 @@ class SiteStore:
         return self._failure or self._busy.overdue
 
     def is_held(self) -> bool:
-        """Ask whether the monitor of another machine is at work; where the storage does not answer, it may be.
-
-        Raises
-        ------
-        MissingExtraError
-            The extra `s3` is not installed.
-        """
+        """Ask whether the monitor of another machine is at work; where the storage does not answer, it may be."""
         try:
             found, tag = self._read()
         except OSError:
@@ -229,21 +199,10 @@ class SiteStore:
     def open(self, *, wait: bool) -> None:
         """Take the site, and fetch its files where the monitor of another machine wrote last.
 
-        Where the storage does not answer, monitoring goes on with the files of this folder, if they are the site's.
-
-        Parameters
-        ----------
-        wait : bool
-            Whether to wait until it is known whether another monitor is at work.
-
-        Raises
-        ------
-        InUseError
-            The monitor of another machine is at work, or may be.
-        MissingInputError
-            The storage does not answer, or files are missing there, and there are none in the folder to go on from.
-        MissingExtraError
-            The extra `s3` is not installed.
+        Where the storage does not answer, monitoring goes on with the files of this folder, if they are the site's.  With
+        `wait` it is waited until it is known whether another monitor is at work.  InUseError tells that one is, or may be;
+        MissingInputError that the storage does not answer, or lacks files, and that the folder has none to go on from;
+        MissingExtraError that the extra `s3` is not installed.
         """
         self._owner, self._place = uuid4().hex, self._here()
         try:
@@ -251,9 +210,7 @@ class SiteStore:
             begun = tag
             while found is not None and self._is_at_work(found, tag):
                 if not wait or tag != begun:
-                    raise InUseError(
-                        f"{self.url}: the monitor of {found.machine} (process {found.process}) is at work, in another folder"
-                    )
+                    raise self._in_use(found, "is at work, in another folder")
                 time.sleep(min(1.0, self.every_s))
                 found, tag = self._read()
             self._take(found, tag)
@@ -329,9 +286,7 @@ class SiteStore:
             if self._present is None:  # the storage has not answered before, or has lost the manifest
                 found, tag = self._read()
                 if found is not None and not (self._is_own(found) and self._is_from_here(found)):
-                    raise InUseError(
-                        f"{self.url}: the monitor of {found.machine} (process {found.process}) went on from other files"
-                    )
+                    raise self._in_use(found, "went on from other files")
                 self._take(found, tag)
             self._store_changes(state)
         except InUseError as error:
@@ -342,6 +297,9 @@ class SiteStore:
             if self._failure is not None:
                 _log.warning("%s: stored again", self.url)
             self._failure = None
+
+    def _in_use(self, found: Manifest, says: str) -> InUseError:
+        return InUseError(f"{self.url}: the monitor of {found.machine} (process {found.process}) {says}")
 
     def _lose(self, error: InUseError) -> None:
         self.is_lost, self._failure = True, str(error)
@@ -387,25 +345,14 @@ class SiteStore:
         return found.owner == self._owner or (found.owner in note.owners and found.generation <= note.generation)
 
     def _demand_own(self, found: Manifest | None) -> None:
-        """Check that a manifest is one of this run, if there is one.
-
-        Raises
-        ------
-        InUseError
-            The monitor of another machine wrote it.
-        """
+        """Check that a manifest is one of this run, if there is one; else raise InUseError."""
         if found is not None and found.owner != self._owner:
             raise InUseError(f"{self.url}: taken over by the monitor of {found.machine}")
 
     def _take(self, found: Manifest | None, tag: str | None) -> None:
-        """Become the one who writes the manifest; fetch the files unless those of this folder are newer.
+        """Become the one who writes the manifest, else raise InUseError; fetch the files unless those of this folder are newer.
 
         Where files are fetched the note is written last: of a folder whose files were not all fetched nobody goes on.
-
-        Raises
-        ------
-        InUseError
-            The monitor of another machine was faster.
         """
         note = self._note()
         is_own = found is None or self._is_own(found)
@@ -455,13 +402,7 @@ class SiteStore:
             raise OSError(f"{_MANIFEST} is damaged: {error.errors()[0]['msg']}") from error
 
     def _commit(self, state: State, files: dict[str, StoredFile]) -> None:
-        """Write the manifest if nobody else did since the one on which it is based.
-
-        Raises
-        ------
-        InUseError
-            The monitor of another machine did.
-        """
+        """Write the manifest if nobody else did since the one on which it is based; else raise InUseError."""
         before = self._present
         generation = 0 if before is None else before.generation
         if before is not None and files != before.files:
@@ -601,9 +542,8 @@ class SiteStore:
         """Write the parts of a stored file, and meanwhile go on to say that this monitor is at work."""
         crc32 = 0
         for part in file.parts:
-            answer = self._ask(
-                "get_object", Key=part.object, Range=f"bytes={part.offset}-{part.offset + part.length - 1}"
-            )
+            span = f"bytes={part.offset}-{part.offset + part.length - 1}"
+            answer = self._ask("get_object", Key=part.object, Range=span)
             if answer is None:
                 raise OSError(f"{name}: {part.object} is missing")
             target.write(answer[0])
@@ -651,15 +591,7 @@ def store_of(settings: Configuration, out: Path, clock: Callable[[], float] = ti
 
 
 class _Objects:
-    """Writer of bytes into objects that are stored when they are full, and at the end.
-
-    Parameters
-    ----------
-    name : str
-        What the names of the objects begin with.
-    put : callable
-        Stores an object.
-    """
+    """Writer of bytes into objects of one name and a number, which `put` stores when they are full, and at the end."""
 
     def __init__(self, name: str, put: Callable[[str, bytes], None]) -> None:
         self._name, self._put, self._count, self._data = name, put, 0, bytearray()
@@ -684,7 +616,6 @@ def _is_state(name: str) -> bool:
 
 
 def _objects(files: dict[str, StoredFile]) -> set[str]:
-    """List the objects to which files refer."""
     return {part.object for file in files.values() for part in file.parts}
 
 

@@ -77,19 +77,16 @@ def look(out: Path) -> dict[str, Any]:
     age_s = None if health is None else _age_s(health)
     is_heard, is_locked = age_s is not None and age_s <= _SILENT_S, running(out)
     is_running = is_heard if is_locked is None else is_locked
-    summary, result = (
-        _read(out / "summary.json"),
-        _last_line(out / "results.jsonl", partial(read_line, defaults={"alarm": {}})),
-    )
+    summary = _read(out / "summary.json")
+    result = _last_line(out / "results.jsonl", partial(read_line, defaults={"alarm": {}}))
     assessment, troubles = read_assessment(summary or {}), troubles_of(health) if is_running else []
     code, process = exit_code(assessment.state, troubles), "running"
     if not (is_running and is_heard):
         code, process = DOWN, "silent" if is_running else "not running"
         says = "is silent" if is_running else "does not run"
         since = "" if health is None else f" since {utc(health['wall_ns'])} UTC"
-        assessment = outdated(
-            assessment, f"the monitor {says}{since}", None if result is None else int(result["t_end_ns"])
-        )
+        until_ns = None if result is None else int(result["t_end_ns"])
+        assessment = outdated(assessment, f"the monitor {says}{since}", until_ns)
     return {
         **assessment.content,
         "monitor": process,
@@ -148,9 +145,8 @@ def exit_code(state: State, troubles: Collection[str]) -> int:
 def tell(status: dict[str, Any]) -> str:
     """Format the status of a daemon in ten lines, the state first; doubts and the page's address have one more each."""
     summary, health, result = (status[k] or {} for k in ("summary", "health", "result"))
-    source, recorder, quality = (
-        d or {} for d in (health.get("source"), health.get("recorder"), summary.get("quality"))
-    )
+    parts = health.get("source"), health.get("recorder"), summary.get("quality")
+    source, recorder, quality = (part or {} for part in parts)
     makers: dict[str, Callable[[], str]] = {
         "state": lambda: f"{State(status['state']).words.upper()}: {status['headline']}",
         "doubts": lambda: " ".join(status["doubts"]),
@@ -217,13 +213,7 @@ def _findings(found: list[dict[str, Any]]) -> str:
 
 
 def _read_event(text: bytes) -> dict[str, Any]:
-    """Read a line of events.jsonl.
-
-    Raises
-    ------
-    ValueError
-        It is no line of an event.
-    """
+    """Read a line of events.jsonl; raise ValueError if it is none."""
     line = parse_json(text)
     if not isinstance(line, dict) or not isinstance(line.get("id"), str):
         raise ValueError("it has no id")
@@ -307,11 +297,8 @@ def _pairs(values: list[float] | None, stds: list[float] | None, unit: str, scal
     """Format values with their standard deviations, scaled to `unit`."""
     if not values or not stds:
         return "the latest window says nothing"
-    texts = (
-        f"{scale * v:.3f} +- {scale * s:.3f}"
-        for v, s in zip(values, stds, strict=False)
-        if v is not None and s is not None
-    )
+    known = [(v, s) for v, s in zip(values, stds, strict=False) if v is not None and s is not None]
+    texts = (f"{scale * v:.3f} +- {scale * s:.3f}" for v, s in known)
     return ", ".join(texts) + f" {unit}"
 
 
@@ -358,10 +345,8 @@ def _read_health(text: bytes) -> dict[str, Any]:
     """Read a line of health.jsonl; raise ValueError if it is none."""
     line = _read_object(text)
     kinds = {"wall_ns": int, "source": dict, "recorder": dict | None, "failed": dict}
-    if (
-        not all(isinstance(line.get(key, ""), kind) for key, kind in kinds.items())
-        or not 0 <= line["wall_ns"] < 1 << 62
-    ):
+    fits = all(isinstance(line.get(key, ""), kind) for key, kind in kinds.items())
+    if not (fits and 0 <= line["wall_ns"] < 1 << 62):
         raise ValueError("it is no line of health")
     if "boot_s" in line and not (isinstance(line["boot_s"], float | int) and isinstance(line.get("boot_id"), str)):
         raise ValueError("its time since the start of the machine is none")

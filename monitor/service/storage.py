@@ -1,4 +1,4 @@
-"""What the output folder may hold: closed months of results are packed, and one budget bounds all files together."""
+"""Files of results, whose closed months are packed, and of events; and the budget that bounds the output folder."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import logging
 import os
 import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from monitor.config import OutputSettings
-from monitor.core import BadInputError
+from monitor.core import BadInputError, parse_json
 from monitor.publish import closed_files, month_file, pack_month, read_lines
 from monitor.service.appended_lines import AppendedLines, at_once
 from monitor.service.threads import Recording
@@ -27,22 +28,7 @@ _T_END = re.compile(rb'"t_end_ns": (\d{1,19})\b')
 
 
 class ResultsFile(AppendedLines):
-    """File results.jsonl, from which each closed month may go into a file of its own.
-
-    Parameters
-    ----------
-    path : Path
-        The file results.jsonl.
-    by_month : bool
-        Whether the first window of another month begins a new file.
-    run : callable, optional
-        As of `AppendedLines`.
-
-    Raises
-    ------
-    OSError
-        The file cannot be opened.
-    """
+    """File results.jsonl; with `by_month` the first window of another month begins a new file."""
 
     def __init__(self, path: Path, *, by_month: bool, run: Callable[[Callable[[], None]], None] = at_once) -> None:
         super().__init__(path, run=run)
@@ -123,25 +109,36 @@ def _lines_from(path: Path, offset: int) -> Iterator[bytes]:
         _log.warning("%s: %s; windows at the turn of the month may be written twice", path, error)
 
 
+class EventsFile(AppendedLines):
+    """Append lines of events; what a run before a restart wrote already is not written again, and its last line is `last`."""
+
+    def __init__(self, path: Path, run: Callable[[Callable[[], None]], None]) -> None:
+        super().__init__(path, run=run)
+        self._written: set[tuple[str, int]] = set()
+        self.last: str | None = None
+        for text in path.read_bytes().splitlines():
+            try:
+                line = parse_json(text)
+                self._written.add((line["id"], line["revision"]))
+                self.last = text.decode()
+            except (ValueError, KeyError, TypeError):  # a line that a crash cut is written again
+                continue
+
+    def write_event(self, id: str, revision: int, line: str) -> bool:
+        """Append a line; return False where it was written before."""
+        if (id, revision) in self._written:
+            return False
+        self._written.add((id, revision))
+        self.write(line)
+        return True
+
+
 class Storage:
     """Keeper of the budget of the output folder.
 
-    What is beyond the budget goes in this order: the oldest recordings, all but the one being written; then the oldest closed
-    months of results.  Nothing else is removed: if that does not suffice, `failed` says so.
-
-    Parameters
-    ----------
-    out : Path
-        Output folder.
-    settings : OutputSettings
-        Budget, and whether months are packed.
-    recording : Recording
-        Recorder, to which the rest of the budget is given.
-
-    Attributes
-    ----------
-    failed : str or None
-        Why the folder exceeds the budget, or a month could not be packed; None if all is well.
+    What is beyond the budget goes in this order: the oldest recordings, all but the one being written (the recorder gets the
+    rest of the budget); then the oldest closed months of results.  Nothing else is removed: if that does not suffice, or a
+    month cannot be packed, `failed` says so.
     """
 
     dropped = 0  # what goes for the budget is named in the log, and counts as removed, not as lost
@@ -180,9 +177,7 @@ class Storage:
         """Add up the sizes of all files but the recordings, bytes."""
         total = 0
         for path in self._out.rglob("*"):
-            if (self._out / "recordings") not in path.parents:
-                try:
-                    total += path.stat().st_size if path.is_file() else 0
-                except FileNotFoundError:  # removed meanwhile
-                    continue
+            with suppress(FileNotFoundError):  # removed meanwhile
+                if path.is_file() and (self._out / "recordings") not in path.parents:
+                    total += path.stat().st_size
         return total

@@ -1,14 +1,36 @@
-"""Notification of systemd by sd_notify(3): a datagram to the socket that systemd names; without a socket nothing is sent."""
+"""What a service and systemd say to each other: signals, and sd_notify(3), a datagram to the socket that systemd names."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import socket
+import sys
+from collections.abc import Callable, Iterator
+
+
+@contextlib.contextmanager
+def signals(stop: Callable[[], None], reload: Callable[[], None]) -> Iterator[None]:
+    """Have SIGTERM and SIGINT call `stop`, where a second one ends the process at once, and SIGHUP call `reload`."""
+
+    def take(number: int, _: object) -> None:
+        if number == signal.SIGHUP:
+            reload()
+        else:
+            stop()
+            signal.signal(number, signal.SIG_DFL)
+
+    previous = {n: signal.signal(n, take) for n in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
 def notify(text: str) -> None:
-    """Send a state to systemd, as ``READY=1``, ``WATCHDOG=1`` or ``STOPPING=1``; a failure is ignored."""
+    """Send a state to systemd, as ``READY=1``, ``WATCHDOG=1`` or ``STOPPING=1``; a failure is ignored, as no socket is."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return
@@ -19,9 +41,43 @@ def notify(text: str) -> None:
         out.sendall(text.encode())
 
 
-def watchdog_s() -> float | None:
-    """Return the interval at which to notify systemd's watchdog, s: half its limit; None without a watchdog."""
-    microseconds = os.environ.get("WATCHDOG_USEC", "")
-    if not microseconds.isdigit() or os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
-        return None
-    return int(microseconds) / 2e6
+def print_word(word: str) -> None:
+    """Print a word on standard error at once."""
+    print(word, file=sys.stderr, flush=True)
+
+
+class Service:
+    """State of a service as its loop tells it: ready and stopping once, and at work as often as systemd's watchdog asks.
+
+    The word READY is also given to `say`, by default printed on standard error.
+    """
+
+    def __init__(self, now: float, say: Callable[[str], None] = print_word) -> None:
+        microseconds = os.environ.get("WATCHDOG_USEC", "")
+        is_watched = microseconds.isdigit() and os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        self._every_s = int(microseconds) / 2e6 if is_watched else float("inf")
+        self._told_s, self._say = now, say
+        self.is_ready = self.is_stopping = False
+
+    def at_work(self, now: float) -> None:
+        """Notify the watchdog, if it is time: at half its limit."""
+        if now - self._told_s >= self._every_s:
+            self._told_s = now
+            notify("WATCHDOG=1")
+
+    def ready(self) -> bool:
+        """Say that the service is ready, if that was not said; return whether it was said now."""
+        if self.is_ready:
+            return False
+        self.is_ready = True
+        self._say("READY")
+        notify("READY=1")
+        return True
+
+    def stopping(self) -> bool:
+        """Say that the service is stopping, if that was not said; return whether it was said now."""
+        if self.is_stopping:
+            return False
+        self.is_stopping = True
+        notify("STOPPING=1")
+        return True

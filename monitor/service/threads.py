@@ -36,14 +36,8 @@ def background(work: Callable[[], None], name: str) -> threading.Thread:
 class BlockQueue(Generic[T]):
     """Bounded queue of blocks and other items, in order; when it is full, `put` waits, and `offer` refuses.
 
-    Parameters
-    ----------
-    most_blocks : int
-        Largest number of items.
-    most_bytes : int
-        Largest size of the samples of all blocks, bytes.  A single block of any size fits an empty queue.
-    changed : callable
-        Called when an item was appended or the queue was closed, so that one thread can wait for many queues.
+    A single block of any size fits an empty queue.  `changed` is called when an item was appended or the queue was closed, so
+    that one thread can wait for many queues.
     """
 
     def __init__(
@@ -130,30 +124,13 @@ def _size(item: object) -> int:
 class Reader:
     """Reader of a source in a separate thread, which opens the source again whenever it is lost.
 
-    Parameters
-    ----------
-    source : Source
-        Source to read, not yet open.
-    queue : BlockQueue, optional
-        Queue for the blocks; a new one by default.
-    poll_s : float
-        Longest wait for a block before the thread looks whether it is to stop, s.
-
-    Attributes
-    ----------
-    queue : BlockQueue
-        Queue of the blocks read; it is closed when no more follow.
-    opened : bool
-        True if the source has been open at least once.
-    ended : bool
-        True if the source reported the end of its data.
-    failure : Exception or None
-        Error that ended reading for good: neither the end of the data nor a loss of the source that reopening may cure.
-    lost : int
-        Number of times that the source failed or could not be opened.
-    error : str
-        Reason of the latest loss; empty while the source is open.
+    It puts the blocks into `queue`, which is closed when no more follow, and looks every `poll_s` whether it is to stop.
+    `opened` tells that the source has been open, `ended` that it has no more data, `lost` how often it failed or could not be
+    opened, and `error` why it did last, empty while it is open.  `failure` is an error that ended reading for good, which
+    reopening cannot cure.
     """
+
+    dropped = 0  # the source waits while the queue is full
 
     def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None, poll_s: float = _POLL_S) -> None:
         self.source, self._poll_s = source, poll_s
@@ -171,11 +148,6 @@ class Reader:
     def failed(self) -> str | None:
         """Words that say that the source's driver does not answer; None while it does, whether there are data or not."""
         return self._busy.overdue
-
-    @property
-    def dropped(self) -> int:
-        """Number of lost blocks: none, since the source waits while the queue is full."""
-        return 0
 
     def start(self) -> None:
         """Start reading."""
@@ -243,20 +215,8 @@ Job = Callable[[int], None]
 class Recording:
     """Recorder in a separate thread, behind a queue that holds minutes of data, so that a slow disk delays nothing.
 
-    While the queue is full, as when a disk hangs, blocks and jobs are refused; lost blocks are counted.  If the recorder is not
-    `enabled` in its settings, nothing is recorded but jobs are still done.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the recordings.
-    settings : RecorderSettings
-        Settings of the recorder.
-
-    Attributes
-    ----------
-    dropped : int
-        Number of blocks lost because too many waited.
+    While the queue is full, as when a disk hangs, blocks and jobs are refused; lost blocks are counted in `dropped`.  If the
+    recorder is not `enabled` in its settings, nothing is recorded but jobs are still done.
     """
 
     def __init__(self, folder: Path, settings: RecorderSettings) -> None:
@@ -353,12 +313,9 @@ class Chores:
     """Worker for small jobs that may wait for the disk, in a separate thread so that no other thread waits.
 
     Of waiting jobs with the same name only the latest is done.
-
-    Parameters
-    ----------
-    name : str
-        Name of the thread.
     """
+
+    dropped = 0  # the latest job of a name stands for those before
 
     def __init__(self, name: str = "chores") -> None:
         self._jobs: dict[str, Callable[[], None]] = {}
@@ -383,11 +340,6 @@ class Chores:
     def failed(self) -> str | None:
         """Reason for which a file could not be written last, or for which none is written; None if there is none."""
         return self._busy.overdue or next((f"{path}: {reason}" for path, reason in self._errors.copy().items()), None)
-
-    @property
-    def dropped(self) -> int:
-        """Number of lost jobs: none, since the latest job of a name stands for those before."""
-        return 0
 
     def settle(self, timeout_s: float) -> None:
         """Wait until the jobs that are queued now are done, for at most `timeout_s`."""

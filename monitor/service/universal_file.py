@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -20,19 +20,8 @@ _ACCELERATION, _TIME, _FREQUENCY, _GENERAL = 12, 17, 18, 1
 def write(rows: Iterable[Mapping[str, Any]], out: Path, channels: Sequence[str]) -> int:
     """Write the modes of the model, the mean over all rows of each, and return their number.
 
-    Parameters
-    ----------
-    rows : iterable of mapping
-        Rows of the table `modes`, in order of time.
-    out : Path
-        File to write.
-    channels : sequence of str
-        Names of the channels; channel k is node k, direction +x.
-
-    Raises
-    ------
-    BadConfigurationError
-        The library pyuff is not installed.
+    The rows are those of the table `modes`, in order of time; channel k is node k, direction +x.  BadConfigurationError tells
+    that the library pyuff is not installed.
     """
     pyuff = import_extra("pyuff", "a universal file (UFF)")
     courses: dict[int, list[Mapping[str, Any]]] = defaultdict(list)
@@ -48,7 +37,7 @@ def write(rows: Iterable[Mapping[str, Any]], out: Path, channels: Sequence[str])
     return len(courses)
 
 
-def mean_shape(shapes: Sequence[ComplexArray]) -> ComplexArray:
+def mean_shape(shapes: Sequence[Annotated[ComplexArray, "channels"]]) -> Annotated[ComplexArray, "channels"]:
     """Average shapes of one mode, each scaled and turned to fit the first; not a number where a channel was always left out.
 
     Examples
@@ -72,9 +61,8 @@ def mean_shape(shapes: Sequence[ComplexArray]) -> ComplexArray:
 def _shape(pyuff: Any, mode: int, course: Sequence[Mapping[str, Any]], channels: Sequence[str]) -> dict[str, Any]:
     """Return dataset 55 of a mode: the pole of its mean frequency and damping, and its mean shape."""
     shape = mean_shape([_complex(row) for row in course])
-    frequency_hz, damping = (
-        float(np.mean([row[name] for row in course])) for name in ("frequency_hz", "damping_ratio")
-    )
+    frequency_hz = float(np.mean([row["frequency_hz"] for row in course]))
+    damping = float(np.mean([row["damping_ratio"] for row in course]))
     omega = 2.0 * np.pi * frequency_hz
     nodes = [k for k in range(len(shape)) if np.isfinite(shape[k])]
     zero = np.zeros(len(nodes), dtype=complex)
@@ -135,8 +123,7 @@ def _courses(pyuff: Any, mode: int, course: Sequence[Mapping[str, Any]]) -> list
 
 
 def _complex(row: Mapping[str, Any]) -> ComplexArray:
-    parts = (np.array(json.loads(row[name]), dtype=float) for name in ("shape_re", "shape_im"))
-    real, imaginary = parts
+    real, imaginary = (np.array(json.loads(row[name]), dtype=float) for name in ("shape_re", "shape_im"))
     shape: ComplexArray = real + 1j * imaginary
     return shape
 

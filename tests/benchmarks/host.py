@@ -27,7 +27,7 @@ from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration, configuration
 from monitor.runs import Session
-from monitor.service.host import Line, Place
+from monitor.service.schedule import Line, Place
 from monitor.service.threads import BlockQueue
 from tests.support.frame_text import THREE_STORIES
 from tests.support.live_rig import ROOT, Command

@@ -10,7 +10,8 @@ import pytest
 
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.service import logs
-from monitor.service.host import Host, Line, Place, named_in_the_log
+from monitor.service.host import Host
+from monitor.service.schedule import Line, Place, named_in_the_log
 from monitor.service.site import Site
 from monitor.service.threads import BlockQueue
 from tests.support.samples import Cut

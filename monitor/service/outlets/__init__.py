@@ -9,7 +9,6 @@ import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, cast
 
 from pydantic import BaseModel, ValidationError
 
@@ -27,15 +26,6 @@ _log = logging.getLogger(__name__)
 def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:
     """Create the outlets that a site file asks for; with `dry` only check its tables.
 
-    Parameters
-    ----------
-    path : Path
-        Site file, to whose folder relative paths refer.
-    config : Configuration
-        Settings of that file.
-    dry : bool
-        If true, no outlet is created.
-
     Raises
     ------
     BadConfigurationError
@@ -44,26 +34,23 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
     folder, name = path.resolve().parent, config.site_name
     state = folder / config.output.dir / "state"
     problems: list[str] = []
-    makers = [
-        _maker("zenoh", config.output.zenoh, _zenoh, folder, problems),
-        _maker("mqtt", config.output.mqtt, _mqtt, folder, problems),
-        _maker("metrics", config.output.metrics, _metrics, folder, problems),
-    ]
-    page = _web(config, folder, problems)
+    makers = [_maker(table, config, folder, problems) for table in ("zenoh", "mqtt", "metrics")]
+    makers.append(_web(config, folder, problems))
     settings, to = _notify(config, folder, problems)
-    if problems:
-        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    _demand_none(path, problems)
     if to.left_out is not None:
         _log.warning(to.left_out)
     if dry:
         return ()
-    optional = tuple(make(name) for make in makers if make is not None)
-    return (
-        Inbox(state / "requests", worker=Chores("requests")),
-        *optional,
-        *(() if page is None else (page(),)),
-        Notifier(name, settings, to, state / "outbox.jsonl"),
-    )
+    inbox = Inbox(state / "requests", worker=Chores("requests"))
+    optional = [make() for make in makers if make is not None]
+    return (inbox, *optional, Notifier(name, settings, to, state / "outbox.jsonl"))
+
+
+def _demand_none(path: Path, problems: Sequence[str]) -> None:
+    """Raise BadConfigurationError, with a line for each, where a site file has problems."""
+    if problems:
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
 
 
 def prepare_change(path: Path, config: Configuration, outlets: Sequence[Outlet]) -> Callable[[], None]:
@@ -76,8 +63,7 @@ def prepare_change(path: Path, config: Configuration, outlets: Sequence[Outlet])
     """
     problems: list[str] = []
     settings, to = _notify(config, path.resolve().parent, problems)
-    if problems:
-        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    _demand_none(path, problems)
 
     def apply() -> None:
         for outlet in outlets:
@@ -90,11 +76,6 @@ def prepare_change(path: Path, config: Configuration, outlets: Sequence[Outlet])
 def send_test_messages(path: Path, config: Configuration) -> list[Trial]:
     """Send a test message to every address of ``[notify]``, and return the outcomes.
 
-    Parameters
-    ----------
-    path, config : Path, Configuration
-        As of `make_outlets`.
-
     Raises
     ------
     BadConfigurationError
@@ -105,8 +86,7 @@ def send_test_messages(path: Path, config: Configuration) -> list[Trial]:
     beats = [url for url in (to.heartbeat_url, to.heartbeat_blocked_url) if url is not None]
     if not problems and not to.urls and not beats:
         problems.append("notify: no address; give urls, url_file or heartbeat_url")
-    if problems:
-        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    _demand_none(path, problems)
     return send_test(to.urls, beats, config.site_name)
 
 
@@ -149,44 +129,35 @@ def _web(config: Configuration, folder: Path, problems: list[str]) -> Callable[[
     return partial(WebPage, config.site_name, output.web_address, token, folder / output.dir)
 
 
-def _zenoh() -> tuple[Any, type[BaseModel]]:
-    from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
-
-    return ZenohOut, ZenohOutSettings
-
-
-def _mqtt() -> tuple[Any, type[BaseModel]]:
-    from monitor.service.outlets.mqtt import MqttOut, MqttOutSettings
-
-    return MqttOut, MqttOutSettings
-
-
-def _metrics() -> tuple[Any, type[BaseModel]]:
-    from monitor.service.outlets.metrics import Metrics, MetricsSettings
-
-    return Metrics, MetricsSettings
-
-
-def _maker(
-    name: str, table: Any, load: Callable[[], tuple[Any, type[BaseModel]]], folder: Path, problems: list[str]
-) -> _Maker | None:
+def _maker(table: str, config: Configuration, folder: Path, problems: list[str]) -> Callable[[], Outlet] | None:
     """Return a function that creates the outlet of a table of ``[output]``; its library is loaded only if the table exists."""
-    if table is None:
+    if (content := getattr(config.output, table)) is None:
         return None
     try:
-        kind, settings_type = load()
-        settings = read_settings(settings_type, table)
+        kind, settings_type = _load(table)
+        settings = read_settings(settings_type, content)
         password = getattr(settings, "password_file", None)
         if password is not None and not (folder / password).is_file():
-            problems.append(f"output.{name}.password_file: {password}: no such file")
+            problems.append(f"output.{table}.password_file: {password}: no such file")
     except ImportError as error:
-        problems.append(f"output.{name}: cannot be loaded: {error}")
+        problems.append(f"output.{table}: cannot be loaded: {error}")
     except ValidationError as error:
-        problems += settings_problems(error, "output", name)
+        problems += settings_problems(error, "output", table)
     else:
-        return lambda site: cast(Outlet, kind(site, settings, folder))
+        return partial(kind, config.site_name, settings, folder)
     return None
 
 
-class _Maker(Protocol):
-    def __call__(self, name: str) -> Outlet: ...
+def _load(table: str) -> tuple[Callable[..., Outlet], type[BaseModel]]:
+    """Import the outlet of a table of ``[output]``, and the class of its settings."""
+    if table == "zenoh":
+        from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
+
+        return ZenohOut, ZenohOutSettings
+    if table == "mqtt":
+        from monitor.service.outlets.mqtt import MqttOut, MqttOutSettings
+
+        return MqttOut, MqttOutSettings
+    from monitor.service.outlets.metrics import Metrics, MetricsSettings
+
+    return Metrics, MetricsSettings

@@ -16,11 +16,6 @@ class Outlet(Publisher):
     """Publish results to a network or to people, and collect the requests that operators make there.
 
     No method waits or raises; `failed` says why nothing gets out, `dropped` counts what was lost.
-
-    Attributes
-    ----------
-    present : Assessment
-        The present state of the structure.
     """
 
     url: str | None = None

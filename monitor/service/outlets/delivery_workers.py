@@ -48,13 +48,7 @@ class Delivery(Protocol):
 
 
 class DeliveryProcess:
-    """Process of a worker's present delivery, at most one at a time.
-
-    Parameters
-    ----------
-    deadline_s : float
-        Longest time of one delivery in all, s.
-    """
+    """Process of a worker's present delivery, at most one at a time, each for at most `deadline_s` in all."""
 
     def __init__(self, deadline_s: float = _DEADLINE_S) -> None:
         self._deadline_s = deadline_s
@@ -125,27 +119,15 @@ class Trial:
 
 
 def send_test(urls: Sequence[str], beats: Sequence[str], site: str) -> list[Trial]:
-    """Send a test message to every address, and fetch every heartbeat's address once, all at a time.
-
-    Parameters
-    ----------
-    urls : sequence of str
-        Addresses of messages (apprise).
-    beats : sequence of str
-        Addresses of the heartbeat.
-    site : str
-        Name of the site, given in the message.
-    """
+    """Send a test message to every address (apprise), and fetch every heartbeat's address once, all at a time."""
     message = {"title": f"[{site}] test", "body": "A test of the notifications: nothing has happened.", "type": "info"}
-    jobs: list[tuple[str, Mapping[str, Any]]] = [
-        (_name(number, url), {"url": url, **message}) for number, url in enumerate(urls, start=1)
-    ]
-    jobs += [("heartbeat" if k == 0 else "heartbeat, blocked", {"url": url}) for k, url in enumerate(beats)]
+    jobs: dict[str, Mapping[str, Any]] = {_name(k, url): {"url": url, **message} for k, url in enumerate(urls, start=1)}
+    jobs |= {name: {"url": url} for name, url in zip(("heartbeat", "heartbeat, blocked"), beats, strict=False)}
 
-    def deliver(job: tuple[str, Mapping[str, Any]]) -> Trial:
+    def deliver(name: str) -> Trial:
         begun_s = time.monotonic()
-        code = DeliveryProcess().run(job[1])
-        return Trial(job[0], code, round(time.monotonic() - begun_s, 2))
+        code = DeliveryProcess().run(jobs[name])
+        return Trial(name, code, round(time.monotonic() - begun_s, 2))
 
     with ThreadPoolExecutor(len(jobs) or 1) as pool:
         return list(pool.map(deliver, jobs))
@@ -160,21 +142,8 @@ def _name(number: int, url: str) -> str:
 class AddressWorker:
     """Delivery of messages to one address, in the order of `Outbox.first`, each tried again until it is delivered.
 
-    Parameters
-    ----------
-    url : str
-        apprise URL; it holds secrets and is neither logged nor shown.
-    number : int
-        Place in the list of addresses, which names the address to people.
-    outbox : Outbox
-        Messages to deliver.
-    site : str
-        Name of the site, given in each message.
-    most_per_hour : int
-        Largest number of messages in an hour; half of them are kept for urgent ones.
-    clock : callable
-        Monotonic clock, s.
-    deliveries : Deliveries
+    The address, an apprise URL, holds secrets and is neither logged nor shown; to people its number in the list names it.
+    Half of the messages in an hour are kept for urgent ones.
     """
 
     def __init__(
@@ -333,16 +302,7 @@ def _with_head(url: str, head: str | None) -> str:
 
 
 class HeartbeatWorker:
-    """Heartbeat to an external supervisor while windows are produced.
-
-    Parameters
-    ----------
-    blocked : callable
-        Returns whether an address takes no messages.
-    clock : callable
-        Monotonic clock, s.
-    deliveries : Deliveries
-    """
+    """Heartbeat to an external supervisor while windows are produced; `blocked` returns whether an address takes no messages."""
 
     def __init__(
         self,

@@ -17,26 +17,14 @@ from urllib.parse import unquote
 
 _log = logging.getLogger(__name__)
 
-_MAX_CONNECTIONS = 8
-"""Largest number of open connections. [1; judgement: one or two readers, and some that hang]"""
-_MAX_PER_S = 20
-"""Largest number of connections accepted in a second. [1/s; cost: an answer takes some ms of the interpreter]"""
-_CONNECTION_S = 5.0
-"""Longest time of a connection, from its start to the last byte of its answer. [s; judgement]"""
-_MAX_SHARE = 0.25
-"""Largest share of a core that answers take while many are asked for. [1; judgement: the rest is the monitor's]"""
 _MAX_HEAD_BYTES = 8192
 """Largest size of the head of a request. [B; judgement]"""
-_REST_S = 1.0
-"""Pause where the system has no room for a connection. [s; judgement]"""
 
 WsgiApplication = Callable[[dict[str, Any], Callable[[str, list[tuple[str, str]]], object]], Iterable[bytes]]
 Message = MutableMapping[str, Any]
 AsgiApplication = Callable[
-    [MutableMapping[str, Any], Callable[[], Awaitable[Message]], Callable[[Message], Awaitable[None]]], Awaitable[None]
+    [Message, Callable[[], Awaitable[Message]], Callable[[Message], Awaitable[None]]], Awaitable[None]
 ]
-
-
 Respond = Callable[[bytes], Awaitable[bytes]]
 """Function that answers the head of a request; it raises ValueError where that is none."""
 
@@ -45,56 +33,30 @@ Respond = Callable[[bytes], Awaitable[bytes]]
 class Bounds:
     """What readers may cost."""
 
-    connections: int = _MAX_CONNECTIONS
-    """Largest number of open connections."""
-    per_s: float = _MAX_PER_S
-    """Largest number of connections accepted in a second."""
-    connection_s: float = _CONNECTION_S
-    """Longest time of a connection, from its start to the last byte of its answer, s."""
-    share: float = _MAX_SHARE
-    """Largest share of a core's time that answers take: after costly ones the next connection waits longer."""
-    waiting: int = _MAX_CONNECTIONS
-    """Number of connections that the system keeps until they are accepted."""
-    rest_s: float = _REST_S
-    """Pause where the system has no room for a connection, s."""
+    connections: int = 8
+    """Largest number of open connections. [1; judgement: one or two readers, and some that hang]"""
+    per_s: float = 20.0
+    """Largest number of connections accepted in a second. [1/s; cost: an answer takes some ms of the interpreter]"""
+    connection_s: float = 5.0
+    """Longest time of a connection, from its start to the last byte of its answer. [s; judgement]"""
+    share: float = 0.25
+    """Largest share of a core that answers take: after costly ones the next connection waits longer. [1; judgement: the rest is
+    the monitor's]"""
+    waiting: int = 8
+    """Number of connections that the system keeps until they are accepted. [1; judgement: as many as may be open]"""
+    rest_s: float = 1.0
+    """Pause where the system has no room for a connection. [s; judgement]"""
 
 
 class HttpServer:
-    """Answer requests without a body, one a connection.
+    """Answer requests without a body, one a connection, in one thread, at `port` (0 asks for any); with `tls` it speaks TLS.
 
-    A connection beyond the largest number replaces the oldest, so that readers that hang do not shut out others.
-
-    Parameters
-    ----------
-    host : str
-        Name or address to listen at.
-    port : int
-        Port; 0 for any.
-    respond : function
-        Answer of the head of a request (`wsgi`, `asgi`); called in the server's thread.
-    tls : SSLContext, optional
-        With it the server speaks TLS.
-    bounds : Bounds
-        What readers may cost.
-
-    Attributes
-    ----------
-    port : int
-        Port at which it listens.
-
-    Raises
-    ------
-    OSError
-        The port cannot be opened.
+    A connection beyond the largest number replaces the oldest, so that readers that hang do not shut out others.  OSError is
+    raised where the port cannot be opened.
     """
 
     def __init__(
-        self,
-        host: str,
-        port: int,
-        respond: Respond,
-        tls: ssl.SSLContext | None = None,
-        bounds: Bounds = Bounds(),
+        self, host: str, port: int, respond: Respond, tls: ssl.SSLContext | None = None, bounds: Bounds = Bounds()
     ) -> None:
         self._bounds = bounds
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
@@ -175,12 +137,8 @@ class HttpServer:
     async def _answer(self, connection: socket.socket) -> None:
         """Read a request and write its answer.
 
-        Raises
-        ------
-        OSError, EOFError, LimitOverrunError
-            The connection failed, or the request is not complete or too long.
-        ValueError
-            It is no request.
+        OSError, EOFError or LimitOverrunError tell that the connection failed, or that the request is not complete or too long;
+        ValueError that it is none.
         """
         reader = asyncio.StreamReader(limit=_MAX_HEAD_BYTES)
         protocol = asyncio.StreamReaderProtocol(reader)
@@ -255,13 +213,7 @@ def asgi(application: AsgiApplication) -> Respond:
 
 
 def _parts(head: bytes) -> tuple[str, str, str, list[tuple[str, str]]]:
-    """Split the head of a request into method, path, query, and names (lower case) and values of its fields.
-
-    Raises
-    ------
-    ValueError
-        It is not the head of a request.
-    """
+    """Split the head of a request into method, path, query, and names (lower case) and values of its fields; else ValueError."""
     first, *rows = head.decode("latin-1").split("\r\n")
     method, target, _version = first.split(" ")
     path, _, query = target.partition("?")

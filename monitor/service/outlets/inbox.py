@@ -29,18 +29,7 @@ class Inbox(Outlet):
     A file is removed only after its request was applied, so that a request interrupted by a power cut is applied again.
     Applying a request twice has the same effect as once, because every request states the wanted result.  A request that
     cannot be applied yet, or exceeds the rate of its asker, waits.  One whose file cannot be removed is applied once in a run.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the requests; it is created if it does not exist.
-    clock : callable
-        Seconds of a clock that never goes back.
-    worker : Chores, optional
-        Worker in whose thread files are read and removed, so that `take_requests` waits for no disk; without one they are at
-        once.
-    every_s : float
-        Shortest time from one look at the folder to the next, s.
+    Files are read and removed in the thread of `worker`, so that `take_requests` waits for no disk; without one they are at once.
     """
 
     def __init__(
@@ -58,7 +47,6 @@ class Inbox(Outlet):
         """Requests that were read and wait to be taken."""
         self._taken: list[Path] = []
         self._done: deque[Path] = deque()
-        """Files to remove."""
         self._stuck: set[Path] = set()
         with contextlib.suppress(OSError):  # created here, so that the daemon's user owns it, whoever asks first
             folder.mkdir(parents=True, exist_ok=True)

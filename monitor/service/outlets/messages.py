@@ -9,7 +9,8 @@ import time
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from monitor.core import Busy, Gap, WindowResult
 from monitor.damage import Assessment, modal_parts
@@ -23,30 +24,29 @@ _RETRY_S = (0.5, 30.0)
 """Pause before joining a network again: the first, and the longest, which each failure doubles up to. [s; cost]"""
 
 
-class Messages(Outlet):
+class _Prefixed(Protocol):
+    @property
+    def prefix(self) -> str | None: ...
+
+
+S = TypeVar("S", bound=_Prefixed)
+
+
+class Messages(Outlet, Generic[S]):
     """Publish results as JSON texts under the names results, alarm, state, event, gap, health and finding.
 
-    No method but `close` waits, and none raises.  A class of one network says how texts are sent (`_publish`); a thread does so.
-
-    Parameters
-    ----------
-    prefix : str
-        Common prefix of the names on the network.
-    queue_size : int
-        Largest number of messages that wait while there is no network; beyond it the oldest are discarded and counted in
-        `dropped`.
-
-    Notes
-    -----
-    While the network fails, `failed` gives the reason, which is logged once; joining is tried again without end.
+    The names begin with the settings' prefix, by default that of the site.  No method but `close` waits, and none raises.  A
+    class of one network says how texts are sent (`_publish`); a thread, which is started last, does so.  While the network
+    fails, `failed` gives the reason, which is logged once; joining is tried again without end.  Beyond `queue_size` waiting
+    messages the oldest are discarded and counted in `dropped`.
     """
 
     network: ClassVar[str]
-    """Name of the network in messages."""
     dropped: int = 0
 
-    def __init__(self, prefix: str, queue_size: int) -> None:
-        self.prefix = prefix
+    def __init__(self, site: str, settings: S, folder: Path = Path(), *, queue_size: int = 256) -> None:
+        self.prefix = settings.prefix or site_prefix(site)
+        self._settings, self._folder = settings, folder
         self._alarm: tuple[Any, ...] = ()
         self._waiting: deque[tuple[str, str]] = deque(maxlen=queue_size)
         self._changed = threading.Condition()
@@ -55,6 +55,7 @@ class Messages(Outlet):
         self._failure: str | None = None
         self._busy = Busy()
         self._thread = background(self._run, f"{self.network.lower()}-out")
+        self._thread.start()
 
     @abstractmethod
     def _publish(self) -> None:

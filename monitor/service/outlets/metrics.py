@@ -75,23 +75,10 @@ class MetricsSettings(Settings):
 
 
 class Metrics(Collector, Outlet):
-    """Answer Prometheus over HTTP with the latest results and counts.
+    """Answer Prometheus over HTTP with the latest results and counts; without settings only `collect` is asked.
 
-    If the port cannot be opened, `failed` says so, and every health line triggers another attempt.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site.
-    settings : MetricsSettings or None
-        Settings of ``[output.metrics]``; with None it does not listen, and others ask it to `collect`.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-
-    Attributes
-    ----------
-    port : int or None
-        Port of the server; None until it listens.
+    If the port cannot be opened, `failed` says so, and every health line triggers another attempt; `port` is None until it
+    listens.
     """
 
     failed: str | None = None
@@ -157,9 +144,8 @@ class Metrics(Collector, Outlet):
         build.add_metric((__version__, platform.python_version(), self._site), 1)
         yield build
         states = {state.value: float(state is self.present.state) for state in State}
-        yield _labelled(
-            GaugeMetricFamily, "shm_state", "State of the structure: 1 for the present one.", states, "state"
-        )
+        text = "State of the structure: 1 for the present one."
+        yield _labelled(GaugeMetricFamily, "shm_state", text, states, "state")
         yield CounterMetricFamily("shm_windows", "Windows.", self._windows)
         yield _labelled(CounterMetricFamily, "shm_windows_skipped", "Windows without a word.", self._skipped, "reason")
         yield CounterMetricFamily("shm_samples", "Samples taken, of each channel.", self._samples)
@@ -167,10 +153,8 @@ class Metrics(Collector, Outlet):
         yield CounterMetricFamily("shm_lost_seconds", "Data missing in gaps.", self._lost_s)
         yield CounterMetricFamily("shm_dropped_samples", "Repeated, late or not finite.", self._dropped)
         yield CounterMetricFamily("shm_findings", "Diagnoses made.", self._findings)
-        left_out = dict.fromkeys(self._left_out, 1.0)
-        yield _labelled(
-            GaugeMetricFamily, "shm_channel_left_out", "Channels in no use at present.", left_out, "channel"
-        )
+        text, left_out = "Channels in no use at present.", dict.fromkeys(self._left_out, 1.0)
+        yield _labelled(GaugeMetricFamily, "shm_channel_left_out", text, left_out, "channel")
         if self._result is not None:
             yield from _result_metrics(self._result, self._active)
         if self._health:
@@ -189,13 +173,7 @@ class Metrics(Collector, Outlet):
             self.failed = f"{s.listen}: {error}"
 
     def _tls(self, s: MetricsSettings) -> ssl.SSLContext | None:
-        """Load the certificates; None without one.
-
-        Raises
-        ------
-        OSError
-            A file is missing or not what it should be; the message names the files.
-        """
+        """Load the certificates; None without one, OSError that names the files where one is missing or not what it should be."""
         if s.certificate is None or s.private_key is None:
             return None
         names = [str(path) for path in (s.certificate, s.private_key, s.client_ca) if path is not None]
@@ -253,12 +231,9 @@ def _of_modes(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Met
     if result.modal is None:
         return
     change = np.expm1(result.modal.ln_frequency).tolist()
+    text = "Relative change of the frequency since the baseline, less what covariates explain."
     for name, help_text, values in (
-        (
-            "shm_frequency_change",
-            "Relative change of the frequency since the baseline, less what covariates explain.",
-            change,
-        ),
+        ("shm_frequency_change", text, change),
         ("shm_frequency_change_std", "Its standard deviation.", result.modal.ln_frequency_std.tolist()),
     ):
         shown = {str(k): x for k, x in enumerate(values, start=1) if np.isfinite(x)}
@@ -299,8 +274,7 @@ def _health_metrics(health: Mapping[str, Any]) -> Iterator[Metric]:
     for family, name, help_text, value in single:
         if value is not None:
             yield family(name, help_text, float(value))
-    events = {k: n for k, n in source["counts"].items()}
-    yield _labelled(CounterMetricFamily, "shm_source_events", "The driver's counts.", events, "event")
+    yield _labelled(CounterMetricFamily, "shm_source_events", "The driver's counts.", source["counts"], "event")
     for name, help_text, key in (
         ("shm_clock_offset_seconds", "Arrival less time of the samples.", "offset_s"),
         ("shm_clock_drift_ppm", "How much faster than nominal a node samples.", "drift_ppm"),

@@ -7,12 +7,11 @@ by a full queue.  Requests of operators are not taken here: a broker does not te
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import ClassVar
 
 from drivers.base import SourceError
 from drivers.mqtt_session import BrokerSettings, Connection, Topic, client_id
-from monitor.service.outlets.messages import Messages, site_prefix
+from monitor.service.outlets.messages import Messages
 
 _WAIT_S = 1.0
 """Time between two looks at whether the broker has a message, or the outlet is to end. [s; cost]"""
@@ -27,32 +26,15 @@ class MqttOutSettings(BrokerSettings):
     """Common prefix of the topics; ``shm/<site>`` by default."""
 
 
-class MqttOut(Messages):
-    """Publish results over MQTT.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site in the topics, if the settings give no prefix.
-    settings : MqttOutSettings
-        Settings of ``[output.mqtt]``.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-    queue_size : int
-        See `Messages`.
-    """
+class MqttOut(Messages[MqttOutSettings]):
+    """Publish results over MQTT."""
 
     network: ClassVar[str] = "MQTT"
-
-    def __init__(self, site: str, settings: MqttOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
-        super().__init__(settings.prefix or site_prefix(site), queue_size)
-        self._settings, self._folder = settings, folder
-        self._connection: Connection | None = None
-        self._thread.start()
+    _connection: Connection | None = None
 
     @property
     def failed(self) -> str | None:
-        """See `Messages.failed`."""
+        """Reason for which nothing can be published at present, also one that the broker gave; None if all is published."""
         connection = self._connection
         told = None if connection is None else connection.problem or connection.refused
         return self._failure or told or self._busy.overdue

@@ -84,29 +84,16 @@ class Told:
     """End of the first window of those since which the state is doubtful, or no longer, other than announced."""
 
 
-def of_window(
-    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
-    """Derive the notices that a window calls for: alarms raised, escalated and cleared, doubts, and long times without a word.
+Derived = tuple[Told, list[Notice]]
+"""Announced state after notices, and these."""
 
-    An alarm is announced at once.  That nothing is judged is announced when it has lasted `blind_s`, and that the state is, or
-    no longer is, doubtful when it has lasted a window's length, so that a single window calls for neither.
 
-    Parameters
-    ----------
-    told : Told
-        State that was announced last.
-    result : WindowResult
-        The window.
-    present : Assessment
-        State of the structure with that window, whose sentences are the text of the notices.
-    settings : NoticeSettings
-        Selection of what is announced.
+def of_window(told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings) -> Derived:
+    """Derive the notices that a window calls for, and the announced state after them: alarms, doubts, long times without a word.
 
-    Returns
-    -------
-    (Told, list of Notice)
-        The announced state after the notices, and the notices.
+    An alarm is announced at once when it is raised, escalated or cleared.  That nothing is judged is announced when it has lasted
+    `blind_s`, and that the state is, or no longer is, doubtful when it has lasted a window's length, so that a single window
+    calls for neither.  The sentences of `present`, the state with that window, are the text of the notices.
     """
     told, notices = _blindness(told, result, present, settings)
     if result.skipped is None:
@@ -121,9 +108,7 @@ def _text(present: Assessment) -> str:
     return "\n".join([present.headline, *present.doubts])[:_MOST_TEXT]
 
 
-def _blindness(
-    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
+def _blindness(told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings) -> Derived:
     """Derive the notice that nothing has been judged for `blind_s`, or is judged again."""
     if result.skipped is None and present.state is not State.NOT_JUDGED:
         notices = [Notice("blind", True, "judged again", _text(present), "structure")] if told.blind else []
@@ -138,12 +123,11 @@ def _blindness(
     return replace(told, blind=True), [Notice("blind", False, State.NOT_JUDGED.words, text[:_MOST_TEXT], "structure")]
 
 
-def _doubts(told: Told, result: WindowResult, present: Assessment) -> tuple[Told, list[Notice]]:
+def _doubts(told: Told, result: WindowResult, present: Assessment) -> Derived:
     """Derive the notice that the state has been doubtful, or no longer, for a window's length."""
     doubtful = present.state is State.DOUBTFUL
-    if (
-        doubtful == told.doubtful or present.state.rank > State.DOUBTFUL.rank
-    ):  # beside an alarm doubts are its text only
+    is_graver = present.state.rank > State.DOUBTFUL.rank  # beside an alarm doubts are its text only
+    if doubtful == told.doubtful or is_graver:
         return replace(told, doubt_ns=None), []
     since = result.t_end_ns if told.doubt_ns is None else told.doubt_ns
     if result.t_end_ns - since < result.window_s * 1e9:
@@ -153,9 +137,7 @@ def _doubts(told: Told, result: WindowResult, present: Assessment) -> tuple[Told
     return replace(told, doubtful=doubtful, doubt_ns=None), [notice]
 
 
-def _alarms(
-    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
+def _alarms(told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings) -> Derived:
     """Derive the notices of alarms raised, escalated and cleared."""
     active = result.alarm.active
     if result.modal is not None and active:  # one change moves several modes and shapes: it is told once
@@ -175,26 +157,10 @@ def _alarms(
     return replace(told, levels=levels), notices
 
 
-def of_health(
-    told: Told, line: Mapping[str, Any], silent_s: float, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
-    """Derive the notices that a health line calls for: source lost or back, recorder stopped or going on.
+def of_health(told: Told, line: Mapping[str, Any], silent_s: float, settings: NoticeSettings) -> Derived:
+    """Derive the notices that a line of health.jsonl calls for, and the announced state after them.
 
-    Parameters
-    ----------
-    told : Told
-        State that was announced last.
-    line : mapping
-        Line of health.jsonl.
-    silent_s : float
-        Time since the latest data, s.
-    settings : NoticeSettings
-        Selection of what is announced.
-
-    Returns
-    -------
-    (Told, list of Notice)
-        The announced state after the notices, and the notices.
+    They say that the source is lost (`silent_s` without data, s) or back, and that the recorder stopped or goes on.
     """
     notices = []
     source = line["source"]
@@ -215,9 +181,7 @@ def of_health(
     return told, notices
 
 
-def of_finding(
-    told: Told, finding: Mapping[str, Any], present: Assessment, settings: NoticeSettings
-) -> tuple[Told, list[Notice]]:
+def of_finding(told: Told, finding: Mapping[str, Any], present: Assessment, settings: NoticeSettings) -> Derived:
     """Derive the notice of a finding; a diagnosis that failed is not announced.
 
     Where the finding is what makes the state doubtful, its notice announces that too.

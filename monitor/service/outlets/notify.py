@@ -75,47 +75,43 @@ class Addresses:
 def addresses(settings: NotifySettings, folder: Path) -> Addresses:
     """Resolve the URLs of the settings: read the environment and the URL file, and check every URL.
 
-    Parameters
-    ----------
-    settings : NotifySettings
-        Settings of ``[notify]``.
-    folder : Path
-        Folder of the site file.
-
-    Raises
-    ------
-    ValueError
-        The addresses are invalid; the message lists one problem a line, without any part of a URL.
+    Of invalid addresses ValueError lists one problem a line, without any part of a URL.
     """
     problems: list[str] = []
     named = [(f"urls[{k}]", url) for k, url in enumerate(settings.urls)]
     if settings.url_file is not None:
-        try:
-            text = (folder / settings.url_file).read_text(encoding="utf-8")
-            rows = [(f"url_file line {k}", row.strip()) for k, row in enumerate(text.splitlines(), start=1)]
-            named += [(place, row) for place, row in rows if row and not row.startswith("#")]
-        except (OSError, UnicodeDecodeError) as error:
-            problems.append(f"url_file: {settings.url_file}: {getattr(error, 'strerror', None) or 'not UTF-8 text'}")
-
-    def expanded(place: str, text: str) -> str:
-        missing = [name for name in _VARIABLE.findall(text) if not os.environ.get(name)]
-        problems.extend(f"{place}: the environment has no {name}" for name in missing)
-        return "" if missing else _VARIABLE.sub(lambda match: os.environ[match[1]], text)
-
-    urls = [(place, expanded(place, url)) for place, url in named]
+        named += _of_file(folder, settings.url_file, problems)
+    urls = [(place, _expanded(place, url, problems)) for place, url in named]
     left_out = f"[notify] sends no message: it {missing}" if urls and (missing := missing_extra("notify")) else None
     if left_out is None:
         problems += [f"{place}: {_UNKNOWN_URL}" for place, url in urls if url and not _known(url)]
     beats: list[str | None] = []
     for place in ("heartbeat_url", "heartbeat_blocked_url"):
         text = getattr(settings, place)
-        beats.append(None if text is None else expanded(place, text))
+        beats.append(None if text is None else _expanded(place, text, problems))
         if beats[-1] and not beats[-1].startswith(("http://", "https://")):
             problems.append(f"{place}: no http:// or https:// URL")
     if problems:
         raise ValueError("\n".join(problems))
     usable = () if left_out else tuple(dict.fromkeys(url for _, url in urls))
     return Addresses(usable, beats[0], beats[1], left_out)
+
+
+def _of_file(folder: Path, file: Path, problems: list[str]) -> list[tuple[str, str]]:
+    """Read the URLs of a file, with the place of each; blank lines and those that begin with # are none."""
+    try:
+        rows = enumerate((folder / file).read_text(encoding="utf-8").splitlines(), start=1)
+    except (OSError, UnicodeDecodeError) as error:
+        problems.append(f"url_file: {file}: {getattr(error, 'strerror', None) or 'not UTF-8 text'}")
+        return []
+    return [(f"url_file line {k}", row.strip()) for k, row in rows if row.strip() and not row.strip().startswith("#")]
+
+
+def _expanded(place: str, url: str, problems: list[str]) -> str:
+    """Put the environment's variables into a URL; empty where one is missing."""
+    missing = [name for name in _VARIABLE.findall(url) if not os.environ.get(name)]
+    problems.extend(f"{place}: the environment has no {name}" for name in missing)
+    return "" if missing else _VARIABLE.sub(lambda match: os.environ[match[1]], url)
 
 
 def _known(url: str) -> bool:
@@ -127,22 +123,7 @@ def _known(url: str) -> bool:
 
 
 class Notifier(Outlet):
-    """Send people a message when the state of the structure, the sensors' health or a finding changes.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site, given in each message.
-    settings : NotifySettings
-        Settings of ``[notify]``.
-    to : Addresses
-        Resolved addresses.
-    place : Path
-        File of the outbox.
-    clock : callable
-        Monotonic clock, s.
-    deliveries : Deliveries
-    """
+    """Send people a message when the state of the structure, the sensors' health or a finding changes."""
 
     def __init__(
         self,
@@ -167,12 +148,8 @@ class Notifier(Outlet):
     def failed(self) -> str | None:
         """Addresses that cannot be reached, or why messages cannot be stored; None if all is well."""
         stored = None if self._outbox is None else self._saving.overdue or self._outbox.failed
-        reasons = [
-            self._to.left_out,
-            stored,
-            self._heartbeat.failed,
-            *(worker.failed for worker in self._workers.values()),
-        ]
+        of_workers = (worker.failed for worker in self._workers.values())
+        reasons = [self._to.left_out, stored, self._heartbeat.failed, *of_workers]
         return "; ".join(reason for reason in reasons if reason) or None
 
     @property

@@ -47,28 +47,11 @@ class Message:
 class Outbox:
     """Messages to deliver and the state that was announced last, in one file that is replaced as a whole with every change.
 
-    The announced state and the messages change together, so that no crash can make them inconsistent.  Changes are made in
-    memory, by any thread, and never wait for the disk; `save` writes them.  A file that cannot be read is renamed.  If the disk
-    does not accept the file, the messages stay in memory and `failed` says so.
-
-    Parameters
-    ----------
-    path : Path
-        File of the outbox.
-    most : int
-        Largest number of waiting messages; beyond it those that are superseded are given up first, then the oldest of the least
-        urgent, and counted in `dropped`.
-
-    Attributes
-    ----------
-    changed : Condition
-        Its lock guards the messages; it is notified of each change.
-    told : Told
-        State that was announced last.
-    dropped : int
-        Number of messages given up.
-    failed : str or None
-        Why the file could not be read or written; None if it could.
+    The announced state `told` and the messages change together, so that no crash can make them inconsistent.  Changes are made
+    in memory, by any thread, and never wait for the disk; `save` writes them.  A file that cannot be read is renamed.  If the
+    disk does not accept the file, the messages stay in memory and `failed` says so.  Beyond `most` messages those that are
+    superseded are given up first, then the oldest of the least urgent, and counted in `dropped`.  The lock of `changed` guards
+    the messages, and it is notified of each change.
     """
 
     def __init__(self, path: Path, most: int = MOST_MESSAGES) -> None:
@@ -102,28 +85,16 @@ class Outbox:
             self.changed.notify_all()
 
     def first(self, key: str, but: Collection[str] = (), lately: Sequence[str] = ()) -> Message | None:
-        """Return the message that the address `key` is to receive next; None if there is none.
+        """Return the message that the address `key` is to receive next, of no subject of `but`; None if there is none.
 
-        That is the newest of the most urgent kind.  Urgent kinds take turns, so that many of one kind hold up none of another.
-
-        Parameters
-        ----------
-        key : str
-            Key of the address.
-        but : collection of str
-            Subjects that are left out.
-        lately : sequence of str
-            Kinds that were delivered to the address, the latest last.
+        That is the newest of the most urgent kind.  Urgent kinds take turns, so that many of one kind hold up none of another:
+        `lately` lists those that were delivered to the address, the latest last.
         """
 
         def place(message: Message) -> tuple[bool, int, int, int]:
-            kind = message.notice.kind
-            return (
-                not message.notice.urgent,
-                lately.index(kind) if kind in lately else -1,
-                message.notice.rank,
-                -message.id,
-            )
+            notice = message.notice
+            turn = lately.index(notice.kind) if notice.kind in lately else -1
+            return not notice.urgent, turn, notice.rank, -message.id
 
         with self.changed:
             return min((m for m in self._messages if key in m.to and m.subject not in but), key=place, default=None)

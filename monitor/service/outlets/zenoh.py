@@ -41,26 +41,12 @@ class ZenohOutSettings(SessionSettings):
     """Largest number of waiting requests of operators; further requests are refused."""
 
 
-class ZenohOut(Messages):
-    """Publish results over Zenoh and collect operators' requests.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site in the keys, if the settings give no prefix.
-    settings : ZenohOutSettings
-        Settings of ``[output.zenoh]``.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-    queue_size : int
-        See `Messages`.
-    """
+class ZenohOut(Messages[ZenohOutSettings]):
+    """Publish results over Zenoh and collect operators' requests."""
 
     network: ClassVar[str] = "Zenoh"
 
     def __init__(self, site: str, settings: ZenohOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
-        super().__init__(key_prefix(site, settings), queue_size)
-        self._settings, self._folder = settings, folder
         self._requests: deque[tuple[Request, zenoh.Query]] = deque()
         self._taken: list[zenoh.Query] = []
         self._answers: deque[tuple[zenoh.Query, str | None]] = deque()
@@ -68,7 +54,7 @@ class ZenohOut(Messages):
         self._latest: dict[str, str] = {}
         self._heard_s: float | None = None
         """When the latest line of health came, by a clock that nobody sets."""
-        self._thread.start()
+        super().__init__(site, settings, folder, queue_size=queue_size)
 
     def known_event(self, line: str) -> None:
         """Answer queries of the state with an event of an earlier run, until there is another."""
@@ -211,20 +197,7 @@ def key_prefix(site: str, settings: ZenohOutSettings) -> str:
 
 
 def ask(settings: ZenohOutSettings, folder: Path, prefix: str, request: str, timeout_s: float) -> dict[str, Any] | None:
-    """Send a request to a running monitor; return its answer, or None if no monitor answers.
-
-    Parameters
-    ----------
-    settings : ZenohOutSettings
-        The monitor's settings of ``[output.zenoh]``.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-    prefix : str
-        Prefix of the monitor's keys (`key_prefix`).
-    request : str
-        Request as JSON (`monitor.service.requests`).
-    timeout_s : float
-        Longest wait for the answer, s.
+    """Send a request (JSON of a `Request`) to a running monitor; return its answer, or None if no monitor answers in time.
 
     Raises
     ------

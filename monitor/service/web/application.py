@@ -52,25 +52,21 @@ _LARGEST_NS = (1 << 63) - 1
 def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     """Make the ASGI application.
 
-    Parameters
-    ----------
-    snapshots : Snapshots
-        What is shown.
-    token : str or None
-        What the field ``Authorization: Bearer TOKEN`` of a request for data must hold.  With None anyone may read, but only by
-        a name of this machine's own, so that a page from elsewhere cannot lead a browser here by a name of its own.
+    A request for data must hold the field ``Authorization: Bearer TOKEN``.  Without a token anyone may read, but only by a
+    name of this machine's own, so that a page from elsewhere cannot lead a browser here by a name of its own.
     """
     files = resources.files("monitor.service.web") / "pages"
     routes = [Route(path, _page(files.joinpath(name).read_bytes(), kind)) for path, (name, kind) in _PAGES.items()]
-    whole = {
-        "status": snapshots.status_answer,
-        "events": snapshots.events_answer,
-        "findings": snapshots.findings_answer,
-        "alarms": snapshots.alarms_answer,
-        "sensors": snapshots.sensors_answer,
+    endpoints: dict[str, Callable[[Request], Answer]] = {
+        "status": lambda _: snapshots.status_answer(),
+        "windows": lambda request: snapshots.windows_answer(*_range(request)),
+        "events": lambda _: snapshots.events_answer(),
+        "findings": lambda _: snapshots.findings_answer(),
+        "alarms": lambda _: snapshots.alarms_answer(),
+        "sensors": lambda _: snapshots.sensors_answer(),
     }
-    routes += [Route(f"{API}/{name}", _endpoint(make)) for name, make in whole.items()]
-    routes += [Route(f"{API}/windows", _windows(snapshots)), Route("/openapi.json", _described)]
+    routes += [Route(f"{API}/{name}", _endpoint(make)) for name, make in endpoints.items()]
+    routes.append(Route("/openapi.json", _described))
     middleware = [
         Middleware(_Guard, token=token),
         Middleware(GZipMiddleware, minimum_size=1000, compresslevel=_ZIP_LEVEL),
@@ -120,25 +116,16 @@ def _page(content: bytes, kind: str) -> Callable[[Request], Awaitable[Response]]
     return answer
 
 
-def _endpoint(make: Callable[[], Answer]) -> Callable[[Request], Awaitable[Response]]:
-    async def answer(request: Request) -> Response:
-        return _tagged(request, make())
-
-    return answer
-
-
-def _windows(snapshots: Snapshots) -> Callable[[Request], Awaitable[Response]]:
-    async def answer(request: Request) -> Response:
-        return _tagged(request, snapshots.windows_answer(*_range(request)))
-
-    return answer
-
-
-def _tagged(request: Request, answer: Answer) -> Response:
+def _endpoint(make: Callable[[Request], Answer]) -> Callable[[Request], Awaitable[Response]]:
     """Answer with the tag; without the body where the reader has it already."""
-    if request.headers.get("if-none-match") == answer.etag:
-        return Response(status_code=304, headers={"ETag": answer.etag})
-    return Response(answer.body, media_type="application/json", headers={"ETag": answer.etag})
+
+    async def answer(request: Request) -> Response:
+        made = make(request)
+        if request.headers.get("if-none-match") == made.etag:
+            return Response(status_code=304, headers={"ETag": made.etag})
+        return Response(made.body, media_type="application/json", headers={"ETag": made.etag})
+
+    return answer
 
 
 async def _described(_: Request) -> Response:
@@ -155,13 +142,7 @@ def _error(status: int, text: str, headers: Any = None) -> Response:
 
 
 def _range(request: Request) -> tuple[int | None, int]:
-    """Read `since_ns` and `limit` of a request.
-
-    Raises
-    ------
-    HTTPException
-        One of them is no whole number within its bounds.
-    """
+    """Read `since_ns` and `limit` of a request; HTTPException tells that one is no whole number within its bounds."""
     since, limit = request.query_params.get("since_ns"), request.query_params.get("limit", str(DEFAULT_LIMIT))
     return (
         None if since is None else _whole("since_ns", since, 0, _LARGEST_NS),

@@ -9,15 +9,16 @@ from monitor.damage import State
 from monitor.publish import SHOWN
 from monitor.service.web.snapshots import DEFAULT_LIMIT, FINDING_KEYS, MOST_IN_ANSWER
 
-_NUMBER: dict[str, Any] = {"type": ["number", "null"]}
-_INTEGER: dict[str, Any] = {"type": ["integer", "null"]}
-_TEXT: dict[str, Any] = {"type": ["string", "null"]}
-_OBJECT: dict[str, Any] = {"type": ["object", "null"]}
+_Schema = dict[str, Any]
+_NUMBER: _Schema = {"type": ["number", "null"]}
+_INTEGER: _Schema = {"type": ["integer", "null"]}
+_TEXT: _Schema = {"type": ["string", "null"]}
+_OBJECT: _Schema = {"type": ["object", "null"]}
 
 
-def describe(api: str) -> dict[str, Any]:
+def describe(api: str) -> _Schema:
     """Write the OpenAPI document (version 3.1) of the endpoints below the path `api`."""
-    paths: dict[str, Any] = {
+    paths: _Schema = {
         f"{api}/status": _get("State of the structure and of the monitor; which other endpoints changed.", "Status"),
         f"{api}/windows": _get("Results of windows, oldest first.", "Windows", _range_parameters()),
         f"{api}/events": _get("Latest events (strong motion), newest first.", "Events"),
@@ -34,17 +35,14 @@ def describe(api: str) -> dict[str, Any]:
             "names. Every answer has an ETag: a request with If-None-Match is answered by 304 while nothing has changed.",
         },
         "paths": paths,
-        "components": {
-            "schemas": _schemas(),
-            "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
-        },
+        "components": {"schemas": _schemas(), "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}}},
         "security": [{"token": []}, {}],
     }
 
 
-def _get(summary: str, schema: str, parameters: list[dict[str, Any]] | None = None) -> dict[str, Any]:
+def _get(summary: str, schema: str, parameters: list[_Schema] | None = None) -> _Schema:
     content = {"application/json": {"schema": {"$ref": f"#/components/schemas/{schema}"}}}
-    answers: dict[str, Any] = {
+    answers: _Schema = {
         "200": {"description": summary, "content": content},
         "304": {"description": "Nothing has changed."},
         "401": {"description": "The token is missing or wrong."},
@@ -57,59 +55,53 @@ def _get(summary: str, schema: str, parameters: list[dict[str, Any]] | None = No
     }
 
 
-def _range_parameters() -> list[dict[str, Any]]:
+def _range_parameters() -> list[_Schema]:
+    most = "Largest number of windows; of more, evenly spaced ones are given, the latest among them."
+    limit = {"type": "integer", "minimum": 1, "maximum": MOST_IN_ANSWER, "default": DEFAULT_LIMIT}
     return [
-        {
-            "name": "since_ns",
-            "in": "query",
-            "description": "Only windows that end later than this.",
-            "schema": {"type": "integer", "minimum": 0},
-        },
-        {
-            "name": "limit",
-            "in": "query",
-            "description": "Largest number of windows; of more, evenly spaced ones are given, the latest among them.",
-            "schema": {"type": "integer", "minimum": 1, "maximum": MOST_IN_ANSWER, "default": DEFAULT_LIMIT},
-        },
+        {"name": name, "in": "query", "description": text, "schema": schema}
+        for name, text, schema in (
+            ("since_ns", "Only windows that end later than this.", {"type": "integer", "minimum": 0}),
+            ("limit", most, limit),
+        )
     ]
 
 
-def _schemas() -> dict[str, Any]:
-    window = {field.key: {**field.kind.schema, "description": field.meaning} for field in SHOWN}
-    window |= {
-        "level": _TEXT,
-        "stories": {"type": "array", "items": {"type": "integer"}},
-        "changed": _list({"type": "string"}),
-    }
-    status: dict[str, Any] = {
-        "site": {"type": "string", "description": "Name of the site."},
-        "version": {"type": "string", "description": "Version of shm-monitor."},
-        "begun_ns": {
-            "type": "integer",
-            "description": "When the page began to be served; another one: `revisions` count anew.",
-        },
-        "state": {"type": "string", "enum": [state.value for state in State]},
-        "headline": {"type": "string", "description": "The state in one sentence."},
-        "doubts": {"type": "array", "items": {"type": "string"}, "description": "What else holds."},
-        "monitor": {"type": "string", "enum": ["starting", "running", "silent"]},
-        "troubles": {"type": "array", "items": {"type": "string"}, "description": "Parts that do not work."},
-        "t_ns": {**_INTEGER, "description": "Data until."},
-        "data_age_s": {**_NUMBER, "description": "Since the latest data came, s."},
-        "uptime_s": {**_NUMBER, "description": "Since the start of the monitor, s."},
-        "disk_free_bytes": {**_INTEGER, "description": "Where results go."},
-        "windows": {**_INTEGER, "description": "Number of windows in this run."},
-        "skipped": {**_INTEGER, "description": "Number of those that could not be judged."},
-        "alarm": {**_OBJECT, "description": "The present alarm, as in summary.json."},
-        "stories": {"type": "array", "items": {"type": "string"}, "description": "Names of the stories."},
-        "has_baseline": {"type": ["boolean", "null"], "description": "Without one there is no alarm."},
-        "alarm_loss": {**_NUMBER, "description": "Loss from which a confirmed one is an alarm."},
-        "latest": {"anyOf": [_ref("Window"), {"type": "null"}], "description": "The latest window."},
-        "judged": {"anyOf": [_ref("Window"), {"type": "null"}], "description": "The latest that was not skipped."},
-        "revisions": {
-            "type": "object",
-            "additionalProperties": {"type": "integer"},
-            "description": "Name of an endpoint: a number that grows when its answer changes.",
-        },
+def _schemas() -> _Schema:
+    window = {field.key: _said(field.kind.schema, field.meaning) for field in SHOWN}
+    window |= {"level": _TEXT, "stories": _list({"type": "integer"}), "changed": _list({"type": "string"})}
+    text, texts, maybe_window = (
+        {"type": "string"},
+        _list({"type": "string"}),
+        {"anyOf": [_ref("Window"), {"type": "null"}]},
+    )
+    status: _Schema = {
+        "site": _said(text, "Name of the site."),
+        "version": _said(text, "Version of shm-monitor."),
+        "begun_ns": _said(
+            {"type": "integer"}, "When the page began to be served; another one: `revisions` count anew."
+        ),
+        "state": {**text, "enum": [state.value for state in State]},
+        "headline": _said(text, "The state in one sentence."),
+        "doubts": _said(texts, "What else holds."),
+        "monitor": {**text, "enum": ["starting", "running", "silent"]},
+        "troubles": _said(texts, "Parts that do not work."),
+        "t_ns": _said(_INTEGER, "Data until."),
+        "data_age_s": _said(_NUMBER, "Since the latest data came, s."),
+        "uptime_s": _said(_NUMBER, "Since the start of the monitor, s."),
+        "disk_free_bytes": _said(_INTEGER, "Where results go."),
+        "windows": _said(_INTEGER, "Number of windows in this run."),
+        "skipped": _said(_INTEGER, "Number of those that could not be judged."),
+        "alarm": _said(_OBJECT, "The present alarm, as in summary.json."),
+        "stories": _said(texts, "Names of the stories."),
+        "has_baseline": _said({"type": ["boolean", "null"]}, "Without one there is no alarm."),
+        "alarm_loss": _said(_NUMBER, "Loss from which a confirmed one is an alarm."),
+        "latest": _said(maybe_window, "The latest window."),
+        "judged": _said(maybe_window, "The latest that was not skipped."),
+        "revisions": _said(
+            {"type": "object", "additionalProperties": {"type": "integer"}},
+            "Name of an endpoint: a number that grows when its answer changes.",
+        ),
     }
     finding = {key: _INTEGER if key.endswith("_ns") else _TEXT for key in FINDING_KEYS}
     channel = {"channel": {"type": "string"}, "in_use": {"type": "boolean"}, "reason": _TEXT}
@@ -129,13 +121,17 @@ def _schemas() -> dict[str, Any]:
     }
 
 
-def _object(properties: dict[str, Any]) -> dict[str, Any]:
+def _said(schema: _Schema, text: str) -> _Schema:
+    return {**schema, "description": text}
+
+
+def _object(properties: _Schema) -> _Schema:
     return {"type": "object", "properties": properties, "required": list(properties)}
 
 
-def _list(items: dict[str, Any]) -> dict[str, Any]:
+def _list(items: _Schema) -> _Schema:
     return {"type": "array", "items": items}
 
 
-def _ref(name: str) -> dict[str, Any]:
+def _ref(name: str) -> _Schema:
     return {"$ref": f"#/components/schemas/{name}"}

@@ -6,6 +6,7 @@ import logging
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,13 +30,7 @@ _MOST_SUMMARY_BYTES = 16 << 20
 
 
 def read_token(path: Path) -> str:
-    """Read the token of the page.
-
-    Raises
-    ------
-    ValueError
-        The file cannot be read, or holds no token; the message names it.
-    """
+    """Read the token of the page; ValueError, which names the file, tells that it cannot be read or holds none."""
     try:
         token = path.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
@@ -50,40 +45,24 @@ def read_token(path: Path) -> str:
 class WebPage(Outlet):
     """Serve the page; no method but `close` waits, and none raises.
 
-    If the port cannot be opened, `failed` says so, and every health line triggers another attempt.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site.
-    address : (str, int)
-        Host and port to listen at; port 0 for any.
-    token : str or None
-        What readers must show; None if anyone may read.
-    out : Path
-        Output folder of the daemon, from which the past is read.
-    most_waiting : int
-        Number of results that wait for the page's thread: an hour of windows a second.
-
-    Attributes
-    ----------
-    url : str or None
-        Address of the page; None until it listens.
+    If the port cannot be opened, `failed` says so, and every health line triggers another attempt; `url` is None until it
+    listens.  The past is read from the output folder.  `most_waiting` results wait for the page's thread: an hour of windows a
+    second.
     """
+
+    dropped: int = 0
 
     def __init__(
         self, site: str, address: tuple[str, int], token: str | None, out: Path, most_waiting: int = 4096
     ) -> None:
-        self._most_waiting = most_waiting
+        self._out, self._most_waiting = out, most_waiting
         self.url: str | None = None
         self._host, self._port = address
-        self._out = out
         self._failure: str | None = None
         self._snapshots = Snapshots(site)
         self._application = make_application(self._snapshots, token)
         self._server: HttpServer | None = None
         self._waiting: deque[Callable[[], None]] = deque()
-        self._dropped = 0
         self._worker, self._files = Chores("web-results"), Chores("web-files")
         self._files.do("past", self._read_past)
         self._listen()
@@ -92,11 +71,6 @@ class WebPage(Outlet):
     def failed(self) -> str | None:
         """Why the page cannot be read, or is not up to date; None if it is."""
         return self._failure or self._worker.failed or self._files.failed
-
-    @property
-    def dropped(self) -> int:
-        """Number of results that the page does not show because too many waited."""
-        return self._dropped
 
     def state(self, assessment: Assessment) -> None:
         """Show the present state of the structure."""
@@ -135,7 +109,7 @@ class WebPage(Outlet):
     def _show(self, job: Callable[[], None]) -> None:
         """Queue what changes the snapshots, for the page's own thread."""
         if len(self._waiting) >= self._most_waiting:
-            self._dropped += 1
+            self.dropped += 1
             return
         self._waiting.append(job)
         self._worker.do("results", self._take)
@@ -146,20 +120,13 @@ class WebPage(Outlet):
 
     def _read_past(self) -> None:
         """Read what earlier runs left (in a thread that may wait for the disk)."""
-        self._read_summary()
+        with suppress(OSError, ValueError), (self._out / "summary.json").open("rb") as file:
+            content = parse_json(file.read(_MOST_SUMMARY_BYTES))
+            if isinstance(content, dict):
+                self._snapshots.summary(content)
         self._snapshots.windows_before(latest_windows(self._out))
         for line in latest_events(self._out):
             self._snapshots.event(line)
-
-    def _read_summary(self) -> None:
-        """Read summary.json, where there is a sound one (in a thread that may wait for the disk)."""
-        try:
-            with (self._out / "summary.json").open("rb") as file:
-                content = parse_json(file.read(_MOST_SUMMARY_BYTES))
-        except (OSError, ValueError):
-            return
-        if isinstance(content, dict):
-            self._snapshots.summary(content)
 
     def _listen(self) -> None:
         """Start the server; a failure is kept in `failed` and logged once."""

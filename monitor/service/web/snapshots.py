@@ -12,6 +12,7 @@ import time
 from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from operator import itemgetter
@@ -70,16 +71,7 @@ class Answer:
 
 
 class Snapshots:
-    """Keep what was published last, and write it as JSON; any thread may call any method.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site.
-    clock : callable
-        Seconds of a clock that never goes back.
-    keep : Keep
-    """
+    """Keep what was published last, and write it as JSON; any thread may call any method."""
 
     def __init__(self, site: str, clock: Callable[[], float] = time.monotonic, keep: Keep = KEEP) -> None:
         self._site, self._clock, self._keep = site, clock, keep
@@ -174,16 +166,10 @@ class Snapshots:
                 **shown.content,
                 "monitor": "starting" if not health else "silent" if silent else "running",
                 "troubles": troubles_of(health),
-                "t_ns": health.get("t_ns"),
-                "data_age_s": health.get("data_age_s"),
-                "uptime_s": health.get("uptime_s"),
-                "disk_free_bytes": health.get("disk_free_bytes"),
-                "windows": self._summary.get("windows"),
-                "skipped": self._summary.get("skipped"),
-                "alarm": self._summary.get("alarm"),
+                **{key: health.get(key) for key in ("t_ns", "data_age_s", "uptime_s", "disk_free_bytes")},
+                **{key: self._summary.get(key) for key in ("windows", "skipped", "alarm")},
                 "stories": list(known.get("names") or ()),
-                "has_baseline": known.get("has_baseline"),
-                "alarm_loss": known.get("alarm_loss"),
+                **{key: known.get(key) for key in ("has_baseline", "alarm_loss")},
                 "latest": self._latest,
                 "judged": self._judged,
                 "revisions": dict(self._revisions),
@@ -215,9 +201,8 @@ class Snapshots:
     def alarms_answer(self) -> Answer:
         """Write the latest alarm episodes, the newest first."""
         with self._lock:
-            return self._answer(
-                "alarms", {"alarms": list(islice(reversed(self._summary.get("alarms") or ()), self._keep.items))}
-            )
+            latest = islice(reversed(self._summary.get("alarms") or ()), self._keep.items)
+            return self._answer("alarms", {"alarms": list(latest)})
 
     def sensors_answer(self) -> Answer:
         """Write the sensors' health in the latest span of data, and of the stream, the source and the recorder."""
@@ -255,16 +240,10 @@ def latest_windows(out: Path, keep: Keep = KEEP) -> Iterator[dict[str, Any]]:
     rows = tail_lines(out / "results.jsonl", keep.tail_bytes)
     closed = closed_files(out)[-1:]
     if len(rows) < keep.read and closed:
-        before: Iterable[bytes] = ()
-        try:
-            before = (
-                deque(read_lines(closed[0]), keep.packed)
-                if closed[0].suffix == ".zst"
-                else tail_lines(closed[0], keep.tail_bytes)
-            )
-        except (OSError, BadInputError):
-            before = ()
-        rows = [*before, *rows]
+        with suppress(OSError, BadInputError):
+            packed = closed[0].suffix == ".zst"
+            before = deque(read_lines(closed[0]), keep.packed) if packed else tail_lines(closed[0], keep.tail_bytes)
+            rows = [*before, *rows]
     half = keep.read // 2
     newest, older = rows[-half:], rows[:-half]
     for row in (*older[:: math.ceil(len(older) / half) or 1], *newest):
@@ -291,11 +270,8 @@ def _window(line: Mapping[str, Any]) -> dict[str, Any]:
     kept = {key: line.get(key) for key in _WINDOW_KEYS}
     if line["skipped"]:
         kept = {key: value for key, value in kept.items() if value not in (None, [])}
-    return {
-        **rounded(kept, _DIGITS),
-        "level": alarm.get("level"),
-        **{key: alarm.get(key) or [] for key in ("stories", "changed")},
-    }
+    lists = {key: alarm.get(key) or [] for key in ("stories", "changed")}
+    return {**rounded(kept, _DIGITS), "level": alarm.get("level"), **lists}
 
 
 def _revision(line: Mapping[str, Any]) -> int:
