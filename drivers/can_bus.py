@@ -25,21 +25,8 @@ _WAIT_S = 0.2
 class CanSource:
     """Source of blocks from the frames of a DBC's messages (`drivers.base.Source`).
 
-    Parameters
-    ----------
-    settings : CanSettings
-        Table ``[source]``.
-    context : SourceContext
-        Channels and the folder of the site file.
-    clock : callable
-        Time from any beginning, s; silence and waits are measured by it.
-    connect : callable
-        Opens the bus of the settings for the identifiers to receive; see `drivers.can_open.open_bus`.
-
-    Raises
-    ------
-    FrameError
-        If the DBC cannot be read or does not carry the channels; it is a `ValueError`.
+    Silence and waits are measured by `clock`, s; `connect` opens the bus.  Raises `frames.FrameError`, a `ValueError`, if the
+    DBC cannot be read or does not carry the channels.
     """
 
     Settings = CanSettings
@@ -84,10 +71,7 @@ class CanSource:
         self._joiner.reset()
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        """Return the next block, shorter than `block_samples` where samples are lost or the bus is slow.
-
-        Returns None if no block is complete within `timeout_s`.
-        """
+        """Return the next block, shorter than `block_samples` where samples are lost or the bus is slow; None if none in time."""
         deadline = self._clock() + timeout_s
         while not self._ready:
             if self._failed:
@@ -103,7 +87,7 @@ class CanSource:
         return self._ready.popleft() if self._ready else None
 
     def health(self) -> SourceHealth:
-        """Return counts and clocks so far."""
+        """Return the counts so far, and the clocks."""
         counts = dict(self._counts)
         counts["samples"] = self._samples
         for node in self._nodes:
@@ -185,7 +169,6 @@ class CanSource:
         return self._off_since is not None and self._clock() - self._off_since >= self._two_blocks_s()
 
     def _two_blocks_s(self) -> float:
-        """Return the length of two blocks, s."""
         return 2.0 * self._settings.block_samples / self._settings.sample_rate_hz
 
     def _patience_s(self) -> float:

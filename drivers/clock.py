@@ -8,6 +8,7 @@ line through these bounds gives offset and drift.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,30 +73,13 @@ class ClockFit:
 
 
 def step(
-    state: ClockState, line: Timeline | None, indices: Ints, times_s: Floats, rate_hz: float
+    state: ClockState,
+    line: Timeline | None,
+    indices: Annotated[Ints, "n"],
+    times_s: Annotated[Floats, "n"],
+    rate_hz: float,
 ) -> tuple[ClockState, Timeline | None]:
-    """Update the state of a clock with the timestamps of some samples, and re-anchor the timeline where needed.
-
-    Parameters
-    ----------
-    state : ClockState
-        State before these samples.
-    line : Timeline, optional
-        Timeline of the node.
-    indices : array, shape (n,)
-        Sample indices.
-    times_s : array, shape (n,)
-        Timestamps of these samples, s.
-    rate_hz : float
-        Nominal sample rate, Hz.
-
-    Returns
-    -------
-    ClockState
-        State after these samples.
-    Timeline or None
-        Timeline, re-anchored if the timestamps have left it.
-    """
+    """Update the state of a clock with the timestamps of some samples; re-anchor the timeline if the timestamps have left it."""
     if not len(indices):
         return state, line
     if state.second < 0:
@@ -181,10 +165,7 @@ def fit(state: ClockState, rate_hz: float) -> ClockFit:
 
 
 def _fit_line(t: Floats, y: Floats) -> tuple[float, float, float]:
-    """Fit a line by least squares; `t` and `y` of shape (n,).
-
-    Returns the value at t = 0, the slope, and the standard deviation of the slope.
-    """
+    """Fit a line by least squares: its value at t = 0, its slope, and the standard deviation of the slope."""
     n, middle = len(t), t.mean()
     sxx = float(((t - middle) ** 2).sum()) or 1.0
     slope = float(((t - middle) * (y - y.mean())).sum()) / sxx
@@ -241,8 +222,5 @@ def reanchor(line: Timeline, state: ClockState, first: int) -> Timeline:
 
 
 def origin_s(line: Timeline, state: ClockState) -> float:
-    """Compute the difference between counted time and the timeline, s.
-
-    Adding it to an offset of the clock gives the timestamp minus the time by `line`.
-    """
+    """Compute what is added to an offset of the clock to give the timestamp minus the time by `line`, s."""
     return state.t_s - (line.counted(state.index) + line.shift_ns) * 1e-9

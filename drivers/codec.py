@@ -70,13 +70,7 @@ def encode(block: SampleBlock) -> bytes:
 
 
 def decode(data: bytes, topic: str) -> SampleBlock:
-    """Decode the block in `data`; `topic` is the topic of the block.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are no SampleBlock, or its fields contradict each other; the message says how.
-    """
+    """Decode the block in `data`; raises `ValueError` if that is no SampleBlock, or its fields contradict each other."""
     message = _parse(data)
     channels = tuple(message.channels)
     samples = message.samples
@@ -98,10 +92,7 @@ def decode(data: bytes, topic: str) -> SampleBlock:
 def decode_joined(messages: Iterable[bytes], topic: str, longest_s: float) -> list[SampleBlock]:
     """Decode consecutive blocks, and join those without a gap to blocks of at most `longest_s` seconds.
 
-    Raises
-    ------
-    ValueError
-        If a message is no SampleBlock, its fields contradict each other, or it begins before the preceding message.
+    Raises `ValueError` as `decode`, and if a message begins before the preceding one.
     """
     joined: list[SampleBlock] = []
     first: SampleBlock | None = None
@@ -148,10 +139,7 @@ def _is_same_kind(message: Any, first: SampleBlock) -> bool:
 
 
 def _middle_bytes(data: bytes, block: SampleBlock, samples: bytes) -> bytes:
-    """Return the bytes of a message between time and sequence, at its beginning, and the samples, at its end.
-
-    Returns no bytes if the message has its fields in another order.
-    """
+    """Return the bytes between time and sequence, at the beginning, and the samples, at the end; none in another order."""
     begin = _Message(sequence=block.sequence)
     begin.timestamp.seconds, begin.timestamp.nanos = divmod(block.t_ns, _NS)
     head = begin.SerializeToString()
@@ -169,13 +157,7 @@ def _with_samples(block: SampleBlock, parts: list[bytes]) -> SampleBlock:
 
 
 def time_ns(data: bytes) -> int:
-    """Read the UTC of the first sample of the block in `data`, ns; other fields are not checked.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are no SampleBlock.
-    """
+    """Read the UTC of the first sample of the block in `data`, ns; only that it is a SampleBlock is checked (`ValueError`)."""
     return _time_ns(_parse(data))
 
 

@@ -26,13 +26,7 @@ class BlockLimits(BaseModel):
 
 
 def within_limits(block: SampleBlock, limits: BlockLimits) -> SampleBlock:
-    """Return a block of a network.
-
-    Raises
-    ------
-    ValueError
-        If it exceeds the limits, names a channel twice, holds no samples, or has another unit than its topic.
-    """
+    """Return a block; raises `ValueError` if it exceeds the limits, repeats a channel, is empty or has not its topic's unit."""
     if not (
         0 < len(block.channels) <= limits.max_channels
         and len(set(block.channels)) == len(block.channels)

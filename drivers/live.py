@@ -36,16 +36,7 @@ class LiveBounds:
 
     The data's clock of each topic draws on an allowance, which grows with this machine's clock at `max_pace` up to ten minutes.
     A gap draws its length, for it costs as much to evaluate as the windows that it spoils; no block draws more than
-    all of the allowance, so that after a jump of the clock a stream is accepted again in time.
-
-    Parameters
-    ----------
-    settings : LiveSettings
-        Bounds.
-    clock : callable
-        Seconds of a clock that never goes back.
-    utc_ns : callable
-        UTC of this machine, ns since 1970.
+    all of the allowance, so that after a jump of the clock a stream is accepted again in time.  `clock` never goes back (s).
     """
 
     def __init__(

@@ -62,10 +62,6 @@ def read_recordings(
 
     Parameters
     ----------
-    paths
-        Recordings, in any order.
-    topics
-        Topics to read.
     topic_map
         Topic of ROS 2 `sensor_msgs/msg/Imu` -> channel name, with axis if it is not x: "a1" or "a1.z".
     on_warning
@@ -113,15 +109,7 @@ def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) ->
 
 
 def read_metadata(path: Path, name: str) -> dict[str, str] | None:
-    """Read a metadata record of a recording; None where it has none of that name.
-
-    Raises
-    ------
-    RecordingMissingError
-        If the file cannot be opened.
-    RecordingError
-        If its bytes are damaged or foreign.
-    """
+    """Read a metadata record of a recording; None where it has none of that name (errors as `read_recordings`)."""
     try:
         with path.open("rb") as file:
             found = (record.metadata for record in make_reader(file).iter_metadata() if record.name == name)
@@ -167,10 +155,7 @@ class _Survey:
             on_warning(f"{self.file.path}: {self.file.cut}; the {count} whole blocks before it are used")
 
     def _use_index(self) -> bool:
-        """Take the segments from the file's index; False if the file must be read through instead.
-
-        The index suffices for a whole file of our own writer with wanted messages.
-        """
+        """Take the segments from the index, which suffices for a whole file of our own writer with wanted messages."""
         index = read_index(self.file.path)
         if index is None or index.library != LIBRARY or self._axes:
             return False
@@ -194,10 +179,7 @@ class _Survey:
         return list(self._read_wanted(messages, self._decode))
 
     def load_joined(self, messages: list[Message], longest_s: float) -> list[SampleBlock] | None:
-        """Decode a segment's messages to joined blocks.
-
-        Returns None unless all wanted messages are `/acceleration` on one MCAP channel and in order.
-        """
+        """Decode to joined blocks; None unless all wanted messages are `/acceleration` on one MCAP channel and in order."""
         wanted = {number for number in {m.channel_id for m in messages} if self._wanted(self.file.channels[number])}
         if len(wanted) != 1:
             return None
@@ -294,7 +276,7 @@ def _require_plausible(block: SampleBlock) -> None:
 
 
 def _merge_in_time_order(surveys: list[_Survey], longest_s: float) -> Iterator[_Item]:
-    """Yield the messages of all files in time order; only segments that overlap in time are held in memory together."""
+    """Yield the messages of all files in time order; only segments that overlap in time are in memory together."""
     pool = [(start, number, segment) for number, survey in enumerate(surveys) for start, segment in survey.segments]
     pool.sort()
     heap: list[tuple[int, int, int, _Item]] = []

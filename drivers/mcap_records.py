@@ -69,35 +69,23 @@ class _CutError(Exception):
 
 @dataclass
 class McapFile:
-    """MCAP file: `segments` reads it through once, then `load` reads any segment again.
-
-    Attributes
-    ----------
-    channels, schemas
-        Channels and schemas by id, complete after `segments`.
-    cut
-        Reason why `segments` ended early (crash, full disk), or None; all data before that place are whole.
-    most_messages
-        Largest number of messages in a chunk; a chunk with more is damage.
-    """
+    """MCAP file: `segments` reads it through once, then `load` reads any segment again."""
 
     path: Path
     channels: dict[int, Channel] = field(default_factory=dict)
+    """Channels by id, complete after `segments`, as are `schemas`."""
     schemas: dict[int, Schema] = field(default_factory=dict)
     cut: str | None = None
+    """Reason why `segments` ended early (crash, full disk), or None; all data before that place are whole."""
     most_messages: int = _MOST_MESSAGES
+    """Largest number of messages in a chunk; a chunk with more is damage."""
     _crc: int = 0
     _size: int = 0
 
     def segments(self) -> Iterator[tuple[Segment, list[Message]]]:
         """Yield every segment in file order with its messages, and verify all lengths and checksums.
 
-        Raises
-        ------
-        RecordingMissingError
-            If the file cannot be opened.
-        RecordingError
-            If the bytes are damaged or no MCAP.
+        Raises `RecordingMissingError` if the file cannot be opened, `RecordingError` if its bytes are damaged or no MCAP.
         """
         with self._open() as file:
             if file.read(len(MAGIC)) != MAGIC:
@@ -153,7 +141,6 @@ class McapFile:
         return data
 
     def _skip(self, file: BinaryIO, length: int) -> None:
-        """Read past `length` bytes and update the checksum."""
         if length > self._size - file.tell():
             raise _CutError(f"the file ends inside a record at byte {self._size}")
         for start in range(0, length, _RUN_BYTES):
@@ -280,10 +267,7 @@ class McapFile:
 def unpack_chunk(body: bytes) -> bytes:
     """Unpack the records inside a chunk record's body, and verify size and checksum.
 
-    Raises
-    ------
-    ValueError, struct.error, zstandard.ZstdError, RuntimeError
-        If the chunk is damaged or would need more than `MAX_RECORD_BYTES`.
+    Raises one of `PARSE_ERRORS` if the chunk is damaged or would need more than `MAX_RECORD_BYTES`.
     """
     _, _, size, crc, name_length = _CHUNK.unpack_from(body)
     start = _CHUNK.size + name_length

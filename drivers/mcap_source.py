@@ -52,25 +52,13 @@ class McapSource:
         self._counts: Counter[str] = Counter(blocks=0, samples=0)
 
     def open(self) -> None:
-        """Check the files, and start with the first block that is not yet evaluated.
-
-        Raises
-        ------
-        RecordingMissingError, RecordingError
-            If a file is missing or damaged; another attempt does not help.
-        """
+        """Check the files, and start with the first block that is not yet evaluated (errors as `read_recordings`)."""
         blocks = read_recordings(self._paths(), topic_map=self._settings.topics or None, on_warning=_log.warning)
         self._blocks = (block for block in blocks if not self._known(block))
         self._next, self._begun_s, self._played_s = None, self._clock(), 0.0
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        """Return the next block when it is due; None if it is not due within `timeout_s`.
-
-        Raises
-        ------
-        EndOfStream
-            After the last block.
-        """
+        """Return the next block when it is due; None if it is not due within `timeout_s`."""
         if self._next is None:
             self._next = next(self._blocks, None) if self._blocks is not None else None
         block = self._next

@@ -222,12 +222,7 @@ class _Message(BaseModel):
 
 
 def decode(data: bytes, topic: str, form: Format) -> SampleBlock:
-    """Decode the message of a block; `topic` is its recording topic.
-
-    Raises
-    ------
-    ValueError
-        If the message is no block, or its fields contradict each other.
+    """Decode the message of a block; raises `ValueError` if it is no block, or its fields contradict each other.
 
     Examples
     --------
@@ -276,13 +271,7 @@ class PublisherSettings(StreamSettings):
 
 
 class MqttPublisher:
-    """Publisher of sample blocks, each of which is sent again until the broker has it.
-
-    Raises
-    ------
-    SourceError
-        If the broker cannot be reached or refuses the connection.
-    """
+    """Publisher of sample blocks, each of which is sent again until the broker has it (errors as `Connection.open`)."""
 
     def __init__(self, settings: PublisherSettings, folder: Path = Path()) -> None:
         self._settings = settings
@@ -302,13 +291,7 @@ class MqttPublisher:
     put = send
 
     def close(self, timeout_s: float = 10.0) -> None:
-        """Wait until the broker has all blocks, no longer than `timeout_s`, and leave it.
-
-        Raises
-        ------
-        SourceError
-            If the broker has not acknowledged all of them by then.
-        """
+        """Wait until the broker has all blocks, and leave it; raises `SourceError` if it has not after `timeout_s`."""
         deadline = time.monotonic() + timeout_s
         while self._under_way and time.monotonic() < deadline:
             self._settle(max(0.0, min(_WAIT_S, deadline - time.monotonic())))

@@ -117,37 +117,20 @@ class Connection:
 
     Parameters
     ----------
-    settings : BrokerSettings
-        Broker, and how to identify oneself.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-    client_id : str
+    client_id
         Name under which the broker keeps the session; no two clients of a broker may have the same.
-    subscriptions : tuple of str
-        Topics to subscribe to.
-    retained : bool
-        Ask for the retained messages of these topics, which are of the past.
-    on_message : callable, optional
+    retained
+        Ask for the retained messages of the topics subscribed to, which are of the past.
+    on_message
         Called in the network's thread for each message, which is acknowledged by `acknowledge` only.
-    session_s : int
+    session_s
         Time for which the broker keeps the session without a connection; 0: the session ends with the connection.
-    in_flight : int, optional
+    in_flight
         Greatest number of messages that the broker sends before the first of them is acknowledged.
-    most_bytes : int, optional
-        Greatest size of a payload that the broker may send, bytes.
-    will : (str, bytes), optional
+    most_bytes
+        Greatest size of a payload that the broker may send.
+    will
         Topic and retained message that the broker publishes when this connection is lost.
-
-    Attributes
-    ----------
-    generation : int
-        Number of times that the connection was established.
-    lost : int
-        Number of times that the connection was lost.
-    sessions_lost : int
-        Number of times that a restored connection found its session gone, and with it the messages that waited.
-    refused : str or None
-        Reason for which the broker took the latest message and gave it to nobody, such as a missing permission.
     """
 
     def __init__(
@@ -166,7 +149,9 @@ class Connection:
     ) -> None:
         self._settings, self._folder, self._subscriptions, self._retained = settings, folder, subscriptions, retained
         self.generation = self.lost = self.sessions_lost = 0
+        """How often the connection was established and lost, and was restored without its session and what waited in it."""
         self.refused: str | None = None
+        """Reason for which the broker took the latest message and gave it to nobody, such as a missing permission."""
         self._answered = threading.Event()
         self._changed = threading.Condition()
         self._published: set[int] = set()
@@ -191,10 +176,7 @@ class Connection:
     def open(self) -> None:
         """Connect and subscribe.
 
-        Raises
-        ------
-        SourceError
-            If the broker cannot be reached, refuses the connection or a topic, or a file of the settings is missing.
+        Raises `SourceError` if the broker cannot be reached, refuses the connection or a topic, or a file is missing.
         """
         where, host = self._settings.where, self._settings.host
         self._identify()

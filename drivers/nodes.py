@@ -6,6 +6,7 @@ Nodes that sample by clocks of their own are joined sample by sample, without in
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,8 @@ from drivers.frames import Layout
 
 Ints = NDArray[np.int64]
 Samples = NDArray[np.float32]
-Rows = tuple[Ints, Samples]
-"""Increasing sample indices, shape (n,), and samples, shape (n, n_channels), m/s^2."""
+Rows = tuple[Annotated[Ints, "n"], Annotated[Samples, "n channels"]]
+"""Increasing sample indices, and samples, m/s^2."""
 
 HOLD_S = 1.0
 """Longest wait for a node that lags, s of data; beyond it, the node's samples are missing."""
@@ -62,15 +63,7 @@ class Node:
         )
 
     def take(self, *, everything: bool = False) -> Rows:
-        """Return the rows that are in order now; with `everything`, all rows, because no frame will follow.
-
-        Returns
-        -------
-        indices : array, shape (n,)
-            Sample indices.
-        samples : array, shape (n, n_channels)
-            Samples, m/s^2.
-        """
+        """Return the rows that are in order now; with `everything`, all rows, because no frame will follow."""
         if self.frames:
             frames, times = b"".join(self.frames), np.array(self.times, dtype=np.float64)
             self.frames, self.times = [], []
@@ -79,11 +72,13 @@ class Node:
         self.sequencer.ended |= everything
         return self._release(everything)
 
-    def _add(self, samples: Samples, counters: Ints, times: NDArray[np.float64]) -> None:
-        """Number the frames and keep the new ones.
-
-        `samples` has shape (n_frames, n_samples, n_channels), `counters` and `times` (s) have shape (n_frames,).
-        """
+    def _add(
+        self,
+        samples: Annotated[Samples, "frames n_samples channels"],
+        counters: Annotated[Ints, "frames"],
+        times: Annotated[NDArray[np.float64], "frames"],
+    ) -> None:
+        """Number the frames and keep the new ones."""
         timed = (times >= 0) & (times < _MAX_T_S)  # false for NaN
         self.bad_times += int(np.count_nonzero(~timed))
         times = np.where(timed, times, np.nan)
@@ -173,19 +168,9 @@ class Joiner:
         self._from = [-(1 << 62)] * len(self.nodes)
 
     def join(self, *, everything: bool = False) -> Rows:
-        """Join the rows of all nodes so far; with `everything`, wait for no node.
+        """Join the rows of all nodes so far, NaN where a node has no sample; with `everything`, wait for no node.
 
-        Returns
-        -------
-        indices : array, shape (n,)
-            Common sample indices.
-        samples : array, shape (n, n_channels)
-            Samples in the order of `channels`, m/s^2; NaN where a node has none.
-
-        Raises
-        ------
-        SourceError
-            If the nodes do not sample at the same times.
+        Raises `SourceError` if the nodes do not sample at the same times.
         """
         for queue, node in zip(self._queues, self.nodes, strict=True):
             rows = node.take(everything=everything)

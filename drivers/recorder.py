@@ -47,13 +47,12 @@ class RecorderHealth:
     detail: str
     """Reason why recording is paused, or empty."""
     blocks: int
-    """Number of blocks written."""
+    """Those written."""
     lost_blocks: int
-    """Number of blocks that arrived while recording was paused, or that were lost with a failed file."""
+    """Those that arrived while recording was paused, or that were lost with a failed file."""
     files: int
-    """Number of files begun."""
+    """Those begun."""
     removed_files: int
-    """Number of old files removed."""
 
 
 def unfit(block: SampleBlock) -> str | None:
@@ -73,21 +72,7 @@ class Recorder:
     The log times of the messages increase strictly in the order of arrival, also from one run to the next.  When the clock was
     set back (a minute of data came more than a minute late), a file begins whose log times begin anew; its name and its
     channels count such restarts.  Reading the files therefore gives the blocks in the order of arrival.  A disk error pauses
-    recording and raises nothing; recording is attempted again after `flush_s`.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the recordings.
-    settings : RecorderSettings
-        Limits of size and time.
-    clock : callable
-        Monotonic clock, s.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be created.
+    recording and raises nothing, but for a folder that cannot be created; recording is attempted again after `flush_s`.
     """
 
     def __init__(self, folder: Path, settings: RecorderSettings, clock: Callable[[], float] = time.monotonic) -> None:
@@ -283,8 +268,7 @@ def recover(folder: Path) -> None:
 def recorded(folder: Path, after_ns: int, *, unfinished: bool = False) -> Iterator[tuple[int, SampleBlock]]:
     """Read the recorded blocks after a place in the order of arrival, each with its place (`Recorder.stamp_ns`).
 
-    Damaged blocks and files are logged and left out.  With `unfinished` the file being written is read too, as far as it was
-    flushed.
+    Damaged blocks and files are logged and left out.  With `unfinished` the file being written is read too, as far as flushed.
     """
     paths = _recordings(folder, _PART if unfinished else "")
     ends = [*(arrival(_begun_ns(path), _clock(path)) for path in paths[1:]), None]

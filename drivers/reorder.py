@@ -20,15 +20,11 @@ class Reorder:
 
     A block that arrives too early waits for the blocks before it.  When more than `hold` blocks wait, the missing samples
     count as lost.  Blocks older than the last one released are discarded.  If `hold` such blocks follow one another without
-    another block between them, the publisher has restarted its sequence, and they are released.
+    another block between them, the publisher has restarted its sequence, and they are released.  With `hold` = 0 the block
+    after a gap is released at once.
 
-    Parameters
-    ----------
-    counts : Counter
-        Receives the counts: ``lost_samples`` in samples, ``repeated``, ``reordered`` and ``late`` in blocks, ``gaps`` and
-        ``restarts`` in events.
-    hold : int
-        Greatest number of waiting blocks; with 0 the block after a gap is released at once.
+    `counts` receives ``lost_samples`` in samples, ``repeated``, ``reordered`` and ``late`` in blocks, ``gaps`` and ``restarts``
+    in events.
 
     Examples
     --------

@@ -241,12 +241,9 @@ class PublisherSettings(StreamSettings):
 
 
 class ZenohPublisher:
-    """Publisher of sample blocks; no block is lost on an intact link, and the latest blocks are cached for a broken one.
+    """Publisher of sample blocks (errors as `open_session`).
 
-    Raises
-    ------
-    SourceError
-        If the session cannot be opened.
+    No block is lost on an intact link, and the latest blocks are cached for a broken one.
     """
 
     def __init__(self, settings: PublisherSettings, folder: Path = Path()) -> None:

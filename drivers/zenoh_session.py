@@ -133,10 +133,7 @@ def configuration(settings: SessionSettings, folder: Path) -> zenoh.Config:
 def open_session(settings: SessionSettings, folder: Path) -> zenoh.Session:
     """Open a session; certificate paths are relative to `folder`.
 
-    Raises
-    ------
-    SourceError
-        If no router can be reached, a port is taken, or a certificate cannot be used or is refused.
+    Raises `SourceError` if no router can be reached, a port is taken, or a certificate cannot be used or is refused.
     """
     if (tls := settings.tls) is not None:
         for path in (tls.root_ca, tls.certificate, tls.private_key):
