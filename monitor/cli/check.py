@@ -67,15 +67,7 @@ def check(
 
 
 def _demand_recordings(file: Path, settings: Configuration) -> None:
-    """Check that the recordings of a ``[source]`` exist and can be read.
-
-    Raises
-    ------
-    MissingInputError
-        One is missing or cannot be opened.
-    BadInputError
-        One holds damaged or foreign bytes.
-    """
+    """Check that the recordings of a ``[source]`` exist and can be read."""
     from drivers.base import RecordingError, RecordingMissingError, SourceContext
     from monitor.config import configuration
     from monitor.core import BadInputError, MissingInputError

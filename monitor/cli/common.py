@@ -65,13 +65,7 @@ def progress(label: str) -> Callable[[float], None]:
 
 
 def address(text: str | None, option: str = "--serve", *, any_port: bool = False) -> tuple[str, int] | None:
-    """Parse the value HOST:PORT of an option into host and port; port 0 only where it may be any.
-
-    Raises
-    ------
-    typer.BadParameter
-        The value is no address.
-    """
+    """Parse the value HOST:PORT of an option into host and port; port 0 only where it may be any."""
     try:
         return None if text is None else parse_address(text, any_port=any_port)
     except ValueError as error:
@@ -80,11 +74,6 @@ def address(text: str | None, option: str = "--serve", *, any_port: bool = False
 
 def time_ns(option: str, text: str | None) -> int | None:
     """Parse the time (ISO 8601) of an option into UTC, ns since 1970.
-
-    Raises
-    ------
-    typer.BadParameter
-        The value is no time, or lies before 1970, which no recording can express.
 
     Examples
     --------

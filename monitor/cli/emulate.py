@@ -32,13 +32,7 @@ def emulate(
 
 
 def send(recordings: list[Path], to: str, dbc: Path | None, speed: str | None) -> None:
-    """Send recordings to a destination, and report on standard error what is sent.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        A recording does not exist or is unusable.
-    """
+    """Send recordings to a destination, and report on standard error what is sent."""
     from drivers.base import RecordingError, RecordingMissingError
     from drivers.mcap_file import read_recordings
     from monitor.core import BadInputError, MissingInputError
@@ -73,11 +67,6 @@ def recording_for(out: Path | None, to: str | None, dbc: Path | None, speed: str
 
 def parse_speed(text: str | None) -> float | None:
     """Parse the value of --speed into a multiple of real time; 1 by default, None for ``max``.
-
-    Raises
-    ------
-    typer.BadParameter
-        The value is neither ``max`` nor a number from 1e-6 to 1e6.
 
     Examples
     --------

@@ -63,13 +63,7 @@ def host(
 
 
 def _share(text: str, *, standby: bool) -> tuple[int, int]:
-    """Read K/N.
-
-    Raises
-    ------
-    WrongUsageError
-        It is none, or without a use.
-    """
+    """Read K/N."""
     from monitor.core import WrongUsageError
 
     found = re.fullmatch(r"([1-9]\d{0,3})/([1-9]\d{0,3})", text)
@@ -81,13 +75,7 @@ def _share(text: str, *, standby: bool) -> tuple[int, int]:
 
 
 def _demand_a_good_file(places: list[Path]) -> None:
-    """Refuse to start where no site could: files alone are named, and every one of them is a bad configuration.
-
-    Raises
-    ------
-    BadConfigurationError
-        The message lists the problems of all files.
-    """
+    """Refuse to start where no site could: files alone are named, and every one of them is a bad configuration."""
     from monitor.config import configuration
     from monitor.core import BadConfigurationError, UserError
 

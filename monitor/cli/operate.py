@@ -188,13 +188,7 @@ def _folder(place: Path) -> Path:
 
 
 def _send_over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
-    """Send a request over Zenoh; return whether the daemon applied it, False if none answers.
-
-    Raises
-    ------
-    WrongUsageError
-        The daemon refused the request.
-    """
+    """Send a request over Zenoh; return whether the daemon applied it, False if none answers."""
     from pydantic import ValidationError
 
     from drivers.base import SourceError

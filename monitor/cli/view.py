@@ -79,13 +79,7 @@ def view(
 
 
 def _viewer_source(what: str) -> str:
-    """Return the URL or the file that the viewer is to open.
-
-    Raises
-    ------
-    MissingInputError
-        There is no such recording.
-    """
+    """Return the URL or the file that the viewer is to open."""
     with suppress(ValueError):
         parse_address(what)
         return f"rerun+http://{what}/proxy"
@@ -98,13 +92,7 @@ def _viewer_source(what: str) -> str:
 
 
 def _viewer_program() -> str:
-    """Return the path of the viewer's executable; its Python wrapper, when it is ended, would leave the viewer running.
-
-    Raises
-    ------
-    MissingExtraError
-        The viewer is not installed.
-    """
+    """Return the path of the viewer's executable; its Python wrapper, when it is ended, would leave the viewer running."""
     require_extra("viewer", "view")
     spec = find_spec("rerun_cli")
     assert spec is not None
@@ -113,13 +101,7 @@ def _viewer_program() -> str:
 
 
 def _free_port(address: str, port: int) -> int:
-    """Return `port` if it is free, or for 0 any free port.
-
-    Raises
-    ------
-    MissingInputError
-        The address cannot be listened at.
-    """
+    """Return `port` if it is free, or for 0 any free port."""
     try:
         with socket.create_server((address, port)) as probe:
             return int(probe.getsockname()[1])

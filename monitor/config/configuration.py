@@ -354,13 +354,7 @@ class Configuration(Settings):
 
     @property
     def drawn(self) -> DrawnTable:
-        """The structure as drawn.
-
-        Raises
-        ------
-        BadConfigurationError
-            If nothing is drawn.
-        """
+        """The structure as drawn; raises `BadConfigurationError` if nothing is."""
         if isinstance(self.structure, ModalTable):
             raise BadConfigurationError(NO_MODEL)
         return self.structure
@@ -373,8 +367,7 @@ class Configuration(Settings):
 
     @property
     def story_names(self) -> tuple[str, ...]:
-        """What people call each stiffness, shape (p,): its number, with its name where the structure file has one.  Without a
-        model there are none."""
+        """What people call each stiffness: its number, with its name where the structure file has one; none without a model."""
         if isinstance(self.structure, ModalTable):
             return ()
         names = self.structure.story_names or ()
@@ -432,15 +425,7 @@ class Configuration(Settings):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read the tables of a TOML file.
-
-    Raises
-    ------
-    MissingInputError
-        The file does not exist, cannot be read or is a directory.
-    BadConfigurationError
-        The file is not TOML.
-    """
+    """Read the tables of a TOML file; raises `MissingInputError` or `BadConfigurationError`."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
@@ -459,13 +444,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def load_with_model(path: Path) -> Configuration:
-    """Load the settings of a structure file or a site file that has a model, as `load`.
-
-    Raises
-    ------
-    BadConfigurationError
-        The file states the modes alone.
-    """
+    """Load the settings of a structure file or a site file that has a model, as `load`."""
     config = load(path)
     if not config.has_model:
         raise BadConfigurationError(f"{path}: {NO_MODEL}")
@@ -504,13 +483,7 @@ def load(path: Path) -> Configuration:
 
 
 def make_source(table: Mapping[str, Any], context: SourceContext) -> Source:
-    """Create the driver of a ``[source]`` table, without opening it.
-
-    Raises
-    ------
-    BadConfigurationError
-        The table is invalid; the message lists one problem a line.
-    """
+    """Create the driver of a ``[source]`` table, without opening it (errors as `load`)."""
     try:
         driver = source_type(str(table.get("kind", "")))
         settings = read_settings(driver.Settings, table)
