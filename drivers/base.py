@@ -64,6 +64,16 @@ class SampleBlock:
         """Number of samples of each channel."""
         return int(self.samples.shape[0])
 
+    @property
+    def length_s(self) -> float:
+        """Time from the first sample to one sampling period after the last."""
+        return self.n_samples / self.sample_rate_hz
+
+    @property
+    def next_sequence(self) -> int:
+        """Sequence number of the sample that follows the last."""
+        return self.sequence + self.n_samples
+
 
 @dataclass(frozen=True, slots=True)
 class ClockHealth:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from time import monotonic
 from typing import IO, Any
@@ -47,6 +47,9 @@ class CanSource:
         self._joiner = Joiner(self._nodes, self.channels, rate, settings.realign)
         self._by_id = {(node.layout.frame_id, node.layout.extended): node for node in self._nodes}
         self._batch = sum(-(-settings.block_samples // node.layout.n_samples) for node in self._nodes)
+        self._two_blocks_s = 2.0 * settings.block_samples / rate
+        self._patience_s = min(0.25, self._two_blocks_s)
+        """Longest wait for a whole block."""
         self._bus: can.BusABC | None = None
         self._log: Iterator[can.Message] | None = None
         self._file: IO[Any] | None = None
@@ -88,25 +91,13 @@ class CanSource:
 
     def health(self) -> SourceHealth:
         """Return the counts so far, and the clocks."""
-        counts = dict(self._counts)
-        counts["samples"] = self._samples
+        counts = Counter({**self._counts, "samples": self._samples})
         for node in self._nodes:
-            sequencer, n = node.sequencer, node.layout.n_samples
-            for name, value in (
-                ("lost_samples", sequencer.lost * n),
-                ("repeated", sequencer.repeated),
-                ("late", sequencer.late),
-                ("stray", sequencer.stray),
-                ("restarts", sequencer.restarts),
-                ("bad_times", node.bad_times),
-                ("untimed", node.untimed),
-                ("steps", node.clock.steps),
-            ):
-                counts[name] = counts.get(name, 0) + value
-        counts["unmatched"], counts["realigned"] = self._joiner.unmatched, self._joiner.realigned
+            counts.update(node.counts())
+        counts.update(unmatched=self._joiner.unmatched, realigned=self._joiner.realigned)
         connected = self._bus is not None or self._log is not None
         clocks = tuple(node.health() for node in self._nodes if node.line is not None)
-        return SourceHealth(connected and not self._failed, counts, clocks, self._failed or self._detail())
+        return SourceHealth(connected and not self._failed, dict(counts), clocks, self._failed or self._detail())
 
     def close(self) -> None:
         """Leave the bus; `read` still returns blocks that had arrived."""
@@ -135,7 +126,7 @@ class CanSource:
             n_received += 1
             if (is_silent or n_received % 64 == 0) and self._clock() >= deadline:
                 # A short timeout of the caller must not give small blocks: frames stay pending up to `_patience_s`.
-                if not (self._failed or (self._pending and self._clock() - self._since >= self._patience_s())):
+                if not (self._failed or (self._pending and self._clock() - self._since >= self._patience_s)):
                     return False
                 break
         self._process_frames()
@@ -166,14 +157,7 @@ class CanSource:
         """
         if message is not None:
             return message.is_error_frame and bus.state is can.BusState.ERROR
-        return self._off_since is not None and self._clock() - self._off_since >= self._two_blocks_s()
-
-    def _two_blocks_s(self) -> float:
-        return 2.0 * self._settings.block_samples / self._settings.sample_rate_hz
-
-    def _patience_s(self) -> float:
-        """Return the longest wait for a whole block, s: two block lengths, at most 0.25 s."""
-        return min(0.25, self._two_blocks_s())
+        return self._off_since is not None and self._clock() - self._off_since >= self._two_blocks_s
 
     def _read_log(self) -> None:
         """Read frames from the log until they fill a block or the log ends."""
@@ -252,11 +236,8 @@ class CanSource:
             shift = line.next_shift(first)
             if shift is not None:
                 stop = min(stop, start + shift - first)
-            block = samples[start:stop]
-            rate = self._settings.sample_rate_hz
-            if first >= 0 and line.at(first) >= 0:
-                self._ready.append(
-                    SampleBlock(ACCELERATION, line.at(first), first, rate, self.channels, "m/s^2", block)
-                )
+            block, rate, t_ns = samples[start:stop], self._settings.sample_rate_hz, line.at(first)
+            if first >= 0 and t_ns >= 0:
+                self._ready.append(SampleBlock(ACCELERATION, t_ns, first, rate, self.channels, "m/s^2", block))
                 self._samples += len(block)
             start = stop

@@ -10,11 +10,10 @@ from typing import BinaryIO, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Header, Schema
 
-from drivers.mcap_records import MAGIC, MAX_RECORD_BYTES, PARSE_ERRORS, Segment, stream
+from drivers.mcap_records import HEAD, MAGIC, MAX_RECORD_BYTES, PARSE_ERRORS, Segment, define, stream
 
-_HEAD = struct.Struct("<BQ")
-_DATA_END = _HEAD.size + 4
-_FOOTER = _HEAD.size + 20
+_DATA_END = HEAD.size + 4
+_FOOTER = HEAD.size + 20
 _READ_BYTES = 1 << 20
 
 
@@ -45,7 +44,7 @@ def _read(file: BinaryIO, size: int) -> Index | None:
     """Read footer, summary and header of a file of `size` bytes, and verify the checksums."""
     file.seek(size - len(MAGIC) - _FOOTER)
     tail = file.read()
-    footer = Footer.read(stream(tail[_HEAD.size : _FOOTER]))
+    footer = Footer.read(stream(tail[HEAD.size : _FOOTER]))
     begin, length = footer.summary_start, size - len(MAGIC) - _FOOTER - footer.summary_start
     if (
         tail[_FOOTER:] != MAGIC
@@ -59,7 +58,7 @@ def _read(file: BinaryIO, size: int) -> Index | None:
     if footer.summary_crc != crc or not _data_is_whole(file, begin - _DATA_END):
         return None
     file.seek(len(MAGIC))
-    opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+    opcode, length = HEAD.unpack(file.read(HEAD.size))
     header = Header.read(stream(file.read(min(length, 1 << 16))))
     index = Index(header.library, {}, {}, [])
     _parse_summary(index, summary)
@@ -81,16 +80,12 @@ def _parse_summary(index: Index, summary: bytes) -> None:
     """Add the schemas, channels and chunks of a summary section to the index."""
     position = 0
     while position < len(summary):
-        opcode, length = _HEAD.unpack_from(summary, position)
-        body = summary[position + _HEAD.size : position + _HEAD.size + length]
-        position += _HEAD.size + length
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream(body))
-            index.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream(body))
-            index.channels[channel.id] = channel
-        elif opcode == Opcode.CHUNK_INDEX:
+        opcode, length = HEAD.unpack_from(summary, position)
+        body = summary[position + HEAD.size : position + HEAD.size + length]
+        position += HEAD.size + length
+        if opcode == Opcode.CHUNK_INDEX:
             chunk = ChunkIndex.read(stream(body))
             place = Segment(chunk.chunk_start_offset, chunk.chunk_length, True)
             index.chunks.append((chunk.message_start_time, place))
+        else:
+            define(opcode, body, index.channels, index.schemas)

@@ -30,7 +30,7 @@ MAX_RECORD_BYTES = 1 << 28
 _MOST_MESSAGES = 1 << 20
 """Largest number of messages in a chunk: each takes some 200 bytes of memory, whatever it holds. [1; cost: 200 MB]"""
 _RUN_BYTES = 1 << 18
-_HEAD = struct.Struct("<BQ")
+HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
 _MESSAGE = struct.Struct("<HIQQ")
 _KEPT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
@@ -154,7 +154,7 @@ class McapFile:
             try:
                 if offset == self._size:
                     raise _CutError("the file has no footer")
-                opcode, length = _HEAD.unpack(head := self._read_checked(file, _HEAD.size))
+                opcode, length = HEAD.unpack(head := self._read_checked(file, HEAD.size))
                 if opcode == 0:  # zeros: the file system never wrote these blocks
                     raise (
                         _CutError(f"unwritten bytes from {offset}")
@@ -176,7 +176,7 @@ class McapFile:
             yield from self._finish_run(offset, run)
             run.clear()
             if opcode == Opcode.CHUNK:
-                segment = Segment(offset, _HEAD.size + length, True)
+                segment = Segment(offset, HEAD.size + length, True)
                 try:
                     messages = self._parse(segment, head + body)
                 except RecordingError:
@@ -213,7 +213,7 @@ class McapFile:
         """Read past the summary section, and verify its checksum and the end of the file."""
         while True:
             offset = file.tell()
-            opcode, length = _HEAD.unpack(self._read_checked(file, _HEAD.size))
+            opcode, length = HEAD.unpack(self._read_checked(file, HEAD.size))
             if opcode != Opcode.FOOTER:
                 self._skip(file, length)
                 continue
@@ -231,7 +231,7 @@ class McapFile:
 
     def _parse(self, segment: Segment, raw: bytes) -> list[Message]:
         try:
-            return self._messages(unpack_chunk(raw[_HEAD.size :]) if segment.is_chunk else raw)
+            return self._messages(unpack_chunk(raw[HEAD.size :]) if segment.is_chunk else raw)
         except PARSE_ERRORS as error:
             kind = "chunk: " if segment.is_chunk else ""
             raise self._damage_error(segment.offset, f"{kind}{error}") from error
@@ -239,8 +239,8 @@ class McapFile:
     def _messages(self, content: bytes) -> list[Message]:
         messages: list[Message] = []
         position, end = 0, len(content)
-        head, fields, channels, is_message = _HEAD.unpack_from, _MESSAGE.unpack_from, self.channels, int(Opcode.MESSAGE)
-        head_size, fields_size = _HEAD.size, _MESSAGE.size  # looked up once, because this loop is long
+        head, fields, channels, is_message = HEAD.unpack_from, _MESSAGE.unpack_from, self.channels, int(Opcode.MESSAGE)
+        head_size, fields_size = HEAD.size, _MESSAGE.size  # looked up once, because this loop is long
         while position < end:
             opcode, length = head(content, position)
             start, position = position + head_size, position + head_size + length
@@ -255,13 +255,19 @@ class McapFile:
                 if len(messages) == self.most_messages:
                     raise ValueError(f"more than {self.most_messages} messages in a chunk")
                 messages.append(Message(channel_id, log_time, content[start + fields_size : position]))
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream(content[start:position]))
-                self.channels[channel.id] = channel
-            elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream(content[start:position]))
-                self.schemas[schema.id] = schema
+            else:
+                define(opcode, content[start:position], channels, self.schemas)
         return messages
+
+
+def define(opcode: int, body: bytes, channels: dict[int, Channel], schemas: dict[int, Schema]) -> None:
+    """Keep what the record of a channel or a schema defines, by its id; pass over other records."""
+    if opcode == Opcode.CHANNEL:
+        channel = Channel.read(stream(body))
+        channels[channel.id] = channel
+    elif opcode == Opcode.SCHEMA:
+        schema = Schema.read(stream(body))
+        schemas[schema.id] = schema
 
 
 def unpack_chunk(body: bytes) -> bytes:

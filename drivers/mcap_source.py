@@ -9,18 +9,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.base import ACCELERATION, EndOfStream, RecordingMissingError, SampleBlock, SourceContext, SourceHealth
 from drivers.mcap_file import read_recordings
+from drivers.settings import Settings
 
 _log = logging.getLogger(__name__)
 
 
-class McapSettings(BaseModel):
+class McapSettings(Settings):
     """Table ``[source]`` with ``kind = "mcap"``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: Literal["mcap"]
     files: tuple[str, ...] = Field(min_length=1)
@@ -64,7 +63,7 @@ class McapSource:
         block = self._next
         if block is None:
             raise EndOfStream("the recordings have ended")
-        end_s = self._played_s + (block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0)
+        end_s = self._played_s + (block.length_s if block.topic == ACCELERATION else 0.0)
         if self._settings.speed is not None:
             wait_s = self._begun_s + end_s / self._settings.speed - self._clock()
             self._sleep(max(0.0, min(wait_s, timeout_s)))

@@ -9,9 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.base import SourceError
+from drivers.settings import Settings
 
 try:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage, MQTTv5
@@ -37,10 +38,8 @@ _HEADER_BYTES = 1 << 17
 """Room of a packet for its topic and properties. [bytes; definition: each is at most 64 KiB]"""
 
 
-class MqttTls(BaseModel):
+class MqttTls(Settings):
     """Table ``tls``: files of the encryption, relative to the site file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     root_ca: Path | None = None
     """PEM file of the authority that signed the broker's certificate; by default those that the system trusts."""
@@ -56,10 +55,8 @@ class MqttTls(BaseModel):
         return self
 
 
-class BrokerSettings(BaseModel):
+class BrokerSettings(Settings):
     """Part of a table that describes the connection to an MQTT broker."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     host: str = Field(min_length=1, max_length=255)
     """Name or address of the broker."""
@@ -181,13 +178,8 @@ class Connection:
         where, host = self._settings.where, self._settings.host
         self._identify()
         try:
-            self._client.connect(
-                host,
-                int(where.rpartition(":")[2]),
-                _KEEPALIVE_S,
-                clean_start=self._clean,
-                properties=self._properties,
-            )
+            port = int(where.rpartition(":")[2])
+            self._client.connect(host, port, _KEEPALIVE_S, clean_start=self._clean, properties=self._properties)
         except (OSError, ValueError) as error:
             raise SourceError(f"no MQTT broker at {where}: {error}") from error
         self._client.loop_start()
@@ -255,34 +247,26 @@ class Connection:
         if left is not None:
             left.close()
 
-    def _on_connect(
-        self, client: Client, _data: Any, flags: ConnectFlags, reason: ReasonCode, _properties: Properties | None
-    ) -> None:
+    def _on_connect(self, client: Client, _data: Any, flags: ConnectFlags, reason: ReasonCode, *_: Any) -> None:
         if reason.is_failure:
             who = "a client without a user" if self._settings.user is None else f"user {self._settings.user!r}"
             self._report(f"the broker at {self._settings.where} refuses {who}: {reason}")
             return
         self.sessions_lost += self.generation > 0 and not self._clean and not flags.session_present
         self.generation += 1
-        if self._subscriptions:
-            handling = (
-                SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if self._retained else SubscribeOptions.RETAIN_DO_NOT_SEND
-            )
-            options = SubscribeOptions(qos=1, retainHandling=handling)
-            client.subscribe([(topic, options) for topic in self._subscriptions])
-        else:
+        if not self._subscriptions:
             self._report(None)
+            return
+        sends = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if self._retained else SubscribeOptions.RETAIN_DO_NOT_SEND
+        options = SubscribeOptions(qos=1, retainHandling=sends)
+        client.subscribe([(topic, options) for topic in self._subscriptions])
 
-    def _on_subscribe(
-        self, _client: Client, _data: Any, _id: int, reasons: list[ReasonCode], _properties: Properties | None
-    ) -> None:
+    def _on_subscribe(self, _client: Client, _data: Any, _id: int, reasons: list[ReasonCode], *_: Any) -> None:
         refused = [t for t, reason in zip(self._subscriptions, reasons, strict=False) if reason.is_failure]
         where, names = self._settings.where, ", ".join(refused)
         self._report(f"the broker at {where} does not let this client read {names}" if refused else None)
 
-    def _on_disconnect(
-        self, _client: Client, _data: Any, _flags: DisconnectFlags, reason: ReasonCode, _properties: Properties | None
-    ) -> None:
+    def _on_disconnect(self, _client: Client, _data: Any, _flags: DisconnectFlags, reason: ReasonCode, *_: Any) -> None:
         if self._problem is None:
             self.lost += 1
             self._problem = f"the connection with the broker at {self._settings.where} is lost: {reason}"
@@ -292,12 +276,9 @@ class Connection:
         if self._problem is None:
             self._problem = f"no MQTT broker at {self._settings.where}"
 
-    def _on_publish(
-        self, _client: Client, _data: Any, message_id: int, reason: ReasonCode, _properties: Properties | None
-    ) -> None:
-        self.refused = (
-            f"the broker at {self._settings.where} refuses a message: {reason}" if reason.is_failure else None
-        )
+    def _on_publish(self, _client: Client, _data: Any, message_id: int, reason: ReasonCode, *_: Any) -> None:
+        said = f"the broker at {self._settings.where} refuses a message: {reason}"
+        self.refused = said if reason.is_failure else None
         with self._changed:
             self._published.add(message_id)
             self._changed.notify_all()

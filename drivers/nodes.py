@@ -57,10 +57,7 @@ class Node:
         by_frame = self.counts_frames or not self.layout.counter_bits
         self.sequencer = Sequencer(self.layout.counter_bits, 1 if by_frame else self.layout.n_samples)
         self._factor = self.layout.n_samples if by_frame else 1
-        self._held = (
-            np.empty(0, np.int64),
-            np.empty((0, self.layout.n_samples, len(self.layout.channels)), np.float32),
-        )
+        self._held = _no_rows(self.layout.n_samples, len(self.layout.channels))
 
     def take(self, *, everything: bool = False) -> Rows:
         """Return the rows that are in order now; with `everything`, all rows, because no frame will follow."""
@@ -129,6 +126,17 @@ class Node:
         least = min(self.clock.offsets[-5:])
         return self.clock.t_s + least - self.clock.index / self.rate_hz
 
+    def counts(self) -> dict[str, int]:
+        """Return the event counts so far."""
+        found = self.sequencer
+        return {
+            "lost_samples": found.lost * self.layout.n_samples,
+            **{name: getattr(found, name) for name in ("repeated", "late", "stray", "restarts")},
+            "bad_times": self.bad_times,
+            "untimed": self.untimed,
+            "steps": self.clock.steps,
+        }
+
     def health(self) -> ClockHealth:
         """Return offset and drift of the node's clock against the times that blocks carry."""
         found = clock.fit(self.clock, self.rate_hz)
@@ -180,12 +188,12 @@ class Joiner:
             joined = self._queues[0]
             self._queues[0] = []
             if not joined:
-                return np.empty(0, np.int64), np.empty((0, len(self.channels)), np.float32)
+                return _no_rows(len(self.channels))
             columns = [self.nodes[0].layout.channels.index(name) for name in self.channels]
             return joined[0][0], joined[0][1][:, columns]
         if not self._align(everything):
             self._limit_queues()
-            return np.empty(0, np.int64), np.empty((0, len(self.channels)), np.float32)
+            return _no_rows(len(self.channels))
         return self._merge(everything)
 
     def _limit_queues(self) -> None:
@@ -238,10 +246,8 @@ class Joiner:
 
     def _merge(self, everything: bool) -> Rows:
         assert self._shifts is not None
-        width = len(self.channels)
-        parts: list[Rows] = []
-        for at, queue in enumerate(self._queues):
-            parts.append(_concatenate(queue, len(self.nodes[at].layout.channels), self._shifts[at]))
+        nodes = zip(self.nodes, self._queues, self._shifts, strict=True)
+        parts = [_concatenate([_no_rows(len(node.layout.channels)), *queue], shift) for node, queue, shift in nodes]
         ends = [int(rows[-1]) if len(rows) else self._done for rows, _ in parts]
         cut = max(ends) if everything else max(min(ends), max(ends) - round(HOLD_S * self.rate_hz))
         usable = [
@@ -250,20 +256,22 @@ class Joiner:
         ]
         late = sum(int(np.count_nonzero(rows <= self._done)) for rows, _ in parts)
         index = np.unique(np.concatenate([rows[use] for (rows, _), use in zip(parts, usable, strict=True)]))
-        joined = np.full((len(index), width), np.nan, dtype=np.float32)
+        joined = np.full((len(index), len(self.channels)), np.nan, dtype=np.float32)
         for at, ((rows, samples), use) in enumerate(zip(parts, usable, strict=True)):
             columns = [self.channels.index(name) for name in self.nodes[at].layout.channels]
             joined[np.searchsorted(index, rows[use])[:, None], columns] = samples[use]
             rest = rows > cut
-            shift = self._shifts[at]
-            self._queues[at] = [(rows[rest] - shift, samples[rest])] if rest.any() else []
+            self._queues[at] = [(rows[rest] - self._shifts[at], samples[rest])] if rest.any() else []
         self.unmatched += late + int(np.count_nonzero(np.isnan(joined).any(axis=1)))
         self._done = max(self._done, cut)
         return index, joined
 
 
-def _concatenate(queue: list[Rows], width: int, shift: int) -> Rows:
-    """Concatenate rows of `width` channels, with `shift` added to their indices."""
-    if not queue:
-        return np.empty(0, np.int64), np.empty((0, width), np.float32)
+def _no_rows(*shape: int) -> Rows:
+    """Return no rows, of samples of this shape."""
+    return np.empty(0, np.int64), np.empty((0, *shape), np.float32)
+
+
+def _concatenate(queue: list[Rows], shift: int) -> Rows:
+    """Concatenate rows, with `shift` added to their indices."""
     return np.concatenate([rows for rows, _ in queue]) + shift, np.concatenate([samples for _, samples in queue])

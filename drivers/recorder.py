@@ -16,9 +16,10 @@ from pathlib import Path
 from drivers import codec
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
 from drivers.disk import sync_folder
+from drivers.limits import absurdity
 from drivers.mcap_file import scan_messages
 from drivers.mcap_writer import McapWriter, arrival
-from drivers.recorder_settings import RecorderSettings as RecorderSettings
+from drivers.settings import RecorderSettings as RecorderSettings
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +35,6 @@ _FLUSH_SHARE = 0.8
 """Share of `flush_s` after which a flush begins, so that a slow disk has the data in time."""
 _MIN_FLUSH_S = 1.0
 """Shortest time between two flushes that the length of the data causes, s."""
-_MAX_INT = 1 << 62
 _PATIENCE_S = 60.0
 """Length of late data after which the clock was set back rather than blocks delayed. [s; judgement]"""
 
@@ -57,8 +57,8 @@ class RecorderHealth:
 
 def unfit(block: SampleBlock) -> str | None:
     """Return the reason why a recording cannot hold a block, or None if it can."""
-    if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
-        return f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz:g} Hz is absurd"
+    if (absurd := absurdity(block)) is not None:
+        return absurd
     if block.unit != UNIT_OF.get(block.topic):
         return f"topic {block.topic!r} in {block.unit!r}; known: {', '.join(UNIT_OF)}"
     if not block.channels or block.samples.nbytes > _MAX_BLOCK_BYTES:
@@ -164,7 +164,7 @@ class Recorder:
         if block.topic != ACCELERATION:
             return
         is_late = block.t_ns < self._log_ns - _PATIENCE_S * 1e9
-        self._late_s = self._late_s + block.n_samples / block.sample_rate_hz if is_late else 0.0
+        self._late_s = self._late_s + block.length_s if is_late else 0.0
         if self._late_s < _PATIENCE_S:
             return
         _log.warning("the clock of the data was set back; recordings are named by it from here on")
@@ -184,14 +184,12 @@ class Recorder:
             self._pause(f"only {free / _GB:.2f} GiB free")
             self._short_of_room = True
             return False
-        self._short_of_room = False
-        self._writer = McapWriter(
-            _new_name(self._folder, self._log_ns, self._clocks), as_arrived=True, clock=self._clocks
-        )
+        name = _new_name(self._folder, self._log_ns, self._clocks)
+        self._writer = McapWriter(name, as_arrived=True, clock=self._clocks)
         self._begun_ns = self._flushed_ns = self._log_ns
         self._flushed_s = self._clock()
         self._files += 1
-        self._has_flushed = False
+        self._has_flushed = self._short_of_room = False
         return True
 
     def _flush(self, writer: McapWriter) -> None:

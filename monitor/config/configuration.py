@@ -13,8 +13,8 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from drivers.base import UNIT_OF, Source, SourceContext, SourceError
 from drivers.live import LiveBounds, LiveSettings
-from drivers.recorder_settings import RecorderSettings
 from drivers.registry import UnknownSourceError, source_type
+from drivers.settings import RecorderSettings
 from monitor.config.log_settings import LogSettings
 from monitor.config.matrix_files import read_matrices
 from monitor.config.state_settings import StateSettings
