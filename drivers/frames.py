@@ -141,28 +141,36 @@ def load(path: Path, channels: tuple[str, ...] = ()) -> tuple[Layout, ...]:
     A channel is the signal of the same name.  In frames with several samples, it is the signals NAME_0, NAME_1, ...
     Raises `FrameError` if the file cannot be read, or does not carry the channels.
     """
+    carried = [(message, _carried(message, channels)) for message in _messages(path)]
+    places: dict[str, list[str]] = {}
+    for message, groups in carried:
+        for name in groups:
+            places.setdefault(name, []).append(message.name)
+    wanted = channels or tuple(places)
+    problems = [f"no signal {name!r}" for name in wanted if name not in places]
+    problems += [f"{name!r} stands in {', '.join(where)}" for name, where in places.items() if len(where) > 1]
+    if problems or not wanted:
+        known = ", ".join(signal.name for message, _ in carried for signal in message.signals)
+        raise FrameError(f"{path}: {'; '.join(problems) or 'no acceleration'}; the signals are {known or 'none'}")
+    layouts = [_layout(path, message, groups) for message, groups in carried if groups]
+    return tuple(sorted(layouts, key=lambda layout: wanted.index(layout.channels[0])))
+
+
+def _messages(path: Path) -> list[Any]:
+    """Read the messages of a DBC."""
     try:
         database: Any = cantools.database.load_file(path, database_format="dbc")
-        messages: list[Any] = list(database.messages)
+        return list(database.messages)
     except OSError as error:
         raise FrameError(f"{path}: {error.strerror or error}") from error
     except (cantools.errors.Error, ValueError) as error:
         raise FrameError(f"{path}: is no DBC: {error}") from error
-    found: dict[str, list[Any]] = {}
-    groups: dict[str, dict[str, list[Any]]] = {}
-    for message in messages:
-        names = channels or _accelerations(message)
-        groups[message.name] = {name: signals for name in names if (signals := _signals(message, name))}
-        for name in groups[message.name]:
-            found.setdefault(name, []).append(message.name)
-    wanted = channels or tuple(found)
-    problems = [f"no signal {name!r}" for name in wanted if name not in found]
-    problems += [f"{name!r} stands in {', '.join(where)}" for name, where in found.items() if len(where) > 1]
-    if problems or not wanted:
-        known = ", ".join(signal.name for message in messages for signal in message.signals)
-        raise FrameError(f"{path}: {'; '.join(problems) or 'no acceleration'}; the signals are {known or 'none'}")
-    layouts = [_layout(path, message, groups[message.name]) for message in messages if groups[message.name]]
-    return tuple(sorted(layouts, key=lambda layout: wanted.index(layout.channels[0])))
+
+
+def _carried(message: Any, channels: tuple[str, ...]) -> dict[str, list[Any]]:
+    """Return the signals of those channels, or of all accelerations, that a message carries."""
+    names = channels or _accelerations(message)
+    return {name: signals for name in names if (signals := _signals(message, name))}
 
 
 def _accelerations(message: Any) -> tuple[str, ...]:

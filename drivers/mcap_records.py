@@ -152,46 +152,51 @@ class McapFile:
         while True:
             offset, crc = file.tell(), self._crc
             try:
-                if offset == self._size:
-                    raise _CutError("the file has no footer")
-                opcode, length = HEAD.unpack(head := self._read_checked(file, HEAD.size))
-                if opcode == 0:  # zeros: the file system never wrote these blocks
-                    raise (
-                        _CutError(f"unwritten bytes from {offset}")
-                        if not closed
-                        else self._damage_error(offset, "opcode 0")
-                    )
-                kept = opcode in _KEPT
-                if (kept or opcode == Opcode.CHUNK) and length > min(MAX_RECORD_BYTES, self._size - file.tell()):
-                    raise _CutError(f"the record at byte {offset} claims {length} bytes")
-                body = self._read_checked(file, length) if kept or opcode == Opcode.CHUNK else b""
+                opcode, length, record = self._read_record(file, closed)
             except _CutError:
                 yield from self._finish_run(offset, run)
                 raise
-            if kept:
-                run += head + body
+            if opcode in _KEPT:
+                run += record
                 if len(run) < _RUN_BYTES:
                     continue
                 offset = file.tell()
             yield from self._finish_run(offset, run)
             run.clear()
             if opcode == Opcode.CHUNK:
-                segment = Segment(offset, HEAD.size + length, True)
-                try:
-                    messages = self._parse(segment, head + body)
-                except RecordingError:
-                    # Zeros after the chunk, or at its end, mean that the machine stopped while writing the chunk.
-                    if closed or (file.read(_RUN_BYTES) or body[-16:]).strip(b"\0"):
-                        raise
-                    raise _CutError(f"the chunk at byte {offset} was written in part") from None
-                yield segment, messages
+                segment = Segment(offset, len(record), True)
+                yield segment, self._parse_chunk(file, segment, record, closed)
             elif opcode == Opcode.DATA_END:
                 self._check_data_end(file, offset, length, crc)
                 return
             elif opcode == Opcode.FOOTER:
                 raise self._damage_error(offset, "a footer before the end of the data")
-            elif not kept:
+            elif opcode not in _KEPT:
                 self._skip(file, length)
+
+    def _read_record(self, file: BinaryIO, closed: bool) -> tuple[int, int, bytes]:
+        """Read opcode and length of a record; all of its bytes if it is a chunk, a message or what defines one, else its head."""
+        offset = file.tell()
+        if offset == self._size:
+            raise _CutError("the file has no footer")
+        opcode, length = HEAD.unpack(head := self._read_checked(file, HEAD.size))
+        if opcode == 0:  # zeros: the file system never wrote these blocks
+            raise self._damage_error(offset, "opcode 0") if closed else _CutError(f"unwritten bytes from {offset}")
+        if opcode not in _KEPT and opcode != Opcode.CHUNK:
+            return opcode, length, head
+        if length > min(MAX_RECORD_BYTES, self._size - file.tell()):
+            raise _CutError(f"the record at byte {offset} claims {length} bytes")
+        return opcode, length, head + self._read_checked(file, length)
+
+    def _parse_chunk(self, file: BinaryIO, segment: Segment, record: bytes, closed: bool) -> list[Message]:
+        """Parse a chunk that was just read; a damaged one of a file that was not closed may be its cut end."""
+        try:
+            return self._parse(segment, record)
+        except RecordingError:
+            # Zeros after the chunk, or at its end, mean that the machine stopped while writing the chunk.
+            if closed or (file.read(_RUN_BYTES) or record[HEAD.size :][-16:]).strip(b"\0"):
+                raise
+            raise _CutError(f"the chunk at byte {segment.offset} was written in part") from None
 
     def _finish_run(self, end: int, run: bytearray) -> Iterator[tuple[Segment, list[Message]]]:
         """Yield the records outside chunks that end at byte `end` as one segment, if there are any."""
@@ -200,14 +205,18 @@ class McapFile:
             yield segment, self._parse(segment, bytes(run))
 
     def _check_data_end(self, file: BinaryIO, offset: int, length: int, crc: int) -> None:
-        """Verify the checksum of the data section; 0 means that the writer stored none."""
+        """Verify the checksum of the data section."""
         if length < 4:
             raise self._damage_error(offset, "a data end record that is too short")
-        (expected,) = struct.unpack("<I", self._read_checked(file, 4))
-        self._skip(file, length - 4)
-        if expected not in (0, crc):
-            raise self._damage_error(offset, "the checksum of the data section does not fit")
+        self._check_crc(file, offset, length - 4, crc, "data section")
         self._crc = 0
+
+    def _check_crc(self, file: BinaryIO, offset: int, rest: int, crc: int, what: str) -> None:
+        """Compare the checksum that stands here, 0 if the writer stored none; read past the `rest` of the record."""
+        (expected,) = struct.unpack("<I", self._read_checked(file, 4))
+        self._skip(file, rest)
+        if expected not in (0, crc):
+            raise self._damage_error(offset, f"the checksum of the {what} does not fit")
 
     def _summary_section(self, file: BinaryIO) -> None:
         """Read past the summary section, and verify its checksum and the end of the file."""
@@ -220,11 +229,7 @@ class McapFile:
             if length < 20:
                 raise self._damage_error(offset, "a footer that is too short")
             self._read_checked(file, 16)
-            crc = self._crc
-            (expected,) = struct.unpack("<I", self._read_checked(file, 4))
-            self._skip(file, length - 20)
-            if expected not in (0, crc):
-                raise self._damage_error(offset, "the checksum of the summary does not fit")
+            self._check_crc(file, offset, length - 20, self._crc, "summary")
             if self._read_checked(file, len(MAGIC)) != MAGIC or file.tell() != self._size:
                 raise self._damage_error(file.tell(), "wrong bytes after the footer")
             return
