@@ -11,9 +11,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from drivers.base import ACCELERATION, FORCE, GROUND, RecordingError, RecordingMissingError, SampleBlock
+from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
 from drivers.mcap_file import read_recordings
 from drivers.mcap_records import MAGIC
+from monitor.config import read_by_user
 from monitor.core import Array, BadInputError, MissingInputError, import_extra
 from monitor.runs import import_files
 
@@ -112,25 +113,14 @@ def read(
 
 def _gathered(path: Path, on_warning: Callable[[str], None]) -> Recording:
     """Read the blocks of a recording and lay them out on one grid."""
-    try:
+    with read_by_user():
         blocks = list(read_recordings([path], topics=(ACCELERATION, GROUND, FORCE), on_warning=on_warning))
-    except RecordingMissingError as error:
-        raise MissingInputError(str(error)) from error
-    except RecordingError as error:
-        raise BadInputError(str(error)) from error
-    floors = [block for block in blocks if block.topic == ACCELERATION]
-    first = floors[0]
-    samples = _laid_out(path, floors, first, None)
-    ground = _laid_out(path, [b for b in blocks if b.topic == GROUND], first, len(samples))
-    force = _laid_out(path, [b for b in blocks if b.topic == FORCE], first, len(samples))
-    return Recording(
-        samples,
-        first.sample_rate_hz,
-        first.channels,
-        first.t_ns,
-        ground[:, 0] if ground.size else None,
-        force if force.size else None,
-    )
+    of = {topic: [block for block in blocks if block.topic == topic] for topic in (ACCELERATION, GROUND, FORCE)}
+    first = of[ACCELERATION][0]
+    samples = _laid_out(path, of[ACCELERATION], first, None)
+    ground, force = (_laid_out(path, of[topic], first, len(samples)) for topic in (GROUND, FORCE))
+    measured = ground[:, 0] if ground.size else None, force if force.size else None
+    return Recording(samples, first.sample_rate_hz, first.channels, first.t_ns, *measured)
 
 
 def _laid_out(path: Path, blocks: list[SampleBlock], first: SampleBlock, n: int | None) -> Annotated[Array, "n c"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -68,21 +69,14 @@ def check(
 
 def _demand_recordings(file: Path, settings: Configuration) -> None:
     """Check that the recordings of a ``[source]`` exist and can be read."""
-    from drivers.base import RecordingError, RecordingMissingError, SourceContext
-    from monitor.config import configuration
-    from monitor.core import BadInputError, MissingInputError
+    from drivers.base import SourceContext
+    from monitor.config import configuration, read_by_user
 
     if settings.source is None or settings.source["kind"] != "mcap":  # the other sources wait for what comes
         return
     source = configuration.make_source(settings.source, SourceContext(settings.channels, file.parent))
-    try:
+    with read_by_user(f"{file}: source.files: "), closing(source):
         source.open()
-    except RecordingMissingError as error:
-        raise MissingInputError(f"{file}: source.files: {error}") from error
-    except RecordingError as error:
-        raise BadInputError(f"{file}: source.files: {error}") from error
-    finally:
-        source.close()
 
 
 def _warn_of_shared_floors(settings: Configuration) -> None:

@@ -37,6 +37,9 @@ Structure = Annotated[
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
+Results = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
+Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
+Serve = Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Serve Rerun viewers here, as 127.0.0.1:9876.")]
 
 
 def say(text: str, content: dict[str, Any], as_json: bool) -> None:

@@ -8,16 +8,14 @@ from typing import Annotated
 
 import typer
 
-from monitor.cli.common import Json, Recordings, Structure, progress, say, warn
+from monitor.cli.common import Healthy, Json, Recordings, Results, Structure, progress, say, warn
 from monitor.core import BadInputError, demand_place, missing_extra, no_empty_folder, spare_inputs, write_atomically
-
-Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
 
 
 def diagnose(
     recordings: Recordings,
     structure: Structure,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
+    out: Results,
     baseline: Healthy = None,
     as_json: Json = False,
 ) -> None:
@@ -32,14 +30,14 @@ def diagnose(
     from monitor.runs import local_copies
 
     names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
-    content, report, updated, extended, view = (out / name for name in names)
-    spare_inputs([content, report, updated, extended, view], [*recordings, structure, baseline])
+    content, report, updated, extended, view = written = [out / name for name in names]
+    spare_inputs(written, [*recordings, structure, baseline])
     settings = configuration.load_with_model(structure)
     healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
     if healthy is not None and healthy.reference is None:
         raise BadInputError(f"{baseline}: {job.NO_REFERENCE}")
     with no_empty_folder(out):
-        for path in (content, report, updated, extended, view):
+        for path in written:
             demand_place(path)
         with local_copies(recordings) as (copies, named):
             found = job.diagnose(copies, settings, healthy, lambda text: warn(named(text)), progress("diagnose"))
@@ -51,12 +49,13 @@ def diagnose(
     write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
     from monitor.publish import write_report
 
-    write_report(report, found.diagnosis, found.content, found.segments, settings.story_names, found.laws)
+    shown = found.diagnosis, found.content, found.segments, settings.story_names, found.laws
+    write_report(report, *shown)
     if (missing := missing_extra("viewer")) is None:
         # Imported only now: Rerun starts threads, and no process should be forked while threads run.
         from monitor.publish import write_view
 
-        write_view(view, found.diagnosis, found.content, found.segments, settings.story_names, found.laws)
+        write_view(view, *shown)
     else:
         view.unlink(missing_ok=True)  # an earlier one would be taken for this diagnosis
         warn(f"{view.name} is left out: it {missing}")

@@ -11,6 +11,8 @@ from typing import Annotated
 
 import typer
 
+from monitor.cli.common import Recordings
+
 _FORMS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL, zenoh:MODE:ENDPOINT:KEY or mqtt:HOST:PORT:TOPIC."
 To = Annotated[str, typer.Option(metavar="DESTINATION", help=_FORMS)]
 OptionalTo = Annotated[str | None, typer.Option(metavar="DESTINATION", help=f"Also send it: {_FORMS}")]
@@ -19,7 +21,7 @@ Speed = Annotated[str | None, typer.Option(help="Multiple of real time, or 'max'
 
 
 def emulate(
-    recordings: Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")],
+    recordings: Recordings,
     to: To,
     dbc: Dbc = None,
     speed: Speed = None,
@@ -33,20 +35,15 @@ def emulate(
 
 def send(recordings: list[Path], to: str, dbc: Path | None, speed: str | None) -> None:
     """Send recordings to a destination, and report on standard error what is sent."""
-    from drivers.base import RecordingError, RecordingMissingError
     from drivers.mcap_file import read_recordings
-    from monitor.core import BadInputError, MissingInputError
+    from monitor.config import read_by_user
     from monitor.runs import send_all
 
-    try:
-        blocks = read_recordings(recordings)
-        send_all(
-            blocks, to, dbc=dbc, speed=parse_speed(speed), say=lambda text: print(text, file=sys.stderr, flush=True)
-        )
-    except RecordingMissingError as error:
-        raise MissingInputError(str(error)) from error
-    except RecordingError as error:
-        raise BadInputError(str(error)) from error
+    def tell(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    with read_by_user():
+        send_all(read_recordings(recordings), to, dbc=dbc, speed=parse_speed(speed), say=tell)
 
 
 @contextmanager

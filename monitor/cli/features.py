@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from monitor.cli.common import Json, say, time_ns, warn
+from monitor.cli.common import Json, Results, say, time_ns, warn
 from monitor.core import spare_inputs
 
 
@@ -16,7 +16,7 @@ def features(
     time: Annotated[str, typer.Option(metavar="COLUMN", help="Column of the times (ISO 8601, or s since 1970).")],
     names: Annotated[str, typer.Option("--features", metavar="F1,F2", help="Columns of the features.")],
     train_until: Annotated[str, typer.Option(metavar="TIME", help="End of the healthy part, ISO 8601.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
+    out: Results,
     covariates: Annotated[
         str, typer.Option(metavar="C1,C2", help="Columns of the covariates, as temperature and wind.")
     ] = "",

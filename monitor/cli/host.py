@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, address, say
+from monitor.core import BadConfigurationError, MissingInputError, UserError, WrongUsageError
 
 
 def host(
@@ -46,12 +47,9 @@ def host(
     when all sources have ended.  Exit code 78 at once if files alone are named and every one of them is bad.
     """
     from monitor.config import LogSettings
-    from monitor.core import MissingInputError
     from monitor.service import Host, HostWorkers, is_of_share, logs
 
-    for place in places:
-        if not place.exists():
-            raise MissingInputError(f"{place}: there is no such file or folder")
+    _demand_places(places)
     served = address(metrics, "--metrics", any_port=True)
     number, count = _share(share, standby=standby)
     _demand_a_good_file(places)
@@ -62,10 +60,14 @@ def host(
         HostWorkers(places, workers, served, standby=standby, share=(number, count)).run()
 
 
+def _demand_places(places: list[Path]) -> None:
+    for place in places:
+        if not place.exists():
+            raise MissingInputError(f"{place}: there is no such file or folder")
+
+
 def _share(text: str, *, standby: bool) -> tuple[int, int]:
     """Read K/N."""
-    from monitor.core import WrongUsageError
-
     found = re.fullmatch(r"([1-9]\d{0,3})/([1-9]\d{0,3})", text)
     if found is None or int(found[1]) > int(found[2]):
         raise WrongUsageError(f"--share {text}: give it as 1/2, the first of two machines")
@@ -77,7 +79,6 @@ def _share(text: str, *, standby: bool) -> tuple[int, int]:
 def _demand_a_good_file(places: list[Path]) -> None:
     """Refuse to start where no site could: files alone are named, and every one of them is a bad configuration."""
     from monitor.config import configuration
-    from monitor.core import BadConfigurationError, UserError
 
     problems = []
     for place in places:
@@ -107,12 +108,9 @@ def dataset(
 
     The sites may be running.  Times of day are UTC; the columns are those of 'reprocess'.
     """
-    from monitor.core import MissingInputError
     from monitor.service import dataset as datasets
 
-    for place in places:
-        if not place.exists():
-            raise MissingInputError(f"{place}: there is no such file or folder")
+    _demand_places(places)
     written = datasets.write_dataset(datasets.site_folders(places), out)
     windows = sum(written.values())
     say(f"{out}: {windows} windows of {len(written)} sites", {"out": str(out), "windows": written}, as_json)

@@ -85,14 +85,8 @@ def ack(
     if sum((shelve is not None, unshelve, reset)) > 1:
         raise WrongUsageError("--shelve, --unshelve and --reset exclude each other")
     action = "shelve" if shelve is not None else "unshelve" if unshelve else "reset" if reset else "acknowledge"
-    fields = {
-        "action": action,
-        "story": story,
-        "event": event,
-        "who": who,
-        "note": note,
-        "seconds": 3600.0 * (shelve or 0.0),
-    }
+    seconds = 3600.0 * (shelve or 0.0)
+    fields = {"action": action, "story": story, "event": event, "who": who, "note": note, "seconds": seconds}
     try:
         request = Request.model_validate(fields)
     except ValidationError as error:
@@ -228,9 +222,7 @@ def _send_by_file(out: Path, request: Request) -> tuple[bool, str]:
         time.sleep(0.1)
     if not place.exists():
         return True, _APPLIED
-    if reader.running(out):
-        return (
-            False,
-            "left for the daemon, which applies it when data come and ledger.jsonl can be written: ask 'status'",
-        )
-    return False, "the daemon does not run; it is applied with the first data of its next run"
+    left = "left for the daemon, which applies it when data come and ledger.jsonl can be written: ask 'status'"
+    return False, left if reader.running(
+        out
+    ) else "the daemon does not run; it is applied with the first data of its next run"

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from monitor.cli.common import Json, Structure, say, warn
+from monitor.cli.common import Healthy, Json, Structure, say, warn
 from monitor.core import BadInputError, require_extra
 
 
@@ -25,7 +25,7 @@ def reprocess(
         Path,
         typer.Option(metavar="DIR", help="Folder for the results; results that it already has are not computed again."),
     ],
-    baseline: Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")] = None,
+    baseline: Healthy = None,
     diagnose: Annotated[bool, typer.Option("--diagnose", help="Also diagnose each recording by itself.")] = False,
     gap: Annotated[
         float | None,
@@ -65,9 +65,9 @@ def reprocess(
         for message in outcome.warnings:
             warn(f"{outcome.name}: {message}")
     done, done_before = (sum(o.error is None and o.made is made for o in outcomes) for made in (True, False))
-    errors = [o.error for o in outcomes if o.error is not None]
-    text = f"{done} done, {done_before} done before; windows in {out / WINDOWS}"
-    say(text, {"done": done, "done_before": done_before, "failed": len(errors), "windows": str(out / WINDOWS)}, as_json)
+    errors, windows = [o.error for o in outcomes if o.error is not None], str(out / WINDOWS)
+    content = {"done": done, "done_before": done_before, "failed": len(errors), "windows": windows}
+    say(f"{done} done, {done_before} done before; windows in {windows}", content, as_json)
     if errors:
         raise BadInputError("\n".join([f"{len(errors)} could not be done", *errors]))
 

@@ -1,6 +1,7 @@
 from . import configuration, security_check
 from .configuration import Configuration, OutputSettings, SensorTable, read_toml
 from .log_settings import LogSettings
+from .recording_errors import read_by_user
 from .state_settings import StateSettings
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "SensorTable",
     "StateSettings",
     "configuration",
+    "read_by_user",
     "read_toml",
     "security_check",
 ]
