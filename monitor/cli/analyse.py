@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from monitor.cli.common import Healthy, Json, Recordings, Results, Serve, Structure, address, progress, say, warn
 from monitor.cli.emulate import parse_speed
@@ -21,7 +21,7 @@ def replay(
     structure: Structure,
     out: Results,
     baseline: Healthy = None,
-    speed: Annotated[str, typer.Option(help="'max', or a multiple of real time; gaps are not waited for.")] = "max",
+    speed: Annotated[str, Option(help="'max', or a multiple of real time; gaps are not waited for.")] = "max",
     serve: Serve = None,
     as_json: Json = False,
 ) -> None:
@@ -56,15 +56,13 @@ def replay(
 
 def calibrate(
     structure: Structure,
-    out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
+    out: Annotated[Path, Option(metavar="B.json", help="Baseline file to write.")],
     recordings: Annotated[
-        list[Path] | None, typer.Argument(metavar="REC.mcap...", help="Healthy recordings, in any order.")
+        list[Path] | None, Argument(metavar="REC.mcap...", help="Healthy recordings, in any order.")
     ] = None,
     rebase: Annotated[
         Path | None,
-        typer.Option(
-            metavar="OLD.json", help="Baseline of this structure whose drawing was changed; needs no recordings."
-        ),
+        Option(metavar="OLD.json", help="Baseline of this structure whose drawing was changed; needs no recordings."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -81,7 +79,7 @@ def calibrate(
 
     recordings = recordings or []
     if bool(recordings) == (rebase is not None):
-        raise typer.BadParameter("name either healthy recordings, or a baseline with --rebase")
+        raise BadParameter("name either healthy recordings, or a baseline with --rebase")
     spare_inputs([out], [*recordings, structure, rebase])
     settings = configuration.load(structure) if rebase is None else configuration.load_with_model(structure)
     demand_place(out)

@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument
 
 from monitor.cli.common import Json, say, warn
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Structure file, site file or fleet file.")],
+    file: Annotated[Path, Argument(metavar="FILE.toml", help="Structure file, site file or fleet file.")],
     as_json: Json = False,
 ) -> None:
     """List every problem of a file at once.  The file is a structure file, a site file or a fleet file."""

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from monitor.cli.common import Healthy, Json, Recordings, Results, Structure, progress, say, warn
 from monitor.core import BadInputError, demand_place, missing_extra, no_empty_folder, spare_inputs, write_atomically
@@ -97,13 +97,11 @@ def evaluate(recordings: Recordings, structure: Structure) -> None:
 
 
 def accept(
-    finding: Annotated[Path, typer.Argument(metavar="FINDING.json", help="diagnosis.json, or one of DIR/findings.")],
+    finding: Annotated[Path, Argument(metavar="FINDING.json", help="diagnosis.json, or one of DIR/findings.")],
     structure: Structure,
-    out: Annotated[Path, typer.Option(metavar="OUT.toml", help="Structure file to write, with the causes.")],
+    out: Annotated[Path, Option(metavar="OUT.toml", help="Structure file to write, with the causes.")],
     baseline: Healthy = None,
-    by: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Name of who decides; the login name by default.")
-    ] = None,
+    by: Annotated[str | None, Option(metavar="NAME", help="Name of who decides; the login name by default.")] = None,
     as_json: Json = False,
 ) -> None:
     """Add the named causes to a structure file.  The decision is recorded in ledger.jsonl beside the written file.

@@ -9,15 +9,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
-import typer
+from typer import BadParameter, Option
 
 from monitor.cli.common import Recordings
 
 _FORMS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL, zenoh:MODE:ENDPOINT:KEY or mqtt:HOST:PORT:TOPIC."
-To = Annotated[str, typer.Option(metavar="DESTINATION", help=_FORMS)]
-OptionalTo = Annotated[str | None, typer.Option(metavar="DESTINATION", help=f"Also send it: {_FORMS}")]
-Dbc = Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="Layout of the CAN frames; its factors quantise.")]
-Speed = Annotated[str | None, typer.Option(help="Multiple of real time, or 'max'; 1.0 by default.")]
+To = Annotated[str, Option(metavar="DESTINATION", help=_FORMS)]
+OptionalTo = Annotated[str | None, Option(metavar="DESTINATION", help=f"Also send it: {_FORMS}")]
+Dbc = Annotated[Path | None, Option(metavar="FILE.dbc", help="Layout of the CAN frames; its factors quantise.")]
+Speed = Annotated[str | None, Option(help="Multiple of real time, or 'max'; 1.0 by default.")]
 
 
 def emulate(
@@ -53,7 +53,7 @@ def recording_for(out: Path | None, to: str | None, dbc: Path | None, speed: str
     The file is kept if `out` names it; without `out` the file is temporary.
     """
     if to is None and (dbc is not None or speed is not None):
-        raise typer.BadParameter("--dbc and --speed say how to send: name a destination (--to)")
+        raise BadParameter("--dbc and --speed say how to send: name a destination (--to)")
     parse_speed(speed)
     with TemporaryDirectory() as folder:
         file = out or Path(folder) / "simulated.mcap"
@@ -77,5 +77,5 @@ def parse_speed(text: str | None) -> float | None:
     except ValueError:
         value = 0.0
     if not 1e-6 <= value <= 1e6:
-        raise typer.BadParameter(f"--speed: {text!r} is neither 'max' nor a number from 1e-6 to 1e6")
+        raise BadParameter(f"--speed: {text!r} is neither 'max' nor a number from 1e-6 to 1e6")
     return value

@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, BadParameter, Exit, Option
 
 from monitor.cli.common import Serve, address
 from monitor.core import MissingInputError, demand_place, require_extra, spare_inputs, write_atomically
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 
 def fleet(
-    file: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="Fleet file: how to join, which sites.")],
+    file: Annotated[Path, Argument(metavar="FLEET.toml", help="Fleet file: how to join, which sites.")],
     every: Annotated[
         float | None,
-        typer.Option(min=0.1, max=86400.0, metavar="S", help="Time from one query to the next; one query without."),
+        Option(min=0.1, max=86400.0, metavar="S", help="Time from one query to the next; one query without."),
     ] = None,
-    count: Annotated[int | None, typer.Option(min=1, help="Number of queries; endless by default.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object a query.")] = False,
-    out: Annotated[Path | None, typer.Option(metavar="F.rrd", help="Also draw into a Rerun recording.")] = None,
+    count: Annotated[int | None, Option(min=1, help="Number of queries; endless by default.")] = None,
+    as_json: Annotated[bool, Option("--json", help="Print one JSON object a query.")] = False,
+    out: Annotated[Path | None, Option(metavar="F.rrd", help="Also draw into a Rerun recording.")] = None,
     page: Annotated[
-        Path | None, typer.Option(metavar="F.html", help="Also write a page that a browser filters and sorts.")
+        Path | None, Option(metavar="F.html", help="Also write a page that a browser filters and sorts.")
     ] = None,
     serve: Serve = None,
 ) -> None:
@@ -41,7 +41,7 @@ def fleet(
     from monitor.service import fleet_page, text
 
     if count is not None and every is None:
-        raise typer.BadParameter("--count says how often to look: needs --every")
+        raise BadParameter("--count says how often to look: needs --every")
     written = [place for place in (out, page) if place is not None]
     spare_inputs(written, [file])
     settings, served = fleet_status.load(file), address(serve)
@@ -60,7 +60,7 @@ def fleet(
                 view.show(statuses)
             if page is not None:
                 write_atomically(page, fleet_page(statuses, f"Fleet {settings.prefix}", time.time_ns()))
-    raise typer.Exit(fleet_status.code(statuses))
+    raise Exit(fleet_status.code(statuses))
 
 
 def _view(out: Path | None, served: tuple[str, int] | None) -> FleetView:

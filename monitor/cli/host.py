@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from monitor.cli.common import Json, address, say
 from monitor.core import BadConfigurationError, MissingInputError, UserError, WrongUsageError
@@ -15,29 +15,25 @@ from monitor.core import BadConfigurationError, MissingInputError, UserError, Wr
 def host(
     places: Annotated[
         list[Path],
-        typer.Argument(
+        Argument(
             metavar="SITE.toml...|DIR",
             help="Site files; or a folder, of which each *.toml is a site while it is there.",
         ),
     ],
     workers: Annotated[
-        int, typer.Option(min=1, max=256, help="Processes over which the sites are spread: one a core at most.")
+        int, Option(min=1, max=256, help="Processes over which the sites are spread: one a core at most.")
     ] = 1,
     metrics: Annotated[
         str | None,
-        typer.Option(metavar="HOST:PORT", help="Answer Prometheus here for all sites, as 127.0.0.1:9464."),
+        Option(metavar="HOST:PORT", help="Answer Prometheus here for all sites, as 127.0.0.1:9464."),
     ] = None,
     standby: Annotated[
         bool,
-        typer.Option(
-            "--standby", help="Take over sites whose [output] dir another daemon fills when that one is gone."
-        ),
+        Option("--standby", help="Take over sites whose [output] dir another daemon fills when that one is gone."),
     ] = False,
     share: Annotated[
         str,
-        typer.Option(
-            metavar="K/N", help="With --standby: this machine, the K-th of N, takes its share of the sites first."
-        ),
+        Option(metavar="K/N", help="With --standby: this machine, the K-th of N, takes its share of the sites first."),
     ] = "1/1",
 ) -> None:
     """Monitor many sites in one process, each as `run` would.
@@ -97,9 +93,9 @@ def _demand_a_good_file(places: list[Path]) -> None:
 
 def dataset(
     places: Annotated[
-        list[Path], typer.Argument(metavar="SITE.toml...|DIR", help="Site files; or folders of them, as of 'host'.")
+        list[Path], Argument(metavar="SITE.toml...|DIR", help="Site files; or folders of them, as of 'host'.")
     ],
-    out: Annotated[Path, typer.Option(metavar="DATASET", help="Folder of the dataset; months that stand are kept.")],
+    out: Annotated[Path, Option(metavar="DATASET", help="Folder of the dataset; months that stand are kept.")],
     as_json: Json = False,
 ) -> None:
     """Write the results of many sites as a Parquet dataset.

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
 from monitor.cli.common import Json, say, time_ns, warn
 from monitor.core import BadConfigurationError, MissingInputError, WrongUsageError, spare_inputs
@@ -20,10 +20,10 @@ _APPLIED = "applied; what it changed is noted in ledger.jsonl"
 
 
 def status(
-    place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
+    place: Annotated[Path, Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
     verify: Annotated[
         bool,
-        typer.Option("--verify", help="Check ledger.jsonl and the event recordings that it names first; 65: changed."),
+        Option("--verify", help="Check ledger.jsonl and the event recordings that it names first; 65: changed."),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -43,26 +43,22 @@ def status(
         if unchanged:
             text += f"; event recordings unchanged: {unchanged}"
     say(text, found, as_json)
-    raise typer.Exit(found["exit_code"])
+    raise Exit(found["exit_code"])
 
 
 def ack(
-    file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file of the running daemon.")],
-    who: Annotated[str, typer.Option(metavar="NAME", help="Name of who decides; recorded in the ledger.")],
+    file: Annotated[Path, Argument(metavar="SITE.toml", help="Site file of the running daemon.")],
+    who: Annotated[str, Option(metavar="NAME", help="Name of who decides; recorded in the ledger.")],
     story: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Story; 0: the structure as a whole.", show_default=False)
+        int | None, Option(min=0, metavar="N", help="Story; 0: the structure as a whole.", show_default=False)
     ] = None,
-    event: Annotated[
-        str | None, typer.Option(metavar="ID", help="Event that exceeded a limit, in place of a story.")
-    ] = None,
-    note: Annotated[str, typer.Option(help="Reason; shelving needs one.")] = "",
+    event: Annotated[str | None, Option(metavar="ID", help="Event that exceeded a limit, in place of a story.")] = None,
+    note: Annotated[str, Option(help="Reason; shelving needs one.")] = "",
     shelve: Annotated[
-        float | None, typer.Option(min=0.0, max=720.0, metavar="HOURS", help="Do not announce the alarm for this time.")
+        float | None, Option(min=0.0, max=720.0, metavar="HOURS", help="Do not announce the alarm for this time.")
     ] = None,
-    unshelve: Annotated[bool, typer.Option("--unshelve", help="Announce the alarm again.")] = False,
-    reset: Annotated[
-        bool, typer.Option("--reset", help="Release a latched alarm that is over and acknowledged.")
-    ] = False,
+    unshelve: Annotated[bool, Option("--unshelve", help="Announce the alarm again.")] = False,
+    reset: Annotated[bool, Option("--reset", help="Release a latched alarm that is over and acknowledged.")] = False,
     as_json: Json = False,
 ) -> None:
     """Acknowledge the alarm of a story or event, shelve or reset it.
@@ -101,8 +97,8 @@ def ack(
 
 
 def notify(
-    file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file with a table [notify].")],
-    test: Annotated[bool, typer.Option("--test", help="Send a test message to every address.")] = False,
+    file: Annotated[Path, Argument(metavar="SITE.toml", help="Site file with a table [notify].")],
+    test: Annotated[bool, Option("--test", help="Send a test message to every address.")] = False,
     as_json: Json = False,
 ) -> None:
     """Send a test message to every address of [notify].
@@ -124,24 +120,24 @@ def notify(
     if any(t.exit_code != 0 and t.name.startswith("address") for t in trials):
         lines.append("why, says the program that sends them: apprise -vv --title test --body test 'URL'")
     say("\n".join(lines), {"exit_code": code, "addresses": content}, as_json)
-    raise typer.Exit(code)
+    raise Exit(code)
 
 
 def export(
     place: Annotated[
-        Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the folder that run or replay wrote.")
+        Path, Argument(metavar="SITE.toml|DIR", help="Site file, or the folder that run or replay wrote.")
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File to write; it appears when it is complete.")],
+    out: Annotated[Path, Option(metavar="FILE", help="File to write; it appears when it is complete.")],
     table: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="windows, modes (with their shapes), alarms; of a daemon also requests (acknowledgements), findings, gaps or "
             "health. By default windows, for UFF modes."
         ),
     ] = None,
     form: Annotated[
         str | None,
-        typer.Option(
+        Option(
             "--format",
             help="csv, parquet, uff (modes as datasets 55 and 58) or influx (line protocol); by default told by the suffix: "
             ".csv, .parquet, .uff or .unv, .lp.",
@@ -149,13 +145,13 @@ def export(
     ] = None,
     structure: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="S.toml",
             help="Structure file, for the names of the channels in mode shapes; by default those of the run.",
         ),
     ] = None,
-    begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
-    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
+    begin: Annotated[str | None, Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
+    end: Annotated[str | None, Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
     as_json: Json = False,
 ) -> None:
     """Export the results of a run as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""

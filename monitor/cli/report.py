@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from monitor.cli.common import Json, say, time_ns, warn
 from monitor.core import MissingInputError, demand_place, require_extra, spare_inputs
@@ -16,26 +16,22 @@ _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "l
 def report(
     folder: Annotated[
         Path,
-        typer.Argument(
-            metavar="DIR", help="Folder of 'replay --out', of [output] dir, or DIR/runs/NAME of 'reprocess'."
-        ),
+        Argument(metavar="DIR", help="Folder of 'replay --out', of [output] dir, or DIR/runs/NAME of 'reprocess'."),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="REPORT.html", help="Page to write; of an event by default DIR/events/ID.html."),
+        Option(metavar="REPORT.html", help="Page to write; of an event by default DIR/events/ID.html."),
     ] = None,
     start: Annotated[
-        str | None, typer.Option("--from", metavar="T", help="UTC, ISO 8601; the first window's by default.")
+        str | None, Option("--from", metavar="T", help="UTC, ISO 8601; the first window's by default.")
     ] = None,
-    end: Annotated[
-        str | None, typer.Option("--to", metavar="T", help="UTC, ISO 8601; the last window's by default.")
-    ] = None,
+    end: Annotated[str | None, Option("--to", metavar="T", help="UTC, ISO 8601; the last window's by default.")] = None,
     event: Annotated[
-        str | None, typer.Option(metavar="ID", help="Report one event of events.jsonl instead; 'last' for the latest.")
+        str | None, Option(metavar="ID", help="Report one event of events.jsonl instead; 'last' for the latest.")
     ] = None,
     motion: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.rrd", help="With --event: the frame's motion too, in slow motion for the viewer."),
+        Option(metavar="FILE.rrd", help="With --event: the frame's motion too, in slow motion for the viewer."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -54,12 +50,12 @@ def report(
         )
     if event is not None:
         if start is not None or end is not None:
-            raise typer.BadParameter("--event goes without --from and --to")
+            raise BadParameter("--event goes without --from and --to")
         _report_event(folder, event, out, motion, as_json)
     elif motion is not None:
-        raise typer.BadParameter("--motion goes with --event")
+        raise BadParameter("--motion goes with --event")
     elif out is None:
-        raise typer.BadParameter("missing: name the page to write", param_hint="--out")
+        raise BadParameter("missing: name the page to write", param_hint="--out")
     else:
         _report_period(folder, out, start, end, as_json)
 
@@ -95,7 +91,7 @@ def _report_period(folder: Path, out: Path, start: str | None, end: str | None, 
 
     from_ns, to_ns = time_ns("--from", start), time_ns("--to", end)
     if from_ns is not None and to_ns is not None and from_ns >= to_ns:
-        raise typer.BadParameter("--from is not before --to")
+        raise BadParameter("--from is not before --to")
     spare_inputs([out], [*(folder / name for name in _INPUTS), *closed_files(folder)])
     period = read_period(folder, from_ns, to_ns)
     demand_place(out)

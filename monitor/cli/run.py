@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument
 
 
 def run(
-    file: Annotated[Path, typer.Argument(metavar="CONFIG.toml", help="Site file: structure, source, output.")],
+    file: Annotated[Path, Argument(metavar="CONFIG.toml", help="Site file: structure, source, output.")],
 ) -> None:
     """Monitor a live source until it ends or SIGTERM arrives.
 
@@ -24,9 +24,7 @@ def run(
 
 
 def warm(
-    file: Annotated[
-        Path | None, typer.Argument(metavar="SITE.toml", help="Site file; a small frame by default.")
-    ] = None,
+    file: Annotated[Path | None, Argument(metavar="SITE.toml", help="Site file; a small frame by default.")] = None,
 ) -> None:
     """Compile what windows need, so that no start waits for it.
 

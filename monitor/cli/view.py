@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated
 from urllib.parse import quote
 
-import typer
+from typer import Argument, Exit, Option
 
 from monitor.cli.common import warn
 from monitor.core import MissingInputError, WrongUsageError, parse_address, require_extra
@@ -25,20 +25,18 @@ _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 def view(
     what: Annotated[
         str,
-        typer.Argument(
+        Argument(
             metavar="DIR|FILE.rrd|HOST:PORT", help="Folder of results, a recording, or the address of [output] serve."
         ),
     ],
-    web: Annotated[
-        bool, typer.Option("--web", help="Use a browser: print the address, serve until interrupted.")
-    ] = False,
+    web: Annotated[bool, Option("--web", help="Use a browser: print the address, serve until interrupted.")] = False,
     bind: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help=f"Address of --web, {_LOOPBACK} by default; there is no password."),
+        Option(metavar="ADDRESS", help=f"Address of --web, {_LOOPBACK} by default; there is no password."),
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help=f"Port of the page of --web, {_PORT} by default; 0: any free one."),
+        Option(min=0, max=65535, help=f"Port of the page of --web, {_PORT} by default; 0: any free one."),
     ] = None,
 ) -> None:
     """Show a run in the Rerun viewer, or with --web in a browser."""
@@ -75,7 +73,7 @@ def view(
             return
     if server.returncode > 0:
         print(errors, file=sys.stderr)
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def _viewer_source(what: str) -> str:
