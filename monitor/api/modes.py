@@ -211,13 +211,7 @@ def sub_array(structure: Structure) -> SubArray:
     return SubArray.of(everything, past, structure.instrumented.sensor_matrix, effects, context)
 
 
-def _modes(
-    found: ModalEstimate | Skipped,
-    channels: tuple[str, ...],
-    window_s: float,
-    *,
-    by_model: bool,
-) -> Modes:
+def _modes(found: ModalEstimate | Skipped, channels: tuple[str, ...], window_s: float, *, by_model: bool) -> Modes:
     """Form the library's result of an estimate, without the modes of which the data hold too few periods."""
     c = len(channels)
     if isinstance(found, Skipped):

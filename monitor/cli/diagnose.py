@@ -13,11 +13,7 @@ from monitor.core import BadInputError, demand_place, missing_extra, no_empty_fo
 
 
 def diagnose(
-    recordings: Recordings,
-    structure: Structure,
-    out: Results,
-    baseline: Healthy = None,
-    as_json: Json = False,
+    recordings: Recordings, structure: Structure, out: Results, baseline: Healthy = None, as_json: Json = False
 ) -> None:
     """Find what the simulation gets wrong, and why.
 

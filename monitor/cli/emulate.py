@@ -20,12 +20,7 @@ Dbc = Annotated[Path | None, Option(metavar="FILE.dbc", help="Layout of the CAN 
 Speed = Annotated[str | None, Option(help="Multiple of real time, or 'max'; 1.0 by default.")]
 
 
-def emulate(
-    recordings: Recordings,
-    to: To,
-    dbc: Dbc = None,
-    speed: Speed = None,
-) -> None:
+def emulate(recordings: Recordings, to: To, dbc: Dbc = None, speed: Speed = None) -> None:
     """Send recordings as sensor nodes would.
 
     Over CAN, Zenoh or MQTT; in real time unless --speed says otherwise.

@@ -24,12 +24,10 @@ def host(
         int, Option(min=1, max=256, help="Processes over which the sites are spread: one a core at most.")
     ] = 1,
     metrics: Annotated[
-        str | None,
-        Option(metavar="HOST:PORT", help="Answer Prometheus here for all sites, as 127.0.0.1:9464."),
+        str | None, Option(metavar="HOST:PORT", help="Answer Prometheus here for all sites, as 127.0.0.1:9464.")
     ] = None,
     standby: Annotated[
-        bool,
-        Option("--standby", help="Take over sites whose [output] dir another daemon fills when that one is gone."),
+        bool, Option("--standby", help="Take over sites whose [output] dir another daemon fills when that one is gone.")
     ] = False,
     share: Annotated[
         str,

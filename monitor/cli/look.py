@@ -13,16 +13,14 @@ from monitor.core import spare_inputs
 
 def look(
     recordings: Annotated[
-        list[Path],
-        Argument(metavar="REC.mcap...", help="Recordings in any order, or tables that 'import' reads."),
+        list[Path], Argument(metavar="REC.mcap...", help="Recordings in any order, or tables that 'import' reads.")
     ],
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder for look.html, look.json and modes.csv.")] = None,
     write_structure: Annotated[
         Path | None, Option(metavar="S.toml", help="Write a structure file that fits the modes, with its doubts.")
     ] = None,
     mass_kg: Annotated[
-        float | None,
-        Option(min=1e-6, max=1e12, help="Mass of the whole structure for --write-structure; else 1 kg."),
+        float | None, Option(min=1e-6, max=1e12, help="Mass of the whole structure for --write-structure; else 1 kg.")
     ] = None,
     rate: Annotated[
         float | None, Option(min=0.001, max=1e7, help="Sample rate in Hz of a table without times.")

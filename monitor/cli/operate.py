@@ -22,8 +22,7 @@ _APPLIED = "applied; what it changed is noted in ledger.jsonl"
 def status(
     place: Annotated[Path, Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
     verify: Annotated[
-        bool,
-        Option("--verify", help="Check ledger.jsonl and the event recordings that it names first; 65: changed."),
+        bool, Option("--verify", help="Check ledger.jsonl and the event recordings that it names first; 65: changed.")
     ] = False,
     as_json: Json = False,
 ) -> None:

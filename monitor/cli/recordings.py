@@ -105,8 +105,7 @@ def import_(
         Path | None, Option(metavar="STATION.xml", help="Of MiniSEED: the channels' sensitivities.")
     ] = None,
     align: Annotated[
-        bool,
-        Option("--align", help="Shift files whose clocks do not agree until their readings fit the first file's."),
+        bool, Option("--align", help="Shift files whose clocks do not agree until their readings fit the first file's.")
     ] = False,
     as_json: Json = False,
 ) -> None:

@@ -19,8 +19,7 @@ def report(
         Argument(metavar="DIR", help="Folder of 'replay --out', of [output] dir, or DIR/runs/NAME of 'reprocess'."),
     ],
     out: Annotated[
-        Path | None,
-        Option(metavar="REPORT.html", help="Page to write; of an event by default DIR/events/ID.html."),
+        Path | None, Option(metavar="REPORT.html", help="Page to write; of an event by default DIR/events/ID.html.")
     ] = None,
     start: Annotated[
         str | None, Option("--from", metavar="T", help="UTC, ISO 8601; the first window's by default.")

@@ -20,8 +20,7 @@ def reprocess(
     ],
     structure: Structure,
     out: Annotated[
-        Path,
-        Option(metavar="DIR", help="Folder for the results; results that it already has are not computed again."),
+        Path, Option(metavar="DIR", help="Folder for the results; results that it already has are not computed again.")
     ],
     baseline: Healthy = None,
     diagnose: Annotated[bool, Option("--diagnose", help="Also diagnose each recording by itself.")] = False,

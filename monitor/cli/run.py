@@ -8,9 +8,7 @@ from typing import Annotated
 from typer import Argument
 
 
-def run(
-    file: Annotated[Path, Argument(metavar="CONFIG.toml", help="Site file: structure, source, output.")],
-) -> None:
+def run(file: Annotated[Path, Argument(metavar="CONFIG.toml", help="Site file: structure, source, output.")]) -> None:
     """Monitor a live source until it ends or SIGTERM arrives.
 
     Writes results.jsonl, summary.json and recordings in [output] dir.  Prints READY on standard error when the source is open.

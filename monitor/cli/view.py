@@ -31,12 +31,10 @@ def view(
     ],
     web: Annotated[bool, Option("--web", help="Use a browser: print the address, serve until interrupted.")] = False,
     bind: Annotated[
-        str | None,
-        Option(metavar="ADDRESS", help=f"Address of --web, {_LOOPBACK} by default; there is no password."),
+        str | None, Option(metavar="ADDRESS", help=f"Address of --web, {_LOOPBACK} by default; there is no password.")
     ] = None,
     port: Annotated[
-        int | None,
-        Option(min=0, max=65535, help=f"Port of the page of --web, {_PORT} by default; 0: any free one."),
+        int | None, Option(min=0, max=65535, help=f"Port of the page of --web, {_PORT} by default; 0: any free one.")
     ] = None,
 ) -> None:
     """Show a run in the Rerun viewer, or with --web in a browser."""
