@@ -1,8 +1,7 @@
 from . import configuration, security_check
 from .configuration import Configuration, OutputSettings, SensorTable, read_toml
-from .log_settings import LogSettings
 from .recording_errors import read_by_user
-from .state_settings import StateSettings
+from .service_settings import LogSettings, StateSettings
 
 __all__ = [
     "Configuration",
