@@ -110,15 +110,9 @@ def _close_second(state: ClockState) -> ClockState:
         return replace(state, strayed=(new,))
     else:
         old = state.strayed[0]
-        stepped = abs(new[1] - old[1]) <= STEP_S / 2
-        return replace(
-            state,
-            seconds=(old[0], new[0]),
-            offsets=(old[1], new[1]),
-            strayed=(),
-            steps=state.steps + stepped,
-            real_time=stepped,  # otherwise the pace has changed
-        )
+        stepped = abs(new[1] - old[1]) <= STEP_S / 2  # otherwise the pace has changed
+        state = replace(state, seconds=(old[0], new[0]), offsets=(old[1], new[1]), strayed=())
+        return replace(state, steps=state.steps + stepped, real_time=stepped)
     if len(state.offsets) < 3:
         return state
     real_time = _runs_in_real_time(state)

@@ -49,13 +49,11 @@ class Sequencer:
     stride: int = 1
     """Increment of the counter from frame to frame."""
     repeated: int = 0
-    """Number of repeated frames."""
     late: int = 0
     """Number of frames that arrived too late to be put in order."""
     stray: int = 0
     """Number of frames whose counter fits neither the frames before nor those after them."""
     restarts: int = 0
-    """Number of restarts of the counter."""
     ended: bool = False
     """True if no frame will follow."""
     _last: tuple[int, int, float] | None = None

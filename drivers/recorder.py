@@ -93,7 +93,7 @@ class Recorder:
         latest = _recordings(folder)[-1:]
         self._clocks = _clock(latest[0]) if latest else 0
         """Number of times that the clock was set back."""
-        self._log_ns = max((log_ns for log_ns, _ in _messages(latest)), default=0)
+        self._log_ns = max((log_ns for _, log_ns, _ in _messages(latest)), default=0)
         """Log time of the latest block, ns."""
         self._late_s = 0.0
         """Length of the latest data, all of which came late, s."""
@@ -274,7 +274,7 @@ def recorded(folder: Path, after_ns: int, *, unfinished: bool = False) -> Iterat
         if end is not None and end <= after_ns:
             continue
         place = path if path.exists() or not unfinished else path.with_name(path.name + _PART)
-        for log_ns, (topic, data) in _messages([place]):
+        for topic, log_ns, data in _messages([place]):
             stamp_ns = arrival(log_ns, _clock(path))
             if stamp_ns <= after_ns:
                 continue
@@ -284,12 +284,11 @@ def recorded(folder: Path, after_ns: int, *, unfinished: bool = False) -> Iterat
                 _log.warning("%s, recorded at %d ns: %s; left out", path, log_ns, error)
 
 
-def _messages(paths: Sequence[Path]) -> Iterator[tuple[int, tuple[str, bytes]]]:
-    """Read log time (ns), topic and data of the messages of all files; log damage and continue with the next file."""
+def _messages(paths: Sequence[Path]) -> Iterator[tuple[str, int, bytes]]:
+    """Scan the messages of all files; log damage and continue with the next file."""
     for path in paths:
         try:
-            for topic, stamp_ns, data in scan_messages(path):
-                yield stamp_ns, (topic, data)
+            yield from scan_messages(path)
         except RecordingError as error:
             _log.warning("%s; the rest of it is left out", error)
 

@@ -76,18 +76,14 @@ class ImuJoiner:
     def add(self, sample: ImuSample) -> Iterator[SampleBlock]:
         """Add one sample, and yield the blocks that it completes."""
         queue = self._queues[sample.topic]
+        place = f"{self._where}: topic {sample.topic}"
         if queue and sample.t_ns <= queue[-1].t_ns:
-            raise RecordingError(
-                f"{self._where}: topic {sample.topic}: stamps do not rise at {sample.t_ns} ns; record stamped messages"
-            )
+            raise RecordingError(f"{place}: stamps do not rise at {sample.t_ns} ns; record stamped messages")
         queue.append(sample)
         if len(queue) > _MAX_PENDING:
-            silent = [topic for topic, waiting in self._queues.items() if not waiting]
-            raise RecordingError(
-                f"{self._where}: topic {sample.topic} runs {_MAX_PENDING} samples ahead of "
-                f"{', '.join(silent) or 'the others'}; "
-                "map only topics recorded at the same time"
-            )
+            others = ", ".join(topic for topic, waiting in self._queues.items() if not waiting) or "the others"
+            remedy = "map only topics recorded at the same time"
+            raise RecordingError(f"{place} runs {_MAX_PENDING} samples ahead of {others}; {remedy}")
         if not self._step_ns:
             if min(map(len, self._queues.values())) < _RATE_SAMPLES:
                 return
@@ -101,9 +97,9 @@ class ImuJoiner:
         yield from self._join_rows()
         yield from self._emit_block()
         if not self._n_joined:
+            topics = ", ".join(self._queues)
             raise RecordingError(
-                f"{self._where}: the stamps of {', '.join(self._queues)} never agree within half a sample; "
-                "set the clocks"
+                f"{self._where}: the stamps of {topics} never agree within half a sample; set the clocks"
             )
 
     def _estimate_step(self) -> None:
@@ -142,14 +138,7 @@ class ImuJoiner:
     def _emit_block(self) -> Iterator[SampleBlock]:
         """Yield the joined rows as one block, if there are any."""
         if self._rows:
-            yield SampleBlock(
-                topic=ACCELERATION,
-                t_ns=self._start_ns,
-                sequence=self._sequence,
-                sample_rate_hz=round(_NS / self._step_ns, 3),
-                channels=self._channels,
-                unit="m/s^2",
-                samples=np.array(self._rows, dtype=np.float32),
-            )
+            rows, rate_hz = np.array(self._rows, dtype=np.float32), round(_NS / self._step_ns, 3)
+            yield SampleBlock(ACCELERATION, self._start_ns, self._sequence, rate_hz, self._channels, "m/s^2", rows)
             self._sequence += len(self._rows)
             self._rows = []

@@ -14,18 +14,7 @@ from zenoh import ext
 
 from drivers import codec
 from drivers.arrivals import Arrivals
-from drivers.base import (
-    ACCELERATION,
-    FORCE,
-    GROUND,
-    ROTATION_RATE,
-    TEMPERATURE,
-    EndOfStream,
-    SampleBlock,
-    SourceContext,
-    SourceError,
-    SourceHealth,
-)
+from drivers.base import UNIT_OF, EndOfStream, SampleBlock, SourceContext, SourceError, SourceHealth
 from drivers.inbox import Inbox
 from drivers.limits import BlockLimits
 from drivers.live import LiveSettings
@@ -57,14 +46,8 @@ class StreamSettings(SessionSettings):
     @property
     def topics(self) -> dict[str, str]:
         """Key of each topic that is carried."""
-        keys = {
-            ACCELERATION: self.key,
-            GROUND: self.ground_key,
-            FORCE: self.force_key,
-            TEMPERATURE: self.temperature_key,
-            ROTATION_RATE: self.rotation_rate_key,
-        }
-        return {topic: key for topic, key in keys.items() if key is not None}
+        keys = (self.key, self.ground_key, self.force_key, self.temperature_key, self.rotation_rate_key)
+        return {topic: key for topic, key in zip(UNIT_OF, keys, strict=True) if key is not None}  # in its order
 
 
 def _sibling_key(key: str, name: str) -> str:
