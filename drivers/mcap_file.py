@@ -88,7 +88,7 @@ def read_recordings(
         names = ", ".join(str(survey.file.path) for survey in surveys)
         absent = ", ".join(sorted(topic_map.keys() - found_topics)) or ACCELERATION
         raise RecordingError(f"{names}: no messages of {absent}; the topics are {', '.join(sorted(found_topics))}")
-    blocks = _join_topics(surveys, topic_map)
+    blocks = _join_topics(surveys, topic_map, longest_s)
     return merged(blocks, longest_s) if longest_s else blocks
 
 
@@ -170,9 +170,23 @@ class _Survey:
         self.segments = [(arrival(start_ns, clock), segment) for start_ns, segment in index.chunks]
         return True
 
-    def load(self, segment: Segment) -> list[tuple[int, _Item]]:
-        """Load the wanted messages of a segment, each with the time (ns) by which it is ordered."""
-        return list(self._read_wanted(self.file.load(segment), self._decode))
+    def decoded(self, messages: list[Message]) -> list[tuple[int, _Item]]:
+        """Decode the wanted ones of some messages, each with the time (ns) by which it is ordered."""
+        return list(self._read_wanted(messages, self._decode))
+
+    def load_joined(self, messages: list[Message], longest_s: float) -> list[SampleBlock] | None:
+        """Decode to joined blocks; None unless all wanted messages are `/acceleration` on one MCAP channel and in order."""
+        wanted = [c for c in (self.file.channels[n] for n in {m.channel_id for m in messages}) if self._wanted(c)]
+        if [c.topic for c in wanted] != [ACCELERATION] or ACCELERATION in self._axes or ORDER in wanted[0].metadata:
+            return None
+        try:
+            data = [m.data for m in messages if m.channel_id == wanted[0].id]
+            blocks = codec.decode_joined(data, ACCELERATION, longest_s)
+            for block in blocks:
+                _require_plausible(block)
+        except ValueError:  # decoding the messages one by one gives an error message with the place
+            return None
+        return blocks
 
     def _read_wanted(self, messages: list[Message], read: Callable[[Message, Channel], _Result]) -> Iterator[_Result]:
         """Yield the result of `read` for each wanted message; errors name file, topic and log time."""
@@ -251,7 +265,7 @@ def _require_plausible(block: SampleBlock) -> None:
         raise ValueError(f"unit {block.unit!r} where {UNIT_OF[block.topic]!r} is needed")
 
 
-def _merge_in_time_order(surveys: list[_Survey]) -> Iterator[_Item]:
+def _merge_in_time_order(surveys: list[_Survey], longest_s: float) -> Iterator[_Item]:
     """Yield the messages of all files in time order; only segments that overlap in time are in memory together."""
     pool = [(start, number, segment) for number, survey in enumerate(surveys) for start, segment in survey.segments]
     pool.sort()
@@ -261,7 +275,12 @@ def _merge_in_time_order(surveys: list[_Survey]) -> Iterator[_Item]:
     for following, (start, number, segment) in zip([*starts[1:], inf], pool, strict=True):
         while heap and heap[0][0] < start:
             yield heapq.heappop(heap)[-1]
-        items = surveys[number].load(segment)
+        messages = surveys[number].file.load(segment)
+        joined = surveys[number].load_joined(messages, longest_s) if longest_s and not heap else None
+        if joined is not None and _last_ns(joined[-1]) < following:
+            yield from joined
+            continue
+        items = surveys[number].decoded(messages)
         times = [t_ns for t_ns, _ in items]
         if not heap and times == sorted(times) and (not times or times[-1] < following):
             yield from (item for _, item in items)
@@ -273,10 +292,15 @@ def _merge_in_time_order(surveys: list[_Survey]) -> Iterator[_Item]:
         yield heapq.heappop(heap)[-1]
 
 
-def _join_topics(surveys: list[_Survey], topic_map: Mapping[str, str]) -> Iterator[SampleBlock]:
+def _last_ns(block: SampleBlock) -> int:
+    """Compute the time of a block's last sample, ns: no small block inside a joined block begins later."""
+    return block.t_ns + round((block.n_samples - 1) / block.sample_rate_hz * 1e9)
+
+
+def _join_topics(surveys: list[_Survey], topic_map: Mapping[str, str], longest_s: float) -> Iterator[SampleBlock]:
     """Yield the blocks of all files in time order, and join the mapped ROS 2 topics to blocks."""
     joiner = ImuJoiner(topic_map, ", ".join(str(survey.file.path) for survey in surveys)) if topic_map else None
-    for item in _merge_in_time_order(surveys):
+    for item in _merge_in_time_order(surveys, longest_s):
         if isinstance(item, SampleBlock):
             yield item
         elif joiner:

@@ -1,6 +1,7 @@
 """Sample blocks as protobuf bytes: the contract's field numbers, nothing lost, nothing foreign accepted."""
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from hypothesis import strategies as st
 
 from drivers import codec
 from drivers.base import ACCELERATION, SampleBlock
+from drivers.merged import merged
 from tests.support.any_block import blocks, same
+from tests.support.samples import Cut
 
 
 @given(blocks())
@@ -61,3 +64,17 @@ def test_contradictions_are_refused_with_their_reason(change, reason: str) -> No
     block = SampleBlock(ACCELERATION, 0, 0, 100.0, ("a",), "m/s^2", np.ones((4, 1), np.float32))
     with pytest.raises(ValueError, match=reason):
         codec.decode(change(codec.encode(block)), ACCELERATION)
+
+
+def test_joined_blocks_are_those_that_go_on(cut: Cut) -> None:
+    """Joining while decoding gives what joining decoded blocks gives."""
+    blocks = cut(np.arange(3.0 * 1000).reshape(1000, 3), 100.0, [10])
+    blocks = [*blocks[:30], *blocks[31:60], replace(blocks[60], unit="degC"), *blocks[61:]]
+    joined = codec.decode_joined(map(codec.encode, blocks), ACCELERATION, 2.0)
+    wanted = list(merged(blocks, 2.0))
+    assert [(b.t_ns, b.sequence, b.unit, b.samples.tobytes()) for b in joined] == [
+        (b.t_ns, b.sequence, b.unit, b.samples.tobytes()) for b in wanted
+    ]
+    assert codec.decode_joined([], ACCELERATION, 2.0) == []
+    with pytest.raises(ValueError, match="order"):
+        codec.decode_joined(map(codec.encode, blocks[::-1]), ACCELERATION, 2.0)
