@@ -156,18 +156,17 @@ class _Survey:
 
     def _use_index(self) -> bool:
         """Take the segments from the index, which suffices for a whole file of our own writer with wanted messages."""
-        index = read_index(self.file.path)
-        if index is None or index.library != LIBRARY or self._axes:
+        chunks = None if self._axes else read_index(self.file, LIBRARY)
+        if chunks is None:
             return False
-        self.file.schemas.update(index.schemas)
-        self.file.channels.update(index.channels)
+        channels = list(self.file.channels.values())
         try:
-            if not any([self._wanted(channel) for channel in index.channels.values()]):
+            if not any([self._wanted(channel) for channel in channels]):
                 return False
         except ValueError:  # reading the file through gives an error message with the place
             return False
-        clock = max(clock_of(channel.metadata) for channel in index.channels.values())
-        self.segments = [(arrival(start_ns, clock), segment) for start_ns, segment in index.chunks]
+        clock = max(clock_of(channel.metadata) for channel in channels)
+        self.segments = [(arrival(start_ns, clock), segment) for start_ns, segment in chunks]
         return True
 
     def decoded(self, messages: list[Message]) -> list[tuple[int, _Item]]:

@@ -113,6 +113,15 @@ class McapFile:
         """Check that the file can be opened (errors as `segments`)."""
         self._open().close()
 
+    def define(self, opcode: int, body: bytes) -> None:
+        """Keep what the record of a channel or a schema defines; pass over other records."""
+        if opcode == Opcode.CHANNEL:
+            channel = Channel.read(stream(body))
+            self.channels[channel.id] = channel
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream(body))
+            self.schemas[schema.id] = schema
+
     def schema_name(self, channel: Channel) -> str:
         """Return the name of a channel's schema, empty if the channel has none."""
         schema = self.schemas.get(channel.schema_id)
@@ -261,18 +270,8 @@ class McapFile:
                     raise ValueError(f"more than {self.most_messages} messages in a chunk")
                 messages.append(Message(channel_id, log_time, content[start + fields_size : position]))
             else:
-                define(opcode, content[start:position], channels, self.schemas)
+                self.define(opcode, content[start:position])
         return messages
-
-
-def define(opcode: int, body: bytes, channels: dict[int, Channel], schemas: dict[int, Schema]) -> None:
-    """Keep what the record of a channel or a schema defines, by its id; pass over other records."""
-    if opcode == Opcode.CHANNEL:
-        channel = Channel.read(stream(body))
-        channels[channel.id] = channel
-    elif opcode == Opcode.SCHEMA:
-        schema = Schema.read(stream(body))
-        schemas[schema.id] = schema
 
 
 def unpack_chunk(body: bytes) -> bytes:

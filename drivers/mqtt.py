@@ -233,13 +233,15 @@ def encode(block: SampleBlock, form: Format) -> bytes:
     """Encode a block as a message; in JSON a sample that is not finite is null."""
     if form == "protobuf":
         return codec.encode(block)
+    samples = block.samples.astype(object)
+    samples[~np.isfinite(block.samples)] = None
     content = {
         "t_ns": block.t_ns,
         "sequence": block.sequence,
         "sample_rate_hz": block.sample_rate_hz,
         "channels": list(block.channels),
         "unit": block.unit,
-        "samples": np.where(np.isfinite(block.samples), block.samples.astype(object), None).tolist(),
+        "samples": samples.tolist(),
     }
     return json.dumps(content, allow_nan=False).encode()
 
