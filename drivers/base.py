@@ -11,6 +11,9 @@ from typing import Annotated, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
 ACCELERATION = "/acceleration"
 """Topic of the floors' accelerations; channel names as in the structure file."""
 GROUND = "/acceleration/ground"

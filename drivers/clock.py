@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from drivers.base import Floats, Ints
 
 KEEP = 600
 """Seconds of data that the fit uses."""

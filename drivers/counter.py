@@ -11,8 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from drivers.base import Floats, Ints
 
 REORDER = 32
 """Greatest delay, in frames, at which a late frame is still put in its place."""

@@ -10,9 +10,9 @@ import cantools
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.base import Floats, Ints
+
 Bytes = NDArray[np.uint8]
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 COUNTER = "counter"
 """Name of the signal that holds the counter."""

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import clock
-from drivers.base import ClockHealth, SourceError
+from drivers.base import ClockHealth, Ints, SourceError
 from drivers.clock import ClockState, Timeline
 from drivers.counter import Sequencer
 from drivers.frames import Layout
 
-Ints = NDArray[np.int64]
 Samples = NDArray[np.float32]
 Rows = tuple[Annotated[Ints, "n"], Annotated[Samples, "n channels"]]
 """Increasing sample indices, and samples, m/s^2."""
