@@ -19,10 +19,8 @@ Recordings = Annotated[list[Path], Argument(metavar="REC.mcap...", help="Recordi
 def _demand_structure(context: Context, structure: Path | None) -> Path | None:
     """Refuse a command without a structure file, with what can be done without one."""
     if structure is None and not context.resilient_parsing:  # which the shell's completion asks for
-        raise BadParameter(
-            "missing: name the structure file; none yet? 'look REC' needs none, and proposes one",
-            param_hint="--structure",
-        )
+        remedy = "name the structure file; none yet? 'look REC' needs none, and proposes one"
+        raise BadParameter(f"missing: {remedy}", param_hint="--structure")
     return structure
 
 

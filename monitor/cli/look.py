@@ -48,8 +48,7 @@ def look(
         content["out"] = str(out)
     if write_structure is not None:
         run.write_structure(found, write_structure, mass_kg)
-        text += (
-            f"\nproposed structure in {write_structure}: read its comments, then: shm-monitor check {write_structure}"
-        )
+        advice = f"read its comments, then: shm-monitor check {write_structure}"
+        text += f"\nproposed structure in {write_structure}: {advice}"
         content["structure"] = str(write_structure)
     say(text, content, as_json)

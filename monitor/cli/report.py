@@ -40,9 +40,8 @@ def report(
     against the site's limits, frequencies, loops, and what remains of the stiffness.
     """
     if not folder.is_dir():
-        raise MissingInputError(
-            f"{folder}: there is no such folder; give the one that 'replay --out' or [output] dir names"
-        )
+        remedy = "give the one that 'replay --out' or [output] dir names"
+        raise MissingInputError(f"{folder}: there is no such folder; {remedy}")
     if not (folder / "results.jsonl").exists() and (run := next(folder.glob("runs/*/results.jsonl"), None)) is not None:
         raise MissingInputError(
             f"{folder}: the runs of a 'reprocess', which are reported one by one; give one of {folder / 'runs'}, as {run.parent}"
@@ -95,23 +94,20 @@ def _report_period(folder: Path, out: Path, start: str | None, end: str | None, 
     period = read_period(folder, from_ns, to_ns)
     demand_place(out)
     write_period(out, period)
-    r = period.results
+    r, said, judged, findings = period.results, period.assessment, sum(period.results.judged), len(period.findings)
     if r.damaged:
         warn(f"{folder / 'results.jsonl'}: unreadable lines left out: {r.damaged}")
     content = {
         "report": str(out),
-        **period.assessment.content,
+        **said.content,
         "from_ns": r.grid.from_ns,
         "to_ns": r.grid.to_ns,
         "windows": r.course.windows,
         "windows_due": r.due,
-        "judged": sum(r.judged),
+        "judged": judged,
         "alarms": period.alarms,
         "events": len(period.events),
-        "findings": len(period.findings),
+        "findings": findings,
     }
-    text = (
-        f"{content['judged']} of {r.due} windows judged, alarms: {content['alarms']}, findings: {content['findings']}"
-    )
-    said = period.assessment
+    text = f"{judged} of {r.due} windows judged, alarms: {period.alarms}, findings: {findings}"
     say(f"{text}\n{said.state.words}: {said.headline}\nreport in {out}", content, as_json)

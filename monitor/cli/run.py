@@ -36,5 +36,4 @@ def warm(
         return
     settings = configuration.load(file)
     name = settings.site.baseline
-    path = None if name is None else file.resolve().parent / name
-    warm_up(settings, None if path is None else load_healthy(path, settings))
+    warm_up(settings, None if name is None else load_healthy(file.resolve().parent / name, settings))

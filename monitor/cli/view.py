@@ -42,9 +42,8 @@ def view(
         raise WrongUsageError("--bind and --port go with --web")
     source, program = _viewer_source(what), _viewer_program()
     if not web and sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
-        raise WrongUsageError(
-            f"{what}: no screen here ({', '.join(_SCREENS)} are not set); see it in a browser with --web"
-        )
+        unset = f"{', '.join(_SCREENS)} are not set"
+        raise WrongUsageError(f"{what}: no screen here ({unset}); see it in a browser with --web")
     subprocess.run([program, "analytics", "disable"], capture_output=True, check=False)
     if not web:
         # By default the viewer would accept data from whoever reaches port 9876, and pass `source` to a daemon that serves there.
@@ -59,9 +58,8 @@ def view(
     if data_url != source:
         command.append(source)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as server:
-        print(
-            f"http://{_reachable(bind)}:{page}/?url={quote(data_url, safe='')}&theme=dark", flush=True
-        )  # the dark theme, for which our colours are chosen
+        # Our colours are chosen for the dark theme.
+        print(f"http://{_reachable(bind)}:{page}/?url={quote(data_url, safe='')}&theme=dark", flush=True)
         for number in (signal.SIGTERM, signal.SIGINT):  # a shell's background job begins with SIGINT ignored
             signal.signal(number, signal.default_int_handler)
         try:
@@ -81,9 +79,8 @@ def _viewer_source(what: str) -> str:
         return f"rerun+http://{what}/proxy"
     path = Path(what) / "live.rrd" if Path(what).is_dir() else Path(what)
     if not path.is_file():
-        raise MissingInputError(
-            f"{path}: no such recording; 'replay --out DIR' leaves one, a daemon serves at [output] serve"
-        )
+        remedy = "'replay --out DIR' leaves one, a daemon serves at [output] serve"
+        raise MissingInputError(f"{path}: no such recording; {remedy}")
     return str(path)
 
 
@@ -102,9 +99,8 @@ def _free_port(address: str, port: int) -> int:
         with socket.create_server((address, port)) as probe:
             return int(probe.getsockname()[1])
     except OSError as error:
-        raise MissingInputError(
-            f"{address}:{port}: {error.strerror or error}; give another --bind or --port"
-        ) from error
+        problem = f"{address}:{port}: {error.strerror or error}"
+        raise MissingInputError(f"{problem}; give another --bind or --port") from error
 
 
 def _reachable(bind: str) -> str:
