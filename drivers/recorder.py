@@ -184,12 +184,12 @@ class Recorder:
             self._pause(f"only {free / _GB:.2f} GiB free")
             self._short_of_room = True
             return False
+        self._has_flushed = self._short_of_room = False
         name = _new_name(self._folder, self._log_ns, self._clocks)
         self._writer = McapWriter(name, as_arrived=True, clock=self._clocks)
         self._begun_ns = self._flushed_ns = self._log_ns
         self._flushed_s = self._clock()
         self._files += 1
-        self._has_flushed = self._short_of_room = False
         return True
 
     def _flush(self, writer: McapWriter) -> None:
