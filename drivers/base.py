@@ -6,10 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
 
 ACCELERATION = "/acceleration"
 """Topic of the floors' accelerations; channel names as in the structure file."""
@@ -29,12 +32,7 @@ UNITS = tuple(dict.fromkeys(UNIT_OF.values()))
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SampleBlock:
-    """Block of consecutive samples of some channels, all taken on one clock.
-
-    Raises
-    ------
-    ValueError
-        If shape, rate, unit or counters contradict each other.
+    """Block of consecutive samples of some channels, all taken on one clock; raises `ValueError` where its fields contradict.
 
     Examples
     --------
@@ -49,12 +47,10 @@ class SampleBlock:
     sequence: int
     """Index of the first sample, counted from the start of the stream; a jump means a gap."""
     sample_rate_hz: float
-    """Nominal sample rate."""
+    """Nominal rate."""
     channels: tuple[str, ...]
-    """Channel names in column order."""
     unit: str
-    samples: NDArray[np.float32]
-    """Shape (n_samples, n_channels), in `unit`."""
+    samples: Annotated[NDArray[np.float32], "samples channels"]
 
     def __post_init__(self) -> None:
         if self.samples.ndim != 2 or self.samples.shape[1] != len(self.channels):
@@ -70,6 +66,16 @@ class SampleBlock:
     def n_samples(self) -> int:
         """Number of samples of each channel."""
         return int(self.samples.shape[0])
+
+    @property
+    def length_s(self) -> float:
+        """Time from the first sample to one sampling period after the last."""
+        return self.n_samples / self.sample_rate_hz
+
+    @property
+    def next_sequence(self) -> int:
+        """Sequence number of the sample that follows the last."""
+        return self.sequence + self.n_samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,23 +126,12 @@ class Source(Protocol):
     """
 
     def open(self) -> None:
-        """Connect to the source; another call after a `SourceError` reconnects and keeps all counts.
-
-        Raises
-        ------
-        SourceError
-            If the source cannot be reached now.
-        """
+        """Connect to the source, or raise `SourceError`; another call after one reconnects and keeps all counts."""
 
     def read(self, timeout_s: float) -> SampleBlock | None:
         """Return the next block, or None if no block arrives within `timeout_s`.
 
-        Raises
-        ------
-        EndOfStream
-            If the source has ended for good (the end of a file).
-        SourceError
-            If the source failed; reopening may help.
+        Raises `EndOfStream` at the end for good, as of a file, and `SourceError` if the source failed and reopening may help.
         """
 
     def health(self) -> SourceHealth:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from time import monotonic
 from typing import IO, Any
@@ -25,21 +25,8 @@ _WAIT_S = 0.2
 class CanSource:
     """Source of blocks from the frames of a DBC's messages (`drivers.base.Source`).
 
-    Parameters
-    ----------
-    settings : CanSettings
-        Table ``[source]``.
-    context : SourceContext
-        Channels and the folder of the site file.
-    clock : callable
-        Time from any beginning, s; silence and waits are measured by it.
-    connect : callable
-        Opens the bus of the settings for the identifiers to receive; see `drivers.can_open.open_bus`.
-
-    Raises
-    ------
-    FrameError
-        If the DBC cannot be read or does not carry the channels; it is a `ValueError`.
+    Silence and waits are measured by `clock`, s; `connect` opens the bus.  Raises `frames.FrameError`, a `ValueError`, if the
+    DBC cannot be read or does not carry the channels.
     """
 
     Settings = CanSettings
@@ -60,6 +47,9 @@ class CanSource:
         self._joiner = Joiner(self._nodes, self.channels, rate, settings.realign)
         self._by_id = {(node.layout.frame_id, node.layout.extended): node for node in self._nodes}
         self._batch = sum(-(-settings.block_samples // node.layout.n_samples) for node in self._nodes)
+        self._two_blocks_s = 2.0 * settings.block_samples / rate
+        self._patience_s = min(0.25, self._two_blocks_s)
+        """Longest wait for a whole block."""
         self._bus: can.BusABC | None = None
         self._log: Iterator[can.Message] | None = None
         self._file: IO[Any] | None = None
@@ -84,10 +74,7 @@ class CanSource:
         self._joiner.reset()
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        """Return the next block, shorter than `block_samples` where samples are lost or the bus is slow.
-
-        Returns None if no block is complete within `timeout_s`.
-        """
+        """Return the next block, shorter than `block_samples` where samples are lost or the bus is slow; None if none in time."""
         deadline = self._clock() + timeout_s
         while not self._ready:
             if self._failed:
@@ -103,26 +90,14 @@ class CanSource:
         return self._ready.popleft() if self._ready else None
 
     def health(self) -> SourceHealth:
-        """Return counts and clocks so far."""
-        counts = dict(self._counts)
-        counts["samples"] = self._samples
+        """Return the counts so far, and the clocks."""
+        counts = Counter({**self._counts, "samples": self._samples})
         for node in self._nodes:
-            sequencer, n = node.sequencer, node.layout.n_samples
-            for name, value in (
-                ("lost_samples", sequencer.lost * n),
-                ("repeated", sequencer.repeated),
-                ("late", sequencer.late),
-                ("stray", sequencer.stray),
-                ("restarts", sequencer.restarts),
-                ("bad_times", node.bad_times),
-                ("untimed", node.untimed),
-                ("steps", node.clock.steps),
-            ):
-                counts[name] = counts.get(name, 0) + value
-        counts["unmatched"], counts["realigned"] = self._joiner.unmatched, self._joiner.realigned
+            counts.update(node.counts())
+        counts.update(unmatched=self._joiner.unmatched, realigned=self._joiner.realigned)
         connected = self._bus is not None or self._log is not None
         clocks = tuple(node.health() for node in self._nodes if node.line is not None)
-        return SourceHealth(connected and not self._failed, counts, clocks, self._failed or self._detail())
+        return SourceHealth(connected and not self._failed, dict(counts), clocks, self._failed or self._detail())
 
     def close(self) -> None:
         """Leave the bus; `read` still returns blocks that had arrived."""
@@ -151,7 +126,7 @@ class CanSource:
             n_received += 1
             if (is_silent or n_received % 64 == 0) and self._clock() >= deadline:
                 # A short timeout of the caller must not give small blocks: frames stay pending up to `_patience_s`.
-                if not (self._failed or (self._pending and self._clock() - self._since >= self._patience_s())):
+                if not (self._failed or (self._pending and self._clock() - self._since >= self._patience_s)):
                     return False
                 break
         self._process_frames()
@@ -182,15 +157,7 @@ class CanSource:
         """
         if message is not None:
             return message.is_error_frame and bus.state is can.BusState.ERROR
-        return self._off_since is not None and self._clock() - self._off_since >= self._two_blocks_s()
-
-    def _two_blocks_s(self) -> float:
-        """Return the length of two blocks, s."""
-        return 2.0 * self._settings.block_samples / self._settings.sample_rate_hz
-
-    def _patience_s(self) -> float:
-        """Return the longest wait for a whole block, s: two block lengths, at most 0.25 s."""
-        return min(0.25, self._two_blocks_s())
+        return self._off_since is not None and self._clock() - self._off_since >= self._two_blocks_s
 
     def _read_log(self) -> None:
         """Read frames from the log until they fill a block or the log ends."""
@@ -269,11 +236,8 @@ class CanSource:
             shift = line.next_shift(first)
             if shift is not None:
                 stop = min(stop, start + shift - first)
-            block = samples[start:stop]
-            rate = self._settings.sample_rate_hz
-            if first >= 0 and line.at(first) >= 0:
-                self._ready.append(
-                    SampleBlock(ACCELERATION, line.at(first), first, rate, self.channels, "m/s^2", block)
-                )
+            block, rate, t_ns = samples[start:stop], self._settings.sample_rate_hz, line.at(first)
+            if first >= 0 and t_ns >= 0:
+                self._ready.append(SampleBlock(ACCELERATION, t_ns, first, rate, self.channels, "m/s^2", block))
                 self._samples += len(block)
             start = stop

@@ -75,19 +75,9 @@ class CanSettings(LiveSettings):
 
 
 def open_bus(settings: CanSettings, ids: tuple[tuple[int, bool], ...]) -> can.BusABC:
-    """Open the bus; kernel or hardware, where possible, filter the frames by identifier.
+    """Open the bus, or raise `SourceError`; kernel or hardware, where possible, filter the frames by identifier.
 
-    Parameters
-    ----------
-    settings
-        Interface, channel and options.
-    ids
-        Identifiers to receive, each with a flag for an extended identifier.
-
-    Raises
-    ------
-    SourceError
-        If the bus cannot be opened now.
+    Each identifier to receive has a flag for an extended one.
     """
     if settings.interface == "socketcand":
         _require_server(settings.options.get("host"), settings.options.get("port"))
@@ -112,10 +102,7 @@ def open_bus(settings: CanSettings, ids: tuple[tuple[int, bool], ...]) -> can.Bu
 
 
 def _require_server(host: object, port: object) -> None:
-    """Check that a socketcand server answers: python-can's client would retry in a busy loop and wait forever.
-
-    Raises SourceError if no server answers.
-    """
+    """Raise SourceError if no socketcand server answers: python-can's client would retry in a busy loop and wait forever."""
     if not (isinstance(host, str) and isinstance(port, int)):
         raise SourceError("socketcand needs options = {host = ..., port = ...}")
     # python-can also warns of every malformed message.
@@ -129,19 +116,9 @@ def _require_server(host: object, port: object) -> None:
 
 
 def open_log(path: Path) -> tuple[IO[Any], Iterator[can.Message]]:
-    """Open a log file of CAN frames; the caller closes the file.
+    """Open a log file of CAN frames; the caller closes it.  The frames have absolute times.
 
-    Returns
-    -------
-    file
-        Open file.
-    frames
-        Iterator of its frames, with absolute times.
-
-    Raises
-    ------
-    SourceError
-        If the log cannot be read; the message names file and remedy.
+    Raises `SourceError` if the log cannot be read; the message names file and remedy.
     """
     reader = MESSAGE_READERS.get(path.suffix.lower())
     if path.suffix.lower() not in LOG_SUFFIXES or reader is None:

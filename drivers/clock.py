@@ -8,12 +8,11 @@ line through these bounds gives offset and drift.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from drivers.base import Floats, Ints
 
 KEEP = 600
 """Seconds of data that the fit uses."""
@@ -72,30 +71,13 @@ class ClockFit:
 
 
 def step(
-    state: ClockState, line: Timeline | None, indices: Ints, times_s: Floats, rate_hz: float
+    state: ClockState,
+    line: Timeline | None,
+    indices: Annotated[Ints, "n"],
+    times_s: Annotated[Floats, "n"],
+    rate_hz: float,
 ) -> tuple[ClockState, Timeline | None]:
-    """Update the state of a clock with the timestamps of some samples, and re-anchor the timeline where needed.
-
-    Parameters
-    ----------
-    state : ClockState
-        State before these samples.
-    line : Timeline, optional
-        Timeline of the node.
-    indices : array, shape (n,)
-        Sample indices.
-    times_s : array, shape (n,)
-        Timestamps of these samples, s.
-    rate_hz : float
-        Nominal sample rate, Hz.
-
-    Returns
-    -------
-    ClockState
-        State after these samples.
-    Timeline or None
-        Timeline, re-anchored if the timestamps have left it.
-    """
+    """Update the state of a clock with the timestamps of some samples; re-anchor the timeline if the timestamps have left it."""
     if not len(indices):
         return state, line
     if state.second < 0:
@@ -126,15 +108,9 @@ def _close_second(state: ClockState) -> ClockState:
         return replace(state, strayed=(new,))
     else:
         old = state.strayed[0]
-        stepped = abs(new[1] - old[1]) <= STEP_S / 2
-        return replace(
-            state,
-            seconds=(old[0], new[0]),
-            offsets=(old[1], new[1]),
-            strayed=(),
-            steps=state.steps + stepped,
-            real_time=stepped,  # otherwise the pace has changed
-        )
+        stepped = abs(new[1] - old[1]) <= STEP_S / 2  # otherwise the pace has changed
+        state = replace(state, seconds=(old[0], new[0]), offsets=(old[1], new[1]), strayed=())
+        return replace(state, steps=state.steps + stepped, real_time=stepped)
     if len(state.offsets) < 3:
         return state
     real_time = _runs_in_real_time(state)
@@ -181,10 +157,7 @@ def fit(state: ClockState, rate_hz: float) -> ClockFit:
 
 
 def _fit_line(t: Floats, y: Floats) -> tuple[float, float, float]:
-    """Fit a line by least squares; `t` and `y` of shape (n,).
-
-    Returns the value at t = 0, the slope, and the standard deviation of the slope.
-    """
+    """Fit a line by least squares: its value at t = 0, its slope, and the standard deviation of the slope."""
     n, middle = len(t), t.mean()
     sxx = float(((t - middle) ** 2).sum()) or 1.0
     slope = float(((t - middle) * (y - y.mean())).sum()) / sxx
@@ -241,8 +214,5 @@ def reanchor(line: Timeline, state: ClockState, first: int) -> Timeline:
 
 
 def origin_s(line: Timeline, state: ClockState) -> float:
-    """Compute the difference between counted time and the timeline, s.
-
-    Adding it to an offset of the clock gives the timestamp minus the time by `line`.
-    """
+    """Compute what is added to an offset of the clock to give the timestamp minus the time by `line`, s."""
     return state.t_s - (line.counted(state.index) + line.shift_ns) * 1e-9

@@ -56,27 +56,24 @@ SCHEMA_BYTES = _schema_bytes()
 """FileDescriptorSet of `shm.SampleBlock` and its dependencies, in the form that MCAP's protobuf encoding requires."""
 
 
+def _begin(block: SampleBlock) -> Any:
+    """Begin the message of a block: time and sequence."""
+    message = _Message(sequence=block.sequence)
+    message.timestamp.seconds, message.timestamp.nanos = divmod(block.t_ns, _NS)
+    return message
+
+
 def encode(block: SampleBlock) -> bytes:
     """Encode a block as protobuf bytes (docs/connect.md has the field numbers)."""
-    message = _Message(
-        sequence=block.sequence,
-        sample_rate_hz=block.sample_rate_hz,
-        channels=block.channels,
-        unit=block.unit,
-        samples=np.ascontiguousarray(block.samples, dtype="<f4").tobytes(),
-    )
-    message.timestamp.seconds, message.timestamp.nanos = divmod(block.t_ns, _NS)
+    message = _begin(block)
+    message.sample_rate_hz, message.unit = block.sample_rate_hz, block.unit
+    message.channels.extend(block.channels)
+    message.samples = np.ascontiguousarray(block.samples, dtype="<f4").tobytes()
     return bytes(message.SerializeToString())
 
 
 def decode(data: bytes, topic: str) -> SampleBlock:
-    """Decode the block in `data`; `topic` is the topic of the block.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are no SampleBlock, or its fields contradict each other; the message says how.
-    """
+    """Decode the block in `data`; raises `ValueError` if that is no SampleBlock, or its fields contradict each other."""
     message = _parse(data)
     channels = tuple(message.channels)
     samples = message.samples
@@ -84,24 +81,14 @@ def decode(data: bytes, topic: str) -> SampleBlock:
         raise ValueError("a sample block without channel names")
     if len(samples) % (4 * len(channels)):
         raise ValueError(f"{len(samples)} bytes of samples are no whole rows of {len(channels)} float32 channels")
-    return SampleBlock(
-        topic,
-        _time_ns(message),
-        message.sequence,
-        message.sample_rate_hz,
-        channels,
-        message.unit,
-        np.frombuffer(samples, _FLOAT32).reshape(-1, len(channels)),
-    )
+    rows, rate_hz = np.frombuffer(samples, _FLOAT32).reshape(-1, len(channels)), message.sample_rate_hz
+    return SampleBlock(topic, _time_ns(message), message.sequence, rate_hz, channels, message.unit, rows)
 
 
 def decode_joined(messages: Iterable[bytes], topic: str, longest_s: float) -> list[SampleBlock]:
-    """Decode consecutive blocks, and join those without a gap to blocks of at most `longest_s` seconds.
+    """Decode consecutive blocks, and join them as `drivers.merged.merged` does, but fast enough for the aims of docs/figures.md.
 
-    Raises
-    ------
-    ValueError
-        If a message is no SampleBlock, its fields contradict each other, or it begins before the preceding message.
+    Raises `ValueError` as `decode`, and if a message begins before the preceding one.
     """
     joined: list[SampleBlock] = []
     first: SampleBlock | None = None
@@ -148,13 +135,8 @@ def _is_same_kind(message: Any, first: SampleBlock) -> bool:
 
 
 def _middle_bytes(data: bytes, block: SampleBlock, samples: bytes) -> bytes:
-    """Return the bytes of a message between time and sequence, at its beginning, and the samples, at its end.
-
-    Returns no bytes if the message has its fields in another order.
-    """
-    begin = _Message(sequence=block.sequence)
-    begin.timestamp.seconds, begin.timestamp.nanos = divmod(block.t_ns, _NS)
-    head = begin.SerializeToString()
+    """Return the bytes between time and sequence, at the beginning, and the samples, at the end; none in another order."""
+    head = _begin(block).SerializeToString()
     if not (samples and data.startswith(head) and data.endswith(samples)):
         return b""
     rest = _parse(data[len(head) :])
@@ -169,13 +151,7 @@ def _with_samples(block: SampleBlock, parts: list[bytes]) -> SampleBlock:
 
 
 def time_ns(data: bytes) -> int:
-    """Read the UTC of the first sample of the block in `data`, ns; other fields are not checked.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are no SampleBlock.
-    """
+    """Read the UTC of the first sample of the block in `data`, ns; only that it is a SampleBlock is checked (`ValueError`)."""
     return _time_ns(_parse(data))
 
 

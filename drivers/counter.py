@@ -6,13 +6,12 @@ The index of a frame depends only on the frames before it, not on how the frames
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from drivers.base import Floats, Ints
 
 REORDER = 32
 """Greatest delay, in frames, at which a late frame is still put in its place."""
@@ -42,26 +41,18 @@ class _UnconfirmedJump:
 
 @dataclass(slots=True)
 class Sequencer:
-    """Unwrapped counter of the frames of one node.
-
-    Parameters
-    ----------
-    bits
-        Width of the counter.  0 means no counter: frames are numbered in order of arrival, and only timestamps show losses.
-    stride
-        Increment of the counter from frame to frame.
-    """
+    """Unwrapped counter of the frames of one node."""
 
     bits: int
+    """Width of the counter; 0 means none: frames are numbered in order of arrival, and only timestamps show losses."""
     stride: int = 1
+    """Increment of the counter from frame to frame."""
     repeated: int = 0
-    """Number of repeated frames."""
     late: int = 0
     """Number of frames that arrived too late to be put in order."""
     stray: int = 0
     """Number of frames whose counter fits neither the frames before nor those after them."""
     restarts: int = 0
-    """Number of restarts of the counter."""
     ended: bool = False
     """True if no frame will follow."""
     _last: tuple[int, int, float] | None = None
@@ -77,27 +68,12 @@ class Sequencer:
     """Recent indices that a repeated frame could have."""
 
     def number(
-        self, counters: Ints, times_s: Floats, rate_hz: float, *, real_time: bool
-    ) -> tuple[Ints, NDArray[np.bool_]]:
-        """Number frames in order of arrival, and mark the new ones.
+        self, counters: Annotated[Ints, "n"], times_s: Annotated[Floats, "n"], rate_hz: float, *, real_time: bool
+    ) -> tuple[Annotated[Ints, "n"], Annotated[NDArray[np.bool_], "n"]]:
+        """Unwrap the counters of frames in order of arrival, and mark those that have an index and are neither repeated nor late.
 
-        Parameters
-        ----------
-        counters : array, shape (n,)
-            Raw counters of the frames.
-        times_s : array, shape (n,)
-            Timestamps, s; NaN where unknown.
-        rate_hz : float
-            Rate at which the counter grows, Hz.
-        real_time : bool
-            Whether timestamps may decide how often the counter wrapped.
-
-        Returns
-        -------
-        indices : array, shape (n,)
-            Unwrapped counters; 0 for frames after a jump of the counter that is not confirmed.
-        new : array of bool, shape (n,)
-            True for frames that have an index and are neither repeated nor late.
+        An index is 0 after a jump of the counter that is not confirmed.  A timestamp is NaN where unknown; in `real_time`
+        timestamps may decide how often the counter, which grows at `rate_hz`, wrapped.
         """
         if self._last is None and len(counters):
             self._last = (int(counters[0]) - self.stride, int(counters[0]) - self.stride, float(times_s[0]))
@@ -131,7 +107,7 @@ class Sequencer:
     def _unwrap(
         self, counters: Ints, times_s: Floats, rate_hz: float, real_time: bool
     ) -> tuple[Ints, NDArray[np.bool_]]:
-        """Unwrap the counters; return the indices and which frames have one, both of shape (n,)."""
+        """Unwrap the counters; return the indices and which frames have one."""
         if self._last is None:
             return np.empty(0, np.int64), np.empty(0, bool)
         value, index, t_s = self._last

@@ -11,10 +11,7 @@ from pathlib import Path
 def destination(path: Path) -> Path:
     """Return the file that is written where `path` is named: what a link leads to, so that the link stays.
 
-    Raises
-    ------
-    OSError
-        What stands there is neither a file nor a folder: a device, a pipe or a socket, which no file may replace.
+    Raises `OSError` if a device, a pipe or a socket stands there, which no file may replace.
     """
     place = Path(os.path.realpath(path)) if path.is_symlink() else path
     # /dev/stdout leads to a pipe that has no name, which only `path` itself tells
@@ -26,10 +23,7 @@ def destination(path: Path) -> Path:
 def partial(path: Path) -> Path:
     """Return the path under which a file is written before it gets its final name.
 
-    Raises
-    ------
-    OSError
-        As of `destination`, or what stands under that path is no regular file.
+    Raises `OSError` as `destination`, and if what stands under that path is no regular file.
 
     Examples
     --------

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cantools
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.base import Floats, Ints
+
 Bytes = NDArray[np.uint8]
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 COUNTER = "counter"
 """Name of the signal that holds the counter."""
@@ -33,7 +33,7 @@ class Field:
     shift: int
     """Lowest bit of the number within these bytes, read as one integer."""
     length: int
-    """Length of the number in bits."""
+    """Bits."""
     big_endian: bool
     signed: bool
     real: bool
@@ -43,13 +43,13 @@ class Field:
     offset: float
     """Physical value of the raw number 0."""
 
-    def columns(self) -> Ints:
-        """Return the indices of the eight bytes, shape (8,), least significant first."""
+    def columns(self) -> Annotated[Ints, "8"]:
+        """Return the indices of the eight bytes, least significant first."""
         order = np.arange(_WINDOW)
         return self.start + (order[::-1] if self.big_endian else order)
 
-    def unpack(self, padded: Bytes) -> NDArray[Any]:
-        """Extract raw numbers, shape (n,), from frames padded by eight bytes, shape (n, bytes + 8)."""
+    def unpack(self, padded: Annotated[Bytes, "n bytes+8"]) -> Annotated[NDArray[Any], "n"]:
+        """Extract raw numbers from frames padded by eight bytes."""
         window = np.ascontiguousarray(padded[:, self.columns()]).view("<u8")[:, 0]
         top = window << np.uint64(64 - self.shift - self.length)
         if self.signed:
@@ -59,8 +59,8 @@ class Field:
             return raw.view(np.float64) if self.length == 64 else raw.astype(np.uint32).view(np.float32)
         return raw
 
-    def pack(self, padded: Bytes, raw: NDArray[Any]) -> None:
-        """Write raw numbers, shape (n,), into frames of zeros, shape (n, bytes + 8)."""
+    def pack(self, padded: Annotated[Bytes, "n bytes+8"], raw: Annotated[NDArray[Any], "n"]) -> None:
+        """Write raw numbers into frames of zeros."""
         if self.real:
             kind = np.float64 if self.length == 64 else np.float32
             bits = raw.astype(kind).view(np.uint64 if self.length == 64 else np.uint32).astype(np.uint64)
@@ -79,7 +79,7 @@ class Field:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Layout:
-    """Layout of one CAN message: identifier, channels, fields and counter."""
+    """Layout of one CAN message."""
 
     name: str
     frame_id: int
@@ -91,23 +91,17 @@ class Layout:
     fields: tuple[Field, ...]
     """Fields sample by sample, and within a sample in the order of `channels`; their values are in m/s^2."""
     counter: Field | None
-    """Field of the counter; None if the message has no counter."""
+    """None if the message has no counter."""
 
     @property
     def counter_bits(self) -> int:
-        """Width of the counter in bits; 0 without a counter."""
+        """Width of the counter; 0 without a counter."""
         return 0 if self.counter is None else self.counter.length
 
-    def decode(self, frames: bytes) -> tuple[NDArray[np.float32], Ints]:
-        """Decode n concatenated frames, each `n_bytes` long.
-
-        Returns
-        -------
-        samples : ndarray, shape (n * n_samples, n_channels)
-            Samples, m/s^2.
-        counters : ndarray, shape (n,)
-            Raw counters; zeros without a counter.
-        """
+    def decode(
+        self, frames: bytes
+    ) -> tuple[Annotated[NDArray[np.float32], "frames*n_samples channels"], Annotated[Ints, "frames"]]:
+        """Decode concatenated frames, each `n_bytes` long, to samples, m/s^2, and raw counters: zeros without a counter."""
         data = np.frombuffer(frames, dtype=np.uint8).reshape(-1, self.n_bytes)
         padded = np.zeros((len(data), self.n_bytes + _WINDOW), dtype=np.uint8)
         padded[:, : self.n_bytes] = data
@@ -118,22 +112,12 @@ class Layout:
         counters = np.zeros(len(data), np.int64) if self.counter is None else self.counter.unpack(padded)
         return samples.reshape(-1, len(self.channels)), counters.astype(np.int64)
 
-    def encode(self, samples: Floats, counters: Ints) -> tuple[Bytes, int]:
-        """Encode samples as n frames; set numbers that do not fit to the nearest that fits.
+    def encode(
+        self, samples: Annotated[Floats, "frames*n_samples channels"], counters: Annotated[Ints, "frames"]
+    ) -> tuple[Annotated[Bytes, "frames bytes"], int]:
+        """Encode samples, m/s^2, and the lowest `counter_bits` bits of the counters.
 
-        Parameters
-        ----------
-        samples : array, shape (n * n_samples, n_channels)
-            Samples, m/s^2.
-        counters : array, shape (n,)
-            Counters of the frames; only their lowest `counter_bits` bits are sent.
-
-        Returns
-        -------
-        frames : array, shape (n, n_bytes)
-            Bytes of the frames.
-        saturated : int
-            Number of samples that did not fit.
+        A number that does not fit becomes the nearest that fits; also returns how many there were.
         """
         values = np.asarray(samples, dtype=np.float64).reshape(-1, len(self.fields))
         padded = np.zeros((len(values), self.n_bytes + _WINDOW), dtype=np.uint8)
@@ -155,38 +139,42 @@ def load(path: Path, channels: tuple[str, ...] = ()) -> tuple[Layout, ...]:
     """Load the layouts of the messages of a DBC that carry `channels`, or all accelerations if no channel is named.
 
     A channel is the signal of the same name.  In frames with several samples, it is the signals NAME_0, NAME_1, ...
-
-    Raises
-    ------
-    FrameError
-        If the file cannot be read, or does not carry the channels.
+    Raises `FrameError` if the file cannot be read, or does not carry the channels.
     """
+    carried = [(message, _carried(message, channels)) for message in _messages(path)]
+    places: dict[str, list[str]] = {}
+    for message, groups in carried:
+        for name in groups:
+            places.setdefault(name, []).append(message.name)
+    wanted = channels or tuple(places)
+    problems = [f"no signal {name!r}" for name in wanted if name not in places]
+    problems += [f"{name!r} stands in {', '.join(where)}" for name, where in places.items() if len(where) > 1]
+    if problems or not wanted:
+        known = ", ".join(signal.name for message, _ in carried for signal in message.signals)
+        raise FrameError(f"{path}: {'; '.join(problems) or 'no acceleration'}; the signals are {known or 'none'}")
+    layouts = [_layout(path, message, groups) for message, groups in carried if groups]
+    return tuple(sorted(layouts, key=lambda layout: wanted.index(layout.channels[0])))
+
+
+def _messages(path: Path) -> list[Any]:
+    """Read the messages of a DBC."""
     try:
         database: Any = cantools.database.load_file(path, database_format="dbc")
-        messages: list[Any] = list(database.messages)
+        return list(database.messages)
     except OSError as error:
         raise FrameError(f"{path}: {error.strerror or error}") from error
     except (cantools.errors.Error, ValueError) as error:
         raise FrameError(f"{path}: is no DBC: {error}") from error
-    found: dict[str, list[Any]] = {}
-    groups: dict[str, dict[str, list[Any]]] = {}
-    for message in messages:
-        names = channels or _accelerations(message)
-        groups[message.name] = {name: signals for name in names if (signals := _signals(message, name))}
-        for name in groups[message.name]:
-            found.setdefault(name, []).append(message.name)
-    wanted = channels or tuple(found)
-    problems = [f"no signal {name!r}" for name in wanted if name not in found]
-    problems += [f"{name!r} stands in {', '.join(where)}" for name, where in found.items() if len(where) > 1]
-    if problems or not wanted:
-        known = ", ".join(signal.name for message in messages for signal in message.signals)
-        raise FrameError(f"{path}: {'; '.join(problems) or 'no acceleration'}; the signals are {known or 'none'}")
-    layouts = [_layout(path, message, groups[message.name]) for message in messages if groups[message.name]]
-    return tuple(sorted(layouts, key=lambda layout: wanted.index(layout.channels[0])))
+
+
+def _carried(message: Any, channels: tuple[str, ...]) -> dict[str, list[Any]]:
+    """Return the signals of those channels, or of all accelerations, that a message carries."""
+    names = channels or _accelerations(message)
+    return {name: signals for name in names if (signals := _signals(message, name))}
 
 
 def _accelerations(message: Any) -> tuple[str, ...]:
-    """List the names of the channels that a message carries, judged by the units of its signals."""
+    """List the channels that a message carries, judged by the units of its signals."""
     names = [s.name for s in message.signals if s.name != COUNTER and s.unit and _unit(s) is not None]
     stems = {name: name.removesuffix("_0") for name in names if name.endswith("_0")}
     several = {stem: len(_signals(message, stem)) for stem in stems.values()}
@@ -240,7 +228,7 @@ def _layout(path: Path, message: Any, groups: dict[str, list[Any]]) -> Layout:
 
 
 def _field(place: str, signal: Any) -> Field:
-    """Build the field of a DBC signal; `place` names file and message in errors."""
+    """Build the field of a DBC signal; errors begin with `place`."""
     if signal.is_multiplexer or signal.multiplexer_ids is not None:
         raise FrameError(f"{place}: {signal.name} is multiplexed; give each sample its own bits")
     big = signal.byte_order == "big_endian"

@@ -12,12 +12,8 @@ L = TypeVar("L")
 class Inbox(Generic[L]):
     """Queue of payloads, each with a label such as its topic, bounded in bytes; `put` waits while the queue is full.
 
-    A closed inbox accepts no payload and makes no caller wait.  Payloads that it already holds can still be read.
-
-    Parameters
-    ----------
-    limit_bytes : int
-        Greatest size of all payloads together, bytes; a single larger payload is accepted if the queue is empty.
+    A single larger payload is accepted if the queue is empty.  A closed inbox accepts no payload and makes no caller wait;
+    payloads that it already holds can still be read.
     """
 
     def __init__(self, limit_bytes: int) -> None:
@@ -46,10 +42,7 @@ class Inbox(Generic[L]):
                 self._changed.notify_all()
 
     def get(self, timeout_s: float) -> tuple[L, bytes] | None:
-        """Remove and return the oldest payload with its label.
-
-        Returns None if no payload arrives within `timeout_s`, or if the inbox is empty and closed.
-        """
+        """Remove and return the oldest payload with its label; None if none arrives in time, or the inbox is closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._items or not self._open, timeout_s)
             if not self._items:

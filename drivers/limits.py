@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.base import UNIT_OF, SampleBlock
+from drivers.settings import Settings
 
-_LIMIT = 1 << 62
+LIMIT = 1 << 62
 """Bound of valid times, ns, and sequence numbers; the sum of two still fits 64 bits."""
 
 
-class BlockLimits(BaseModel):
+class BlockLimits(Settings):
     """Part of a ``[source]`` table that bounds what is waited for, decoded and believed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     queue_bytes: int = Field(default=32 << 20, ge=1 << 12)
     """Greatest size of the data that wait to be read; beyond it the network waits."""
@@ -25,21 +24,20 @@ class BlockLimits(BaseModel):
     """Greatest sample rate; blocks that state a higher rate are refused."""
 
 
-def within_limits(block: SampleBlock, limits: BlockLimits) -> SampleBlock:
-    """Return a block of a network.
+def absurdity(block: SampleBlock, max_rate_hz: float = 1e7) -> str | None:
+    """Say what only damage or a foreign writer explains; None if nothing is so.  Later arithmetic is in 64-bit integers."""
+    if 0 <= block.t_ns < LIMIT and block.sequence < LIMIT and 1e-3 <= block.sample_rate_hz <= max_rate_hz:
+        return None
+    return f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz:g} Hz is absurd"
 
-    Raises
-    ------
-    ValueError
-        If it exceeds the limits, names a channel twice, holds no samples, or has another unit than its topic.
-    """
+
+def within_limits(block: SampleBlock, limits: BlockLimits) -> SampleBlock:
+    """Return a block; raises `ValueError` if it exceeds the limits, repeats a channel, is empty or has not its topic's unit."""
     if not (
         0 < len(block.channels) <= limits.max_channels
         and len(set(block.channels)) == len(block.channels)
         and block.n_samples > 0
-        and 1e-3 <= block.sample_rate_hz <= limits.max_rate_hz
-        and 0 <= block.t_ns < _LIMIT
-        and block.sequence < _LIMIT
+        and absurdity(block, limits.max_rate_hz) is None
         and block.unit == UNIT_OF.get(block.topic, block.unit)
     ):
         raise ValueError(f"{block.topic}: a block beyond the limits of the settings")

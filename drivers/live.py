@@ -6,9 +6,10 @@ import logging
 import time
 from collections.abc import Callable
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.base import SampleBlock
+from drivers.settings import Settings
 
 _log = logging.getLogger(__name__)
 
@@ -20,10 +21,8 @@ _SAY_EVERY_S = 60.0
 """Shortest time between two lines of the log about refused blocks. [s; judgement]"""
 
 
-class LiveSettings(BaseModel):
+class LiveSettings(Settings):
     """Bounds that the ``[source]`` table of a live source may set; without them a stream may run at any speed and time."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     max_pace: float | None = Field(default=None, gt=1)
     """Greatest pace of the data's clock as a multiple of this machine's, over ten minutes; faster blocks are refused."""
@@ -36,16 +35,7 @@ class LiveBounds:
 
     The data's clock of each topic draws on an allowance, which grows with this machine's clock at `max_pace` up to ten minutes.
     A gap draws its length, for it costs as much to evaluate as the windows that it spoils; no block draws more than
-    all of the allowance, so that after a jump of the clock a stream is accepted again in time.
-
-    Parameters
-    ----------
-    settings : LiveSettings
-        Bounds.
-    clock : callable
-        Seconds of a clock that never goes back.
-    utc_ns : callable
-        UTC of this machine, ns since 1970.
+    all of the allowance, so that after a jump of the clock a stream is accepted again in time.  `clock` never goes back (s).
     """
 
     def __init__(
@@ -80,11 +70,10 @@ class LiveBounds:
         pace = self._settings.max_pace
         if pace is None:
             return None
-        now_s, length_s = self._clock(), block.n_samples / block.sample_rate_hz
-        end_ns = block.t_ns + round(length_s * 1e9)
+        now_s, end_ns = self._clock(), block.t_ns + round(block.length_s * 1e9)
         last_ns, left_s, then_s = self._streams.get(block.topic, (block.t_ns, _BURST_S, now_s))
         left_s = min(_BURST_S, left_s + pace * (now_s - then_s))
-        drawn_s = min(_BURST_S, max(length_s, (end_ns - last_ns) * 1e-9))
+        drawn_s = min(_BURST_S, max(block.length_s, (end_ns - last_ns) * 1e-9))
         if drawn_s > left_s:
             return f"{block.topic} comes faster than the clock allows, max_pace = {pace:g}"
         self._streams[block.topic] = end_ns, left_s - drawn_s, now_s

@@ -14,6 +14,7 @@ from mcap.records import Channel
 
 from drivers import codec
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
+from drivers.limits import absurdity
 from drivers.mcap_index import read_index
 from drivers.mcap_records import PARSE_ERRORS, McapFile, Message, Segment
 from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter, arrival, clock_of
@@ -22,7 +23,6 @@ from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, spli
 
 __all__ = ["McapWriter", "RecordingInfo", "read_metadata", "read_recordings", "recording_info", "scan_messages"]
 
-_MAX_INT = 1 << 62
 _Item = SampleBlock | ImuSample
 _Result = TypeVar("_Result")
 OnWarning = Callable[[str], None]
@@ -62,10 +62,6 @@ def read_recordings(
 
     Parameters
     ----------
-    paths
-        Recordings, in any order.
-    topics
-        Topics to read.
     topic_map
         Topic of ROS 2 `sensor_msgs/msg/Imu` -> channel name, with axis if it is not x: "a1" or "a1.z".
     on_warning
@@ -108,20 +104,12 @@ def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) ->
         first.setdefault(block.topic, block)
         last[block.topic] = block
     start, end = first[ACCELERATION], last[ACCELERATION]
-    duration = (end.t_ns - start.t_ns) / 1e9 + end.n_samples / end.sample_rate_hz
+    duration = (end.t_ns - start.t_ns) / 1e9 + end.length_s
     return RecordingInfo(tuple(channels), channels, start.sample_rate_hz, duration, start.t_ns, samples[ACCELERATION])
 
 
 def read_metadata(path: Path, name: str) -> dict[str, str] | None:
-    """Read a metadata record of a recording; None where it has none of that name.
-
-    Raises
-    ------
-    RecordingMissingError
-        If the file cannot be opened.
-    RecordingError
-        If its bytes are damaged or foreign.
-    """
+    """Read a metadata record of a recording; None where it has none of that name (errors as `read_recordings`)."""
     try:
         with path.open("rb") as file:
             found = (record.metadata for record in make_reader(file).iter_metadata() if record.name == name)
@@ -167,47 +155,32 @@ class _Survey:
             on_warning(f"{self.file.path}: {self.file.cut}; the {count} whole blocks before it are used")
 
     def _use_index(self) -> bool:
-        """Take the segments from the file's index; False if the file must be read through instead.
-
-        The index suffices for a whole file of our own writer with wanted messages.
-        """
-        index = read_index(self.file.path)
-        if index is None or index.library != LIBRARY or self._axes:
+        """Take the segments from the index, which suffices for a whole file of our own writer with wanted messages."""
+        chunks = None if self._axes else read_index(self.file, LIBRARY)
+        if chunks is None:
             return False
-        self.file.schemas.update(index.schemas)
-        self.file.channels.update(index.channels)
+        channels = list(self.file.channels.values())
         try:
-            if not any([self._wanted(channel) for channel in index.channels.values()]):
+            if not any([self._wanted(channel) for channel in channels]):
                 return False
         except ValueError:  # reading the file through gives an error message with the place
             return False
-        clock = max(clock_of(channel.metadata) for channel in index.channels.values())
-        self.segments = [(arrival(start_ns, clock), segment) for start_ns, segment in index.chunks]
+        clock = max(clock_of(channel.metadata) for channel in channels)
+        self.segments = [(arrival(start_ns, clock), segment) for start_ns, segment in chunks]
         return True
-
-    def load(self, segment: Segment) -> list[tuple[int, _Item]]:
-        """Load the wanted messages of a segment, each with the time (ns) by which it is ordered."""
-        return self.decoded(self.file.load(segment))
 
     def decoded(self, messages: list[Message]) -> list[tuple[int, _Item]]:
         """Decode the wanted ones of some messages, each with the time (ns) by which it is ordered."""
         return list(self._read_wanted(messages, self._decode))
 
     def load_joined(self, messages: list[Message], longest_s: float) -> list[SampleBlock] | None:
-        """Decode a segment's messages to joined blocks.
-
-        Returns None unless all wanted messages are `/acceleration` on one MCAP channel and in order.
-        """
-        wanted = {number for number in {m.channel_id for m in messages} if self._wanted(self.file.channels[number])}
-        if len(wanted) != 1:
-            return None
-        (number,) = wanted
-        channel = self.file.channels[number]
-        if channel.topic != ACCELERATION or channel.topic in self._axes or ORDER in channel.metadata:
+        """Decode to joined blocks; None unless all wanted messages are `/acceleration` on one MCAP channel and in order."""
+        wanted = [c for c in (self.file.channels[n] for n in {m.channel_id for m in messages}) if self._wanted(c)]
+        if [c.topic for c in wanted] != [ACCELERATION] or ACCELERATION in self._axes or ORDER in wanted[0].metadata:
             return None
         try:
-            data = [m.data for m in messages if m.channel_id == number]
-            blocks = codec.decode_joined(data, channel.topic, longest_s)
+            data = [m.data for m in messages if m.channel_id == wanted[0].id]
+            blocks = codec.decode_joined(data, ACCELERATION, longest_s)
             for block in blocks:
                 _require_plausible(block)
         except ValueError:  # decoding the messages one by one gives an error message with the place
@@ -266,10 +239,8 @@ class _Survey:
 
     def _content_text(self) -> str:
         """Describe, for an error message, a file without a wanted message."""
-        held = ", ".join(
-            f"{channel.topic} ({self.file.schema_name(channel) or 'no schema'})"
-            for channel in list(self.file.channels.values())[:20]
-        )
+        channels = list(self.file.channels.values())[:20]
+        held = ", ".join(f"{c.topic} ({self.file.schema_name(c) or 'no schema'})" for c in channels)
         cut = f" ({self.file.cut})" if self.file.cut else ""
         return (
             f"no block of {', '.join(sorted(self._topics | self._axes.keys()))}{cut}; "
@@ -286,15 +257,15 @@ def _order_ns(message: Message, channel: Channel, t_ns: int) -> int:
 
 
 def _require_plausible(block: SampleBlock) -> None:
-    """Raise ValueError for values that only damage or a foreign writer explains; later arithmetic is in 64-bit integers."""
-    if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
-        raise ValueError(f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz} Hz is absurd")
+    """Raise ValueError for values that only damage or a foreign writer explains."""
+    if (absurd := absurdity(block)) is not None:
+        raise ValueError(absurd)
     if block.unit != UNIT_OF.get(block.topic, block.unit):
         raise ValueError(f"unit {block.unit!r} where {UNIT_OF[block.topic]!r} is needed")
 
 
 def _merge_in_time_order(surveys: list[_Survey], longest_s: float) -> Iterator[_Item]:
-    """Yield the messages of all files in time order; only segments that overlap in time are held in memory together."""
+    """Yield the messages of all files in time order; only segments that overlap in time are in memory together."""
     pool = [(start, number, segment) for number, survey in enumerate(surveys) for start, segment in survey.segments]
     pool.sort()
     heap: list[tuple[int, int, int, _Item]] = []

@@ -4,48 +4,37 @@ from __future__ import annotations
 
 import struct
 import zlib
-from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Header, Schema
+from mcap.records import ChunkIndex, Footer, Header
 
-from drivers.mcap_records import MAGIC, MAX_RECORD_BYTES, PARSE_ERRORS, Segment, stream
+from drivers.mcap_records import HEAD, MAGIC, MAX_RECORD_BYTES, PARSE_ERRORS, McapFile, Segment, stream
 
-_HEAD = struct.Struct("<BQ")
-_DATA_END = _HEAD.size + 4
-_FOOTER = _HEAD.size + 20
+_DATA_END = HEAD.size + 4
+_FOOTER = HEAD.size + 20
 _READ_BYTES = 1 << 20
 
 
-class Index(NamedTuple):
-    """Summary section of a file."""
+def read_index(recording: McapFile, library: str) -> list[tuple[int, Segment]] | None:
+    """Read channels and schemas of a file, and return smallest log time (ns) and place of each chunk.
 
-    library: str
-    """Name of the library that wrote the file."""
-    schemas: dict[int, Schema]
-    channels: dict[int, Channel]
-    chunks: list[tuple[int, Segment]]
-    """Smallest log time (ns) and place of each chunk."""
-
-
-def read_index(path: Path) -> Index | None:
-    """Read the index of a file, if the checksums of the data section and of the index are present and right; else None.
-
-    None does not mean that the file is damaged: read it through.
+    None where that is not to be relied on: another `library` wrote the file, or the checksum of the data section or of the
+    index is absent or wrong.  It does not mean that the file is damaged: read it through.
     """
     try:
-        with path.open("rb") as file:
-            return _read(file, path.stat().st_size)
+        with recording.path.open("rb") as file:
+            summary = _summary(file, recording.path.stat().st_size, library)
+            return None if summary is None else _chunks(recording, summary)
     except (OSError, *PARSE_ERRORS):
         return None
 
 
-def _read(file: BinaryIO, size: int) -> Index | None:
-    """Read footer, summary and header of a file of `size` bytes, and verify the checksums."""
+def _summary(file: BinaryIO, size: int, library: str) -> bytes | None:
+    """Read footer, summary and header of a file of `size` bytes, and verify library and checksums."""
     file.seek(size - len(MAGIC) - _FOOTER)
     tail = file.read()
-    footer = Footer.read(stream(tail[_HEAD.size : _FOOTER]))
+    footer = Footer.read(stream(tail[HEAD.size : _FOOTER]))
     begin, length = footer.summary_start, size - len(MAGIC) - _FOOTER - footer.summary_start
     if (
         tail[_FOOTER:] != MAGIC
@@ -59,11 +48,9 @@ def _read(file: BinaryIO, size: int) -> Index | None:
     if footer.summary_crc != crc or not _data_is_whole(file, begin - _DATA_END):
         return None
     file.seek(len(MAGIC))
-    opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+    opcode, length = HEAD.unpack(file.read(HEAD.size))
     header = Header.read(stream(file.read(min(length, 1 << 16))))
-    index = Index(header.library, {}, {}, [])
-    _parse_summary(index, summary)
-    return index if opcode == Opcode.HEADER else None
+    return summary if opcode == Opcode.HEADER and header.library == library else None
 
 
 def _data_is_whole(file: BinaryIO, length: int) -> bool:
@@ -77,20 +64,17 @@ def _data_is_whole(file: BinaryIO, length: int) -> bool:
     return bool(opcode == Opcode.DATA_END and stated == 4 and expected == crc)
 
 
-def _parse_summary(index: Index, summary: bytes) -> None:
-    """Add the schemas, channels and chunks of a summary section to the index."""
+def _chunks(recording: McapFile, summary: bytes) -> list[tuple[int, Segment]]:
+    """Keep the channels and schemas of a summary section, and list its chunks."""
+    chunks: list[tuple[int, Segment]] = []
     position = 0
     while position < len(summary):
-        opcode, length = _HEAD.unpack_from(summary, position)
-        body = summary[position + _HEAD.size : position + _HEAD.size + length]
-        position += _HEAD.size + length
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream(body))
-            index.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream(body))
-            index.channels[channel.id] = channel
-        elif opcode == Opcode.CHUNK_INDEX:
+        opcode, length = HEAD.unpack_from(summary, position)
+        body = summary[position + HEAD.size : position + HEAD.size + length]
+        position += HEAD.size + length
+        if opcode == Opcode.CHUNK_INDEX:
             chunk = ChunkIndex.read(stream(body))
-            place = Segment(chunk.chunk_start_offset, chunk.chunk_length, True)
-            index.chunks.append((chunk.message_start_time, place))
+            chunks.append((chunk.message_start_time, Segment(chunk.chunk_start_offset, chunk.chunk_length, True)))
+        else:
+            recording.define(opcode, body)
+    return chunks

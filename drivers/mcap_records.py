@@ -30,7 +30,7 @@ MAX_RECORD_BYTES = 1 << 28
 _MOST_MESSAGES = 1 << 20
 """Largest number of messages in a chunk: each takes some 200 bytes of memory, whatever it holds. [1; cost: 200 MB]"""
 _RUN_BYTES = 1 << 18
-_HEAD = struct.Struct("<BQ")
+HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
 _MESSAGE = struct.Struct("<HIQQ")
 _KEPT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
@@ -69,35 +69,23 @@ class _CutError(Exception):
 
 @dataclass
 class McapFile:
-    """MCAP file: `segments` reads it through once, then `load` reads any segment again.
-
-    Attributes
-    ----------
-    channels, schemas
-        Channels and schemas by id, complete after `segments`.
-    cut
-        Reason why `segments` ended early (crash, full disk), or None; all data before that place are whole.
-    most_messages
-        Largest number of messages in a chunk; a chunk with more is damage.
-    """
+    """MCAP file: `segments` reads it through once, then `load` reads any segment again."""
 
     path: Path
     channels: dict[int, Channel] = field(default_factory=dict)
+    """Channels by id, complete after `segments`, as are `schemas`."""
     schemas: dict[int, Schema] = field(default_factory=dict)
     cut: str | None = None
+    """Reason why `segments` ended early (crash, full disk), or None; all data before that place are whole."""
     most_messages: int = _MOST_MESSAGES
+    """Largest number of messages in a chunk; a chunk with more is damage."""
     _crc: int = 0
     _size: int = 0
 
     def segments(self) -> Iterator[tuple[Segment, list[Message]]]:
         """Yield every segment in file order with its messages, and verify all lengths and checksums.
 
-        Raises
-        ------
-        RecordingMissingError
-            If the file cannot be opened.
-        RecordingError
-            If the bytes are damaged or no MCAP.
+        Raises `RecordingMissingError` if the file cannot be opened, `RecordingError` if its bytes are damaged or no MCAP.
         """
         with self._open() as file:
             if file.read(len(MAGIC)) != MAGIC:
@@ -124,6 +112,15 @@ class McapFile:
     def demand(self) -> None:
         """Check that the file can be opened (errors as `segments`)."""
         self._open().close()
+
+    def define(self, opcode: int, body: bytes) -> None:
+        """Keep what the record of a channel or a schema defines; pass over other records."""
+        if opcode == Opcode.CHANNEL:
+            channel = Channel.read(stream(body))
+            self.channels[channel.id] = channel
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream(body))
+            self.schemas[schema.id] = schema
 
     def schema_name(self, channel: Channel) -> str:
         """Return the name of a channel's schema, empty if the channel has none."""
@@ -153,7 +150,6 @@ class McapFile:
         return data
 
     def _skip(self, file: BinaryIO, length: int) -> None:
-        """Read past `length` bytes and update the checksum."""
         if length > self._size - file.tell():
             raise _CutError(f"the file ends inside a record at byte {self._size}")
         for start in range(0, length, _RUN_BYTES):
@@ -165,46 +161,51 @@ class McapFile:
         while True:
             offset, crc = file.tell(), self._crc
             try:
-                if offset == self._size:
-                    raise _CutError("the file has no footer")
-                opcode, length = _HEAD.unpack(head := self._read_checked(file, _HEAD.size))
-                if opcode == 0:  # zeros: the file system never wrote these blocks
-                    raise (
-                        _CutError(f"unwritten bytes from {offset}")
-                        if not closed
-                        else self._damage_error(offset, "opcode 0")
-                    )
-                kept = opcode in _KEPT
-                if (kept or opcode == Opcode.CHUNK) and length > min(MAX_RECORD_BYTES, self._size - file.tell()):
-                    raise _CutError(f"the record at byte {offset} claims {length} bytes")
-                body = self._read_checked(file, length) if kept or opcode == Opcode.CHUNK else b""
+                opcode, length, record = self._read_record(file, closed)
             except _CutError:
                 yield from self._finish_run(offset, run)
                 raise
-            if kept:
-                run += head + body
+            if opcode in _KEPT:
+                run += record
                 if len(run) < _RUN_BYTES:
                     continue
                 offset = file.tell()
             yield from self._finish_run(offset, run)
             run.clear()
             if opcode == Opcode.CHUNK:
-                segment = Segment(offset, _HEAD.size + length, True)
-                try:
-                    messages = self._parse(segment, head + body)
-                except RecordingError:
-                    # Zeros after the chunk, or at its end, mean that the machine stopped while writing the chunk.
-                    if closed or (file.read(_RUN_BYTES) or body[-16:]).strip(b"\0"):
-                        raise
-                    raise _CutError(f"the chunk at byte {offset} was written in part") from None
-                yield segment, messages
+                segment = Segment(offset, len(record), True)
+                yield segment, self._parse_chunk(file, segment, record, closed)
             elif opcode == Opcode.DATA_END:
                 self._check_data_end(file, offset, length, crc)
                 return
             elif opcode == Opcode.FOOTER:
                 raise self._damage_error(offset, "a footer before the end of the data")
-            elif not kept:
+            elif opcode not in _KEPT:
                 self._skip(file, length)
+
+    def _read_record(self, file: BinaryIO, closed: bool) -> tuple[int, int, bytes]:
+        """Read opcode and length of a record; all of its bytes if it is a chunk, a message or what defines one, else its head."""
+        offset = file.tell()
+        if offset == self._size:
+            raise _CutError("the file has no footer")
+        opcode, length = HEAD.unpack(head := self._read_checked(file, HEAD.size))
+        if opcode == 0:  # zeros: the file system never wrote these blocks
+            raise self._damage_error(offset, "opcode 0") if closed else _CutError(f"unwritten bytes from {offset}")
+        if opcode not in _KEPT and opcode != Opcode.CHUNK:
+            return opcode, length, head
+        if length > min(MAX_RECORD_BYTES, self._size - file.tell()):
+            raise _CutError(f"the record at byte {offset} claims {length} bytes")
+        return opcode, length, head + self._read_checked(file, length)
+
+    def _parse_chunk(self, file: BinaryIO, segment: Segment, record: bytes, closed: bool) -> list[Message]:
+        """Parse a chunk that was just read; a damaged one of a file that was not closed may be its cut end."""
+        try:
+            return self._parse(segment, record)
+        except RecordingError:
+            # Zeros after the chunk, or at its end, mean that the machine stopped while writing the chunk.
+            if closed or (file.read(_RUN_BYTES) or record[HEAD.size :][-16:]).strip(b"\0"):
+                raise
+            raise _CutError(f"the chunk at byte {segment.offset} was written in part") from None
 
     def _finish_run(self, end: int, run: bytearray) -> Iterator[tuple[Segment, list[Message]]]:
         """Yield the records outside chunks that end at byte `end` as one segment, if there are any."""
@@ -213,38 +214,38 @@ class McapFile:
             yield segment, self._parse(segment, bytes(run))
 
     def _check_data_end(self, file: BinaryIO, offset: int, length: int, crc: int) -> None:
-        """Verify the checksum of the data section; 0 means that the writer stored none."""
+        """Verify the checksum of the data section."""
         if length < 4:
             raise self._damage_error(offset, "a data end record that is too short")
-        (expected,) = struct.unpack("<I", self._read_checked(file, 4))
-        self._skip(file, length - 4)
-        if expected not in (0, crc):
-            raise self._damage_error(offset, "the checksum of the data section does not fit")
+        self._check_crc(file, offset, length - 4, crc, "data section")
         self._crc = 0
+
+    def _check_crc(self, file: BinaryIO, offset: int, rest: int, crc: int, what: str) -> None:
+        """Compare the checksum that stands here, 0 if the writer stored none; read past the `rest` of the record."""
+        (expected,) = struct.unpack("<I", self._read_checked(file, 4))
+        self._skip(file, rest)
+        if expected not in (0, crc):
+            raise self._damage_error(offset, f"the checksum of the {what} does not fit")
 
     def _summary_section(self, file: BinaryIO) -> None:
         """Read past the summary section, and verify its checksum and the end of the file."""
         while True:
             offset = file.tell()
-            opcode, length = _HEAD.unpack(self._read_checked(file, _HEAD.size))
+            opcode, length = HEAD.unpack(self._read_checked(file, HEAD.size))
             if opcode != Opcode.FOOTER:
                 self._skip(file, length)
                 continue
             if length < 20:
                 raise self._damage_error(offset, "a footer that is too short")
             self._read_checked(file, 16)
-            crc = self._crc
-            (expected,) = struct.unpack("<I", self._read_checked(file, 4))
-            self._skip(file, length - 20)
-            if expected not in (0, crc):
-                raise self._damage_error(offset, "the checksum of the summary does not fit")
+            self._check_crc(file, offset, length - 20, self._crc, "summary")
             if self._read_checked(file, len(MAGIC)) != MAGIC or file.tell() != self._size:
                 raise self._damage_error(file.tell(), "wrong bytes after the footer")
             return
 
     def _parse(self, segment: Segment, raw: bytes) -> list[Message]:
         try:
-            return self._messages(unpack_chunk(raw[_HEAD.size :]) if segment.is_chunk else raw)
+            return self._messages(unpack_chunk(raw[HEAD.size :]) if segment.is_chunk else raw)
         except PARSE_ERRORS as error:
             kind = "chunk: " if segment.is_chunk else ""
             raise self._damage_error(segment.offset, f"{kind}{error}") from error
@@ -252,8 +253,8 @@ class McapFile:
     def _messages(self, content: bytes) -> list[Message]:
         messages: list[Message] = []
         position, end = 0, len(content)
-        head, fields, channels, is_message = _HEAD.unpack_from, _MESSAGE.unpack_from, self.channels, int(Opcode.MESSAGE)
-        head_size, fields_size = _HEAD.size, _MESSAGE.size  # looked up once, because this loop is long
+        head, fields, channels, is_message = HEAD.unpack_from, _MESSAGE.unpack_from, self.channels, int(Opcode.MESSAGE)
+        head_size, fields_size = HEAD.size, _MESSAGE.size  # looked up once, because this loop is long
         while position < end:
             opcode, length = head(content, position)
             start, position = position + head_size, position + head_size + length
@@ -268,22 +269,15 @@ class McapFile:
                 if len(messages) == self.most_messages:
                     raise ValueError(f"more than {self.most_messages} messages in a chunk")
                 messages.append(Message(channel_id, log_time, content[start + fields_size : position]))
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream(content[start:position]))
-                self.channels[channel.id] = channel
-            elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream(content[start:position]))
-                self.schemas[schema.id] = schema
+            else:
+                self.define(opcode, content[start:position])
         return messages
 
 
 def unpack_chunk(body: bytes) -> bytes:
     """Unpack the records inside a chunk record's body, and verify size and checksum.
 
-    Raises
-    ------
-    ValueError, struct.error, zstandard.ZstdError, RuntimeError
-        If the chunk is damaged or would need more than `MAX_RECORD_BYTES`.
+    Raises one of `PARSE_ERRORS` if the chunk is damaged or would need more than `MAX_RECORD_BYTES`.
     """
     _, _, size, crc, name_length = _CHUNK.unpack_from(body)
     start = _CHUNK.size + name_length

@@ -9,18 +9,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.base import ACCELERATION, EndOfStream, RecordingMissingError, SampleBlock, SourceContext, SourceHealth
 from drivers.mcap_file import read_recordings
+from drivers.settings import Settings
 
 _log = logging.getLogger(__name__)
 
 
-class McapSettings(BaseModel):
+class McapSettings(Settings):
     """Table ``[source]`` with ``kind = "mcap"``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: Literal["mcap"]
     files: tuple[str, ...] = Field(min_length=1)
@@ -52,31 +51,19 @@ class McapSource:
         self._counts: Counter[str] = Counter(blocks=0, samples=0)
 
     def open(self) -> None:
-        """Check the files, and start with the first block that is not yet evaluated.
-
-        Raises
-        ------
-        RecordingMissingError, RecordingError
-            If a file is missing or damaged; another attempt does not help.
-        """
+        """Check the files, and start with the first block that is not yet evaluated (errors as `read_recordings`)."""
         blocks = read_recordings(self._paths(), topic_map=self._settings.topics or None, on_warning=_log.warning)
         self._blocks = (block for block in blocks if not self._known(block))
         self._next, self._begun_s, self._played_s = None, self._clock(), 0.0
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        """Return the next block when it is due; None if it is not due within `timeout_s`.
-
-        Raises
-        ------
-        EndOfStream
-            After the last block.
-        """
+        """Return the next block when it is due; None if it is not due within `timeout_s`."""
         if self._next is None:
             self._next = next(self._blocks, None) if self._blocks is not None else None
         block = self._next
         if block is None:
             raise EndOfStream("the recordings have ended")
-        end_s = self._played_s + (block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0)
+        end_s = self._played_s + (block.length_s if block.topic == ACCELERATION else 0.0)
         if self._settings.speed is not None:
             wait_s = self._begun_s + end_s / self._settings.speed - self._clock()
             self._sleep(max(0.0, min(wait_s, timeout_s)))

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from mcap.writer import CompressionType, Writer
@@ -30,14 +29,7 @@ _MOST_DIGITS = 9
 
 
 def arrival(log_time_ns: int, clock: int) -> int:
-    """Compute the place of a block in the order of arrival.
-
-    Parameters
-    ----------
-    log_time_ns : int
-        Log time of the block, ns.
-    clock : int
-        Number of times that the clock had been set back.
+    """Compute the place of a block in the order of arrival; `clock` counts how often the clock had been set back.
 
     Examples
     --------
@@ -54,7 +46,7 @@ def clock_of(metadata: Mapping[str, str]) -> int:
 
 
 class McapWriter:
-    """Writer of a recording that has the name `NAME.part` until it is whole.
+    """Writer of a recording that has the name `NAME.part` until it is whole; raises `OSError` where it cannot be written.
 
     The same calls give the same bytes.  After a crash the `.part` file is readable up to the last `flush`.
 
@@ -68,11 +60,6 @@ class McapWriter:
         Live recording: readers order the blocks by their log times, not by the times of their samples.
     clock
         Number of times that the clock of a live recording was set back; readers order by it before log times.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
     """
 
     def __init__(
@@ -83,7 +70,6 @@ class McapWriter:
         as_arrived: bool = False,
         clock: int = 0,
     ) -> None:
-        """Create the `.part` file."""
         self.path = Path(path)
         self.part_path = partial(self.path)
         self.part_path.parent.mkdir(parents=True, exist_ok=True)
@@ -101,12 +87,9 @@ class McapWriter:
             self._writer.add_metadata(name, dict(values))
 
     def __enter__(self) -> Self:
-        """Return the writer itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Close the recording, or remove the `.part` file after an error."""
         if kind is None:
             self.close()
@@ -114,19 +97,9 @@ class McapWriter:
             self.abort()
 
     def write(self, block: SampleBlock, log_time_ns: int | None = None) -> None:
-        """Append a block.
+        """Append a block; raises `ValueError` if it lies before 1970, which MCAP cannot represent.
 
-        Parameters
-        ----------
-        block : SampleBlock
-            Block of samples.
-        log_time_ns : int, optional
-            Log time in a live recording (`as_arrived`), ns; the time of the block by default and in all other recordings.
-
-        Raises
-        ------
-        ValueError
-            If the time of the block lies before 1970, which MCAP cannot represent.
+        Its log time is its own time, but in a live recording (`as_arrived`) `log_time_ns` if that is given.
         """
         if block.t_ns < 0:
             raise ValueError(f"block of {block.topic} at {block.t_ns} ns: before 1970")

@@ -26,9 +26,8 @@ def merged(blocks: Iterable[SampleBlock], longest_s: float) -> Iterator[SampleBl
     pending: list[SampleBlock] = []
     n = 0
     for block in blocks:
-        if pending and not (
-            _continues(pending[0], n, block) and (n + block.n_samples) <= longest_s * block.sample_rate_hz
-        ):
+        fits = n + block.n_samples <= longest_s * block.sample_rate_hz
+        if pending and not (fits and _continues(pending[0], n, block)):
             yield _join(pending)
             pending, n = [], 0
         pending.append(block)
@@ -50,6 +49,6 @@ def _continues(first: SampleBlock, n: int, block: SampleBlock) -> bool:
 
 
 def _join(pending: list[SampleBlock]) -> SampleBlock:
-    return (
-        pending[0] if len(pending) == 1 else replace(pending[0], samples=np.concatenate([b.samples for b in pending]))
-    )
+    if len(pending) == 1:
+        return pending[0]
+    return replace(pending[0], samples=np.concatenate([block.samples for block in pending]))

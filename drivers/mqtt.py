@@ -6,6 +6,7 @@ import json
 import time
 from collections import Counter, deque
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,18 +14,16 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers import codec
+from drivers.arrivals import Arrivals
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceContext, SourceError, SourceHealth
 from drivers.inbox import Inbox
-from drivers.limits import BlockLimits, within_limits
+from drivers.limits import BlockLimits
 from drivers.live import LiveSettings
 from drivers.mqtt_session import BrokerSettings, Connection, Message, Topic, client_id
-from drivers.reorder import Reorder
 
 _WAIT_S = 1.0
 """Time between two looks at whether the broker has a block. [s; cost]"""
 Format = Literal["protobuf", "json"]
-_EVENTS = ("blocks", "samples", "lost_samples", "gaps", "repeated", "reordered", "late", "restarts", "undecodable", "oversized",
-           "retained")  # fmt: skip
 _MOST_IN_FLIGHT = 200
 """Largest number of messages under way: fewer than `drivers.reorder` remembers, so that it knows each that comes again."""
 
@@ -89,9 +88,9 @@ class MqttSource:
         if settings.password_file is not None and not (context.folder / settings.password_file).is_file():
             raise ValueError(f"password_file: {settings.password_file}: no such file")
         self._inbox = Inbox[_Delivery](settings.queue_bytes)
-        self._counts: Counter[str] = Counter(dict.fromkeys(_EVENTS, 0))
-        self._orders = {topic: Reorder(self._counts, settings.hold_blocks) for topic in settings.carried}
-        self._ready: deque[SampleBlock] = deque()
+        self._arrivals = Arrivals(
+            settings.carried, settings, settings.hold_blocks, ["retained"], partial(decode, form=settings.format)
+        )
         self._taken: list[_Delivery] = []
         """Messages whose blocks may not have been handed on yet, in the order in which they came."""
         self._connection: Connection | None = None
@@ -126,47 +125,35 @@ class MqttSource:
         if connection is None:
             return
         if message.retain or topic is None:  # a retained message is of the past, and came before
-            self._counts["retained"] += 1
+            self._arrivals.counts["retained"] += 1
             topic, payload = None, b""
         elif len(payload) > self._settings.max_payload_bytes:
-            self._counts["oversized"] += 1
+            self._arrivals.counts["oversized"] += 1
             topic, payload = None, b""
         self._inbox.put(_Delivery(topic, connection.generation, message.mid if message.qos else 0), payload)
 
     def read(self, timeout_s: float) -> SampleBlock | None:
         """Return the next block in order; see `drivers.base.Source.read`."""
-        if not self._ready and not any(order.waiting for order in self._orders.values()):
+        if not self._arrivals.holds:
             self._acknowledge()  # the caller has everything
         deadline = time.monotonic() + timeout_s
-        while not self._ready:
+        while not self._arrivals.ready:
             connection = self._connection
             if connection is None:
                 raise EndOfStream
             item = self._inbox.get(max(0.0, deadline - time.monotonic()))
             if item is not None:
-                self._accept(*item)
+                delivery, data = item
+                self._taken.append(delivery)
+                if delivery.topic is not None:
+                    self._arrivals.add(delivery.topic, data)
             elif connection.ended:
                 raise SourceError(str(connection.problem))
             else:
                 # A broker that sends few messages at a time would otherwise wait for ever while a block waits for an earlier one.
                 self._acknowledge()
                 return None
-        block = self._ready.popleft()
-        self._counts["blocks"] += 1
-        self._counts["samples"] += block.n_samples
-        return block
-
-    def _accept(self, delivery: _Delivery, data: bytes) -> None:
-        """Decode a payload, and queue the blocks that can be released."""
-        self._taken.append(delivery)
-        if delivery.topic is None:
-            return
-        try:
-            block = within_limits(decode(data, delivery.topic, self._settings.format), self._settings)
-        except ValueError:
-            self._counts["undecodable"] += 1
-        else:
-            self._ready.extend(self._orders[delivery.topic].push(block))
+        return self._arrivals.take()
 
     def _acknowledge(self) -> None:
         """Acknowledge what was taken, in the order in which it came."""
@@ -182,7 +169,7 @@ class MqttSource:
         losses = Counter(self._before)
         if connection is not None:
             losses += _losses(connection)
-        counts = dict(self._counts) | {name: losses[name] for name in ("links_lost", "sessions_lost")}
+        counts = dict(self._arrivals.counts) | {name: losses[name] for name in ("links_lost", "sessions_lost")}
         problem = f"not connected with {where}" if connection is None else connection.problem
         return SourceHealth(problem is None, counts, (), problem or f"connected with {where}")
 
@@ -192,15 +179,14 @@ class MqttSource:
         connection = self._connection
         if connection is None:
             return
-        if not self._ready and not any(order.waiting for order in self._orders.values()):
+        if not self._arrivals.holds:
             self._acknowledge()
         self._connection = None
         connection.close()
         self._before += _losses(connection)
         # What was not acknowledged comes again: forget it.
         self._inbox = Inbox(self._settings.queue_bytes)
-        self._orders = {topic: Reorder(self._counts, self._settings.hold_blocks) for topic in self._orders}
-        self._ready.clear()
+        self._arrivals.forget()
         self._taken.clear()
 
 
@@ -222,12 +208,7 @@ class _Message(BaseModel):
 
 
 def decode(data: bytes, topic: str, form: Format) -> SampleBlock:
-    """Decode the message of a block; `topic` is its recording topic.
-
-    Raises
-    ------
-    ValueError
-        If the message is no block, or its fields contradict each other.
+    """Decode the message of a block; raises `ValueError` if it is no block, or its fields contradict each other.
 
     Examples
     --------
@@ -252,18 +233,15 @@ def encode(block: SampleBlock, form: Format) -> bytes:
     """Encode a block as a message; in JSON a sample that is not finite is null."""
     if form == "protobuf":
         return codec.encode(block)
-    finite = np.isfinite(block.samples)
-    rows = [
-        [value if good else None for value, good in zip(row, flags, strict=True)]
-        for row, flags in zip(block.samples.tolist(), finite.tolist(), strict=True)
-    ]
+    samples = block.samples.astype(object)
+    samples[~np.isfinite(block.samples)] = None
     content = {
         "t_ns": block.t_ns,
         "sequence": block.sequence,
         "sample_rate_hz": block.sample_rate_hz,
         "channels": list(block.channels),
         "unit": block.unit,
-        "samples": rows,
+        "samples": samples.tolist(),
     }
     return json.dumps(content, allow_nan=False).encode()
 
@@ -276,13 +254,7 @@ class PublisherSettings(StreamSettings):
 
 
 class MqttPublisher:
-    """Publisher of sample blocks, each of which is sent again until the broker has it.
-
-    Raises
-    ------
-    SourceError
-        If the broker cannot be reached or refuses the connection.
-    """
+    """Publisher of sample blocks, each of which is sent again until the broker has it (errors as `Connection.open`)."""
 
     def __init__(self, settings: PublisherSettings, folder: Path = Path()) -> None:
         self._settings = settings
@@ -302,13 +274,7 @@ class MqttPublisher:
     put = send
 
     def close(self, timeout_s: float = 10.0) -> None:
-        """Wait until the broker has all blocks, no longer than `timeout_s`, and leave it.
-
-        Raises
-        ------
-        SourceError
-            If the broker has not acknowledged all of them by then.
-        """
+        """Wait until the broker has all blocks, and leave it; raises `SourceError` if it has not after `timeout_s`."""
         deadline = time.monotonic() + timeout_s
         while self._under_way and time.monotonic() < deadline:
             self._settle(max(0.0, min(_WAIT_S, deadline - time.monotonic())))

@@ -9,9 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.base import SourceError
+from drivers.settings import Settings
 
 try:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage, MQTTv5
@@ -37,10 +38,8 @@ _HEADER_BYTES = 1 << 17
 """Room of a packet for its topic and properties. [bytes; definition: each is at most 64 KiB]"""
 
 
-class MqttTls(BaseModel):
+class MqttTls(Settings):
     """Table ``tls``: files of the encryption, relative to the site file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     root_ca: Path | None = None
     """PEM file of the authority that signed the broker's certificate; by default those that the system trusts."""
@@ -56,10 +55,8 @@ class MqttTls(BaseModel):
         return self
 
 
-class BrokerSettings(BaseModel):
+class BrokerSettings(Settings):
     """Part of a table that describes the connection to an MQTT broker."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     host: str = Field(min_length=1, max_length=255)
     """Name or address of the broker."""
@@ -117,37 +114,20 @@ class Connection:
 
     Parameters
     ----------
-    settings : BrokerSettings
-        Broker, and how to identify oneself.
-    folder : Path
-        Folder to which relative paths of the settings refer.
-    client_id : str
+    client_id
         Name under which the broker keeps the session; no two clients of a broker may have the same.
-    subscriptions : tuple of str
-        Topics to subscribe to.
-    retained : bool
-        Ask for the retained messages of these topics, which are of the past.
-    on_message : callable, optional
+    retained
+        Ask for the retained messages of the topics subscribed to, which are of the past.
+    on_message
         Called in the network's thread for each message, which is acknowledged by `acknowledge` only.
-    session_s : int
+    session_s
         Time for which the broker keeps the session without a connection; 0: the session ends with the connection.
-    in_flight : int, optional
+    in_flight
         Greatest number of messages that the broker sends before the first of them is acknowledged.
-    most_bytes : int, optional
-        Greatest size of a payload that the broker may send, bytes.
-    will : (str, bytes), optional
+    most_bytes
+        Greatest size of a payload that the broker may send.
+    will
         Topic and retained message that the broker publishes when this connection is lost.
-
-    Attributes
-    ----------
-    generation : int
-        Number of times that the connection was established.
-    lost : int
-        Number of times that the connection was lost.
-    sessions_lost : int
-        Number of times that a restored connection found its session gone, and with it the messages that waited.
-    refused : str or None
-        Reason for which the broker took the latest message and gave it to nobody, such as a missing permission.
     """
 
     def __init__(
@@ -166,7 +146,9 @@ class Connection:
     ) -> None:
         self._settings, self._folder, self._subscriptions, self._retained = settings, folder, subscriptions, retained
         self.generation = self.lost = self.sessions_lost = 0
+        """How often the connection was established and lost, and was restored without its session and what waited in it."""
         self.refused: str | None = None
+        """Reason for which the broker took the latest message and gave it to nobody, such as a missing permission."""
         self._answered = threading.Event()
         self._changed = threading.Condition()
         self._published: set[int] = set()
@@ -191,21 +173,13 @@ class Connection:
     def open(self) -> None:
         """Connect and subscribe.
 
-        Raises
-        ------
-        SourceError
-            If the broker cannot be reached, refuses the connection or a topic, or a file of the settings is missing.
+        Raises `SourceError` if the broker cannot be reached, refuses the connection or a topic, or a file is missing.
         """
         where, host = self._settings.where, self._settings.host
         self._identify()
         try:
-            self._client.connect(
-                host,
-                int(where.rpartition(":")[2]),
-                _KEEPALIVE_S,
-                clean_start=self._clean,
-                properties=self._properties,
-            )
+            port = int(where.rpartition(":")[2])
+            self._client.connect(host, port, _KEEPALIVE_S, clean_start=self._clean, properties=self._properties)
         except (OSError, ValueError) as error:
             raise SourceError(f"no MQTT broker at {where}: {error}") from error
         self._client.loop_start()
@@ -273,34 +247,26 @@ class Connection:
         if left is not None:
             left.close()
 
-    def _on_connect(
-        self, client: Client, _data: Any, flags: ConnectFlags, reason: ReasonCode, _properties: Properties | None
-    ) -> None:
+    def _on_connect(self, client: Client, _data: Any, flags: ConnectFlags, reason: ReasonCode, *_: Any) -> None:
         if reason.is_failure:
             who = "a client without a user" if self._settings.user is None else f"user {self._settings.user!r}"
             self._report(f"the broker at {self._settings.where} refuses {who}: {reason}")
             return
         self.sessions_lost += self.generation > 0 and not self._clean and not flags.session_present
         self.generation += 1
-        if self._subscriptions:
-            handling = (
-                SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if self._retained else SubscribeOptions.RETAIN_DO_NOT_SEND
-            )
-            options = SubscribeOptions(qos=1, retainHandling=handling)
-            client.subscribe([(topic, options) for topic in self._subscriptions])
-        else:
+        if not self._subscriptions:
             self._report(None)
+            return
+        sends = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if self._retained else SubscribeOptions.RETAIN_DO_NOT_SEND
+        options = SubscribeOptions(qos=1, retainHandling=sends)
+        client.subscribe([(topic, options) for topic in self._subscriptions])
 
-    def _on_subscribe(
-        self, _client: Client, _data: Any, _id: int, reasons: list[ReasonCode], _properties: Properties | None
-    ) -> None:
+    def _on_subscribe(self, _client: Client, _data: Any, _id: int, reasons: list[ReasonCode], *_: Any) -> None:
         refused = [t for t, reason in zip(self._subscriptions, reasons, strict=False) if reason.is_failure]
         where, names = self._settings.where, ", ".join(refused)
         self._report(f"the broker at {where} does not let this client read {names}" if refused else None)
 
-    def _on_disconnect(
-        self, _client: Client, _data: Any, _flags: DisconnectFlags, reason: ReasonCode, _properties: Properties | None
-    ) -> None:
+    def _on_disconnect(self, _client: Client, _data: Any, _flags: DisconnectFlags, reason: ReasonCode, *_: Any) -> None:
         if self._problem is None:
             self.lost += 1
             self._problem = f"the connection with the broker at {self._settings.where} is lost: {reason}"
@@ -310,12 +276,9 @@ class Connection:
         if self._problem is None:
             self._problem = f"no MQTT broker at {self._settings.where}"
 
-    def _on_publish(
-        self, _client: Client, _data: Any, message_id: int, reason: ReasonCode, _properties: Properties | None
-    ) -> None:
-        self.refused = (
-            f"the broker at {self._settings.where} refuses a message: {reason}" if reason.is_failure else None
-        )
+    def _on_publish(self, _client: Client, _data: Any, message_id: int, reason: ReasonCode, *_: Any) -> None:
+        said = f"the broker at {self._settings.where} refuses a message: {reason}"
+        self.refused = said if reason.is_failure else None
         with self._changed:
             self._published.add(message_id)
             self._changed.notify_all()

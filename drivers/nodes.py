@@ -6,20 +6,20 @@ Nodes that sample by clocks of their own are joined sample by sample, without in
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import clock
-from drivers.base import ClockHealth, SourceError
+from drivers.base import ClockHealth, Ints, SourceError
 from drivers.clock import ClockState, Timeline
 from drivers.counter import Sequencer
 from drivers.frames import Layout
 
-Ints = NDArray[np.int64]
 Samples = NDArray[np.float32]
-Rows = tuple[Ints, Samples]
-"""Increasing sample indices, shape (n,), and samples, shape (n, n_channels), m/s^2."""
+Rows = tuple[Annotated[Ints, "n"], Annotated[Samples, "n channels"]]
+"""Increasing sample indices, and samples, m/s^2."""
 
 HOLD_S = 1.0
 """Longest wait for a node that lags, s of data; beyond it, the node's samples are missing."""
@@ -56,21 +56,10 @@ class Node:
         by_frame = self.counts_frames or not self.layout.counter_bits
         self.sequencer = Sequencer(self.layout.counter_bits, 1 if by_frame else self.layout.n_samples)
         self._factor = self.layout.n_samples if by_frame else 1
-        self._held = (
-            np.empty(0, np.int64),
-            np.empty((0, self.layout.n_samples, len(self.layout.channels)), np.float32),
-        )
+        self._held = _no_rows(self.layout.n_samples, len(self.layout.channels))
 
     def take(self, *, everything: bool = False) -> Rows:
-        """Return the rows that are in order now; with `everything`, all rows, because no frame will follow.
-
-        Returns
-        -------
-        indices : array, shape (n,)
-            Sample indices.
-        samples : array, shape (n, n_channels)
-            Samples, m/s^2.
-        """
+        """Return the rows that are in order now; with `everything`, all rows, because no frame will follow."""
         if self.frames:
             frames, times = b"".join(self.frames), np.array(self.times, dtype=np.float64)
             self.frames, self.times = [], []
@@ -79,11 +68,13 @@ class Node:
         self.sequencer.ended |= everything
         return self._release(everything)
 
-    def _add(self, samples: Samples, counters: Ints, times: NDArray[np.float64]) -> None:
-        """Number the frames and keep the new ones.
-
-        `samples` has shape (n_frames, n_samples, n_channels), `counters` and `times` (s) have shape (n_frames,).
-        """
+    def _add(
+        self,
+        samples: Annotated[Samples, "frames n_samples channels"],
+        counters: Annotated[Ints, "frames"],
+        times: Annotated[NDArray[np.float64], "frames"],
+    ) -> None:
+        """Number the frames and keep the new ones."""
         timed = (times >= 0) & (times < _MAX_T_S)  # false for NaN
         self.bad_times += int(np.count_nonzero(~timed))
         times = np.where(timed, times, np.nan)
@@ -134,6 +125,17 @@ class Node:
         least = min(self.clock.offsets[-5:])
         return self.clock.t_s + least - self.clock.index / self.rate_hz
 
+    def counts(self) -> dict[str, int]:
+        """Return the event counts so far."""
+        found = self.sequencer
+        return {
+            "lost_samples": found.lost * self.layout.n_samples,
+            **{name: getattr(found, name) for name in ("repeated", "late", "stray", "restarts")},
+            "bad_times": self.bad_times,
+            "untimed": self.untimed,
+            "steps": self.clock.steps,
+        }
+
     def health(self) -> ClockHealth:
         """Return offset and drift of the node's clock against the times that blocks carry."""
         found = clock.fit(self.clock, self.rate_hz)
@@ -173,19 +175,9 @@ class Joiner:
         self._from = [-(1 << 62)] * len(self.nodes)
 
     def join(self, *, everything: bool = False) -> Rows:
-        """Join the rows of all nodes so far; with `everything`, wait for no node.
+        """Join the rows of all nodes so far, NaN where a node has no sample; with `everything`, wait for no node.
 
-        Returns
-        -------
-        indices : array, shape (n,)
-            Common sample indices.
-        samples : array, shape (n, n_channels)
-            Samples in the order of `channels`, m/s^2; NaN where a node has none.
-
-        Raises
-        ------
-        SourceError
-            If the nodes do not sample at the same times.
+        Raises `SourceError` if the nodes do not sample at the same times.
         """
         for queue, node in zip(self._queues, self.nodes, strict=True):
             rows = node.take(everything=everything)
@@ -195,12 +187,12 @@ class Joiner:
             joined = self._queues[0]
             self._queues[0] = []
             if not joined:
-                return np.empty(0, np.int64), np.empty((0, len(self.channels)), np.float32)
+                return _no_rows(len(self.channels))
             columns = [self.nodes[0].layout.channels.index(name) for name in self.channels]
             return joined[0][0], joined[0][1][:, columns]
         if not self._align(everything):
             self._limit_queues()
-            return np.empty(0, np.int64), np.empty((0, len(self.channels)), np.float32)
+            return _no_rows(len(self.channels))
         return self._merge(everything)
 
     def _limit_queues(self) -> None:
@@ -253,10 +245,8 @@ class Joiner:
 
     def _merge(self, everything: bool) -> Rows:
         assert self._shifts is not None
-        width = len(self.channels)
-        parts: list[Rows] = []
-        for at, queue in enumerate(self._queues):
-            parts.append(_concatenate(queue, len(self.nodes[at].layout.channels), self._shifts[at]))
+        nodes = zip(self.nodes, self._queues, self._shifts, strict=True)
+        parts = [_concatenate([_no_rows(len(node.layout.channels)), *queue], shift) for node, queue, shift in nodes]
         ends = [int(rows[-1]) if len(rows) else self._done for rows, _ in parts]
         cut = max(ends) if everything else max(min(ends), max(ends) - round(HOLD_S * self.rate_hz))
         usable = [
@@ -265,20 +255,22 @@ class Joiner:
         ]
         late = sum(int(np.count_nonzero(rows <= self._done)) for rows, _ in parts)
         index = np.unique(np.concatenate([rows[use] for (rows, _), use in zip(parts, usable, strict=True)]))
-        joined = np.full((len(index), width), np.nan, dtype=np.float32)
+        joined = np.full((len(index), len(self.channels)), np.nan, dtype=np.float32)
         for at, ((rows, samples), use) in enumerate(zip(parts, usable, strict=True)):
             columns = [self.channels.index(name) for name in self.nodes[at].layout.channels]
             joined[np.searchsorted(index, rows[use])[:, None], columns] = samples[use]
             rest = rows > cut
-            shift = self._shifts[at]
-            self._queues[at] = [(rows[rest] - shift, samples[rest])] if rest.any() else []
+            self._queues[at] = [(rows[rest] - self._shifts[at], samples[rest])] if rest.any() else []
         self.unmatched += late + int(np.count_nonzero(np.isnan(joined).any(axis=1)))
         self._done = max(self._done, cut)
         return index, joined
 
 
-def _concatenate(queue: list[Rows], width: int, shift: int) -> Rows:
-    """Concatenate rows of `width` channels, with `shift` added to their indices."""
-    if not queue:
-        return np.empty(0, np.int64), np.empty((0, width), np.float32)
+def _no_rows(*shape: int) -> Rows:
+    """Return no rows, of samples of this shape."""
+    return np.empty(0, np.int64), np.empty((0, *shape), np.float32)
+
+
+def _concatenate(queue: list[Rows], shift: int) -> Rows:
+    """Concatenate rows, with `shift` added to their indices."""
     return np.concatenate([rows for rows, _ in queue]) + shift, np.concatenate([samples for _, samples in queue])

@@ -16,9 +16,10 @@ from pathlib import Path
 from drivers import codec
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
 from drivers.disk import sync_folder
+from drivers.limits import absurdity
 from drivers.mcap_file import scan_messages
 from drivers.mcap_writer import McapWriter, arrival
-from drivers.recorder_settings import RecorderSettings as RecorderSettings
+from drivers.settings import RecorderSettings as RecorderSettings
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +35,6 @@ _FLUSH_SHARE = 0.8
 """Share of `flush_s` after which a flush begins, so that a slow disk has the data in time."""
 _MIN_FLUSH_S = 1.0
 """Shortest time between two flushes that the length of the data causes, s."""
-_MAX_INT = 1 << 62
 _PATIENCE_S = 60.0
 """Length of late data after which the clock was set back rather than blocks delayed. [s; judgement]"""
 
@@ -47,19 +47,18 @@ class RecorderHealth:
     detail: str
     """Reason why recording is paused, or empty."""
     blocks: int
-    """Number of blocks written."""
+    """Those written."""
     lost_blocks: int
-    """Number of blocks that arrived while recording was paused, or that were lost with a failed file."""
+    """Those that arrived while recording was paused, or that were lost with a failed file."""
     files: int
-    """Number of files begun."""
+    """Those begun."""
     removed_files: int
-    """Number of old files removed."""
 
 
 def unfit(block: SampleBlock) -> str | None:
     """Return the reason why a recording cannot hold a block, or None if it can."""
-    if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
-        return f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz:g} Hz is absurd"
+    if (absurd := absurdity(block)) is not None:
+        return absurd
     if block.unit != UNIT_OF.get(block.topic):
         return f"topic {block.topic!r} in {block.unit!r}; known: {', '.join(UNIT_OF)}"
     if not block.channels or block.samples.nbytes > _MAX_BLOCK_BYTES:
@@ -73,21 +72,7 @@ class Recorder:
     The log times of the messages increase strictly in the order of arrival, also from one run to the next.  When the clock was
     set back (a minute of data came more than a minute late), a file begins whose log times begin anew; its name and its
     channels count such restarts.  Reading the files therefore gives the blocks in the order of arrival.  A disk error pauses
-    recording and raises nothing; recording is attempted again after `flush_s`.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the recordings.
-    settings : RecorderSettings
-        Limits of size and time.
-    clock : callable
-        Monotonic clock, s.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be created.
+    recording and raises nothing, but for a folder that cannot be created; recording is attempted again after `flush_s`.
     """
 
     def __init__(self, folder: Path, settings: RecorderSettings, clock: Callable[[], float] = time.monotonic) -> None:
@@ -108,7 +93,7 @@ class Recorder:
         latest = _recordings(folder)[-1:]
         self._clocks = _clock(latest[0]) if latest else 0
         """Number of times that the clock was set back."""
-        self._log_ns = max((log_ns for log_ns, _ in _messages(latest)), default=0)
+        self._log_ns = max((log_ns for _, log_ns, _ in _messages(latest)), default=0)
         """Log time of the latest block, ns."""
         self._late_s = 0.0
         """Length of the latest data, all of which came late, s."""
@@ -179,7 +164,7 @@ class Recorder:
         if block.topic != ACCELERATION:
             return
         is_late = block.t_ns < self._log_ns - _PATIENCE_S * 1e9
-        self._late_s = self._late_s + block.n_samples / block.sample_rate_hz if is_late else 0.0
+        self._late_s = self._late_s + block.length_s if is_late else 0.0
         if self._late_s < _PATIENCE_S:
             return
         _log.warning("the clock of the data was set back; recordings are named by it from here on")
@@ -199,14 +184,12 @@ class Recorder:
             self._pause(f"only {free / _GB:.2f} GiB free")
             self._short_of_room = True
             return False
-        self._short_of_room = False
-        self._writer = McapWriter(
-            _new_name(self._folder, self._log_ns, self._clocks), as_arrived=True, clock=self._clocks
-        )
+        self._has_flushed = self._short_of_room = False
+        name = _new_name(self._folder, self._log_ns, self._clocks)
+        self._writer = McapWriter(name, as_arrived=True, clock=self._clocks)
         self._begun_ns = self._flushed_ns = self._log_ns
         self._flushed_s = self._clock()
         self._files += 1
-        self._has_flushed = False
         return True
 
     def _flush(self, writer: McapWriter) -> None:
@@ -283,8 +266,7 @@ def recover(folder: Path) -> None:
 def recorded(folder: Path, after_ns: int, *, unfinished: bool = False) -> Iterator[tuple[int, SampleBlock]]:
     """Read the recorded blocks after a place in the order of arrival, each with its place (`Recorder.stamp_ns`).
 
-    Damaged blocks and files are logged and left out.  With `unfinished` the file being written is read too, as far as it was
-    flushed.
+    Damaged blocks and files are logged and left out.  With `unfinished` the file being written is read too, as far as flushed.
     """
     paths = _recordings(folder, _PART if unfinished else "")
     ends = [*(arrival(_begun_ns(path), _clock(path)) for path in paths[1:]), None]
@@ -292,7 +274,7 @@ def recorded(folder: Path, after_ns: int, *, unfinished: bool = False) -> Iterat
         if end is not None and end <= after_ns:
             continue
         place = path if path.exists() or not unfinished else path.with_name(path.name + _PART)
-        for log_ns, (topic, data) in _messages([place]):
+        for topic, log_ns, data in _messages([place]):
             stamp_ns = arrival(log_ns, _clock(path))
             if stamp_ns <= after_ns:
                 continue
@@ -302,12 +284,11 @@ def recorded(folder: Path, after_ns: int, *, unfinished: bool = False) -> Iterat
                 _log.warning("%s, recorded at %d ns: %s; left out", path, log_ns, error)
 
 
-def _messages(paths: Sequence[Path]) -> Iterator[tuple[int, tuple[str, bytes]]]:
-    """Read log time (ns), topic and data of the messages of all files; log damage and continue with the next file."""
+def _messages(paths: Sequence[Path]) -> Iterator[tuple[str, int, bytes]]:
+    """Scan the messages of all files; log damage and continue with the next file."""
     for path in paths:
         try:
-            for topic, stamp_ns, data in scan_messages(path):
-                yield stamp_ns, (topic, data)
+            yield from scan_messages(path)
         except RecordingError as error:
             _log.warning("%s; the rest of it is left out", error)
 

@@ -18,17 +18,11 @@ GROUP = "shm_monitor.sources"
 
 
 class UnknownSourceError(ValueError):
-    """Error of a source kind that no driver has."""
+    """No driver has this source kind."""
 
 
 def source_type(kind: str) -> Any:
-    """Import and return the driver class of a source kind.
-
-    Raises
-    ------
-    UnknownSourceError
-        If no driver has this kind; the message lists the known kinds.
-    """
+    """Import the driver class of a source kind; raises `UnknownSourceError`, which lists the known kinds."""
     if kind in SOURCES:
         module, _, name = SOURCES[kind].partition(":")
         return getattr(import_module(module), name)

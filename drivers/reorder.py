@@ -10,25 +10,16 @@ _REMEMBERED = 256
 """Number of latest blocks among which a repeated block is recognised."""
 
 
-def _end(block: SampleBlock) -> int:
-    """Return the sequence number that follows the last sample of a block."""
-    return block.sequence + block.n_samples
-
-
 class Reorder:
     """Sorter of the blocks of one stream, with counts of lost, repeated, reordered and late blocks.
 
     A block that arrives too early waits for the blocks before it.  When more than `hold` blocks wait, the missing samples
     count as lost.  Blocks older than the last one released are discarded.  If `hold` such blocks follow one another without
-    another block between them, the publisher has restarted its sequence, and they are released.
+    another block between them, the publisher has restarted its sequence, and they are released.  With `hold` = 0 the block
+    after a gap is released at once.
 
-    Parameters
-    ----------
-    counts : Counter
-        Receives the counts: ``lost_samples`` in samples, ``repeated``, ``reordered`` and ``late`` in blocks, ``gaps`` and
-        ``restarts`` in events.
-    hold : int
-        Greatest number of waiting blocks; with 0 the block after a gap is released at once.
+    `counts` receives ``lost_samples`` in samples, ``repeated``, ``reordered`` and ``late`` in blocks, ``gaps`` and ``restarts``
+    in events.
 
     Examples
     --------
@@ -60,13 +51,13 @@ class Reorder:
         self._recent.append(mark)
         if self._last is None:
             return self._release(block)
-        due = _end(self._last)
-        if _end(block) <= due:
+        due = self._last.next_sequence
+        if block.next_sequence <= due:
             return self._push_past(block)
         if block.sequence > due:
             self._early.setdefault(block.sequence, block)
             return self._skip_gap() if len(self._early) > self._hold else []
-        if self._early and min(self._early) <= _end(block):
+        if self._early and min(self._early) <= block.next_sequence:
             self._counts["reordered"] += 1
         return self._release(block)
 
@@ -83,10 +74,10 @@ class Reorder:
         self._past.clear()
         blocks = [block]
         for sequence in sorted(self._early):
-            if sequence > _end(blocks[-1]):
+            if sequence > blocks[-1].next_sequence:
                 break
             early = self._early.pop(sequence)
-            if _end(early) > _end(blocks[-1]):
+            if early.next_sequence > blocks[-1].next_sequence:
                 blocks.append(early)
         self._last = blocks[-1]
         return blocks
@@ -97,14 +88,15 @@ class Reorder:
         last = self._last
         if last is not None:
             # A sequence number alone may be wrong, so the loss is limited to what the timestamps leave room for.
-            elapsed_s = max(0.0, (block.t_ns - last.t_ns) * 1e-9 - last.n_samples / last.sample_rate_hz)
-            self._counts["lost_samples"] += min(block.sequence - _end(last), round(elapsed_s * block.sample_rate_hz))
+            elapsed_s = max(0.0, (block.t_ns - last.t_ns) * 1e-9 - last.length_s)
+            missing = block.sequence - last.next_sequence
+            self._counts["lost_samples"] += min(missing, round(elapsed_s * block.sample_rate_hz))
             self._counts["gaps"] += 1
         return self._release(block)
 
     def _push_past(self, block: SampleBlock) -> list[SampleBlock]:
         """Take a block older than the last one released; release it only if the publisher has restarted."""
-        if self._past and _end(self._past[-1]) != block.sequence:
+        if self._past and self._past[-1].next_sequence != block.sequence:
             self._counts["late"] += len(self._past)
             self._past.clear()
         self._past.append(block)

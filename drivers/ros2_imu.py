@@ -42,13 +42,7 @@ def split_target(target: str) -> tuple[str, str]:
 
 
 def decode_imu(data: bytes, topic: str, axis: str = "x") -> ImuSample:
-    """Decode stamp and acceleration (m/s^2) along one axis from one CDR message.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are no little- or big-endian CDR of this message.
-    """
+    """Decode stamp and acceleration along one axis from one CDR message of either byte order; else raises `ValueError`."""
     if len(data) < 16 or data[0] != 0 or data[1] not in (0, 1):
         raise ValueError("no plain CDR message")
     order = "<" if data[1] else ">"
@@ -64,12 +58,13 @@ def decode_imu(data: bytes, topic: str, axis: str = "x") -> ImuSample:
 class ImuJoiner:
     """Joiner of Imu topics: one row of samples where the stamps of all topics agree within half a sample.
 
-    Samples before the start of the last topic, and samples without a partner in another topic, are left out; a jump of
-    `sequence` marks the loss.  Samples must be added in the order of their stamps.
+    `topic_map` is topic -> channel name with axis; `where` names the files in errors.  Samples before the start of the last
+    topic, and samples without a partner in another topic, are left out; a jump of `sequence` marks the loss.  Samples must be
+    added in the order of their stamps.  Topics that do not run at one rate on one clock, or whose stamps never agree, raise
+    `RecordingError`.
     """
 
     def __init__(self, topic_map: Mapping[str, str], where: str) -> None:
-        """Join the topics of `topic_map` (topic -> channel name with axis); `where` names the files in errors."""
         self._where = where
         self._queues: dict[str, deque[ImuSample]] = {topic: deque() for topic in topic_map}
         self._channels = tuple(split_target(target)[0] for target in topic_map.values())
@@ -79,26 +74,16 @@ class ImuJoiner:
         self._n_joined = 0
 
     def add(self, sample: ImuSample) -> Iterator[SampleBlock]:
-        """Add one sample, and yield the blocks that it completes.
-
-        Raises
-        ------
-        RecordingError
-            If the topics do not run at one rate on one clock.
-        """
+        """Add one sample, and yield the blocks that it completes."""
         queue = self._queues[sample.topic]
+        place = f"{self._where}: topic {sample.topic}"
         if queue and sample.t_ns <= queue[-1].t_ns:
-            raise RecordingError(
-                f"{self._where}: topic {sample.topic}: stamps do not rise at {sample.t_ns} ns; record stamped messages"
-            )
+            raise RecordingError(f"{place}: stamps do not rise at {sample.t_ns} ns; record stamped messages")
         queue.append(sample)
         if len(queue) > _MAX_PENDING:
-            silent = [topic for topic, waiting in self._queues.items() if not waiting]
-            raise RecordingError(
-                f"{self._where}: topic {sample.topic} runs {_MAX_PENDING} samples ahead of "
-                f"{', '.join(silent) or 'the others'}; "
-                "map only topics recorded at the same time"
-            )
+            others = ", ".join(topic for topic, waiting in self._queues.items() if not waiting) or "the others"
+            remedy = "map only topics recorded at the same time"
+            raise RecordingError(f"{place} runs {_MAX_PENDING} samples ahead of {others}; {remedy}")
         if not self._step_ns:
             if min(map(len, self._queues.values())) < _RATE_SAMPLES:
                 return
@@ -106,21 +91,15 @@ class ImuJoiner:
         yield from self._join_rows()
 
     def finish(self) -> Iterator[SampleBlock]:
-        """Yield the remaining blocks at the end of the recording.
-
-        Raises
-        ------
-        RecordingError
-            If the topics do not run at one rate on one clock, or their stamps never agree.
-        """
+        """Yield the remaining blocks at the end of the recording."""
         if not self._step_ns:
             self._estimate_step()
         yield from self._join_rows()
         yield from self._emit_block()
         if not self._n_joined:
+            topics = ", ".join(self._queues)
             raise RecordingError(
-                f"{self._where}: the stamps of {', '.join(self._queues)} never agree within half a sample; "
-                "set the clocks"
+                f"{self._where}: the stamps of {topics} never agree within half a sample; set the clocks"
             )
 
     def _estimate_step(self) -> None:
@@ -159,14 +138,7 @@ class ImuJoiner:
     def _emit_block(self) -> Iterator[SampleBlock]:
         """Yield the joined rows as one block, if there are any."""
         if self._rows:
-            yield SampleBlock(
-                topic=ACCELERATION,
-                t_ns=self._start_ns,
-                sequence=self._sequence,
-                sample_rate_hz=round(_NS / self._step_ns, 3),
-                channels=self._channels,
-                unit="m/s^2",
-                samples=np.array(self._rows, dtype=np.float32),
-            )
+            rows, rate_hz = np.array(self._rows, dtype=np.float32), round(_NS / self._step_ns, 3)
+            yield SampleBlock(ACCELERATION, self._start_ns, self._sequence, rate_hz, self._channels, "m/s^2", rows)
             self._sequence += len(self._rows)
             self._rows = []

@@ -24,12 +24,8 @@ class SocketcandBus(socketcand.SocketCanDaemonBus):
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         """Return the next message; None if no whole message arrives within `timeout`, s.
 
-        Raises
-        ------
-        can.CanOperationError
-            If a message is malformed, which is then the error's cause, or the server has closed the connection.
-        OSError
-            If the connection failed.
+        Raises `can.CanOperationError` if a message is malformed, which is then the error's cause, or the server has closed the
+        connection, and `OSError` if that failed.
         """
         if b">" not in self._unread:
             peer: socket.socket = self._SocketCanDaemonBus__socket  # type: ignore[attr-defined]
@@ -52,7 +48,7 @@ class SocketcandBus(socketcand.SocketCanDaemonBus):
 
 
 def _parse(text: bytes) -> can.Message:
-    """Parse the message that begins at the last opening bracket; raise ValueError or LookupError if it is malformed."""
+    """Parse the message that begins at the last opening bracket; raises ValueError or LookupError if it is malformed."""
     message = socketcand.convert_ascii_message_to_can_message(text[max(0, text.rfind(b"<")) :].decode("ascii"))
     if message is None:
         raise ValueError("no frame")

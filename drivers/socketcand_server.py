@@ -17,17 +17,8 @@ class SocketcandServer:
     """Bus that is shared by the clients and the owner of the server; each frame goes to all but its sender.
 
     A client that receives nothing for `patience_s` is disconnected.  Until then all others wait for it, so that no client
-    loses a frame.
-
-    Parameters
-    ----------
-    host, port
-        Address to listen at; port 0 selects a free port.
-    settle_s
-        Time from the last answer to a client until its first frame, s.  python-can's client takes anything in the same packet
-        as part of the answer, and fails.
-    patience_s
-        Time after which a client that receives nothing is disconnected, s.
+    loses a frame.  Port 0 selects a free port.  A client's first frame comes `settle_s` after the last answer to it: python-can's
+    client takes anything in the same packet as part of the answer, and fails.
     """
 
     def __init__(self, host: str, port: int, *, settle_s: float = 0.5, patience_s: float = 30.0) -> None:
@@ -70,7 +61,6 @@ class SocketcandServer:
                 self._drop(client)
 
     def _drop(self, client: socket.socket) -> None:
-        """Disconnect a client."""
         self._raw.pop(client, None)
         self._all.discard(client)
         with contextlib.suppress(OSError):
@@ -112,24 +102,18 @@ class SocketcandServer:
             self._drop(client)
 
     def _execute(self, client: socket.socket, command: bytes) -> None:
-        """Execute one command of a client."""
-        word = command.split()[1:2]
-        if word == [b"send"]:
+        word = b"".join(command.split()[1:2])
+        if word == b"send":
             if found := _SEND.fullmatch(command):
-                data = bytes(int(part, 16) for part in found[3].split())
-                extended = len(found[1]) > 3
+                data, extended = bytes(int(part, 16) for part in found[3].split()), len(found[1]) > 3
                 self.send(frame_text(int(found[1], 16), extended, time.time(), data), client)
-        elif word == [b"open"]:
-            client.sendall(b"< ok >")
-        elif word == [b"rawmode"]:
-            client.sendall(b"< ok >")
+            return
+        answers = {b"open": b"< ok >", b"rawmode": b"< ok >", b"echo": b"< echo >"}
+        client.sendall(answers.get(word, b"< error unknown command >"))
+        if word == b"rawmode":
             with self._lock:
                 if client in self._all:
                     self._raw[client] = time.monotonic() + self._settle_s
-        elif word == [b"echo"]:
-            client.sendall(b"< echo >")
-        else:
-            client.sendall(b"< error unknown command >")
 
 
 def frame_text(frame_id: int, extended: bool, t_s: float, data: bytes) -> bytes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, deque
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Literal
@@ -14,22 +13,11 @@ from pydantic import Field
 from zenoh import ext
 
 from drivers import codec
-from drivers.base import (
-    ACCELERATION,
-    FORCE,
-    GROUND,
-    ROTATION_RATE,
-    TEMPERATURE,
-    EndOfStream,
-    SampleBlock,
-    SourceContext,
-    SourceError,
-    SourceHealth,
-)
+from drivers.arrivals import Arrivals
+from drivers.base import UNIT_OF, EndOfStream, SampleBlock, SourceContext, SourceError, SourceHealth
 from drivers.inbox import Inbox
-from drivers.limits import BlockLimits, within_limits
+from drivers.limits import BlockLimits
 from drivers.live import LiveSettings
-from drivers.reorder import Reorder
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session, where
 
 ENCODING = f"application/protobuf;{codec.SCHEMA_NAME}"
@@ -38,8 +26,7 @@ _QUERY_PERIOD: Any = timedelta(seconds=10)
 as publisher and a slow reader, the subscriber's handling of a heartbeat deadlocks in Zenoh 1.10."""
 _MAX_ALIVE = 256
 """Greatest number of sensors listed as alive, so that no participant can fill the memory."""
-_EVENTS = ("blocks", "samples", "lost_samples", "gaps", "repeated", "reordered", "late", "restarts", "undecodable", "oversized",
-           "missed", "links_lost", "sensors_lost")  # fmt: skip
+_EVENTS = ("missed", "links_lost", "sensors_lost")
 
 
 class StreamSettings(SessionSettings):
@@ -59,14 +46,8 @@ class StreamSettings(SessionSettings):
     @property
     def topics(self) -> dict[str, str]:
         """Key of each topic that is carried."""
-        keys = {
-            ACCELERATION: self.key,
-            GROUND: self.ground_key,
-            FORCE: self.force_key,
-            TEMPERATURE: self.temperature_key,
-            ROTATION_RATE: self.rotation_rate_key,
-        }
-        return {topic: key for topic, key in keys.items() if key is not None}
+        keys = (self.key, self.ground_key, self.force_key, self.temperature_key, self.rotation_rate_key)
+        return {topic: key for topic, key in zip(UNIT_OF, keys, strict=True) if key is not None}  # in its order
 
 
 def _sibling_key(key: str, name: str) -> str:
@@ -101,10 +82,8 @@ class ZenohSource:
     def __init__(self, settings: ZenohSettings, context: SourceContext) -> None:
         self._settings, self._context = settings, context
         self._inbox = Inbox[str](settings.queue_bytes)
-        self._counts: Counter[str] = Counter(dict.fromkeys(_EVENTS, 0))
+        self._arrivals = Arrivals(settings.topics, settings, settings.hold_blocks, _EVENTS)
         self._lock = threading.Lock()
-        self._orders = {topic: Reorder(self._counts, settings.hold_blocks) for topic in settings.topics}
-        self._ready: deque[SampleBlock] = deque()
         self._session: zenoh.Session | None = None
         self._entities: list[Any] = []
         self._callbacks = Callbacks()
@@ -156,33 +135,15 @@ class ZenohSource:
     def read(self, timeout_s: float) -> SampleBlock | None:
         """Return the next block in order; see `drivers.base.Source.read`."""
         deadline = time.monotonic() + timeout_s
-        while not self._ready:
+        while not self._arrivals.ready:
             item = self._inbox.get(max(0.0, deadline - time.monotonic()))
             if item is not None:
-                self._accept(*item)
+                self._arrivals.add(*item)
             elif self._session is not None:
                 return None
-            elif not self._flush():
+            elif not self._arrivals.flush():
                 raise EndOfStream
-        block = self._ready.popleft()
-        self._counts["blocks"] += 1
-        self._counts["samples"] += block.n_samples
-        return block
-
-    def _accept(self, topic: str, data: bytes) -> None:
-        """Decode a payload, and queue the blocks that can be released."""
-        try:
-            block = within_limits(codec.decode(data, topic), self._settings)
-        except ValueError:
-            self._counts["undecodable"] += 1
-        else:
-            self._ready.extend(self._orders[topic].push(block))
-
-    def _flush(self) -> bool:
-        """Queue the blocks that still wait for earlier ones; False if there are none."""
-        for order in self._orders.values():
-            self._ready.extend(order.flush())
-        return bool(self._ready)
+        return self._arrivals.take()
 
     def health(self) -> SourceHealth:
         """Return the counts so far, the state of the connection, and the sensors that are alive."""
@@ -190,9 +151,8 @@ class ZenohSource:
         connected = session is not None and not session.is_closed() and bool(session.info.transports())
         place = where(self._settings)
         link = f"connected by {place}" if connected else f"no router or peer at {place}"
-        return SourceHealth(
-            connected, dict(self._counts), (), f"{link}; alive: {', '.join(alive) or 'no sensor says so'}"
-        )
+        detail = f"{link}; alive: {', '.join(alive) or 'no sensor says so'}"
+        return SourceHealth(connected, dict(self._arrivals.counts), detail=detail)
 
     def close(self) -> None:
         """Leave the network; see `drivers.base.Source.close`."""
@@ -208,7 +168,7 @@ class ZenohSource:
 
     def _count(self, event: str, times: int = 1) -> None:
         with self._lock:  # Zenoh calls back from several threads; the reader counts other events
-            self._counts[event] += times
+            self._arrivals.counts[event] += times
 
     def _on_miss(self, miss: ext.Miss) -> None:
         self._count("missed", miss.nb)
@@ -241,12 +201,9 @@ class PublisherSettings(StreamSettings):
 
 
 class ZenohPublisher:
-    """Publisher of sample blocks; no block is lost on an intact link, and the latest blocks are cached for a broken one.
+    """Publisher of sample blocks (errors as `open_session`).
 
-    Raises
-    ------
-    SourceError
-        If the session cannot be opened.
+    No block is lost on an intact link, and the latest blocks are cached for a broken one.
     """
 
     def __init__(self, settings: PublisherSettings, folder: Path = Path()) -> None:

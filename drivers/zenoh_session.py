@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import zenoh
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.base import SourceError
+from drivers.settings import Settings
 
 _log = logging.getLogger(__name__)
 
@@ -29,10 +30,8 @@ _STALL_S = 60
 """Longest stall of a receiver, s, before the sender closes the link; Zenoh's default of 5 s loses data behind a slow reader."""
 
 
-class TlsSettings(BaseModel):
+class TlsSettings(Settings):
     """Table ``tls``: both sides present a certificate of the site's own authority."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     root_ca: Path
     """PEM file of the authority; this and the other paths are relative to the site file."""
@@ -44,10 +43,8 @@ class TlsSettings(BaseModel):
     """Require that the router's certificate names the host of the endpoint."""
 
 
-class SessionSettings(BaseModel):
+class SessionSettings(Settings):
     """Part of a table that describes the connection to the network."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     mode: Literal["client", "peer", "router"] = "client"
     """Role: a client connects to a router, a peer connects or listens directly, a router also forwards data of others."""
@@ -133,10 +130,7 @@ def configuration(settings: SessionSettings, folder: Path) -> zenoh.Config:
 def open_session(settings: SessionSettings, folder: Path) -> zenoh.Session:
     """Open a session; certificate paths are relative to `folder`.
 
-    Raises
-    ------
-    SourceError
-        If no router can be reached, a port is taken, or a certificate cannot be used or is refused.
+    Raises `SourceError` if no router can be reached, a port is taken, or a certificate cannot be used or is refused.
     """
     if (tls := settings.tls) is not None:
         for path in (tls.root_ca, tls.certificate, tls.private_key):

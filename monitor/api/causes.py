@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
 from monitor.api.samples import checked
@@ -28,7 +28,7 @@ class Cause:
     parameters: dict[str, tuple[float, float]]
     """Value and standard deviation of each parameter, whose name ends in its unit; empty for an alternative."""
     probability: float | None = None
-    """Probability of an alternative; None for an accepted cause."""
+    """Of an alternative; None for an accepted cause."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,13 +55,7 @@ class Diagnosis:
         return "\n".join([f"{self.verdict}: {self.says}", *told])
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw how much better each tried effect explains the data than none, and return the matplotlib axes.
-
-        Raises
-        ------
-        UserError
-            The extra ``plot`` is not installed.
-        """
+        """Draw how much better each tried effect explains the data than none; needs the extra ``plot``."""
         axes = import_extra("matplotlib.pyplot", "plot()").gca() if axes is None else axes
         tried = sorted(self.content["tried"], key=lambda row: row["log_evidence_over_none"])
         names = [f"{row['effect']}, {row['location']}" for row in tried]
@@ -72,31 +66,24 @@ class Diagnosis:
 
 @single_blas_thread()
 def diagnose(
-    samples: Any,
+    samples: Annotated[Any, "samples c"],
     rate_hz: float,
     structure: Structure,
     *,
-    ground: Any = None,
-    force: Any = None,
+    ground: Annotated[Any, "samples"] = None,
+    force: Annotated[Any, "samples inputs"] = None,
 ) -> Diagnosis:
     """Find what the simulation of a structure gets wrong about samples, and why.
 
     Parameters
     ----------
-    samples : array, shape (n_samples, c), m/s^2
+    samples : array, m/s^2
         Accelerations without a gap, 70 s or more: the structure's channels in its order.
-    rate_hz : float
-        Their rate, Hz.
-    structure : Structure
+    structure
         With a baseline, what has changed since then; without one, what differs from the structure file.
-    ground : array, shape (n_samples,), m/s^2, optional
-        Measured ground motion.
-    force : array, shape (n_samples, k), N, optional
+    ground : array, m/s^2, optional
+    force : array, N, optional
         Measured forces, in the order of the structure's inputs.
-
-    Returns
-    -------
-    Diagnosis
 
     Raises
     ------

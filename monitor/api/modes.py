@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -40,28 +40,24 @@ _LEAST_SEGMENTS = 11
 class Modes:
     """Modes of one stretch of samples, m of them, with their joint covariance."""
 
-    frequencies_hz: Array
-    """Natural frequencies, shape (m,), Hz."""
-    frequencies_std_hz: Array
-    """Standard deviations, shape (m,), Hz; NaN where not known."""
-    damping_ratio: Array
-    """Damping ratios, shape (m,)."""
-    damping_std: Array
-    """Standard deviations, shape (m,)."""
-    shapes: ComplexArray
-    """Mode shapes, shape (m, c); the largest component of the first estimate is 1."""
-    covariance: Array
-    """Joint covariance, shape (m, 2 + 2 c, m, 2 + 2 c), of (ln frequency, damping ratio, Re shape, Im shape) of each mode."""
+    frequencies_hz: Annotated[Array, "m"]
+    frequencies_std_hz: Annotated[Array, "m"]
+    """Standard deviations; NaN where not known."""
+    damping_ratio: Annotated[Array, "m"]
+    damping_std: Annotated[Array, "m"]
+    shapes: Annotated[ComplexArray, "m c"]
+    """Mode shapes; the largest component of the first estimate is 1."""
+    covariance: Annotated[Array, "m 2c+2 m 2c+2"]
+    """Joint covariance of (ln frequency, damping ratio, Re shape, Im shape) of each mode."""
     channels: tuple[str, ...]
-    """Names of the c channels."""
     model_mode: tuple[int, ...] | None
     """Mode of the structure (1 = lowest) that each is the counterpart of; None without a structure."""
     missing: tuple[str, ...]
     """Why modes of the structure were not found, or why there is none at all."""
-    poles: Array
-    """Stabilisation diagram, shape (n_poles, 4): order, frequency in Hz, damping ratio, 1 if stable."""
+    poles: Annotated[Array, "poles 4"]
+    """Stabilisation diagram: order, frequency in Hz, damping ratio, 1 if stable."""
     window_s: float
-    """Length of the data that were used, s."""
+    """Length of the data that were used."""
     estimate: ModalEstimate | None
     """The pipeline's own form of the same; not part of the promise of stability."""
 
@@ -77,13 +73,7 @@ class Modes:
         return "\n".join(["frequency and damping ratio, ± two standard deviations", *lines, *self.missing])
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw the stabilisation diagram with the chosen modes, and return its matplotlib axes.
-
-        Raises
-        ------
-        UserError
-            The extra ``plot`` is not installed.
-        """
+        """Draw the stabilisation diagram with the chosen modes; needs the extra ``plot``."""
         axes = import_extra("matplotlib.pyplot", "plot()").gca() if axes is None else axes
         stable = self.poles[:, 3] > 0
         axes.plot(self.poles[~stable, 1], self.poles[~stable, 0], "x", color="0.7", label="pole")
@@ -97,7 +87,7 @@ class Modes:
 
 @single_blas_thread()
 def identify(
-    samples: Any,
+    samples: Annotated[Any, "samples c"],
     rate_hz: float,
     structure: Structure | None = None,
     *,
@@ -109,23 +99,18 @@ def identify(
     With a structure the modes are those that ``replay`` finds in a window of the same samples, bit for bit, where it leaves no
     channel out: the structure file's settings hold, but for the length of the window.
 
+    Where no mode can be told there is none; `Modes.missing` says why.
+
     Parameters
     ----------
-    samples : array, shape (n_samples, c), m/s^2
+    samples : array, m/s^2
         Accelerations without a gap; with a structure its channels in its order.
-    rate_hz : float
-        Their rate, Hz.
-    structure : Structure, optional
+    structure
         Modes that are its modes' counterparts are identified; without one, whatever is stable and certain.
-    cutoff_hz : float, optional
-        Highest frequency of interest, Hz; without a structure 40 Hz or 0.4 of `rate_hz` by default.
-    max_modes : int, optional
+    cutoff_hz
+        Highest frequency of interest; without a structure 40 Hz or 0.4 of `rate_hz` by default.
+    max_modes
         Number of modes to expect at most without a structure; more need a higher model order.
-
-    Returns
-    -------
-    Modes
-        Without any mode where none can be told; `Modes.missing` says why.
 
     Raises
     ------
@@ -182,7 +167,6 @@ def _longer_segment_s(found: ModalEstimate, segment_s: float, window_s: float) -
 
 
 def _narrowed(structure: Structure, cutoff_hz: float | None, max_modes: int | None) -> Structure:
-    """Return the structure with another band and number of modes."""
     config = structure.config
     if cutoff_hz is not None:
         config = config.model_copy(update={"processing": config.processing.model_copy(update={"cutoff_hz": cutoff_hz})})
@@ -227,13 +211,7 @@ def sub_array(structure: Structure) -> SubArray:
     return SubArray.of(everything, past, structure.instrumented.sensor_matrix, effects, context)
 
 
-def _modes(
-    found: ModalEstimate | Skipped,
-    channels: tuple[str, ...],
-    window_s: float,
-    *,
-    by_model: bool,
-) -> Modes:
+def _modes(found: ModalEstimate | Skipped, channels: tuple[str, ...], window_s: float, *, by_model: bool) -> Modes:
     """Form the library's result of an estimate, without the modes of which the data hold too few periods."""
     c = len(channels)
     if isinstance(found, Skipped):

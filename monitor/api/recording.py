@@ -7,13 +7,14 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from drivers.base import ACCELERATION, FORCE, GROUND, RecordingError, RecordingMissingError, SampleBlock
+from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
 from drivers.mcap_file import read_recordings
 from drivers.mcap_records import MAGIC
+from monitor.config import read_by_user
 from monitor.core import Array, BadInputError, MissingInputError, import_extra
 from monitor.runs import import_files
 
@@ -25,32 +26,24 @@ _LEAST_FILLED = 0.1
 class Recording:
     """Samples of one recording on one clock."""
 
-    samples: Array
-    """Accelerations, shape (n_samples, c), m/s^2; NaN where samples are missing."""
+    samples: Annotated[Array, "samples c"]
+    """Accelerations, m/s^2; NaN where samples are missing."""
     rate_hz: float
-    """Rate of the samples, Hz."""
     channels: tuple[str, ...]
-    """Names of the c columns."""
     start_ns: int
     """UTC of the first sample, ns since 1970."""
-    ground: Array | None = None
-    """Measured ground acceleration, shape (n_samples,), m/s^2; None where it was not measured."""
-    force: Array | None = None
-    """Measured forces, shape (n_samples, k), N; None where none was measured."""
+    ground: Annotated[Array, "samples"] | None = None
+    """Measured ground acceleration, m/s^2; None where it was not measured."""
+    force: Annotated[Array, "samples inputs"] | None = None
+    """Measured forces, N; None where none was measured."""
 
     @property
     def duration_s(self) -> float:
-        """Length, s."""
+        """Length."""
         return len(self.samples) / self.rate_hz
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw the channels over time, and return the matplotlib axes.
-
-        Raises
-        ------
-        UserError
-            The extra ``plot`` is not installed.
-        """
+        """Draw the channels over time; needs the extra ``plot``."""
         axes = import_extra("matplotlib.pyplot", "plot()").gca() if axes is None else axes
         axes.plot(np.arange(len(self.samples)) / self.rate_hz, self.samples, linewidth=0.5, label=self.channels)
         axes.set(xlabel="time, s", ylabel="acceleration, m/s$^2$")
@@ -65,18 +58,12 @@ def read(
 
     Parameters
     ----------
-    file : path
-        File to read.
-    unit : str, optional
+    unit
         Unit of columns of a table whose header states none: m/s^2 (by default), g, mg, gal.
-    rate_hz : float, optional
-        Rate of a table without a column of time, Hz.
-    start_ns : int, optional
+    rate_hz
+        Rate of a table without a column of time.
+    start_ns
         UTC of the first sample of a table, ns since 1970; by default what the table tells, or 0 where it tells nothing.
-
-    Returns
-    -------
-    Recording
 
     Raises
     ------
@@ -125,36 +112,19 @@ def read(
 
 
 def _gathered(path: Path, on_warning: Callable[[str], None]) -> Recording:
-    """Read the blocks of a recording and lay them out on one grid.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        The recording cannot be read, has no accelerations, or changes its rate or channels.
-    """
-    try:
+    """Read the blocks of a recording and lay them out on one grid."""
+    with read_by_user():
         blocks = list(read_recordings([path], topics=(ACCELERATION, GROUND, FORCE), on_warning=on_warning))
-    except RecordingMissingError as error:
-        raise MissingInputError(str(error)) from error
-    except RecordingError as error:
-        raise BadInputError(str(error)) from error
-    floors = [block for block in blocks if block.topic == ACCELERATION]
-    first = floors[0]
-    samples = _laid_out(path, floors, first, None)
-    ground = _laid_out(path, [b for b in blocks if b.topic == GROUND], first, len(samples))
-    force = _laid_out(path, [b for b in blocks if b.topic == FORCE], first, len(samples))
-    return Recording(
-        samples,
-        first.sample_rate_hz,
-        first.channels,
-        first.t_ns,
-        ground[:, 0] if ground.size else None,
-        force if force.size else None,
-    )
+    of = {topic: [block for block in blocks if block.topic == topic] for topic in (ACCELERATION, GROUND, FORCE)}
+    first = of[ACCELERATION][0]
+    samples = _laid_out(path, of[ACCELERATION], first, None)
+    ground, force = (_laid_out(path, of[topic], first, len(samples)) for topic in (GROUND, FORCE))
+    measured = ground[:, 0] if ground.size else None, force if force.size else None
+    return Recording(samples, first.sample_rate_hz, first.channels, first.t_ns, *measured)
 
 
-def _laid_out(path: Path, blocks: list[SampleBlock], first: SampleBlock, n: int | None) -> Array:
-    """Place the samples of blocks by their times on the grid of the block `first`, shape (n, c); NaN where there are none."""
+def _laid_out(path: Path, blocks: list[SampleBlock], first: SampleBlock, n: int | None) -> Annotated[Array, "n c"]:
+    """Place the samples of blocks by their times on the grid of the block `first`; NaN where there are none."""
     if not blocks:
         return np.zeros((0, 0))
     rate_hz = first.sample_rate_hz

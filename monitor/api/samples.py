@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -12,14 +12,8 @@ from monitor.identification import LEAST_RECORD_S
 from monitor.signals import Conditioner, FrontEnd, windows
 
 
-def checked(samples: Any, rate_hz: float, channels: Sequence[str] | None = None) -> Array:
-    """Return samples as an array of shape (n_samples, c), m/s^2.
-
-    Raises
-    ------
-    BadInputError
-        They are not numbers of that shape, some are not finite, or the rate is not positive.
-    """
+def checked(samples: Any, rate_hz: float, channels: Sequence[str] | None = None) -> Annotated[Array, "samples c"]:
+    """Return samples of that shape, all finite, and of a positive rate."""
     values = np.asarray(samples, dtype=np.float64)
     values = values[:, None] if values.ndim == 1 else values
     if values.ndim != 2 or (channels is not None and values.shape[1] != len(channels)):
@@ -39,15 +33,9 @@ def checked(samples: Any, rate_hz: float, channels: Sequence[str] | None = None)
 
 
 def whole_window(
-    front_end: FrontEnd, samples: Array, rate_hz: float, *, with_segments: bool
+    front_end: FrontEnd, samples: Annotated[Array, "samples c"], rate_hz: float, *, with_segments: bool
 ) -> tuple[Window, Conditioner]:
-    """Condition samples, shape (n_samples, c), m/s^2, into one window of the length that `front_end` states.
-
-    Raises
-    ------
-    BadInputError
-        They do not fill it, or the rate is too low.
-    """
+    """Condition samples, m/s^2, into one window of the length that `front_end` states."""
     front_end.check_rate(rate_hz)
     conditioner = front_end.conditioner(rate_hz)
     n_channels = samples.shape[1]
@@ -62,13 +50,7 @@ def whole_window(
 
 
 def longest_window_s(samples: Array, rate_hz: float, hop_s: float) -> float:
-    """Return the longest window that samples fill: a whole number of hops, s.
-
-    Raises
-    ------
-    BadInputError
-        They do not fill one hop, or are too short to state modes.
-    """
+    """Return the longest window that samples fill: a whole number of hops, s."""
     length_s, least_s = len(samples) / rate_hz, max(LEAST_RECORD_S, hop_s)
     if length_s < least_s * (1.0 - 1e-9):
         raise BadInputError(f"samples: {length_s:g} s are too short to state modes; {least_s:g} s are the least")

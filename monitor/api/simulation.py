@@ -30,25 +30,16 @@ def simulate(
 
     Parameters
     ----------
-    duration_s, rate_hz : float
-        Length, s, and rate of the samples, Hz.
     excitation : {"ambient", "impulse", "ground", "force"}
         White forces on every floor; a hammer blow every 10 s; a measured ground motion; measured forces beside the ambient ones.
-    noise : float
+    noise
         Sensor noise, as a fraction of the mean RMS of the channels.
-    damage : mapping, optional
+    damage
         Relative loss of stiffness by story (from 1): ``{2: 0.12}``.
-    effects : sequence of str or Effect
+    effects
         Effects as of the command ``simulate``, ``"cubic_stiffness:story 1:k3_n_per_m3=3e8"``, or objects.
-    level_spread : float
+    level_spread
         Relative spread of the slowly varying level of the excitation; 0.35 for wind.
-    seed : int
-        Seed of the random numbers.
-
-    Returns
-    -------
-    Recording
-        Samples in m/s^2, and the measured ground motion or forces.
 
     Raises
     ------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import ValidationError
 
@@ -34,23 +34,23 @@ class Structure:
         return self.instrumented.floors
 
     @property
-    def masses_kg(self) -> Array:
-        """Masses, shape (n,), kg."""
+    def masses_kg(self) -> Annotated[Array, "n"]:
+        """Mass of each floor."""
         return self.instrumented.model.structure.masses_kg
 
     @property
-    def stiffness_n_per_m(self) -> Array:
-        """Stiffnesses that are updated, shape (p,), N/m."""
+    def stiffness_n_per_m(self) -> Annotated[Array, "p"]:
+        """Stiffnesses that are updated."""
         return self.instrumented.model.structure.stiffness_n_per_m
 
     @property
-    def frequencies_hz(self) -> Array:
-        """Natural frequencies of the model, shape (n,), Hz."""
+    def frequencies_hz(self) -> Annotated[Array, "n"]:
+        """Natural frequencies of the model."""
         return self.instrumented.model.modes().frequencies_hz
 
     @property
-    def shapes(self) -> Array:
-        """Mode shapes of the model, shape (n, n): floors by modes, of unit modal mass."""
+    def shapes(self) -> Annotated[Array, "floors modes"]:
+        """Mode shapes of the model, of unit modal mass."""
         return self.instrumented.model.modes().shapes
 
     @property
@@ -74,20 +74,14 @@ def structure(
 
     Parameters
     ----------
-    file : path or mapping, optional
+    file
         Structure file (TOML), or its tables as a mapping; a site file will do.
-    baseline : path, optional
+    baseline
         Healthy baseline by the command ``calibrate``.
-    masses_kg, stiffness_n_per_m : sequence of float or array, optional
+    masses_kg, stiffness_n_per_m
         Instead of a file: mass of each floor and stiffness of each story of a shear frame, from the top.
-    damping_ratio : float
-        Damping ratio of all its modes.
-    channels, floors : sequence, optional
+    channels, floors
         Its sensors: name and floor (1 = top) of each.  By default one a floor, ``a1`` to ``an``.
-
-    Returns
-    -------
-    Structure
 
     Raises
     ------
@@ -149,13 +143,7 @@ def _tables(
 
 
 def _validated(tables: Mapping[str, Any]) -> Configuration:
-    """Check tables as those of a file.
-
-    Raises
-    ------
-    BadConfigurationError
-        They are invalid; the message lists every problem, one a line.
-    """
+    """Check tables as those of a file."""
     try:
         return read_settings(Configuration, tables)
     except ValidationError as error:

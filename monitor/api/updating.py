@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -17,16 +17,14 @@ from monitor.damage import damage_index
 class Updated:
     """Stiffness of each story by the measured modes, p of them, with its covariance, and its loss."""
 
-    stiffness_n_per_m: Array
-    """Updated stiffnesses, shape (p,), N/m."""
-    covariance: Array
-    """Their covariance, shape (p, p), (N/m)^2."""
-    loss: Array
-    """Relative loss since the baseline, or without one the difference from the structure file, shape (p,); 0.2 = 20 % lost."""
-    loss_covariance: Array
-    """Covariance of the loss, shape (p, p); it contains the baseline's."""
+    stiffness_n_per_m: Annotated[Array, "p"]
+    covariance: Annotated[Array, "p p"]
+    """Of the stiffnesses, (N/m)^2."""
+    loss: Annotated[Array, "p"]
+    """Relative loss since the baseline, or without one the difference from the structure file; 0.2 = 20 % lost."""
+    loss_covariance: Annotated[Array, "p p"]
+    """It contains the baseline's."""
     names: tuple[str, ...]
-    """Names of the stiffnesses."""
     unidentified: tuple[int, ...]
     """Stories (from 1) of which the modes say next to nothing."""
     misfit: float
@@ -37,13 +35,13 @@ class Updated:
     """Whether the loss refers to a baseline."""
 
     @property
-    def stiffness_std(self) -> Array:
-        """Standard deviations of the stiffnesses, shape (p,), N/m."""
+    def stiffness_std(self) -> Annotated[Array, "p"]:
+        """Standard deviations of the stiffnesses, N/m."""
         return np.asarray(np.sqrt(self.covariance.diagonal()))
 
     @property
-    def loss_std(self) -> Array:
-        """Standard deviations of the losses, shape (p,)."""
+    def loss_std(self) -> Annotated[Array, "p"]:
+        """Standard deviations of the losses."""
         return np.asarray(np.sqrt(self.loss_covariance.diagonal()))
 
     def __str__(self) -> str:
@@ -56,13 +54,7 @@ class Updated:
         return "\n".join(lines if self.converged else ["the updating did not converge", *lines])
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw the loss of each story with intervals of two standard deviations, and return its matplotlib axes.
-
-        Raises
-        ------
-        UserError
-            The extra ``plot`` is not installed.
-        """
+        """Draw the loss of each story with intervals of two standard deviations; needs the extra ``plot``."""
         axes = import_extra("matplotlib.pyplot", "plot()").gca() if axes is None else axes
         places = np.arange(len(self.names))
         axes.errorbar(100 * self.loss, places, xerr=200 * self.loss_std, fmt="o", capsize=4)
@@ -81,15 +73,11 @@ def update(modes: Modes, structure: Structure) -> Updated:
 
     Parameters
     ----------
-    modes : Modes
+    modes
         Modes that `identify` found with this structure.
-    structure : Structure
+    structure
         With a baseline the loss is the change since then; without one it is the difference from the structure file, which is
         never exact.
-
-    Returns
-    -------
-    Updated
 
     Raises
     ------

@@ -5,25 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, BadParameter, Option
 
-from monitor.cli.common import Json, Recordings, Structure, address, progress, say, warn
+from monitor.cli.common import Healthy, Json, Recordings, Results, Serve, Structure, address, progress, say, warn
 from monitor.cli.emulate import parse_speed
 from monitor.core import demand_place, no_empty_folder, spare_inputs
 
 if TYPE_CHECKING:
     from monitor.config import Configuration
+    from monitor.damage import Baseline, ModalBaseline
 
 
 def replay(
     recordings: Recordings,
     structure: Structure,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
-    baseline: Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")] = None,
-    speed: Annotated[str, typer.Option(help="'max', or a multiple of real time; gaps are not waited for.")] = "max",
-    serve: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="Serve Rerun viewers here, as 127.0.0.1:9876.")
-    ] = None,
+    out: Results,
+    baseline: Healthy = None,
+    speed: Annotated[str, Option(help="'max', or a multiple of real time; gaps are not waited for.")] = "max",
+    serve: Serve = None,
     as_json: Json = False,
 ) -> None:
     """Run recordings through the monitor.  Writes results.jsonl, events.jsonl, results.mcap, live.rrd and summary.json in DIR."""
@@ -57,15 +56,13 @@ def replay(
 
 def calibrate(
     structure: Structure,
-    out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
+    out: Annotated[Path, Option(metavar="B.json", help="Baseline file to write.")],
     recordings: Annotated[
-        list[Path] | None, typer.Argument(metavar="REC.mcap...", help="Healthy recordings, in any order.")
+        list[Path] | None, Argument(metavar="REC.mcap...", help="Healthy recordings, in any order.")
     ] = None,
     rebase: Annotated[
         Path | None,
-        typer.Option(
-            metavar="OLD.json", help="Baseline of this structure whose drawing was changed; needs no recordings."
-        ),
+        Option(metavar="OLD.json", help="Baseline of this structure whose drawing was changed; needs no recordings."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -78,12 +75,11 @@ def calibrate(
     from monitor.core import BadInputError
     from monitor.damage import law_lines, save_baseline
     from monitor.diagnosis import standing_causes
-    from monitor.model import interval
     from monitor.runs import calibrate as run
 
     recordings = recordings or []
     if bool(recordings) == (rebase is not None):
-        raise typer.BadParameter("name either healthy recordings, or a baseline with --rebase")
+        raise BadParameter("name either healthy recordings, or a baseline with --rebase")
     spare_inputs([out], [*recordings, structure, rebase])
     settings = configuration.load(structure) if rebase is None else configuration.load_with_model(structure)
     demand_place(out)
@@ -102,27 +98,20 @@ def calibrate(
     save_baseline(baseline, out)
     nominal_hz = settings.model().modes().frequencies_hz
     for k, f, std in zip(baseline.model_mode, baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True):
-        size = interval({"value": float(f), "std": float(std)}, 1.0, "Hz")
-        lines.append(f"mode {k + 1}: {size}; structure file {nominal_hz[k]:.4f} Hz")
+        lines.append(f"mode {k + 1}: {_interval(f, std, 'Hz')}; structure file {nominal_hz[k]:.4f} Hz")
     relative_std = baseline.covariance.diagonal() ** 0.5
-    stiffness = baseline.model.structure.stiffness_n_per_m
-    for name, k, drawn, std in zip(
-        settings.story_names, stiffness, settings.drawn.stiffness_n_per_m, relative_std, strict=False
-    ):
-        size = interval({"value": float(k), "std": float(k * std)}, 1.0, "N/m")
-        lines.append(f"{name}: {size}; structure file {drawn:.5g} N/m ({100.0 * (k / drawn - 1.0):+.1f} %)")
+    stiffness, as_drawn = baseline.model.structure.stiffness_n_per_m, settings.drawn.stiffness_n_per_m
+    for name, k, drawn, std in zip(settings.story_names, stiffness, as_drawn, relative_std, strict=False):
+        change = f"{100.0 * (k / drawn - 1.0):+.1f} %"
+        lines.append(f"{name}: {_interval(k, k * std, 'N/m')}; structure file {drawn:.5g} N/m ({change})")
     if baseline.reference is not None:
         lines += [f"already so at calibration: {cause['says']}" for cause in standing_causes(baseline.reference)]
     lines += law_lines(baseline.law)
     lines.append(f"baseline in {out}: what differs from the structure file here counts as healthy from now on")
-    content |= {
-        "baseline": str(out),
-        "windows": baseline.windows,
-        "frequencies_hz": baseline.frequencies_hz.tolist(),
-        "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
-        "stiffness_n_per_m": baseline.model.structure.stiffness_n_per_m.tolist(),
+    content |= _learned(baseline, out) | {
+        "stiffness_n_per_m": stiffness.tolist(),
         "structure_file_frequencies_hz": nominal_hz.tolist(),
-        "structure_file_stiffness_n_per_m": list(settings.drawn.stiffness_n_per_m),
+        "structure_file_stiffness_n_per_m": list(as_drawn),
     }
     say("\n".join(lines), content, as_json)
     if not converged:
@@ -135,7 +124,6 @@ def calibrate(
 def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path, as_json: bool) -> None:
     """Learn the healthy modes of a structure without a model, and tell them."""
     from monitor.damage import law_lines, save_modal_baseline
-    from monitor.model import interval
     from monitor.runs import calibrate_modes
 
     baseline = calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
@@ -146,16 +134,25 @@ def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path,
     )
     for k, (f, std, damping, shape) in enumerate(rows, 1):
         moves = ", ".join(f"{c} {x:+.2f}" for c, x in zip(baseline.channels, shape, strict=True))
-        size = interval({"value": float(f), "std": float(std)}, 1.0, "Hz")
-        lines.append(f"mode {k}: {size}, damping {100 * damping:.2g} %; {moves}")
+        lines.append(f"mode {k}: {_interval(f, std, 'Hz')}, damping {100 * damping:.2g} %; {moves}")
     lines += law_lines(baseline.law, "the squares of the frequencies")
     lines.append(f"baseline in {out}: the modes of this structure, with which later ones are compared")
-    content = {
+    shapes = {"damping_ratio": baseline.damping_ratio.tolist(), "mode_shapes": baseline.shapes.tolist()}
+    say("\n".join(lines), _learned(baseline, out) | shapes, as_json)
+
+
+def _interval(value: float, std: float, unit: str) -> str:
+    """Write a value with its uncertainty."""
+    from monitor.model import interval
+
+    return interval({"value": float(value), "std": float(std)}, 1.0, unit)
+
+
+def _learned(baseline: Baseline | ModalBaseline, out: Path) -> dict[str, Any]:
+    """Return what the JSON of either calibration begins with."""
+    return {
         "baseline": str(out),
         "windows": baseline.windows,
         "frequencies_hz": baseline.frequencies_hz.tolist(),
         "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
-        "damping_ratio": baseline.damping_ratio.tolist(),
-        "mode_shapes": baseline.shapes.tolist(),
     }
-    say("\n".join(lines), content, as_json)

@@ -7,35 +7,18 @@ one command, load nothing that the others need.
 from __future__ import annotations
 
 import functools
+import importlib
 import logging
 import os
 import sys
 import threading
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from typer.main import get_command
 
 from monitor import __version__
-from monitor.cli import (
-    analyse,
-    check,
-    compare,
-    demo,
-    diagnose,
-    emulate,
-    features,
-    fleet,
-    host,
-    look,
-    operate,
-    recordings,
-    report,
-    reprocess,
-    run,
-    view,
-)
 from monitor.cli.common import leave_unread
 from monitor.core import (
     BadConfigurationError,
@@ -47,6 +30,27 @@ from monitor.core import (
     single_blas_thread,
 )
 
+_COMMANDS = (
+    ("diagnose", "diagnose evaluate accept"),
+    ("run", "run warm"),
+    ("host", "host dataset"),
+    ("emulate", "emulate"),
+    ("report", "report"),
+    ("operate", "status ack notify export"),
+    ("reprocess", "reprocess"),
+    ("view", "view"),
+    ("fleet", "fleet"),
+    ("analyse", "replay calibrate"),
+    ("features", "features"),
+    ("recordings", "simulate"),
+    ("look", "look"),
+    ("compare", "compare"),
+    ("recordings", "import_"),
+    ("check", "check"),
+    ("demo", "reproduce demo"),
+)
+"""Module of this package and functions of it that are commands, in the order of the help. [names]"""
+
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -55,35 +59,9 @@ app = typer.Typer(
     help="Online structural health monitor: identification, model updating, damage index, alarms. SI units, UTC.",
 )
 
-for command in (
-    diagnose.diagnose,
-    diagnose.evaluate,
-    diagnose.accept,
-    run.run,
-    run.warm,
-    host.host,
-    host.dataset,
-    emulate.emulate,
-    report.report,
-    operate.status,
-    operate.ack,
-    operate.notify,
-    operate.export,
-    reprocess.reprocess,
-    view.view,
-    fleet.fleet,
-    analyse.replay,
-    analyse.calibrate,
-    features.features,
-    recordings.simulate,
-    look.look,
-    compare.compare,
-):
-    app.command()(command)
-app.command("import")(recordings.import_)
-app.command()(check.check)
-app.command()(demo.reproduce)
-app.command()(demo.demo)
+for _module, _functions in _COMMANDS:
+    for _name in _functions.split():
+        app.command(_name.removesuffix("_"))(getattr(importlib.import_module(f"monitor.cli.{_module}"), _name))
 
 
 @app.callback(invoke_without_command=True)
@@ -122,22 +100,21 @@ def call() -> None:
             command_line()()
     except UserError as error:
         kind = "bad configuration\n" if isinstance(error, BadConfigurationError) else ""
-        print(f"error: {kind}{error}", file=sys.stderr)
-        raise SystemExit(error.exit_code) from None
+        _end(f"{kind}{error}", error)
     except OSError as error:
         place = "" if error.filename is None else f"{error.filename}: "
         remedy = "; run this as its owner or as root" if isinstance(error, PermissionError) else ""
-        print(f"error: {place}{error.strerror or error}{remedy}", file=sys.stderr)
-        raise SystemExit(MissingInputError.exit_code) from None
+        _end(f"{place}{error.strerror or error}{remedy}", MissingInputError)
     except (ArithmeticError, ValueError) as error:
         if not isinstance(error, ArithmeticError) and type(error).__name__ != "LinAlgError":
             raise
-        print(
-            f"error: the numbers of these recordings cannot be solved ({error}): look at units, levels and channels with "
-            "'look'",
-            file=sys.stderr,
-        )
-        raise SystemExit(BadInputError.exit_code) from None
+        remedy = "look at units, levels and channels with 'look'"
+        _end(f"the numbers of these recordings cannot be solved ({error}): {remedy}", BadInputError)
     except MemoryError as error:
-        print(f"error: too little memory: {error}", file=sys.stderr)
-        raise SystemExit(NoResourcesError.exit_code) from None
+        _end(f"too little memory: {error}", NoResourcesError)
+
+
+def _end(message: str, error: UserError | type[UserError]) -> NoReturn:
+    """End with a message and the exit code of an error."""
+    print(f"error: {message}", file=sys.stderr)
+    raise SystemExit(error.exit_code) from None

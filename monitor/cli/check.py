@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument
 
 from monitor.cli.common import Json, say, warn
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Structure file, site file or fleet file.")],
+    file: Annotated[Path, Argument(metavar="FILE.toml", help="Structure file, site file or fleet file.")],
     as_json: Json = False,
 ) -> None:
     """List every problem of a file at once.  The file is a structure file, a site file or a fleet file."""
@@ -67,30 +68,15 @@ def check(
 
 
 def _demand_recordings(file: Path, settings: Configuration) -> None:
-    """Check that the recordings of a ``[source]`` exist and can be read.
-
-    Raises
-    ------
-    MissingInputError
-        One is missing or cannot be opened.
-    BadInputError
-        One holds damaged or foreign bytes.
-    """
-    from drivers.base import RecordingError, RecordingMissingError, SourceContext
-    from monitor.config import configuration
-    from monitor.core import BadInputError, MissingInputError
+    """Check that the recordings of a ``[source]`` exist and can be read."""
+    from drivers.base import SourceContext
+    from monitor.config import configuration, read_by_user
 
     if settings.source is None or settings.source["kind"] != "mcap":  # the other sources wait for what comes
         return
     source = configuration.make_source(settings.source, SourceContext(settings.channels, file.parent))
-    try:
+    with read_by_user(f"{file}: source.files: "), closing(source):
         source.open()
-    except RecordingMissingError as error:
-        raise MissingInputError(f"{file}: source.files: {error}") from error
-    except RecordingError as error:
-        raise BadInputError(f"{file}: source.files: {error}") from error
-    finally:
-        source.close()
 
 
 def _warn_of_shared_floors(settings: Configuration) -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument
 
 from monitor.cli.common import Json, progress, say, warn
 
 
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="A", help="Recording, or folder of results of replay or run.")],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Of the same kind as A, by the same sensors.")],
+    first: Annotated[Path, Argument(metavar="A", help="Recording, or folder of results of replay or run.")],
+    second: Annotated[Path, Argument(metavar="B", help="Of the same kind as A, by the same sensors.")],
     as_json: Json = False,
 ) -> None:
     """Compare two recordings or two folders of results.

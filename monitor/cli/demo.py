@@ -6,15 +6,15 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from monitor.cli.common import progress, warn
 from monitor.core import demand_place, write_atomically
 
 
 def reproduce(
-    json_file: Annotated[Path | None, typer.Option("--json", metavar="F", help="Also write the figures here.")] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="Simulated tests of each kind.")] = 100,
+    json_file: Annotated[Path | None, Option("--json", metavar="F", help="Also write the figures here.")] = None,
+    seeds: Annotated[int, Option(min=1, help="Simulated tests of each kind.")] = 100,
 ) -> None:
     """Compare the paper's Tables 2-7 and DDI figures with ours."""
     from monitor.runs import paper_tables as paper
@@ -28,10 +28,8 @@ def reproduce(
 
 
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")] = Path("out/demo"),
-    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the shipped recordings.")] = Path(
-        "recordings"
-    ),
+    out: Annotated[Path, Option(metavar="DIR", help="Folder for the results.")] = Path("out/demo"),
+    recordings: Annotated[Path, Option(metavar="DIR", help="Folder of the shipped recordings.")] = Path("recordings"),
 ) -> None:
     """Calibrate, watch damage appear, replay a measured frame.  It uses the shipped recordings."""
     from monitor.runs import demo as tour

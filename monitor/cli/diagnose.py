@@ -6,20 +6,14 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-from monitor.cli.common import Json, Recordings, Structure, progress, say, warn
+from monitor.cli.common import Healthy, Json, Recordings, Results, Structure, progress, say, warn
 from monitor.core import BadInputError, demand_place, missing_extra, no_empty_folder, spare_inputs, write_atomically
-
-Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
 
 
 def diagnose(
-    recordings: Recordings,
-    structure: Structure,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
-    baseline: Healthy = None,
-    as_json: Json = False,
+    recordings: Recordings, structure: Structure, out: Results, baseline: Healthy = None, as_json: Json = False
 ) -> None:
     """Find what the simulation gets wrong, and why.
 
@@ -32,14 +26,14 @@ def diagnose(
     from monitor.runs import local_copies
 
     names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
-    content, report, updated, extended, view = (out / name for name in names)
-    spare_inputs([content, report, updated, extended, view], [*recordings, structure, baseline])
+    content, report, updated, extended, view = written = [out / name for name in names]
+    spare_inputs(written, [*recordings, structure, baseline])
     settings = configuration.load_with_model(structure)
     healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
     if healthy is not None and healthy.reference is None:
         raise BadInputError(f"{baseline}: {job.NO_REFERENCE}")
     with no_empty_folder(out):
-        for path in (content, report, updated, extended, view):
+        for path in written:
             demand_place(path)
         with local_copies(recordings) as (copies, named):
             found = job.diagnose(copies, settings, healthy, lambda text: warn(named(text)), progress("diagnose"))
@@ -51,12 +45,13 @@ def diagnose(
     write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
     from monitor.publish import write_report
 
-    write_report(report, found.diagnosis, found.content, found.segments, settings.story_names, found.laws)
+    shown = found.diagnosis, found.content, found.segments, settings.story_names, found.laws
+    write_report(report, *shown)
     if (missing := missing_extra("viewer")) is None:
         # Imported only now: Rerun starts threads, and no process should be forked while threads run.
         from monitor.publish import write_view
 
-        write_view(view, found.diagnosis, found.content, found.segments, settings.story_names, found.laws)
+        write_view(view, *shown)
     else:
         view.unlink(missing_ok=True)  # an earlier one would be taken for this diagnosis
         warn(f"{view.name} is left out: it {missing}")
@@ -98,13 +93,11 @@ def evaluate(recordings: Recordings, structure: Structure) -> None:
 
 
 def accept(
-    finding: Annotated[Path, typer.Argument(metavar="FINDING.json", help="diagnosis.json, or one of DIR/findings.")],
+    finding: Annotated[Path, Argument(metavar="FINDING.json", help="diagnosis.json, or one of DIR/findings.")],
     structure: Structure,
-    out: Annotated[Path, typer.Option(metavar="OUT.toml", help="Structure file to write, with the causes.")],
+    out: Annotated[Path, Option(metavar="OUT.toml", help="Structure file to write, with the causes.")],
     baseline: Healthy = None,
-    by: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Name of who decides; the login name by default.")
-    ] = None,
+    by: Annotated[str | None, Option(metavar="NAME", help="Name of who decides; the login name by default.")] = None,
     as_json: Json = False,
 ) -> None:
     """Add the named causes to a structure file.  The decision is recorded in ledger.jsonl beside the written file.

@@ -9,21 +9,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
-import typer
+from typer import BadParameter, Option
+
+from monitor.cli.common import Recordings
 
 _FORMS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL, zenoh:MODE:ENDPOINT:KEY or mqtt:HOST:PORT:TOPIC."
-To = Annotated[str, typer.Option(metavar="DESTINATION", help=_FORMS)]
-OptionalTo = Annotated[str | None, typer.Option(metavar="DESTINATION", help=f"Also send it: {_FORMS}")]
-Dbc = Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="Layout of the CAN frames; its factors quantise.")]
-Speed = Annotated[str | None, typer.Option(help="Multiple of real time, or 'max'; 1.0 by default.")]
+To = Annotated[str, Option(metavar="DESTINATION", help=_FORMS)]
+OptionalTo = Annotated[str | None, Option(metavar="DESTINATION", help=f"Also send it: {_FORMS}")]
+Dbc = Annotated[Path | None, Option(metavar="FILE.dbc", help="Layout of the CAN frames; its factors quantise.")]
+Speed = Annotated[str | None, Option(help="Multiple of real time, or 'max'; 1.0 by default.")]
 
 
-def emulate(
-    recordings: Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")],
-    to: To,
-    dbc: Dbc = None,
-    speed: Speed = None,
-) -> None:
+def emulate(recordings: Recordings, to: To, dbc: Dbc = None, speed: Speed = None) -> None:
     """Send recordings as sensor nodes would.
 
     Over CAN, Zenoh or MQTT; in real time unless --speed says otherwise.
@@ -32,27 +29,16 @@ def emulate(
 
 
 def send(recordings: list[Path], to: str, dbc: Path | None, speed: str | None) -> None:
-    """Send recordings to a destination, and report on standard error what is sent.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        A recording does not exist or is unusable.
-    """
-    from drivers.base import RecordingError, RecordingMissingError
+    """Send recordings to a destination, and report on standard error what is sent."""
     from drivers.mcap_file import read_recordings
-    from monitor.core import BadInputError, MissingInputError
+    from monitor.config import read_by_user
     from monitor.runs import send_all
 
-    try:
-        blocks = read_recordings(recordings)
-        send_all(
-            blocks, to, dbc=dbc, speed=parse_speed(speed), say=lambda text: print(text, file=sys.stderr, flush=True)
-        )
-    except RecordingMissingError as error:
-        raise MissingInputError(str(error)) from error
-    except RecordingError as error:
-        raise BadInputError(str(error)) from error
+    def tell(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    with read_by_user():
+        send_all(read_recordings(recordings), to, dbc=dbc, speed=parse_speed(speed), say=tell)
 
 
 @contextmanager
@@ -62,7 +48,7 @@ def recording_for(out: Path | None, to: str | None, dbc: Path | None, speed: str
     The file is kept if `out` names it; without `out` the file is temporary.
     """
     if to is None and (dbc is not None or speed is not None):
-        raise typer.BadParameter("--dbc and --speed say how to send: name a destination (--to)")
+        raise BadParameter("--dbc and --speed say how to send: name a destination (--to)")
     parse_speed(speed)
     with TemporaryDirectory() as folder:
         file = out or Path(folder) / "simulated.mcap"
@@ -73,11 +59,6 @@ def recording_for(out: Path | None, to: str | None, dbc: Path | None, speed: str
 
 def parse_speed(text: str | None) -> float | None:
     """Parse the value of --speed into a multiple of real time; 1 by default, None for ``max``.
-
-    Raises
-    ------
-    typer.BadParameter
-        The value is neither ``max`` nor a number from 1e-6 to 1e6.
 
     Examples
     --------
@@ -91,5 +72,5 @@ def parse_speed(text: str | None) -> float | None:
     except ValueError:
         value = 0.0
     if not 1e-6 <= value <= 1e6:
-        raise typer.BadParameter(f"--speed: {text!r} is neither 'max' nor a number from 1e-6 to 1e6")
+        raise BadParameter(f"--speed: {text!r} is neither 'max' nor a number from 1e-6 to 1e6")
     return value

@@ -5,20 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, BadParameter, Option
 
-from monitor.cli.common import Json, say, time_ns, warn
+from monitor.cli.common import Json, Results, say, time_ns, warn
 from monitor.core import spare_inputs
 
 
 def features(
-    table: Annotated[Path, typer.Argument(metavar="FILE.csv", help="Times, features and covariates in columns.")],
-    time: Annotated[str, typer.Option(metavar="COLUMN", help="Column of the times (ISO 8601, or s since 1970).")],
-    names: Annotated[str, typer.Option("--features", metavar="F1,F2", help="Columns of the features.")],
-    train_until: Annotated[str, typer.Option(metavar="TIME", help="End of the healthy part, ISO 8601.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
+    table: Annotated[Path, Argument(metavar="FILE.csv", help="Times, features and covariates in columns.")],
+    time: Annotated[str, Option(metavar="COLUMN", help="Column of the times (ISO 8601, or s since 1970).")],
+    names: Annotated[str, Option("--features", metavar="F1,F2", help="Columns of the features.")],
+    train_until: Annotated[str, Option(metavar="TIME", help="End of the healthy part, ISO 8601.")],
+    out: Results,
     covariates: Annotated[
-        str, typer.Option(metavar="C1,C2", help="Columns of the covariates, as temperature and wind.")
+        str, Option(metavar="C1,C2", help="Columns of the covariates, as temperature and wind.")
     ] = "",
     as_json: Json = False,
 ) -> None:
@@ -33,7 +33,7 @@ def features(
     spare_inputs([out / name for name in run.RESULT_FILES], [table])
     wanted = [name.strip() for name in names.split(",") if name.strip()]
     if not wanted:
-        raise typer.BadParameter("--features: name at least one column")
+        raise BadParameter("--features: name at least one column")
     others = [name.strip() for name in covariates.split(",") if name.strip()]
     summary = run.features(table, time, wanted, others, until_ns, out, warn)
     lines = [

@@ -6,37 +6,32 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from monitor.cli.common import Json, address, say
+from monitor.core import BadConfigurationError, MissingInputError, UserError, WrongUsageError
 
 
 def host(
     places: Annotated[
         list[Path],
-        typer.Argument(
+        Argument(
             metavar="SITE.toml...|DIR",
             help="Site files; or a folder, of which each *.toml is a site while it is there.",
         ),
     ],
     workers: Annotated[
-        int, typer.Option(min=1, max=256, help="Processes over which the sites are spread: one a core at most.")
+        int, Option(min=1, max=256, help="Processes over which the sites are spread: one a core at most.")
     ] = 1,
     metrics: Annotated[
-        str | None,
-        typer.Option(metavar="HOST:PORT", help="Answer Prometheus here for all sites, as 127.0.0.1:9464."),
+        str | None, Option(metavar="HOST:PORT", help="Answer Prometheus here for all sites, as 127.0.0.1:9464.")
     ] = None,
     standby: Annotated[
-        bool,
-        typer.Option(
-            "--standby", help="Take over sites whose [output] dir another daemon fills when that one is gone."
-        ),
+        bool, Option("--standby", help="Take over sites whose [output] dir another daemon fills when that one is gone.")
     ] = False,
     share: Annotated[
         str,
-        typer.Option(
-            metavar="K/N", help="With --standby: this machine, the K-th of N, takes its share of the sites first."
-        ),
+        Option(metavar="K/N", help="With --standby: this machine, the K-th of N, takes its share of the sites first."),
     ] = "1/1",
 ) -> None:
     """Monitor many sites in one process, each as `run` would.
@@ -46,12 +41,9 @@ def host(
     when all sources have ended.  Exit code 78 at once if files alone are named and every one of them is bad.
     """
     from monitor.config import LogSettings
-    from monitor.core import MissingInputError
     from monitor.service import Host, HostWorkers, is_of_share, logs
 
-    for place in places:
-        if not place.exists():
-            raise MissingInputError(f"{place}: there is no such file or folder")
+    _demand_places(places)
     served = address(metrics, "--metrics", any_port=True)
     number, count = _share(share, standby=standby)
     _demand_a_good_file(places)
@@ -62,16 +54,14 @@ def host(
         HostWorkers(places, workers, served, standby=standby, share=(number, count)).run()
 
 
+def _demand_places(places: list[Path]) -> None:
+    for place in places:
+        if not place.exists():
+            raise MissingInputError(f"{place}: there is no such file or folder")
+
+
 def _share(text: str, *, standby: bool) -> tuple[int, int]:
-    """Read K/N.
-
-    Raises
-    ------
-    WrongUsageError
-        It is none, or without a use.
-    """
-    from monitor.core import WrongUsageError
-
+    """Read K/N."""
     found = re.fullmatch(r"([1-9]\d{0,3})/([1-9]\d{0,3})", text)
     if found is None or int(found[1]) > int(found[2]):
         raise WrongUsageError(f"--share {text}: give it as 1/2, the first of two machines")
@@ -81,15 +71,8 @@ def _share(text: str, *, standby: bool) -> tuple[int, int]:
 
 
 def _demand_a_good_file(places: list[Path]) -> None:
-    """Refuse to start where no site could: files alone are named, and every one of them is a bad configuration.
-
-    Raises
-    ------
-    BadConfigurationError
-        The message lists the problems of all files.
-    """
+    """Refuse to start where no site could: files alone are named, and every one of them is a bad configuration."""
     from monitor.config import configuration
-    from monitor.core import BadConfigurationError, UserError
 
     problems = []
     for place in places:
@@ -108,9 +91,9 @@ def _demand_a_good_file(places: list[Path]) -> None:
 
 def dataset(
     places: Annotated[
-        list[Path], typer.Argument(metavar="SITE.toml...|DIR", help="Site files; or folders of them, as of 'host'.")
+        list[Path], Argument(metavar="SITE.toml...|DIR", help="Site files; or folders of them, as of 'host'.")
     ],
-    out: Annotated[Path, typer.Option(metavar="DATASET", help="Folder of the dataset; months that stand are kept.")],
+    out: Annotated[Path, Option(metavar="DATASET", help="Folder of the dataset; months that stand are kept.")],
     as_json: Json = False,
 ) -> None:
     """Write the results of many sites as a Parquet dataset.
@@ -119,12 +102,9 @@ def dataset(
 
     The sites may be running.  Times of day are UTC; the columns are those of 'reprocess'.
     """
-    from monitor.core import MissingInputError
     from monitor.service import dataset as datasets
 
-    for place in places:
-        if not place.exists():
-            raise MissingInputError(f"{place}: there is no such file or folder")
+    _demand_places(places)
     written = datasets.write_dataset(datasets.site_folders(places), out)
     windows = sum(written.values())
     say(f"{out}: {windows} windows of {len(written)} sites", {"out": str(out), "windows": written}, as_json)

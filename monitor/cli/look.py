@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from monitor.cli.common import Json, progress, say, warn
 from monitor.core import spare_inputs
@@ -13,24 +13,20 @@ from monitor.core import spare_inputs
 
 def look(
     recordings: Annotated[
-        list[Path],
-        typer.Argument(metavar="REC.mcap...", help="Recordings in any order, or tables that 'import' reads."),
+        list[Path], Argument(metavar="REC.mcap...", help="Recordings in any order, or tables that 'import' reads.")
     ],
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for look.html, look.json and modes.csv.")
-    ] = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for look.html, look.json and modes.csv.")] = None,
     write_structure: Annotated[
-        Path | None, typer.Option(metavar="S.toml", help="Write a structure file that fits the modes, with its doubts.")
+        Path | None, Option(metavar="S.toml", help="Write a structure file that fits the modes, with its doubts.")
     ] = None,
     mass_kg: Annotated[
-        float | None,
-        typer.Option(min=1e-6, max=1e12, help="Mass of the whole structure for --write-structure; else 1 kg."),
+        float | None, Option(min=1e-6, max=1e12, help="Mass of the whole structure for --write-structure; else 1 kg.")
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(min=0.001, max=1e7, help="Sample rate in Hz of a table without times.")
+        float | None, Option(min=0.001, max=1e7, help="Sample rate in Hz of a table without times.")
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="Unit of a table whose columns state none: m/s^2 (default), g, mg or gal.")
+        str | None, Option(help="Unit of a table whose columns state none: m/s^2 (default), g, mg or gal.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -43,7 +39,7 @@ def look(
     written = [] if out is None else [out / name for name in run.RESULT_FILES]
     spare_inputs([*written, *([] if write_structure is None else [write_structure])], recordings)
     if mass_kg is not None and write_structure is None:
-        raise typer.BadParameter("--mass-kg is for --write-structure")
+        raise BadParameter("--mass-kg is for --write-structure")
     found = run.look(recordings, rate_hz=rate, unit=unit, on_warning=warn, on_progress=progress("look"))
     text, content = run.in_words(found), found.content()
     if out is not None:
@@ -52,8 +48,7 @@ def look(
         content["out"] = str(out)
     if write_structure is not None:
         run.write_structure(found, write_structure, mass_kg)
-        text += (
-            f"\nproposed structure in {write_structure}: read its comments, then: shm-monitor check {write_structure}"
-        )
+        advice = f"read its comments, then: shm-monitor check {write_structure}"
+        text += f"\nproposed structure in {write_structure}: {advice}"
         content["structure"] = str(write_structure)
     say(text, content, as_json)

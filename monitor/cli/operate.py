@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
 from monitor.cli.common import Json, say, time_ns, warn
 from monitor.core import BadConfigurationError, MissingInputError, WrongUsageError, spare_inputs
@@ -20,10 +20,9 @@ _APPLIED = "applied; what it changed is noted in ledger.jsonl"
 
 
 def status(
-    place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
+    place: Annotated[Path, Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
     verify: Annotated[
-        bool,
-        typer.Option("--verify", help="Check ledger.jsonl and the event recordings that it names first; 65: changed."),
+        bool, Option("--verify", help="Check ledger.jsonl and the event recordings that it names first; 65: changed.")
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -43,26 +42,22 @@ def status(
         if unchanged:
             text += f"; event recordings unchanged: {unchanged}"
     say(text, found, as_json)
-    raise typer.Exit(found["exit_code"])
+    raise Exit(found["exit_code"])
 
 
 def ack(
-    file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file of the running daemon.")],
-    who: Annotated[str, typer.Option(metavar="NAME", help="Name of who decides; recorded in the ledger.")],
+    file: Annotated[Path, Argument(metavar="SITE.toml", help="Site file of the running daemon.")],
+    who: Annotated[str, Option(metavar="NAME", help="Name of who decides; recorded in the ledger.")],
     story: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Story; 0: the structure as a whole.", show_default=False)
+        int | None, Option(min=0, metavar="N", help="Story; 0: the structure as a whole.", show_default=False)
     ] = None,
-    event: Annotated[
-        str | None, typer.Option(metavar="ID", help="Event that exceeded a limit, in place of a story.")
-    ] = None,
-    note: Annotated[str, typer.Option(help="Reason; shelving needs one.")] = "",
+    event: Annotated[str | None, Option(metavar="ID", help="Event that exceeded a limit, in place of a story.")] = None,
+    note: Annotated[str, Option(help="Reason; shelving needs one.")] = "",
     shelve: Annotated[
-        float | None, typer.Option(min=0.0, max=720.0, metavar="HOURS", help="Do not announce the alarm for this time.")
+        float | None, Option(min=0.0, max=720.0, metavar="HOURS", help="Do not announce the alarm for this time.")
     ] = None,
-    unshelve: Annotated[bool, typer.Option("--unshelve", help="Announce the alarm again.")] = False,
-    reset: Annotated[
-        bool, typer.Option("--reset", help="Release a latched alarm that is over and acknowledged.")
-    ] = False,
+    unshelve: Annotated[bool, Option("--unshelve", help="Announce the alarm again.")] = False,
+    reset: Annotated[bool, Option("--reset", help="Release a latched alarm that is over and acknowledged.")] = False,
     as_json: Json = False,
 ) -> None:
     """Acknowledge the alarm of a story or event, shelve or reset it.
@@ -85,14 +80,8 @@ def ack(
     if sum((shelve is not None, unshelve, reset)) > 1:
         raise WrongUsageError("--shelve, --unshelve and --reset exclude each other")
     action = "shelve" if shelve is not None else "unshelve" if unshelve else "reset" if reset else "acknowledge"
-    fields = {
-        "action": action,
-        "story": story,
-        "event": event,
-        "who": who,
-        "note": note,
-        "seconds": 3600.0 * (shelve or 0.0),
-    }
+    seconds = 3600.0 * (shelve or 0.0)
+    fields = {"action": action, "story": story, "event": event, "who": who, "note": note, "seconds": seconds}
     try:
         request = Request.model_validate(fields)
     except ValidationError as error:
@@ -107,8 +96,8 @@ def ack(
 
 
 def notify(
-    file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file with a table [notify].")],
-    test: Annotated[bool, typer.Option("--test", help="Send a test message to every address.")] = False,
+    file: Annotated[Path, Argument(metavar="SITE.toml", help="Site file with a table [notify].")],
+    test: Annotated[bool, Option("--test", help="Send a test message to every address.")] = False,
     as_json: Json = False,
 ) -> None:
     """Send a test message to every address of [notify].
@@ -130,24 +119,24 @@ def notify(
     if any(t.exit_code != 0 and t.name.startswith("address") for t in trials):
         lines.append("why, says the program that sends them: apprise -vv --title test --body test 'URL'")
     say("\n".join(lines), {"exit_code": code, "addresses": content}, as_json)
-    raise typer.Exit(code)
+    raise Exit(code)
 
 
 def export(
     place: Annotated[
-        Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the folder that run or replay wrote.")
+        Path, Argument(metavar="SITE.toml|DIR", help="Site file, or the folder that run or replay wrote.")
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File to write; it appears when it is complete.")],
+    out: Annotated[Path, Option(metavar="FILE", help="File to write; it appears when it is complete.")],
     table: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="windows, modes (with their shapes), alarms; of a daemon also requests (acknowledgements), findings, gaps or "
             "health. By default windows, for UFF modes."
         ),
     ] = None,
     form: Annotated[
         str | None,
-        typer.Option(
+        Option(
             "--format",
             help="csv, parquet, uff (modes as datasets 55 and 58) or influx (line protocol); by default told by the suffix: "
             ".csv, .parquet, .uff or .unv, .lp.",
@@ -155,13 +144,13 @@ def export(
     ] = None,
     structure: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="S.toml",
             help="Structure file, for the names of the channels in mode shapes; by default those of the run.",
         ),
     ] = None,
-    begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
-    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
+    begin: Annotated[str | None, Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
+    end: Annotated[str | None, Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
     as_json: Json = False,
 ) -> None:
     """Export the results of a run as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
@@ -188,13 +177,7 @@ def _folder(place: Path) -> Path:
 
 
 def _send_over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
-    """Send a request over Zenoh; return whether the daemon applied it, False if none answers.
-
-    Raises
-    ------
-    WrongUsageError
-        The daemon refused the request.
-    """
+    """Send a request over Zenoh; return whether the daemon applied it, False if none answers."""
     from pydantic import ValidationError
 
     from drivers.base import SourceError
@@ -234,9 +217,7 @@ def _send_by_file(out: Path, request: Request) -> tuple[bool, str]:
         time.sleep(0.1)
     if not place.exists():
         return True, _APPLIED
-    if reader.running(out):
-        return (
-            False,
-            "left for the daemon, which applies it when data come and ledger.jsonl can be written: ask 'status'",
-        )
-    return False, "the daemon does not run; it is applied with the first data of its next run"
+    left = "left for the daemon, which applies it when data come and ledger.jsonl can be written: ask 'status'"
+    return False, left if reader.running(
+        out
+    ) else "the daemon does not run; it is applied with the first data of its next run"

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, BadParameter, Option, prompt
 
 from monitor.cli.common import Json, Structure, say, time_ns, warn
 from monitor.cli.emulate import Dbc, OptionalTo, Speed, recording_for
@@ -17,28 +17,26 @@ from monitor.core import spare_inputs, utc
 
 def simulate(
     structure: Structure,
-    out: Annotated[Path | None, typer.Option(metavar="REC.mcap", help="Recording to write; or give --to.")] = None,
-    duration: Annotated[float, typer.Option(min=0.01, max=1e8, help="Length in s.")] = 1200.0,
-    excitation: Annotated[str, typer.Option(help="ambient, impulse, ground or force.")] = "ambient",
+    out: Annotated[Path | None, Option(metavar="REC.mcap", help="Recording to write; or give --to.")] = None,
+    duration: Annotated[float, Option(min=0.01, max=1e8, help="Length in s.")] = 1200.0,
+    excitation: Annotated[str, Option(help="ambient, impulse, ground or force.")] = "ambient",
     noise: Annotated[
-        float, typer.Option(min=0.0, max=1e3, help="Sensor noise, fraction of the mean RMS acceleration.")
+        float, Option(min=0.0, max=1e3, help="Sensor noise, fraction of the mean RMS acceleration.")
     ] = 0.05,
-    damage: Annotated[list[str], typer.Option(metavar="storyN=LOSS", help="Relative stiffness loss.")] = [],  # noqa: B006
-    effect: Annotated[list[str], typer.Option(metavar="NAME:LOCATION:PARAM=VALUE,...", help="Hidden effect.")] = [],  # noqa: B006
-    rate: Annotated[float, typer.Option(min=1.0, max=1e6, help="Sample rate in Hz.")] = 1024.0,
-    level_spread: Annotated[
-        float, typer.Option(min=0.0, max=10.0, help="Relative spread of the excitation's level.")
-    ] = 0.0,
+    damage: Annotated[list[str], Option(metavar="storyN=LOSS", help="Relative stiffness loss.")] = [],  # noqa: B006
+    effect: Annotated[list[str], Option(metavar="NAME:LOCATION:PARAM=VALUE,...", help="Hidden effect.")] = [],  # noqa: B006
+    rate: Annotated[float, Option(min=1.0, max=1e6, help="Sample rate in Hz.")] = 1024.0,
+    level_spread: Annotated[float, Option(min=0.0, max=10.0, help="Relative spread of the excitation's level.")] = 0.0,
     temperature: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="MEAN[,SWING[,PERIOD_S[,REFERENCE]]]",
             help="Also record /temperature, in degC: a cosine, SWING from lowest to highest. With temperature_stiffness "
             "20,10,DURATION by default; REFERENCE, by default MEAN, is where the stiffness is the structure file's.",
         ),
     ] = None,
-    start: Annotated[str, typer.Option(help="UTC of the first sample, ISO 8601.")] = "2026-01-01T00:00:00",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
+    start: Annotated[str, Option(help="UTC of the first sample, ISO 8601.")] = "2026-01-01T00:00:00",
+    seed: Annotated[int, Option(min=0, help="Seed of the random numbers.")] = 0,
     to: OptionalTo = None,
     dbc: Dbc = None,
     speed: Speed = None,
@@ -49,7 +47,7 @@ def simulate(
     from monitor.runs import synthetic_recording
 
     if out is None and to is None:
-        raise typer.BadParameter("name a recording to write (--out), a destination (--to), or both")
+        raise BadParameter("name a recording to write (--out), a destination (--to), or both")
     spare_inputs([] if out is None else [out], [structure, dbc])
     t0_ns = time_ns("--start", start) or 0
     with recording_for(out, to, dbc, speed) as file:
@@ -81,38 +79,33 @@ def simulate(
 def import_(
     files: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="FILE...", help="CSV, NPZ, MAT, HDF5, UFF, MiniSEED, K-NET or CAN log; or one file a level."
-        ),
+        Argument(metavar="FILE...", help="CSV, NPZ, MAT, HDF5, UFF, MiniSEED, K-NET or CAN log; or one file a level."),
     ],
-    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
+    out: Annotated[Path, Option(metavar="REC.mcap", help="Recording to write.")],
     rate: Annotated[
-        float | None, typer.Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
+        float | None, Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
     ] = None,
     unit: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Unit where a file states none: m/s^2, g, mg or gal. Without it you are asked on a terminal; in a pipe m/s^2."
         ),
     ] = None,
     channel: Annotated[
-        list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="A channel; of one file, NAME=COLUMN.")
+        list[str], Option(metavar="NAME=FILE[:COLUMN]", help="A channel; of one file, NAME=COLUMN.")
     ] = [],  # noqa: B006
-    ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
+    ground: Annotated[str | None, Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
     force: Annotated[
-        list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="A measured force in N, as [[inputs]] names it.")
+        list[str], Option(metavar="NAME=FILE[:COLUMN]", help="A measured force in N, as [[inputs]] names it.")
     ] = [],  # noqa: B006
-    start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
-    dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="Layout of the frames of a CAN log.")] = None,
-    scale: Annotated[float | None, typer.Option(min=1e-30, max=1e30, help="Of MiniSEED: m/s^2 of a count.")] = None,
+    start: Annotated[str | None, Option(help="UTC of the first sample, ISO 8601.")] = None,
+    dbc: Annotated[Path | None, Option(metavar="FILE.dbc", help="Layout of the frames of a CAN log.")] = None,
+    scale: Annotated[float | None, Option(min=1e-30, max=1e30, help="Of MiniSEED: m/s^2 of a count.")] = None,
     inventory: Annotated[
-        Path | None, typer.Option(metavar="STATION.xml", help="Of MiniSEED: the channels' sensitivities.")
+        Path | None, Option(metavar="STATION.xml", help="Of MiniSEED: the channels' sensitivities.")
     ] = None,
     align: Annotated[
-        bool,
-        typer.Option(
-            "--align", help="Shift files whose clocks do not agree until their readings fit the first file's."
-        ),
+        bool, Option("--align", help="Shift files whose clocks do not agree until their readings fit the first file's.")
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -166,7 +159,7 @@ def _ask_unit(columns: Sequence[str]) -> str:
 
     shown = ", ".join(columns[:4]) + (f" and {len(columns) - 4} more" if len(columns) > 4 else "")
     while True:
-        answer = str(typer.prompt(f"Unit of {shown} (m/s^2, g, mg, gal)", default="m/s^2", err=True))
+        answer = str(prompt(f"Unit of {shown} (m/s^2, g, mg, gal)", default="m/s^2", err=True))
         if acceleration_unit(answer):
             return answer
         print(f"{answer!r} is no unit of acceleration", file=sys.stderr)
@@ -178,8 +171,8 @@ def _places(option: str, items: list[str]) -> dict[str, str]:
     for item in items:
         name, separator, place = item.partition("=")
         if not separator or not name or not place:
-            raise typer.BadParameter(f"{option}: {item!r} is not NAME=FILE[:COLUMN]")
+            raise BadParameter(f"{option}: {item!r} is not NAME=FILE[:COLUMN]")
         if name in out:
-            raise typer.BadParameter(f"{option}: {name!r} stands twice")
+            raise BadParameter(f"{option}: {name!r} stands twice")
         out[name] = place
     return out

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from monitor.cli.common import Json, say, time_ns, warn
 from monitor.core import MissingInputError, demand_place, require_extra, spare_inputs
@@ -16,26 +16,21 @@ _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "l
 def report(
     folder: Annotated[
         Path,
-        typer.Argument(
-            metavar="DIR", help="Folder of 'replay --out', of [output] dir, or DIR/runs/NAME of 'reprocess'."
-        ),
+        Argument(metavar="DIR", help="Folder of 'replay --out', of [output] dir, or DIR/runs/NAME of 'reprocess'."),
     ],
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="REPORT.html", help="Page to write; of an event by default DIR/events/ID.html."),
+        Path | None, Option(metavar="REPORT.html", help="Page to write; of an event by default DIR/events/ID.html.")
     ] = None,
     start: Annotated[
-        str | None, typer.Option("--from", metavar="T", help="UTC, ISO 8601; the first window's by default.")
+        str | None, Option("--from", metavar="T", help="UTC, ISO 8601; the first window's by default.")
     ] = None,
-    end: Annotated[
-        str | None, typer.Option("--to", metavar="T", help="UTC, ISO 8601; the last window's by default.")
-    ] = None,
+    end: Annotated[str | None, Option("--to", metavar="T", help="UTC, ISO 8601; the last window's by default.")] = None,
     event: Annotated[
-        str | None, typer.Option(metavar="ID", help="Report one event of events.jsonl instead; 'last' for the latest.")
+        str | None, Option(metavar="ID", help="Report one event of events.jsonl instead; 'last' for the latest.")
     ] = None,
     motion: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.rrd", help="With --event: the frame's motion too, in slow motion for the viewer."),
+        Option(metavar="FILE.rrd", help="With --event: the frame's motion too, in slow motion for the viewer."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -45,21 +40,20 @@ def report(
     against the site's limits, frequencies, loops, and what remains of the stiffness.
     """
     if not folder.is_dir():
-        raise MissingInputError(
-            f"{folder}: there is no such folder; give the one that 'replay --out' or [output] dir names"
-        )
+        remedy = "give the one that 'replay --out' or [output] dir names"
+        raise MissingInputError(f"{folder}: there is no such folder; {remedy}")
     if not (folder / "results.jsonl").exists() and (run := next(folder.glob("runs/*/results.jsonl"), None)) is not None:
         raise MissingInputError(
             f"{folder}: the runs of a 'reprocess', which are reported one by one; give one of {folder / 'runs'}, as {run.parent}"
         )
     if event is not None:
         if start is not None or end is not None:
-            raise typer.BadParameter("--event goes without --from and --to")
+            raise BadParameter("--event goes without --from and --to")
         _report_event(folder, event, out, motion, as_json)
     elif motion is not None:
-        raise typer.BadParameter("--motion goes with --event")
+        raise BadParameter("--motion goes with --event")
     elif out is None:
-        raise typer.BadParameter("missing: name the page to write", param_hint="--out")
+        raise BadParameter("missing: name the page to write", param_hint="--out")
     else:
         _report_period(folder, out, start, end, as_json)
 
@@ -95,28 +89,25 @@ def _report_period(folder: Path, out: Path, start: str | None, end: str | None, 
 
     from_ns, to_ns = time_ns("--from", start), time_ns("--to", end)
     if from_ns is not None and to_ns is not None and from_ns >= to_ns:
-        raise typer.BadParameter("--from is not before --to")
+        raise BadParameter("--from is not before --to")
     spare_inputs([out], [*(folder / name for name in _INPUTS), *closed_files(folder)])
     period = read_period(folder, from_ns, to_ns)
     demand_place(out)
     write_period(out, period)
-    r = period.results
+    r, said, judged, findings = period.results, period.assessment, sum(period.results.judged), len(period.findings)
     if r.damaged:
         warn(f"{folder / 'results.jsonl'}: unreadable lines left out: {r.damaged}")
     content = {
         "report": str(out),
-        **period.assessment.content,
+        **said.content,
         "from_ns": r.grid.from_ns,
         "to_ns": r.grid.to_ns,
         "windows": r.course.windows,
         "windows_due": r.due,
-        "judged": sum(r.judged),
+        "judged": judged,
         "alarms": period.alarms,
         "events": len(period.events),
-        "findings": len(period.findings),
+        "findings": findings,
     }
-    text = (
-        f"{content['judged']} of {r.due} windows judged, alarms: {content['alarms']}, findings: {content['findings']}"
-    )
-    said = period.assessment
+    text = f"{judged} of {r.due} windows judged, alarms: {period.alarms}, findings: {findings}"
     say(f"{text}\n{said.state.words}: {said.headline}\nreport in {out}", content, as_json)

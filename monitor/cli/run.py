@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument
 
 
-def run(
-    file: Annotated[Path, typer.Argument(metavar="CONFIG.toml", help="Site file: structure, source, output.")],
-) -> None:
+def run(file: Annotated[Path, Argument(metavar="CONFIG.toml", help="Site file: structure, source, output.")]) -> None:
     """Monitor a live source until it ends or SIGTERM arrives.
 
     Writes results.jsonl, summary.json and recordings in [output] dir.  Prints READY on standard error when the source is open.
@@ -24,9 +22,7 @@ def run(
 
 
 def warm(
-    file: Annotated[
-        Path | None, typer.Argument(metavar="SITE.toml", help="Site file; a small frame by default.")
-    ] = None,
+    file: Annotated[Path | None, Argument(metavar="SITE.toml", help="Site file; a small frame by default.")] = None,
 ) -> None:
     """Compile what windows need, so that no start waits for it.
 
@@ -40,5 +36,4 @@ def warm(
         return
     settings = configuration.load(file)
     name = settings.site.baseline
-    path = None if name is None else file.resolve().parent / name
-    warm_up(settings, None if path is None else load_healthy(path, settings))
+    warm_up(settings, None if name is None else load_healthy(file.resolve().parent / name, settings))

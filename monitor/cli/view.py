@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated
 from urllib.parse import quote
 
-import typer
+from typer import Argument, Exit, Option
 
 from monitor.cli.common import warn
 from monitor.core import MissingInputError, WrongUsageError, parse_address, require_extra
@@ -25,20 +25,16 @@ _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 def view(
     what: Annotated[
         str,
-        typer.Argument(
+        Argument(
             metavar="DIR|FILE.rrd|HOST:PORT", help="Folder of results, a recording, or the address of [output] serve."
         ),
     ],
-    web: Annotated[
-        bool, typer.Option("--web", help="Use a browser: print the address, serve until interrupted.")
-    ] = False,
+    web: Annotated[bool, Option("--web", help="Use a browser: print the address, serve until interrupted.")] = False,
     bind: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help=f"Address of --web, {_LOOPBACK} by default; there is no password."),
+        str | None, Option(metavar="ADDRESS", help=f"Address of --web, {_LOOPBACK} by default; there is no password.")
     ] = None,
     port: Annotated[
-        int | None,
-        typer.Option(min=0, max=65535, help=f"Port of the page of --web, {_PORT} by default; 0: any free one."),
+        int | None, Option(min=0, max=65535, help=f"Port of the page of --web, {_PORT} by default; 0: any free one.")
     ] = None,
 ) -> None:
     """Show a run in the Rerun viewer, or with --web in a browser."""
@@ -46,9 +42,8 @@ def view(
         raise WrongUsageError("--bind and --port go with --web")
     source, program = _viewer_source(what), _viewer_program()
     if not web and sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
-        raise WrongUsageError(
-            f"{what}: no screen here ({', '.join(_SCREENS)} are not set); see it in a browser with --web"
-        )
+        unset = f"{', '.join(_SCREENS)} are not set"
+        raise WrongUsageError(f"{what}: no screen here ({unset}); see it in a browser with --web")
     subprocess.run([program, "analytics", "disable"], capture_output=True, check=False)
     if not web:
         # By default the viewer would accept data from whoever reaches port 9876, and pass `source` to a daemon that serves there.
@@ -63,9 +58,8 @@ def view(
     if data_url != source:
         command.append(source)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as server:
-        print(
-            f"http://{_reachable(bind)}:{page}/?url={quote(data_url, safe='')}&theme=dark", flush=True
-        )  # the dark theme, for which our colours are chosen
+        # Our colours are chosen for the dark theme.
+        print(f"http://{_reachable(bind)}:{page}/?url={quote(data_url, safe='')}&theme=dark", flush=True)
         for number in (signal.SIGTERM, signal.SIGINT):  # a shell's background job begins with SIGINT ignored
             signal.signal(number, signal.default_int_handler)
         try:
@@ -75,36 +69,23 @@ def view(
             return
     if server.returncode > 0:
         print(errors, file=sys.stderr)
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def _viewer_source(what: str) -> str:
-    """Return the URL or the file that the viewer is to open.
-
-    Raises
-    ------
-    MissingInputError
-        There is no such recording.
-    """
+    """Return the URL or the file that the viewer is to open."""
     with suppress(ValueError):
         parse_address(what)
         return f"rerun+http://{what}/proxy"
     path = Path(what) / "live.rrd" if Path(what).is_dir() else Path(what)
     if not path.is_file():
-        raise MissingInputError(
-            f"{path}: no such recording; 'replay --out DIR' leaves one, a daemon serves at [output] serve"
-        )
+        remedy = "'replay --out DIR' leaves one, a daemon serves at [output] serve"
+        raise MissingInputError(f"{path}: no such recording; {remedy}")
     return str(path)
 
 
 def _viewer_program() -> str:
-    """Return the path of the viewer's executable; its Python wrapper, when it is ended, would leave the viewer running.
-
-    Raises
-    ------
-    MissingExtraError
-        The viewer is not installed.
-    """
+    """Return the path of the viewer's executable; its Python wrapper, when it is ended, would leave the viewer running."""
     require_extra("viewer", "view")
     spec = find_spec("rerun_cli")
     assert spec is not None
@@ -113,20 +94,13 @@ def _viewer_program() -> str:
 
 
 def _free_port(address: str, port: int) -> int:
-    """Return `port` if it is free, or for 0 any free port.
-
-    Raises
-    ------
-    MissingInputError
-        The address cannot be listened at.
-    """
+    """Return `port` if it is free, or for 0 any free port."""
     try:
         with socket.create_server((address, port)) as probe:
             return int(probe.getsockname()[1])
     except OSError as error:
-        raise MissingInputError(
-            f"{address}:{port}: {error.strerror or error}; give another --bind or --port"
-        ) from error
+        problem = f"{address}:{port}: {error.strerror or error}"
+        raise MissingInputError(f"{problem}; give another --bind or --port") from error
 
 
 def _reachable(bind: str) -> str:

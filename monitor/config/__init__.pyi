@@ -1,7 +1,7 @@
 from . import configuration, security_check
 from .configuration import Configuration, OutputSettings, SensorTable, read_toml
-from .log_settings import LogSettings
-from .state_settings import StateSettings
+from .recording_errors import read_by_user
+from .service_settings import LogSettings, StateSettings
 
 __all__ = [
     "Configuration",
@@ -10,6 +10,7 @@ __all__ = [
     "SensorTable",
     "StateSettings",
     "configuration",
+    "read_by_user",
     "read_toml",
     "security_check",
 ]

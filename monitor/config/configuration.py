@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from drivers.base import UNIT_OF, Source, SourceContext, SourceError
 from drivers.live import LiveBounds, LiveSettings
-from drivers.recorder_settings import RecorderSettings
 from drivers.registry import UnknownSourceError, source_type
-from monitor.config.log_settings import LogSettings
+from drivers.settings import RecorderSettings
 from monitor.config.matrix_files import read_matrices
-from monitor.config.state_settings import StateSettings
+from monitor.config.service_settings import LogSettings, StateSettings
 from monitor.core import (
     BadConfigurationError,
     MissingInputError,
@@ -166,18 +166,11 @@ class OutputSettings(Settings):
             raise ValueError(f"{url!r} is no address as s3://BUCKET/NAME")
         return url
 
-    @field_validator("serve")
+    @field_validator("serve", "web")
     @classmethod
-    def _serves(cls, text: str | None) -> str | None:
+    def _is_address(cls, text: str | None, info: ValidationInfo) -> str | None:
         if text is not None:
-            parse_address(text)
-        return text
-
-    @field_validator("web")
-    @classmethod
-    def _shows(cls, text: str | None) -> str | None:
-        if text is not None:
-            parse_address(text, any_port=True)
+            parse_address(text, any_port=info.field_name == "web")
         return text
 
     @property
@@ -237,15 +230,11 @@ class Configuration(Settings):
 
     @model_validator(mode="after")
     def _consistent(self) -> Configuration:
-        names = [s.channel for s in self.sensors]
         if not self.floor_sensors:
             raise ValueError("sensors: none of them is an accelerometer along x, by which the structure is judged")
-        problems = [
-            f"sensors.{i}.axis: Field required: about which axis is the rotation?"
-            for i, s in enumerate(self.sensors)
-            if s.quantity == "rotation_rate" and s.axis is None
-        ]
-        problems += [f"sensors: channel {c!r} stands twice" for c in sorted({c for c in names if names.count(c) > 1})]
+        turning = [i for i, s in enumerate(self.sensors) if s.quantity == "rotation_rate" and s.axis is None]
+        problems = [f"sensors.{i}.axis: Field required: about which axis is the rotation?" for i in turning]
+        problems += [f"sensors: channel {problem}" for problem in _twice(s.channel for s in self.sensors)]
         problems += self._modal_problems() if isinstance(self.structure, ModalTable) else self._drawn_problems()
         problems += self._covariate_problems()
         references = self.identification.reference_channels
@@ -273,8 +262,7 @@ class Configuration(Settings):
             for i, s in enumerate(self.sensors)
             if s.floor is not None and not int(not s.is_witness) <= s.floor <= n
         ]
-        forced = [i.channel for i in self.inputs]
-        problems += [f"inputs: channel {c!r} stands twice" for c in sorted({c for c in forced if forced.count(c) > 1})]
+        problems += [f"inputs: channel {problem}" for problem in _twice(i.channel for i in self.inputs)]
         problems += [f"inputs: {i.channel!r} acts on floor {i.floor} of {n}" for i in self.inputs if i.floor > n]
         for table in self.effects:
             try:
@@ -286,9 +274,8 @@ class Configuration(Settings):
 
     def _modal_problems(self) -> list[str]:
         """Check that nothing is stated that needs a model."""
-        problems = [
-            f"sensors.{i}.floor: there are no floors" for i, s in enumerate(self.sensors) if s.floor is not None
-        ]
+        on_floors = [i for i, s in enumerate(self.sensors) if s.floor is not None]
+        problems = [f"sensors.{i}.floor: there are no floors" for i in on_floors]
         problems += [f"inputs: {i.channel!r}: a force needs a model to act on" for i in self.inputs]
         problems += [f"effects: {t.effect!r}: there is no model that it could extend" for t in self.effects]
         problems += [f"alarm.unwatched: there is no story {j}" for j in self.alarm.unwatched]
@@ -299,12 +286,11 @@ class Configuration(Settings):
     def _covariate_problems(self) -> list[str]:
         """Check the names and topics of the covariates."""
         named = [t.name for t in self.covariates]
-        problems = [f"covariates: {name!r} stands twice" for name in sorted({n for n in named if named.count(n) > 1})]
-        problems += [
-            f"covariates: {n!r} is one without being named" for n in named if n in (LEVEL, "temperature", UNMEASURED)
-        ]
+        problems = _twice(named)
+        problems += [f"{n!r} is one without being named" for n in named if n in (LEVEL, "temperature", UNMEASURED)]
         taken = [t for t in self.covariates if t.topic in UNIT_OF]
-        return problems + [f"covariates: {t.name!r}: the topic {t.topic} carries {UNIT_OF[t.topic]}" for t in taken]
+        problems += [f"{t.name!r}: the topic {t.topic} carries {UNIT_OF[t.topic]}" for t in taken]
+        return [f"covariates: {problem}" for problem in problems]
 
     def _model_problems(self) -> list[str]:
         """Check the assembled model: a positive definite stiffness, and a natural frequency within the analysed band."""
@@ -354,13 +340,7 @@ class Configuration(Settings):
 
     @property
     def drawn(self) -> DrawnTable:
-        """The structure as drawn.
-
-        Raises
-        ------
-        BadConfigurationError
-            If nothing is drawn.
-        """
+        """The structure as drawn; raises `BadConfigurationError` if nothing is."""
         if isinstance(self.structure, ModalTable):
             raise BadConfigurationError(NO_MODEL)
         return self.structure
@@ -373,26 +353,20 @@ class Configuration(Settings):
 
     @property
     def story_names(self) -> tuple[str, ...]:
-        """What people call each stiffness, shape (p,): its number, with its name where the structure file has one.  Without a
-        model there are none."""
+        """What people call each stiffness: its number, with its name where the structure file has one; none without a model."""
         if isinstance(self.structure, ModalTable):
             return ()
-        names = self.structure.story_names or ()
-        return tuple(
-            f"story {j}" + (f" ({names[j - 1]})" if names else "")
-            for j in range(1, len(self.structure.stiffness_n_per_m) + 1)
-        )
+        n, names = len(self.structure.stiffness_n_per_m), self.structure.story_names
+        return tuple(f"story {j}" + (f" ({names[j - 1]})" if names else "") for j in range(1, n + 1))
 
     @property
     def drawing(self) -> Drawing:
         """The structure as it is drawn: by its ``[[nodes]]`` and ``[[lines]]``, else by what its kind tells of its form."""
         if self.nodes:
             return Drawing.of(self.nodes, self.lines)
-        return (
-            self.drawn.drawing()
-            if self.has_model
-            else Drawing.of_channels([s.label or s.channel for s in self.floor_sensors])
-        )
+        if self.has_model:
+            return self.drawn.drawing()
+        return Drawing.of_channels([s.label or s.channel for s in self.floor_sensors])
 
     @property
     def size_words(self) -> str:
@@ -431,16 +405,13 @@ class Configuration(Settings):
         )
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read the tables of a TOML file.
+def _twice(names: Iterable[str]) -> list[str]:
+    """Say which names stand twice."""
+    return [f"{name!r} stands twice" for name, count in sorted(Counter(names).items()) if count > 1]
 
-    Raises
-    ------
-    MissingInputError
-        The file does not exist, cannot be read or is a directory.
-    BadConfigurationError
-        The file is not TOML.
-    """
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read the tables of a TOML file; raises `MissingInputError` or `BadConfigurationError`."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
@@ -450,22 +421,13 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits is a ValueError too
-        remedy = (
-            "; it looks like JSON: a structure file is TOML, a baseline belongs to --baseline"
-            if text.lstrip()[:1] == "{"
-            else ""
-        )
+        json_text = "; it looks like JSON: a structure file is TOML, a baseline belongs to --baseline"
+        remedy = json_text if text.lstrip()[:1] == "{" else ""
         raise BadConfigurationError(f"{path}: not a TOML file: {error}{remedy}") from error
 
 
 def load_with_model(path: Path) -> Configuration:
-    """Load the settings of a structure file or a site file that has a model, as `load`.
-
-    Raises
-    ------
-    BadConfigurationError
-        The file states the modes alone.
-    """
+    """Load the settings of a structure file or a site file that has a model, as `load`."""
     config = load(path)
     if not config.has_model:
         raise BadConfigurationError(f"{path}: {NO_MODEL}")
@@ -475,12 +437,8 @@ def load_with_model(path: Path) -> Configuration:
 def load(path: Path) -> Configuration:
     """Load and validate the settings of a structure file or a site file.
 
-    Raises
-    ------
-    MissingInputError
-        The file, or a matrix file that it names, cannot be read.
-    BadConfigurationError
-        The settings are invalid; the message lists every problem, one a line.
+    Raises `MissingInputError` if the file, or a matrix file that it names, cannot be read, and `BadConfigurationError` if they
+    are invalid; its message lists every problem, one a line.
     """
     tables = read_toml(path)
     if isinstance(tables.get("structure"), dict):
@@ -504,13 +462,7 @@ def load(path: Path) -> Configuration:
 
 
 def make_source(table: Mapping[str, Any], context: SourceContext) -> Source:
-    """Create the driver of a ``[source]`` table, without opening it.
-
-    Raises
-    ------
-    BadConfigurationError
-        The table is invalid; the message lists one problem a line.
-    """
+    """Create the driver of a ``[source]`` table, without opening it (errors as `load`)."""
     try:
         driver = source_type(str(table.get("kind", "")))
         settings = read_settings(driver.Settings, table)

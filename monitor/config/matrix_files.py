@@ -18,26 +18,8 @@ def read_matrices(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Replace file names in a ``[structure]`` table by the matrices that the files hold.
 
     A file whose name ends in ``.npz`` (NumPy) or ``.json`` holds the matrix under the name of the key.  A file whose name ends
-    in ``.mtx`` (Matrix Market) holds one matrix.  `stiffness_derivatives` may be a list of such names.
-
-    Parameters
-    ----------
-    table : dict
-        Table as read from the structure file.
-    folder : Path
-        Folder to which relative names refer.
-
-    Returns
-    -------
-    dict
-        Copy of the table with matrices as lists of rows, in the units of the table.
-
-    Raises
-    ------
-    MissingInputError
-        A file cannot be read.
-    BadConfigurationError
-        A file holds no such matrix, or has another format.
+    in ``.mtx`` (Matrix Market) holds one matrix.  `stiffness_derivatives` may be a list of such names.  Names are relative to
+    `folder`; the matrices are lists of rows, in the units of the table.
     """
 
     def resolved(key: str, value: Any) -> Any:

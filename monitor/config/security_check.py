@@ -12,18 +12,9 @@ from monitor.config.configuration import Configuration
 
 
 def warnings(path: Path, config: Configuration) -> list[str]:
-    """List one warning for each setting that gives unprotected access or exposes a secret.
-
-    Parameters
-    ----------
-    path : Path
-        Site file, to whose folder the paths of files with secrets are relative.
-    config : Configuration
-        Settings of that file.
-    """
+    """List one warning for each setting of the site file `path` that gives unprotected access or exposes a secret."""
     found = []
-    address = config.output.address
-    if address is not None and not is_loopback(address[0]):
+    if (address := config.output.address) is not None and not is_loopback(address[0]):
         found.append(
             f"output.serve: the Rerun server at {config.output.serve} knows no password: all who reach it see all"
         )

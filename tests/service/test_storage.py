@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
-from drivers.recorder_settings import RecorderSettings
+from drivers.settings import RecorderSettings
 from monitor.config import OutputSettings
 from monitor.publish import closed_files, month_file, pack_month, read_lines
 from monitor.publish.reports.period_data import read_results

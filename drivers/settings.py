@@ -1,14 +1,18 @@
-"""Settings of the recorder, in a module of their own: reading the settings must not load the MCAP libraries."""
+"""Base of the tables of a site file that the drivers read, and the recorder's: reading it must not load the MCAP libraries."""
 
 from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
 
-class RecorderSettings(BaseModel):
-    """Table ``[recorder]`` of the site file."""
+class Settings(BaseModel):
+    """Table of a site file: frozen, of known keys and finite numbers alone."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class RecorderSettings(Settings):
+    """Table ``[recorder]`` of the site file."""
 
     enabled: bool = True
     file_mb: float = Field(default=64.0, gt=0)

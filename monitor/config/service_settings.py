@@ -1,10 +1,21 @@
-"""Settings of what the service keeps over a restart."""
+"""Settings of the service alone: its log, and what it keeps over a restart."""
 
 from __future__ import annotations
+
+from typing import Literal
 
 from pydantic import Field
 
 from monitor.core import Settings
+
+
+class LogSettings(Settings):
+    """``[log]`` of the site file."""
+
+    format: Literal["text", "json"] = "text"
+    """Format of a line: ``key=value`` pairs, or JSON."""
+    level: Literal["debug", "info", "warning", "error"] = "warning"
+    """Lowest level that is logged."""
 
 
 class StateSettings(Settings):
