@@ -16,9 +16,9 @@ from monitor.damage.common_change import UNMEASURED, CommonChange
 from monitor.damage.covariate_law import Axis, learn, stories_prior
 from monitor.damage.level import drift_m, drift_weights, drift_weights_of_some, level_db
 from monitor.model import simulate
-from monitor.pipeline import Pipeline, PipelineState
+from monitor.pipeline import Pipeline
 from monitor.publish import to_json, window_line
-from monitor.service.serialization import from_bytes, to_bytes
+from tests.service.checkpoint import restored
 from tests.support.samples import T0_NS, Cut
 
 WIND = """
@@ -218,7 +218,7 @@ def test_a_restart_goes_on_with_what_was_learned(
         first.push(b)
     assert first.state.learning is not None
     second = Pipeline(site, healthy[1])
-    second.state = from_bytes(to_bytes("k", first.state), "k", PipelineState)
+    second.state = restored(first.state)
     rest = [r for b in blocks[40:] for r in second.push(b) if isinstance(r, WindowResult)]
     assert [to_json(window_line(r)) for r in rest] == [to_json(window_line(r)) for r in lines[-len(rest) :]]
     assert second.state.learning is not None
@@ -248,8 +248,7 @@ def test_what_the_stories_do_together_is_taken_out_of_the_index_live_as_in_repla
         pipeline, results = Pipeline(site, baseline), []
         for k, block in enumerate([speed, *cut(floors, 128.0, lengths)]):
             if k == restart:
-                state = from_bytes(to_bytes("k", pipeline.state), "k", PipelineState)
-                pipeline = Pipeline(site, baseline)
+                state, pipeline = restored(pipeline.state), Pipeline(site, baseline)
                 pipeline.state = state
             results += [r for r in pipeline.push(block) if isinstance(r, WindowResult)]
         return results

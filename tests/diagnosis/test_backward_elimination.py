@@ -18,7 +18,7 @@ from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference import MapEstimate, Posterior, maximize_posterior, normal_moments
 from monitor.model import parse_effect
-from tests.support.jointed_frame import fitted, recorded
+from tests.diagnosis.jointed_frame import fitted, recorded
 
 pytestmark = pytest.mark.engine
 

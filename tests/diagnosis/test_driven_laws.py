@@ -10,7 +10,7 @@ from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.inference import classify, gather
 from monitor.model import parse_effect, prior_from_drawing
 from monitor.runs import diagnose
-from tests.support.pushed_frame import FORCED, pushed
+from tests.model.pushed_frame import FORCED, pushed
 
 pytestmark = pytest.mark.engine
 

@@ -25,7 +25,7 @@ from monitor.inference import (
 )
 from monitor.model import Effect, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
-from tests.support.jointed_frame import CONFIG, RATE, SENSORS, posed
+from tests.diagnosis.jointed_frame import CONFIG, RATE, SENSORS, posed
 
 pytestmark = pytest.mark.engine
 

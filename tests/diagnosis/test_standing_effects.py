@@ -14,10 +14,10 @@ from monitor.diagnosis import diagnose as search
 from monitor.inference import Segments, classify, gather
 from monitor.model import Model, StructuralPrior, parse_effect, prior_file, simulate
 from monitor.runs import cut_into_blocks, diagnose
-from tests.support import jointed_frame
+from tests.diagnosis import jointed_frame
+from tests.diagnosis.jointed_frame import TURNING
 from tests.support.brisk import briefly
 from tests.support.files import through_its_file
-from tests.support.jointed_frame import TURNING
 
 pytestmark = pytest.mark.engine
 

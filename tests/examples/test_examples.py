@@ -13,7 +13,6 @@ from drivers.base import SourceContext
 from monitor.config import Configuration, configuration
 from monitor.core import Level, Skipped
 from monitor.diagnosis import in_words
-from monitor.diagnosis.wording import separating_measurement
 from monitor.model import EFFECTS, Condition, Context, FittedSizes, parse_effect, prior_from_drawing
 from monitor.runs import Session
 from monitor.service import Daemon
@@ -77,11 +76,6 @@ def test_the_effect_brings_its_own_words(monkeypatch: pytest.MonkeyPatch, frame_
     sizes = {"stiffness_n_per_m": {"value": 300.0, "std": 5.0}}
     told = in_words("brace_stiffness", "story 2", sizes, known)
     assert told == "a brace of 300 ± 10 N/m stiffens story 2"
-    rivals = [
-        {"effect": "brace_stiffness", "location": "story 2"},
-        {"effect": "stiffness_change", "location": "story 2"},
-    ]
-    assert separating_measurement(rivals) == BraceStiffness.separating_measurement
     plain = super(BraceStiffness, BraceStiffness).sentence(FittedSizes("story 2", sizes, known.model.structure, ""))
     assert plain == "brace stiffness at story 2, stiffness 300 ± 10 N/m", "what an effect without words gets"
 

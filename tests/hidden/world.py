@@ -155,7 +155,7 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
             drive[:, size + 1] = np.interp(t, np.arange(act.course.size), act.course)
         if start == 0:
             last = drive[:1]
-        raw, state = _march(
+        raw, state = march(
             minv, act.damping, act.stiffness, moving, kinds, directions, parameters,
             np.concatenate([last, drive]), state, dt, n,
         )  # fmt: skip
@@ -247,7 +247,7 @@ def _slope(minv, damping, stiffness, moving, kinds, directions, parameters, u, z
 
 
 @njit(cache=True)
-def _march(minv, damping, stiffness, moving, kinds, directions, parameters, drive, state, dt, n):
+def march(minv, damping, stiffness, moving, kinds, directions, parameters, drive, state, dt, n):
     """Classical Runge-Kutta from knot to knot, what drives running straight between them."""
     size, width = minv.shape[0], drive.shape[1]
     seen = np.empty((drive.shape[0] - 1, n))

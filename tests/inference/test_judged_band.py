@@ -20,8 +20,7 @@ from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
 from monitor.inference.starting_point import make_posterior
 from monitor.model import prior_from_drawing, simulate
-from monitor.runs import cut_into_blocks
-from monitor.runs.diagnose import diagnose_segments
+from monitor.runs import cut_into_blocks, diagnose
 from tests.support import turning_frame
 
 Array = NDArray[np.float64]
@@ -195,7 +194,7 @@ def test_later_diagnoses_compare_where_the_healthy_recording_could_be_judged(end
     floors = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE_HZ, seed=5, noise=0.01).floors
     white = gather(cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 10**18, 500), CONFIG.front_end())
     assert white.band.n_bins == white.whole.n_bins
-    found, _ = diagnose_segments(white, learnt, CONFIG)
+    found, _ = diagnose.diagnose_segments(white, learnt, CONFIG)
     assert found.posterior.observed.band.hz[[0, -1]] == pytest.approx(ended.band.hz[[0, -1]])
 
 

@@ -15,16 +15,15 @@ from rerun.chunk import RrdReader
 
 from monitor.diagnosis import DiagnosisSettings, HeldOutGain, StoryLaw, diagnose, in_words
 from monitor.diagnosis import content as content_of
-from monitor.diagnosis.verdict import Cause
 from monitor.inference import classify
 from monitor.model import EFFECTS, FORMS, interval, parse_effect
 from monitor.publish.reports.charts import decades, ticks
 from monitor.publish.reports.comparison import compare, level_dependence
 from monitor.publish.reports.diagnosis_report import page, write_report
 from monitor.publish.viewer.diagnosis_view import write_view
-from tests.support import jointed_frame
-from tests.support.jointed_frame import COLOUR, FORCES, GAINS
-from tests.support.searched import CONFIG, GAIN, LOSS, REFERENCE, Case, recorded, searched
+from tests.diagnosis import jointed_frame
+from tests.diagnosis.jointed_frame import COLOUR, FORCES, GAINS
+from tests.diagnosis.searched import CONFIG, GAIN, LOSS, REFERENCE, Case, recorded, searched, stated
 
 pytestmark = pytest.mark.engine
 
@@ -101,7 +100,7 @@ def test_the_many_rows_of_the_witnesses_take_few_lines_on_a_narrow_page(cases: d
 
 def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tmp_path: Path) -> None:
     best = cases["none"].diagnosis.candidates[0]
-    also = (Cause(best.effect, dict.fromkeys(best.effect.values(), 0.001)),)
+    also = (stated(best.effect),)
     diagnosis = replace(cases["none"].diagnosis, also_fitted=also, final_fit=best.fit)
     case = Case(diagnosis, cases["none"].segments)
     write_report(tmp_path / "page.html", case.diagnosis, case.content, case.segments)

@@ -16,7 +16,7 @@ from monitor.core import BadInputError
 from monitor.publish.reports.period_data import read_results
 from monitor.publish.reports.period_report import read_period, write_period
 from monitor.publish.results.event_lines import event_line, event_text
-from tests.support import event_pages
+from tests.publish import event_pages
 from tests.support.period_lines import ALARM, HOP, SKIPPED, T0, json_lines, line_of
 from tests.support.samples import Cli
 

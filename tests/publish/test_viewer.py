@@ -35,8 +35,8 @@ from monitor.publish.viewer.state import LAMP, StateDrawing, state_markdown
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
 from monitor.signals import Health, sensor_health
 from tests.examples.beam import bridge
+from tests.publish.event_pages import told as shaken_event
 from tests.publish.viewer_results import SCENE, T0, window
-from tests.support.event_pages import told as shaken_event
 from tests.support.results import damage_reading, modal_estimate
 from tests.support.strangers import listening
 from tests.support.waiting import until

@@ -15,11 +15,11 @@ from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, BadInputError, Level, Samples, WindowResult
 from monitor.damage import ModalBaseline, load_baseline, load_modal_baseline, save_modal_baseline
 from monitor.model import simulate
-from monitor.pipeline import Pipeline, PipelineState
+from monitor.pipeline import Pipeline
 from monitor.publish import facts_of_line, replay_text, to_json, window_line
 from monitor.runs import calibrate_modes, load_healthy
 from monitor.runs.baselines import modal_origin
-from monitor.service.serialization import from_bytes, to_bytes
+from tests.service.checkpoint import restored
 from tests.support.samples import CHANNELS, FRAME, T0_NS, Cli, Cut
 
 RATE_HZ, WINDOW_S = 128.0, 20
@@ -131,7 +131,7 @@ def test_results_do_not_depend_on_the_size_of_blocks_nor_on_a_restart(
     first, blocks = Pipeline(site, healthy), cut(floors, RATE_HZ, [128])
     head = windows(first, blocks[:40])
     second = Pipeline(site, healthy)
-    second.state = from_bytes(to_bytes("k", first.state), "k", PipelineState)
+    second.state = restored(first.state)
     assert [to_json(window_line(r)) for r in [*head, *windows(second, blocks[40:])]] == whole
     assert any(r.left_out and r.skipped is None for r in [*head, *windows(first, blocks[40:])])
 

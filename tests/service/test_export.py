@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,7 @@ import pyarrow.parquet
 import pytest
 import zstandard
 
-from monitor.core import BadInputError, MissingInputError, WrongUsageError
-from monitor.core.extras import EXTRAS, MissingExtraError
+from monitor.core import BadInputError, MissingInputError, UserError, WrongUsageError
 from monitor.service.export import export
 from monitor.service.line_protocol import line
 from tests.support.samples import Cli
@@ -184,8 +184,8 @@ def test_what_cannot_be_exported_is_said(run: Path, tmp_path: Path, monkeypatch:
     with pytest.raises(BadInputError, match=r"results\.jsonl: line 1 is no line of results"):
         export(run, "modes", tmp_path / "x.csv", ALL)
     (run / "results.jsonl").write_text(json.dumps(window(0)) + "\n")
-    monkeypatch.setitem(EXTRAS, "formats", ("pyuff", "no_such_module"))
-    with pytest.raises(MissingExtraError, match=r"needs the extra formats: pip install 'shm-monitor\[formats\]'"):
+    monkeypatch.setitem(sys.modules, "pyuff", None)
+    with pytest.raises(UserError, match=r"needs the extra formats: pip install 'shm-monitor\[formats\]'"):
         export(run, "modes", tmp_path / "x.uff", ALL)
     assert not list(tmp_path.glob("x.*"))
 

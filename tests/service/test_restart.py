@@ -26,7 +26,7 @@ from drivers.recorder import recorded
 from monitor.config import configuration
 from monitor.core import Gap, Level
 from monitor.damage import AlarmState, StoryState, load_baseline
-from monitor.damage.alarm import acknowledge
+from monitor.damage import alarm as alarms
 from monitor.events import Event
 from monitor.model import simulate
 from monitor.publish import facts_of_line
@@ -443,6 +443,6 @@ def test_an_acknowledged_alarm_stays_so_with_and_without_checkpoints(
         return found
 
     assert alarm_of_story_2(raise_it) == StoryState()
-    assert alarm_of_story_2(lambda state: acknowledge(state, 2, "ann")) == raised
+    assert alarm_of_story_2(lambda state: alarms.acknowledge(state, 2, "ann")) == raised
     assert alarm_of_story_2(None) == replace(raised, unacknowledged=False, acknowledged_by="ann")
     assert (out / "state" / "checkpoint").exists() == bool(checkpoint_s)

@@ -14,16 +14,14 @@ import pytest
 from drivers.base import SampleBlock
 from drivers.recorder_settings import RecorderSettings
 from monitor.config import OutputSettings
-from monitor.publish import closed_files, month_file, pack_month, read_lines
-from monitor.publish.reports.period_data import read_results
-from monitor.publish.results.files import read_all_lines
+from monitor.publish import closed_files, month_file, pack_month, read_lines, read_period
 from monitor.runs import Session
 from monitor.service import restart
 from monitor.service.daemon import Daemon
 from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import Recording
 from tests.support.samples import Cli, Cut
-from tests.support.site import RATE, Scripted, replayed, write
+from tests.support.site import RATE, Scripted, all_lines, replayed, write
 
 S = 10**9
 TURN_NS = 1_769_904_000 * S
@@ -58,12 +56,12 @@ def test_a_closed_month_is_packed_and_read_as_before(monthly: Path, blocks: list
     out = run(monthly, blocks)
     assert [path.name for path in closed_files(out)] == ["results-2026-01.jsonl.zst"]
     whole = replayed(main, monthly, [write(monthly.parent / "rec.mcap", blocks)], monthly.parent / "again")
-    assert b"".join(read_all_lines(out)) == whole
+    assert b"".join(all_lines(out)) == whole
     now = (out / "results.jsonl").read_bytes()
     assert whole.endswith(now) and b"".join(read_lines(closed_files(out)[0])) + now == whole
     ends = [json.loads(line)["t_end_ns"] for line in now.splitlines()]
     assert min(ends) >= TURN_NS and len(ends) < whole.count(b"\n")
-    one, two = (read_results(folder, None, None, 5.0) for folder in (out, monthly.parent / "again"))
+    one, two = (read_period(folder, None, None).results for folder in (out, monthly.parent / "again"))
     assert (one.course, one.judged, one.begun_ns, one.hop_s) == (two.course, two.judged, two.begun_ns, two.hop_s)
     for folder in (out, monthly.parent / "again"):
         (folder / "state").mkdir(exist_ok=True)
@@ -95,7 +93,7 @@ def test_a_restart_at_the_turn_of_the_month_writes_each_window_once(
         killed.setattr(restart.Checkpointer, "took", took)
         out = run(monthly, blocks[:cut_at])
     run(monthly, blocks[cut_at:])
-    windows = [json.loads(line)["window"] for line in read_all_lines(out)]
+    windows = [json.loads(line)["window"] for line in all_lines(out)]
     assert windows == list(range(len(windows))) and len(windows) > 20
 
 
@@ -143,7 +141,7 @@ def test_a_month_that_ends_while_the_disk_refuses_lines_is_closed_later(
     for k in range(4, 6):
         file.write_window(*line(k))
     file.close()
-    assert [json.loads(text)["window"] for text in read_all_lines(tmp_path)] == [2, 3, 4, 5]
+    assert [json.loads(text)["window"] for text in all_lines(tmp_path)] == [2, 3, 4, 5]
 
 
 def fill(out: Path, files: dict[str, int]) -> None:

@@ -21,7 +21,7 @@ from monitor.core import WHOLE, DamageReading, Gap, Level
 from monitor.damage import Assessment, State, alarm
 from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, Request, apply
-from tests.support.answering import Monitor
+from tests.service.answering import Monitor
 from tests.support.results import T0_NS, window
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port

@@ -15,6 +15,7 @@ import pytest
 
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
 from monitor.core import WindowResult
+from monitor.publish import closed_files, read_lines
 from monitor.service import Daemon, outlets
 from tests.support.samples import Cli, write_blocks
 
@@ -84,6 +85,11 @@ def lines(folder: Path, name: str = "results.jsonl") -> list[dict[str, Any]]:
     file = folder / name
     whole = file.read_bytes().rpartition(b"\n")[0] if file.exists() else b""
     return [json.loads(line) for line in whole.splitlines()]
+
+
+def all_lines(folder: Path) -> list[bytes]:
+    """Lines of all months, packed ones too."""
+    return [line for path in (*closed_files(folder), folder / "results.jsonl") for line in read_lines(path)]
 
 
 def health(folder: Path) -> list[dict[str, Any]]:

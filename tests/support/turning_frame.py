@@ -11,8 +11,8 @@ from monitor.diagnosis import Diagnosis, diagnose
 from monitor.inference import ObservedSpectra, Posterior, classify, gather, make_posterior
 from monitor.model import Condition, Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
+from tests.diagnosis.jointed_frame import PLAIN
 from tests.support.brisk import BRISK
-from tests.support.jointed_frame import PLAIN
 
 RATE = 512.0
 

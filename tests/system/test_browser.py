@@ -17,12 +17,12 @@ from PIL import Image
 
 from monitor.core import Level
 from monitor.publish import RerunPublisher, read_period, write_period, write_report
+from tests.diagnosis.searched import LOSS, searched
+from tests.publish import event_pages
 from tests.publish.viewer_results import SCENE, window
-from tests.support import event_pages
 from tests.support.browser import ROOT, browser_tool
 from tests.support.debian import demand
 from tests.support.period_lines import json_lines, line_of
-from tests.support.searched import LOSS, searched
 
 pytestmark = pytest.mark.system
 

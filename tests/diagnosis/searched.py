@@ -65,6 +65,11 @@ def recorded(*effects: Effect, rate_hz: float = 200.0) -> tuple[Segments, Contex
     return segments, context
 
 
+def stated(effect: Effect) -> Cause:
+    """As a cause whose size is known well."""
+    return Cause(effect, dict.fromkeys(effect.values(), 0.001))
+
+
 def searched(truth: tuple[str, ...], tried: tuple[str, ...], verdict: str, *, causes: int = 0) -> Case:
     """A diagnosis whose candidates are given, so that the search's choice is not what is tested here."""
     segments, context = recorded(*(parse_effect(t) for t in truth))
@@ -72,13 +77,12 @@ def searched(truth: tuple[str, ...], tried: tuple[str, ...], verdict: str, *, ca
     candidates = tuple(fit_candidate(posterior, null, parse_effect(t)) for t in tried)
     blank = diagnose(classify(segments), REFERENCE, context, DiagnosisSettings(worth=1e9))
     best = candidates[0]
-    std = dict.fromkeys(best.effect.values(), 0.001)
     ambiguous = verdict == "ambiguous"
     return Case(
         replace(
             blank,
             verdict=verdict,
-            causes=(Cause(best.effect, std),) * causes,
+            causes=(stated(best.effect),) * causes,
             alternatives=tuple((c, 1.0 / len(candidates)) for c in candidates) if ambiguous else (),
             left_over=blank.misfit if verdict == "unexplained" else (),
             candidates=candidates,

@@ -8,20 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.base import ACCELERATION, FORCE, GROUND
+from drivers.base import ACCELERATION, GROUND
 from monitor.config import Configuration
 from monitor.core import Array, BadInputError
 from monitor.diagnosis import DiagnosisSettings, diagnose, score
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.inference.linearization import linearize
-from monitor.inference.observed_spectra import classify
-from monitor.inference.posterior import Posterior
-from monitor.inference.segments import Segments, gather
-from monitor.inference.starting_point import make_posterior
+from monitor.inference import Posterior, Segments, classify, gather, linearize, make_posterior
 from monitor.model import Model, parse_effect, prior_from_drawing, simulate
-from monitor.model.simulation import level_wander, respond
 from monitor.runs import cut_into_blocks
-from tests.support.pushed_frame import FORCED, STRUCTURE, T0_NS, pushed
+from tests.model.pushed_frame import FORCED, STRUCTURE, T0_NS, pushed
 
 pytestmark = pytest.mark.engine
 
@@ -100,13 +95,15 @@ def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_
 def windy(*effects: str, share: float, seed: int) -> Segments:
     """A frame on a shaken ground in wind that makes a share of the motion's variance; every sensor has noise of its own."""
     model = Model(settings().model().structure, tuple(parse_effect(e) for e in effects))
-    rng, n = np.random.default_rng(seed), round(90.0 * 200.0)
-    ground = level_wander(n, 200.0, 0.5, rng) * rng.standard_normal(n)
-    by_ground = respond(model, np.zeros((n, 3)), ground, 200.0)
-    by_wind = respond(model, level_wander(n, 200.0, 0.3, rng)[:, None] * rng.standard_normal((n, 3)), None, 200.0)
-    floors = by_ground + by_wind * np.sqrt(share / (1.0 - share) * by_ground.var() / by_wind.var())
+    shaken, blown = (
+        simulate(model, duration_s=90.0, rate_hz=200.0, excitation=kind, level_spread=spread, seed=seed)
+        for kind, spread in (("ground", 0.5), ("ambient", 0.3))
+    )
+    ground, rng = shaken.ground, np.random.default_rng(seed)
+    assert ground is not None
+    floors = shaken.floors + blown.floors * np.sqrt(share / (1.0 - share) * shaken.floors.var() / blown.floors.var())
     floors += 0.02 * floors.std(axis=0) * rng.standard_normal(floors.shape)
-    ground = ground + 0.002 * ground.std() * rng.standard_normal(n)
+    ground = ground + 0.002 * ground.std() * rng.standard_normal(ground.size)
     streams = [(GROUND, ground[:, None], ("g",)), (ACCELERATION, floors, DRAWING.channels)]
     return gather(
         [b for t, x, names in streams for b in cut_into_blocks(t, x, names, 200.0, T0_NS, 200)], DRAWING.front_end()
@@ -268,13 +265,5 @@ def test_a_force_that_the_structure_file_does_not_name_is_no_input() -> None:
 
 
 def test_where_the_inputs_end_inside_the_band_nothing_beyond_is_judged() -> None:
-    rate_hz, n = 256.0, round(120.0 * 256.0)
-    hz = np.fft.rfftfreq(n, 1.0 / rate_hz)
-    force = np.fft.irfft(np.fft.rfft(np.random.default_rng(5).standard_normal(n)) * (hz < 15.0), n=n)
-    floors = respond(FORCED.model(), np.column_stack([0 * force, force, 0 * force]), None, rate_hz)
-    blocks = [
-        *cut_into_blocks(ACCELERATION, floors, FORCED.channels, rate_hz, T0_NS, 256),
-        *cut_into_blocks(FORCE, force[:, None], ("shaker",), rate_hz, T0_NS, 256, unit="N"),
-    ]
-    segments = gather(sorted(blocks, key=lambda block: block.t_ns), FORCED.front_end())
+    segments = gather(pushed(seed=5, below_hz=15.0), FORCED.front_end())
     assert segments.whole.hz[-1] > 30.0 and 12.0 < segments.band.hz[-1] < 15.0

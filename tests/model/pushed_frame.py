@@ -26,7 +26,7 @@ FORCED = Configuration.model_validate(
 
 
 def pushed(
-    *effects: str, seed: int, ground: bool = False, late_s: int = 0, duration_s: float = 120.0
+    *effects: str, seed: int, ground: bool = False, late_s: int = 0, duration_s: float = 120.0, below_hz: float = np.inf
 ) -> list[SampleBlock]:
     """A frame that a measured force on floor 2 shakes, on a ground that moves as well if wanted."""
     rate_hz, n = 256.0, round(duration_s * 256.0)
@@ -34,6 +34,8 @@ def pushed(
     rng = np.random.default_rng(seed)
     level = level_wander(n, rate_hz, 0.5, rng)
     force, moved = 3.0 * level * rng.standard_normal(n), 0.5 * level * rng.standard_normal(n)
+    if below_hz < rate_hz:
+        force = np.fft.irfft(np.fft.rfft(force) * (np.fft.rfftfreq(n, 1.0 / rate_hz) < below_hz), n)
     forces = 0.1 * rng.standard_normal((n, 3))
     forces[:, 1] += force
     floors = respond(model, forces, moved if ground else None, rate_hz)

@@ -1,6 +1,6 @@
 """Many emulated sites live over Zenoh at real pace: latency, losses, memory and processor of a host.
 
-``python -m tests.benchmarks.host --sites 200 60 --rates 100 1024 --seconds 1800 [--workers 2] --out DIR`` starts a router,
+``python -m tests.service.host_speed --sites 200 60 --rates 100 1024 --seconds 1800 [--workers 2] --out DIR`` starts a router,
 processes that emulate the sensors (counted apart) and ``shm-monitor host``, and prints one JSON object.  ``--spread 10`` lets the
 streams begin at different moments of ten seconds, as those of a city do.  ``--trouble`` adds three sites that are counted apart:
 one is sent garbage, one is flooded for a third of the time, and the sensor of one is killed halfway.  ``--arrivals`` simulates
@@ -198,7 +198,7 @@ def _live(given: argparse.Namespace, sites: list[tuple[str, float]]) -> dict[str
         ready_s = time.monotonic() - begun_s
         before, begin_s = _used(host.pid), time.time() + 8.0
         emulators = _start_emulators(given, router, begin_s, len(sites))
-        own = [sys.executable, "-m", "tests.benchmarks.host", "--seconds", str(given.seconds), "--make-trouble"]
+        own = [sys.executable, "-m", "tests.service.host_speed", "--seconds", str(given.seconds), "--make-trouble"]
         trouble = [
             subprocess.Popen([*own, name, router, str(begin_s)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
             for name in (_TROUBLE if given.trouble else ())
@@ -228,7 +228,7 @@ def _live(given: argparse.Namespace, sites: list[tuple[str, float]]) -> dict[str
 
 def _start_emulators(given: argparse.Namespace, router: str, begin_s: float, count: int) -> list[subprocess.Popen[str]]:
     shares = -(-count // _PER_EMULATOR)
-    own = [sys.executable, "-m", "tests.benchmarks.host", "--seconds", str(given.seconds)]
+    own = [sys.executable, "-m", "tests.service.host_speed", "--seconds", str(given.seconds)]
     own += ["--sites", *map(str, given.sites), "--rates", *map(str, given.rates), "--spread", str(given.spread)]
     return [
         subprocess.Popen(
