@@ -85,7 +85,6 @@ def begin(checkout: Path, kind: str, samples: Path) -> subprocess.Popen[str]:
     process = subprocess.Popen(
         command, cwd=checkout, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    assert process.stdout is not None
     if process.stdout.readline().strip() != "ready":
         sys.exit(f"{kind} does not run in {checkout}")
     return process
@@ -93,8 +92,6 @@ def begin(checkout: Path, kind: str, samples: Path) -> subprocess.Popen[str]:
 
 def ask(process: subprocess.Popen[str], block: int) -> float:
     """Have a process push a block, and return its CPU time, s."""
-    assert process.stdin is not None
-    assert process.stdout is not None
     process.stdin.write(f"{block}\n")
     process.stdin.flush()
     return float(process.stdout.readline())

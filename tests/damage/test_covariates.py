@@ -141,7 +141,6 @@ def test_a_covariate_that_cannot_be_is_refused(
 
 def test_the_law_survives_the_baselines_file(healthy: tuple[Baseline, Baseline]) -> None:
     learned, read = healthy
-    assert learned.law is not None and read.law is not None
     assert [axis.name for axis in read.law.axes] == ["level", "wind"]
     for under in ({"level": np.array([-90.0])}, {"wind": np.full(14, 9.0)}, {}):
         a, b = learned.law.expected(under), read.law.expected(under)
@@ -157,7 +156,6 @@ def test_a_storm_beyond_calibration_is_uncertain_and_said(
     calm, storm, gale = (np.mean([r.damage.ddi_std for r in x if r.damage], axis=0) for x in (same, twice, eight))
     assert (storm > calm).all() and (gale > 2.0 * calm).all()
     for r in eight:
-        assert r.damage is not None
         assert r.damage.beyond.startswith("stronger than anything at calibration: level")
         assert not r.alarm.active
     assert not any(r.damage.beyond for r in same if r.damage)
@@ -221,8 +219,6 @@ def test_a_restart_goes_on_with_what_was_learned(
     second.state = restored(first.state)
     rest = [r for b in blocks[40:] for r in second.push(b) if isinstance(r, WindowResult)]
     assert [to_json(window_line(r)) for r in rest] == [to_json(window_line(r)) for r in lines[-len(rest) :]]
-    assert second.state.learning is not None
-    assert healthy[1].law is not None
     np.testing.assert_array_equal(
         second.state.learning.law.slopes, healthy[1].law.slopes
     )  # nothing has waited for two days yet
@@ -233,7 +229,6 @@ def test_what_the_stories_do_together_is_taken_out_of_the_index_live_as_in_repla
 ) -> None:
     """Simulated samples of a frame that is 2 % softer by the weather in the learned pattern, with 5 % of story 2 lost besides."""
     law = healthy[1].law
-    assert law is not None
     follows = np.array([1.0, 1.5, 0.8])
     white = np.linalg.solve(law.mixing, 0.01 * follows)  # by 1 % in a usual day
     square = 1440.0 * (np.eye(3) + np.outer(white, white))
@@ -256,7 +251,6 @@ def test_what_the_stories_do_together_is_taken_out_of_the_index_live_as_in_repla
     whole, blind = run(knows, [128]), run(healthy[1], [128])
     assert [to_json(window_line(r)) for r in run(knows, [100], 60)] == [to_json(window_line(r)) for r in whole]
     last, raw = whole[-1].damage, blind[-1].damage
-    assert last is not None and raw is not None
     assert UNMEASURED in last.covariate_effect and UNMEASURED not in raw.covariate_effect
     np.testing.assert_allclose(last.ddi - last.covariate_effect[UNMEASURED], raw.ddi, atol=1e-12)
     assert np.abs(last.ddi[1] - 0.05) < 3.0 * last.ddi_std[1] < 0.15

@@ -59,7 +59,6 @@ def felt(state: temperature.TemperatureState, end_s: float, window_s: float = 40
 def test_a_window_feels_the_mean_of_its_stretch_at_any_rate(rate_hz: float, within: float) -> None:
     ramp = 10.0 + 0.01 * np.arange(0, 1000, 1 / rate_hz)
     seen = felt(kept(felt_blocks(ramp, rate_hz)), 1000.0)
-    assert seen is not None
     middle_s = 1000.0 - SETTINGS.patience_s - 200.0
     assert seen.lagged_degc[0] == pytest.approx(10.0 + 0.01 * middle_s, abs=within)
 
@@ -97,14 +96,12 @@ def test_what_a_broken_sensor_says_is_no_temperature() -> None:
     degc = np.full(600, 15.0)
     degc[100:110], degc[200:210], degc[300:310] = -127.0, np.nan, 850.0
     seen = felt(kept(felt_blocks(degc)), 600.0)
-    assert seen is not None
     np.testing.assert_array_equal(seen.lagged_degc, 15.0)
 
 
 def test_a_clock_put_right_is_believed_again() -> None:
     blocks = felt_blocks(np.full(10, 40.0), t0_ns=T0_NS + 10**18) + felt_blocks(np.full(600, 15.0))
     seen = felt(kept(blocks), 600.0)
-    assert seen is not None
     np.testing.assert_array_equal(seen.lagged_degc, 15.0)
 
 
@@ -288,7 +285,6 @@ def healthy(slow_site: Configuration, tmp_path_factory: pytest.TempPathFactory) 
 @pytest.mark.engine
 def test_calibrate_learns_the_dependence_from_a_recording(healthy: Baseline) -> None:
     law = healthy.law
-    assert law is not None
     assert healthy.reference_temperature_degc == pytest.approx(14.8, abs=0.2)
     low, high = next(axis.range for axis in law.axes if axis.name == "temperature")
     change, std = law.over_range("temperature")

@@ -39,7 +39,6 @@ def test_the_driver_feeds_the_daemon(tmp_path: Path, frame_text: str) -> None:
     source = configuration.make_source({"kind": "sine", "frequency_hz": 5.0}, SourceContext(("a1",)))
     assert isinstance(source, SineSource)
     block = source.read(1.0)
-    assert block is not None
     assert abs(np.fft.rfftfreq(200, 1 / 200)[np.abs(np.fft.rfft(block.samples[:, 0])).argmax()] - 5.0) < 0.5
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import firwin, lfilter, sosfilt, upfirdn
+from scipy.signal import firwin, lfilter, upfirdn
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from tests.hidden.frame import Frame, hung
@@ -54,8 +54,6 @@ class Act(Sensors):
     heard: bool = False
     """Whether the ground is recorded, as the last channel."""
     corner_hz: float | None = None
-    sections: np.ndarray | None = None
-    """Second-order sections of a filter through which all floors' forces went, at 4096 Hz."""
     line: tuple[int, float, float] | None = None
     """(floor, Hz, N)"""
     chirp: tuple[int, float, float, float] | None = None
@@ -130,7 +128,6 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
     tail = np.zeros((_TAPS.size - 1, n + act.heard))
     last = np.zeros((1, size + 2))  # forces, ground acceleration, course
     memory = np.zeros((1, n))
-    filtered = np.zeros((0 if act.sections is None else len(act.sections), 2, n))
     for start in range(0, round(duration_s * KNOT_HZ), round(_CHUNK_S * KNOT_HZ)):
         k = np.arange(start, min(start + round(_CHUNK_S * KNOT_HZ), round(duration_s * KNOT_HZ)))
         t = k / KNOT_HZ
@@ -142,8 +139,6 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
         if act.corner_hz is not None:
             decay = np.exp(-2.0 * np.pi * act.corner_hz * dt)
             force, memory = lfilter([1.0 - decay], [1.0, -decay], force, axis=0, zi=memory)
-        if act.sections is not None:
-            force, filtered = sosfilt(act.sections, force, axis=0, zi=filtered)
         drive[:, :n] = force
         for floor, phase, amplitude in _tones(act, t, duration_s):
             drive[:, floor] += amplitude * np.sin(phase)

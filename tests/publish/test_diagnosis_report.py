@@ -142,7 +142,6 @@ def test_the_forces_that_stand_are_drawn_where_their_spectrum_was_learned(standi
     assert (title in shown, "rise_1" in shown) == (standing == (FORCES,), False)
     if title in shown:  # falling, not level
         drawn = re.search(r'<polyline class="line after" points="([^"]*)"', shown[shown.index(title) :])
-        assert drawn is not None
         heights = [float(point.partition(",")[2]) for point in drawn[1].split()]
         assert heights[-1] > heights[0] + 50.0  # px, downwards
 
@@ -169,7 +168,6 @@ def test_level_dependence_is_shown_for_a_cause_that_has_one_and_follows_it() -> 
     fit = replace(case.diagnosis.final_fit, effects=(hard,))
     fit = replace(fit, x=np.append(fit.x[:-1], hard.coordinates))
     by = level_dependence(replace(case.diagnosis, final_fit=fit))
-    assert by is not None
     assert (np.diff(by.at) > 0).all() and (np.diff(by.model_frequency_hz, axis=0).max(axis=1) > 0).all()
     assert (np.ptp(by.frequency_hz, axis=0) < 5.0 * by.frequency_std.max(axis=0)).all()
 

@@ -259,7 +259,6 @@ def test_without_a_baseline_nothing_reads_as_an_all_clear(tmp_path: Path) -> Non
 def test_a_period_is_cut_out_and_reads_alike(months: Path, tmp_path: Path) -> None:
     period = read_period(months, T0 + 10 * DAY, T0 + 20 * DAY)
     assert (period.course.windows, period.results.due, period.course.losses, period.findings) == (1440, 1440, (), [])
-    assert period.quality is not None
     assert period.quality.gaps == 10
     assert np.isclose(period.quality.availability, 0.990099, atol=1e-6)
     write_period(tmp_path / "r.html", period)

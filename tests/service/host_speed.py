@@ -335,15 +335,12 @@ def _waits(sites: int, plain_s: float, window_s: float, hops: int = 6) -> dict[s
     places = [Place(Path(f"{k}"), str(k), None, queue=BlockQueue(1 << 20)) for k in range(sites)]
     for second in range(10 * hops):
         for place in places:
-            assert place.queue is not None
             block = SampleBlock(ACCELERATION, second, 0, 1.0, ("a",), "m/s^2", empty)
             place.queue.put(block)
             line.join(place)
         now_s = max(now_s, float(second))
         while (now_s < second + 1 or second == 10 * hops - 1) and (place := line.next()) is not None:
-            assert place.queue is not None
             item = place.queue.take(0.0)
-            assert item is not None
             arrived_s, is_window = float(item[0].t_ns), item[0].t_ns % 10 == 9  # by the clock of the simulation
             cost_s = window_s if is_window else plain_s
             now_s += cost_s

@@ -26,8 +26,16 @@ from drivers.base import GROUND, TEMPERATURE, SampleBlock, SourceError
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import unfit
 from monitor.config import configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, Level, MissingInputError, WindowResult
-from monitor.damage import Assessment, Loss, State
+from monitor.core import (
+    AlarmCondition,
+    BadConfigurationError,
+    BadInputError,
+    Gap,
+    Level,
+    MissingInputError,
+    WindowResult,
+)
+from monitor.damage import Assessment, State
 from monitor.publish import to_json
 from monitor.runs import Session
 from monitor.service.appended_lines import AppendedLines
@@ -38,6 +46,7 @@ from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.requests import Request
 from monitor.service.status import look, tell, troubles_of
 from monitor.service.threads import BlockQueue, Reader
+from tests.support.results import alarm, damage_reading
 from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.site import RATE, Scripted, Step, health, lines, own, replayed, summary, write
 from tests.support.waiting import until
@@ -325,17 +334,19 @@ def test_an_alarm_is_in_the_summary_at_once_and_before_the_last_diagnosis_is_wai
     told: list[tuple[int, list[str]]] = []
 
     class Desk(Outlet):
-        def window(self, result: WindowResult, line: str) -> None:
-            summary = daemon.session._summary
-            if summary.course.windows == 4:
-                loss = Loss(Level.ALARM, 2, 0.1, 0.01, 1.0, result.t_end_ns)
-                summary.course = replace(summary.course, losses=(loss,))
-
         def summary(self, content: Mapping[str, Any]) -> None:
             told.append((content["windows"], [alarm["level"] for alarm in content["alarms"]]))
 
+    def alarmed(result: Any) -> Any:
+        """The fourth window and those after it have an alarm."""
+        is_late = isinstance(result, WindowResult) and result.index >= 3
+        lost = damage_reading(np.array([0.0, 0.1, 0.0]), 1e-4 * np.eye(3))
+        standing = alarm(Level.ALARM, active={2: Level.ALARM}, conditions={2: AlarmCondition.UNACKNOWLEDGED})
+        return replace(result, damage=lost, alarm=standing) if is_late else result
+
     daemon = Daemon(site, Scripted(cut(record, RATE)), [Desk()], quiet_s=1e6)
-    finish = daemon.session.finish
+    push, finish = daemon.session.pipeline.push, daemon.session.finish
+    daemon.session.pipeline.push = lambda block: [alarmed(result) for result in push(block)]  # type: ignore[method-assign]
     daemon.session.finish = lambda stop: (told.append((-1, [])), finish(stop))[1]  # type: ignore[method-assign]
     daemon.run()
     assert told[0] == (4, ["alarm"])
@@ -406,7 +417,6 @@ def test_a_signal_in_the_middle_ends_it_with_whole_files(site: Path, record: np.
         environment = {**os.environ, "NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": "400000"}
         command = [str(Path(sys.executable).with_name("shm-monitor")), "run", str(site)]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
-        assert process.stderr is not None
         assert process.stderr.readline() == "READY\n"
         deadline = time.monotonic() + 60.0
         while not ((folder / "out" / "results.jsonl").read_bytes().count(b"\n") >= 3) and time.monotonic() < deadline:

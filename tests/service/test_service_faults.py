@@ -232,7 +232,6 @@ def test_a_corrupt_checkpoint_costs_the_state_and_no_alarm(
     kept = state / "alarms"
     key = json.loads(kept.read_bytes().partition(b"\n")[0])["key"]
     alarms = serialization.load(kept, key, KeptAlarms)
-    assert alarms is not None
     latched = replace(alarms.stories[1], level=Level.ALARM, latched=Level.ALARM)
     serialization.save(kept, key, KeptAlarms((alarms.stories[0], latched, *alarms.stories[2:])))
     for name in ("checkpoint", "checkpoint.previous"):

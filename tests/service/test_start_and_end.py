@@ -155,7 +155,6 @@ def test_a_look_at_the_status_keeps_no_daemon_from_starting(tmp_path: Path) -> N
     os.close(lock(path, tmp_path))
     hold = "import fcntl, sys, time; f = open(sys.argv[1]); fcntl.flock(f, fcntl.LOCK_SH); print(flush=True); time.sleep(0.3)"
     with subprocess.Popen([sys.executable, "-c", hold, str(path)], stdout=subprocess.PIPE) as reader:
-        assert reader.stdout is not None
         reader.stdout.readline()
         os.close(lock(path, tmp_path))
 

@@ -250,7 +250,6 @@ def test_a_frozen_subscriber_holds_nobody_up(endpoint: str, out: ZenohOut, perso
     frozen = subprocess.Popen(
         command, cwd=Path(__file__).parents[2], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    assert frozen.stdout is not None
     assert frozen.stdout.readline() == "listening\n"
     os.kill(frozen.pid, signal.SIGSTOP)
     filler = "x" * 100_000

@@ -205,7 +205,6 @@ def test_the_pipeline_judges_without_a_stuck_channel_and_takes_it_back(
     assert left_out[15] == ["a1"] and "stuck" in found[15].left_out[0].reason
     assert left_out[0] == left_out[40] == left_out[60] == []
     modes = found[15].modes
-    assert modes is not None
     assert np.isnan(modes.shapes[:, 0]).all() and np.isfinite(modes.shapes[:, 1:]).all()
 
 

@@ -70,7 +70,6 @@ class Sink:
             def do_POST(self) -> None:
                 body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
                 found = re.search(r"site (\S+), message (\d+)", body["message"])
-                assert found is not None
                 sink.taken.append((found[1], int(found[2]), body["title"]))
                 self.send_response(200)
                 self.end_headers()

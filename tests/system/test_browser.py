@@ -126,7 +126,6 @@ def test_the_viewer_draws_in_a_browser(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "monitor", "view", str(tmp_path), "--web", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as server:
         try:
-            assert server.stdout is not None
             address = server.stdout.readline().strip()
             with browser_tool().browser(1600, 1000) as page:
                 page.call("Page.navigate", url=f"{address}&renderer=webgl")
