@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from monitor.config import configuration
 from monitor.model import simulate
 from tests.cli.within import call
 from tests.support.can_group import group as group
+from tests.support.frames import settings_of
 from tests.support.samples import FRAME, Cli, Cut, _cut
 from tests.support.site import site as site
 
@@ -57,8 +57,6 @@ def main() -> Cli:
 
 
 @pytest.fixture(scope="session")
-def record(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+def record(frame_text: str) -> np.ndarray:
     """A minute of the frame at 128 Hz, shape (7680, 3), m/s^2."""
-    path = tmp_path_factory.mktemp("s") / "s.toml"
-    path.write_text(frame_text)
-    return simulate(configuration.load(path).model(), duration_s=60.0, rate_hz=128.0, noise=0.03, seed=6).floors
+    return simulate(settings_of(frame_text).model(), duration_s=60.0, rate_hz=128.0, noise=0.03, seed=6).floors

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
-from monitor.config import Configuration, configuration
+from monitor.config import Configuration
 from monitor.core import BadInputError, Gap, Samples, UserError, WindowResult
 from monitor.damage import alarm
 from monitor.events import Event
@@ -26,7 +26,8 @@ from monitor.publish import Summary, facts_of_line, to_json, window_line
 from monitor.runs import calibrate, cut_into_blocks
 from tests.events import shaken
 from tests.support import results, short_quake
-from tests.support.learned import baseline_of, configured, learned, results_of
+from tests.support.frames import configured, settings_of, shear_frame
+from tests.support.learned import baseline_of, learned, results_of
 from tests.support.results import modal_estimate, window_result
 from tests.support.samples import T0_NS, Cut, write_blocks
 from tests.support.two_directions import HEALTHY, two_directions
@@ -36,10 +37,8 @@ DURATION_S = 42.0
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
-    path = tmp_path_factory.mktemp("site") / "frame.toml"
-    path.write_text(frame_text)
-    return configuration.load(path)
+def site(frame_text: str) -> Configuration:
+    return settings_of(frame_text)
 
 
 @pytest.fixture(scope="module")
@@ -76,12 +75,7 @@ def with_hole(record: np.ndarray, cut: Cut, sizes: list[int]) -> list[SampleBloc
 
 def test_five_stories_at_the_working_rate_are_identified() -> None:
     """A source at 100 Hz has next to nothing between the lowpass and half its rate."""
-    tables = {
-        "structure": {"kind": "shear_frame", "masses_kg": [1e5] * 5, "stiffness_n_per_m": [3.6e8] * 5},
-        "sensors": [{"channel": f"a{i}", "floor": i} for i in range(1, 6)],
-        "processing": {"window_s": 200.0},
-    }
-    site = Configuration.model_validate(tables)
+    site = shear_frame([1e5] * 5, [3.6e8] * 5, processing={"window_s": 200.0})
     motion = simulate(site.model(), duration_s=240.0, rate_hz=100.0, noise=0.01, seed=0).floors
     pipeline = Pipeline(site)
     blocks = cut_into_blocks(ACCELERATION, motion, site.channels, 100.0, 10**18, 1000)
@@ -341,13 +335,12 @@ def test_a_source_slower_than_wanted_keeps_the_contracts_windows(site: Configura
     assert any(r.skipped is None for r in results)
 
 
-def test_a_hop_too_short_for_a_slow_source_is_told_as_such(tmp_path: Path, frame_text: str, cut: Cut) -> None:
+def test_a_hop_too_short_for_a_slow_source_is_told_as_such(frame_text: str, cut: Cut) -> None:
     """0.2 s hold 2 block_rows samples at 100 Hz, but not at 50 Hz."""
-    path = tmp_path / "frame.toml"
-    path.write_text(frame_text.replace("hop_s = 5.0", "hop_s = 0.2"))
-    slow = simulate(configuration.load(path).model(), duration_s=30.0, rate_hz=50.0, noise=0.03, seed=8).floors
+    site = settings_of(frame_text.replace("hop_s = 5.0", "hop_s = 0.2"))
+    slow = simulate(site.model(), duration_s=30.0, rate_hz=50.0, noise=0.03, seed=8).floors
     with pytest.raises(UserError, match="hop_s"):
-        push(Pipeline(configuration.load(path)), cut(slow, 50.0))
+        push(Pipeline(site), cut(slow, 50.0))
 
 
 def test_without_a_baseline_nothing_is_ever_announced(site: Configuration, record: np.ndarray, cut: Cut) -> None:
@@ -430,13 +423,8 @@ STEEL = ShearFrame(np.full(5, 1000.0), np.full(5, 7.4e5), 0.005)
 
 
 def planar(floors: tuple[int, ...]) -> Configuration:
-    drawn = {
-        "kind": "shear_frame",
-        "masses_kg": STEEL.masses_kg.tolist(),
-        "stiffness_n_per_m": STEEL.stiffness_n_per_m.tolist(),
-    }
     processing = {"window_s": 150.0, "hop_s": 30.0, "rate_hz": 50.0, "cutoff_hz": 15.0}
-    return configured(drawn, floors, processing=processing)
+    return shear_frame(STEEL.masses_kg, STEEL.stiffness_n_per_m, floors, processing=processing)
 
 
 def with_torsion(rotation: float) -> Model:

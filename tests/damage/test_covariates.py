@@ -19,6 +19,7 @@ from monitor.model import simulate
 from monitor.pipeline import Pipeline
 from monitor.publish import to_json, window_line
 from tests.service.checkpoint import restored
+from tests.support.frames import settings_of
 from tests.support.samples import T0_NS, Cut
 
 WIND = """
@@ -34,10 +35,8 @@ patience_s = 0.0
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
-    path = tmp_path_factory.mktemp("site") / "frame.toml"
-    path.write_text(frame_text + WIND)
-    return configuration.load(path)
+def site(frame_text: str) -> Configuration:
+    return settings_of(frame_text + WIND)
 
 
 def wind(speed: np.ndarray, unit: str = "m/s", channel: str = "speed") -> SampleBlock:

@@ -26,9 +26,7 @@ CONFIG = Configuration.model_validate(
     }
 )
 
-
 REFERENCE = prior_from_drawing(CONFIG.model(), 0.01 * CONFIG.instrumented().prior_std, 3)
-
 
 GAIN = HeldOutGain(
     1.0,
@@ -38,7 +36,6 @@ GAIN = HeldOutGain(
     csd_error_after=0.1,
     heldout="every block judged by the fit to the others",
 )
-
 
 LOSS = "stiffness_change:story 2:relative=-0.1"
 

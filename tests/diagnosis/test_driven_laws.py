@@ -13,8 +13,6 @@ from monitor.runs import diagnose
 from tests.model.pushed_frame import FORCED, pushed
 
 pytestmark = pytest.mark.engine
-
-
 PLACES = [("frame", 0.6, 0.06), ("story 3", 1.0, 0.12)]
 
 

@@ -27,6 +27,7 @@ from monitor.model import Model, ModelDiscrepancy, parse_effect, prior_file, pri
 from tests.support.commands import KEYS
 from tests.support.damped_frame import DAMPER, context_of, recorded, settings
 from tests.support.files import through_its_file
+from tests.support.frames import shear_frame_text
 
 pytestmark = pytest.mark.engine
 
@@ -201,20 +202,15 @@ def test_an_effect_is_added_once() -> None:
 
 
 def test_two_changes_of_one_story_add_up_in_the_file_too(tmp_path: Path) -> None:
-    text = """[structure]
-kind = "shear_frame"
-masses_kg = [1.0, 1.0]
-stiffness_n_per_m = [1e4, 1e4]
-
-[[sensors]]
-channel = "a1"
-floor = 1
-
+    text = (
+        shear_frame_text([1.0, 1.0], [1e4, 1e4])
+        + """
 [[effects]]
 effect = "stiffness_change"
 location = "story 2"
 parameters = { relative = -0.1 }
 """
+    )
     first, second = (parse_effect(f"stiffness_change:story 2:relative={x}") for x in (-0.1, -0.15))
     model = loaded(tmp_path, effects_text(text, (first, second))).model()
     np.testing.assert_allclose(model.structural_matrices()[1], [[1e4, -1e4], [-1e4, 1.75e4]])

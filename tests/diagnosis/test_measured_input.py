@@ -16,7 +16,8 @@ from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.inference import Posterior, Segments, classify, gather, linearize, make_posterior
 from monitor.model import Model, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
-from tests.model.pushed_frame import FORCED, STRUCTURE, T0_NS, pushed
+from tests.model.pushed_frame import FORCED, T0_NS, pushed
+from tests.support.frames import shear_frame
 
 pytestmark = pytest.mark.engine
 
@@ -24,11 +25,8 @@ RATE = 1000.0
 
 
 def settings(**changes: object) -> Configuration:
-    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
     processing = {"rate_hz": 50.0, "cutoff_hz": 20.0, "window_s": 60.0, "hop_s": 5.0}
-    return Configuration.model_validate(
-        {"structure": {**STRUCTURE, **changes}, "sensors": sensors, "processing": processing}
-    )
+    return shear_frame([0.33, 0.35, 0.31], [2900.0, 1500.0, 1900.0], structure=changes, processing=processing)
 
 
 DRAWING = settings(masses_kg=[0.335, 0.345, 0.31], stiffness_n_per_m=[2800.0, 1550.0, 1950.0])

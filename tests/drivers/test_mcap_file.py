@@ -63,7 +63,6 @@ every_layout = pytest.mark.parametrize(
     ],
 )
 
-
 Rewrite = Callable[[bytes], Path]
 
 

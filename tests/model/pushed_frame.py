@@ -5,24 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
-from monitor.config import Configuration
 from monitor.model import Model, parse_effect
 from monitor.model.simulation import level_wander, respond
 from monitor.runs import cut_into_blocks
-
-STRUCTURE = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
-
+from tests.support.frames import shear_frame
 
 T0_NS = 10**18
-
-
-FORCED = Configuration.model_validate(
-    {
-        "structure": STRUCTURE,
-        "sensors": [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)],
-        "inputs": [{"channel": "shaker", "floor": 2}],
-    }
-)
+FORCED = shear_frame([0.33, 0.35, 0.31], [2900.0, 1500.0, 1900.0], inputs=[{"channel": "shaker", "floor": 2}])
 
 
 def pushed(

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from monitor.config import Configuration, configuration
+from monitor.config import configuration
 from monitor.model import simulate
 from monitor.runs import warm_up
 from monitor.service import Daemon
+from tests.support.frames import shear_frame
 from tests.support.samples import Cli, Cut, write_blocks
 from tests.support.site import SITE, Scripted, health
 from tests.support.waiting import until
@@ -111,14 +112,5 @@ def test_a_start_goes_on_where_something_cannot_be_compiled(
 
 
 def test_a_structure_with_fewer_sensors_than_floors_is_warmed_up_too() -> None:
-    structure = {
-        "kind": "shear_frame",
-        "masses_kg": [0.3] * 4,
-        "stiffness_n_per_m": [2500.0] * 4,
-        "damping_ratio": 0.01,
-    }
-    sensors = [{"channel": f"a{floor}", "floor": floor} for floor in (1, 2, 4)]
-    config = Configuration.model_validate(
-        {"structure": structure, "sensors": sensors, "processing": {"window_s": 100.0, "hop_s": 50.0}}
-    )
-    assert warm_up(config) > 0
+    processing = {"window_s": 100.0, "hop_s": 50.0}
+    assert warm_up(shear_frame([0.3] * 4, [2500.0] * 4, (1, 2, 4), processing=processing)) > 0

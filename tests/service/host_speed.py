@@ -25,13 +25,14 @@ import numpy as np
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
-from monitor.config import Configuration, configuration
+from monitor.config import Configuration
 from monitor.runs import Session
 from monitor.service.host import Line, Place
 from monitor.service.threads import BlockQueue
 from tests.support.frame_text import THREE_STORIES
 from tests.support.live_rig import ROOT, Command
 from tests.support.simulated import ambient
+from tests.support.site import judged_lines, lines
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
@@ -286,20 +287,8 @@ def _trouble(out: Path, told: list[str]) -> dict[str, Any]:
 
 
 def _is_replay(out: Path, name: str, window_s: float) -> bool:
-    from monitor.publish import Publisher
-
-    class Lines(Publisher):
-        def __init__(self) -> None:
-            self.lines: list[str] = []
-
-        def window(self, result: object, line: str) -> None:
-            self.lines.append(line)
-
-    kept = Lines()
-    session = Session(configuration.load(out / f"{name}.toml"), None, (kept,), None, out)
-    for _, block in recorded(out / f"out-{name}" / "recordings", 0):
-        session.push(block)
-    return (out / f"out-{name}" / "results.jsonl").read_text().splitlines() == kept.lines
+    kept = judged_lines(out / f"{name}.toml", [block for _, block in recorded(out / f"out-{name}" / "recordings", 0)])
+    return lines(out / f"out-{name}") == kept
 
 
 def _costs(rate_hz: float, sessions: int = 5) -> tuple[float, float]:

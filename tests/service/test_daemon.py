@@ -25,7 +25,6 @@ from hypothesis import strategies as st
 from drivers.base import GROUND, TEMPERATURE, SampleBlock, SourceError
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import unfit
-from monitor.config import configuration
 from monitor.core import (
     AlarmCondition,
     BadConfigurationError,
@@ -46,6 +45,7 @@ from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.requests import Request
 from monitor.service.status import look, tell, troubles_of
 from monitor.service.threads import BlockQueue, Reader
+from tests.support.frames import settings_of
 from tests.support.results import alarm, damage_reading
 from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.site import RATE, Scripted, Step, health, lines, own, replayed, summary, write
@@ -179,9 +179,7 @@ def test_queues_are_bounded_in_bytes_and_give_way_when_lifted() -> None:
     queue = BlockQueue(100, 10_000)
     giver = threading.Thread(target=lambda: [queue.put(block) for _ in range(5)], daemon=True)
     giver.start()
-    deadline = time.monotonic() + 10.0
-    while len(queue) < 2 and time.monotonic() < deadline:
-        time.sleep(0.01)
+    until(lambda: len(queue) >= 2, "two fit")
     giver.join(0.1)
     assert giver.is_alive() and len(queue) == 2
     queue.lift()
@@ -418,9 +416,7 @@ def test_a_signal_in_the_middle_ends_it_with_whole_files(site: Path, record: np.
         command = [str(Path(sys.executable).with_name("shm-monitor")), "run", str(site)]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
         assert process.stderr.readline() == "READY\n"
-        deadline = time.monotonic() + 60.0
-        while not ((folder / "out" / "results.jsonl").read_bytes().count(b"\n") >= 3) and time.monotonic() < deadline:
-            time.sleep(0.05)
+        until(lambda: (folder / "out" / "results.jsonl").read_bytes().count(b"\n") >= 3, "three windows")
         process.terminate()
         _, err = process.communicate(timeout=60.0)
         systemd.setblocking(False)
@@ -557,10 +553,8 @@ TIMES = st.one_of(st.integers(-(10**9), 10**9), st.sampled_from([-(10**13), 10**
 def test_no_block_whatever_it_says_ends_the_monitor_or_comes_back_as_nonsense(
     frame_text: str, record: np.ndarray, cut: Cut, tmp_path_factory: pytest.TempPathFactory, hostile: list[Any]
 ) -> None:
-    path = tmp_path_factory.getbasetemp() / "hostile.toml"
-    path.write_text(frame_text)
     blocks = cut(record, RATE)[:40]
-    session = Session(configuration.load(path), None, (), None, path.parent / "findings")
+    session = Session(settings_of(frame_text), None, (), None, tmp_path_factory.getbasetemp() / "findings")
     for k, block in enumerate(blocks):
         for place, t_ns, sequence, rate, factor, n in hostile:
             if place == k:

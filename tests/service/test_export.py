@@ -22,6 +22,7 @@ from tests.support.samples import Cli
 
 T0_NS = 1_767_225_600_000_000_000
 ALL = (0, 1 << 62)
+OTHER = {"frequency_hz": 0.0, "frequency_std_hz": 0.1, "damping_ratio": 0.03, "mode_shape": [[1, 0], None], "track": -1}
 SHAPES = np.array([[1.0, 0.5 + 0.1j, 0.2], [-0.5, 1.0, 0.3j]])
 
 
@@ -39,16 +40,7 @@ def window(k: int, **more: Any) -> dict[str, Any]:
         "mode_shapes": [[[z.real, z.imag] for z in shape] for shape in turned],
         "model_modes": [1, 2],
         "mode_tracks": [4, 5],
-        "other_modes": [
-            {
-                "frequency_hz": f,
-                "frequency_std_hz": 0.1,
-                "damping_ratio": 0.03,
-                "mode_shape": [[1, 0], None],
-                "track": -1,
-            }
-            for f in (7.5, 8.5)
-        ],
+        "other_modes": [OTHER | {"frequency_hz": f} for f in (7.5, 8.5)],
         "ddi": [0.1, None],
         "alarm": {"level": "normal", "stories": [], "reason": "x", "active": {}},
         "skipped": None,
