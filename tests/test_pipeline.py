@@ -34,6 +34,7 @@ from tests.support.two_directions import HEALTHY, two_directions
 
 RATE = 128.0
 DURATION_S = 42.0
+Told = tuple[list[str], bytes, list[Gap]]
 
 
 @pytest.fixture(scope="module")
@@ -54,14 +55,14 @@ def windows(results: list[Result]) -> list[WindowResult]:
     return [r for r in results if isinstance(r, WindowResult)]
 
 
-def told(results: list[Result]) -> tuple[list[str], bytes, list[Gap]]:
+def told(results: list[Result]) -> Told:
     """Everything that does not depend on how samples were cut: lines, all conditioned samples, gaps."""
     samples = b"".join(r.values.tobytes() for r in results if isinstance(r, Samples))
     return [to_json(window_line(r)) for r in windows(results)], samples, [r for r in results if isinstance(r, Gap)]
 
 
 @pytest.fixture(scope="module")
-def whole(site: Configuration, record: np.ndarray, cut: Cut) -> tuple[list[str], bytes, list[Gap]]:
+def whole(site: Configuration, record: np.ndarray, cut: Cut) -> Told:
     return told(push(Pipeline(site), cut(record, RATE, [len(record)])))
 
 
@@ -100,7 +101,7 @@ def test_a_record_without_gaps_has_the_contracts_windows(site: Configuration, re
 @given(sizes=st.lists(st.integers(1, 1500), min_size=1, max_size=8))
 @settings(deadline=None, max_examples=12)
 def test_any_block_sizes_give_the_same_bits(
-    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]], sizes: list[int]
+    site: Configuration, record: np.ndarray, cut: Cut, whole: Told, sizes: list[int]
 ) -> None:
     assert told(push(Pipeline(site), cut(record, RATE, sizes))) == whole
 
@@ -157,7 +158,7 @@ def test_files_split_anywhere_and_named_in_any_order_give_the_same_bits(
     site: Configuration,
     record: np.ndarray,
     cut: Cut,
-    whole: tuple[list[str], bytes, list[Gap]],
+    whole: Told,
     sizes: list[int],
     files: int,
     order: object,
@@ -175,7 +176,7 @@ def test_files_split_anywhere_and_named_in_any_order_give_the_same_bits(
 
 
 def test_files_may_overlap_and_repeat(
-    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]], tmp_path: Path
+    site: Configuration, record: np.ndarray, cut: Cut, whole: Told, tmp_path: Path
 ) -> None:
     blocks = cut(record, RATE, [77])
     for name, part in (("a", blocks[:40]), ("b", blocks[25:60]), ("c", blocks[55:])):
@@ -259,15 +260,13 @@ def test_a_copied_state_goes_on_as_the_original(
     assert told(before)[0] + rest[0] == told(push(Pipeline(site), blocks))[0]
 
 
-def test_other_topics_change_nothing(
-    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]]
-) -> None:
+def test_other_topics_change_nothing(site: Configuration, record: np.ndarray, cut: Cut, whole: Told) -> None:
     blocks = [b for block in cut(record, RATE) for b in (replace(block, topic=GROUND), block)]
     assert told(push(Pipeline(site), blocks)) == whole
 
 
 def test_permuted_and_extra_channels_give_the_same_bits(
-    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]]
+    site: Configuration, record: np.ndarray, cut: Cut, whole: Told
 ) -> None:
     wide = np.column_stack([record[:, 2], np.full(len(record), np.nan), record[:, 0], record[:, 1]])
     assert told(push(Pipeline(site), cut(wide, RATE, channels=("a3", "x", "a1", "a2")))) == whole
@@ -312,7 +311,7 @@ def test_conditioned_samples_follow_each_other_in_time(site: Configuration, reco
 
 
 def test_a_rate_too_slow_for_the_windows_is_refused_as_if_it_had_never_come(
-    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]]
+    site: Configuration, record: np.ndarray, cut: Cut, whole: Told
 ) -> None:
     pipeline, results = Pipeline(site), []
     for k, block in enumerate(cut(record, RATE)):

@@ -32,6 +32,8 @@ unit = "m/s"
 [temperature]
 patience_s = 0.0
 """
+Learned = tuple[Baseline, Baseline]
+"""As learned, and as read back from its file."""
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +53,8 @@ def windows(pipeline: Pipeline, cut: Cut, scale: float, seconds: int, seed: int)
 
 
 @pytest.fixture(scope="module")
-def healthy(site: Configuration, cut: Cut, tmp_path_factory: pytest.TempPathFactory) -> tuple[Baseline, Baseline]:
-    """A baseline of 200 s as learned, and as read back from its file."""
+def healthy(site: Configuration, cut: Cut, tmp_path_factory: pytest.TempPathFactory) -> Learned:
+    """Baseline of 200 s."""
     pipeline = Pipeline(site)
     good = [r for r in windows(pipeline, cut, 1.0, 200, 3) if r.modes is not None]
     learned, _ = learn_baseline(
@@ -138,7 +140,7 @@ def test_a_covariate_that_cannot_be_is_refused(
         configuration.load(path)
 
 
-def test_the_law_survives_the_baselines_file(healthy: tuple[Baseline, Baseline]) -> None:
+def test_the_law_survives_the_baselines_file(healthy: Learned) -> None:
     learned, read = healthy
     assert [axis.name for axis in read.law.axes] == ["level", "wind"]
     for under in ({"level": np.array([-90.0])}, {"wind": np.full(14, 9.0)}, {}):
@@ -148,9 +150,7 @@ def test_the_law_survives_the_baselines_file(healthy: tuple[Baseline, Baseline])
     np.testing.assert_array_equal(learned.drift_weights, read.drift_weights)
 
 
-def test_a_storm_beyond_calibration_is_uncertain_and_said(
-    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
-) -> None:
+def test_a_storm_beyond_calibration_is_uncertain_and_said(site: Configuration, healthy: Learned, cut: Cut) -> None:
     same, twice, eight, most = (windows(Pipeline(site, healthy[1]), cut, s, 60, 9) for s in (1.0, 2.0, 8.0, 80.0))
     calm, storm, gale = (np.mean([r.damage.ddi_std for r in x if r.damage], axis=0) for x in (same, twice, eight))
     assert (storm > calm).all() and (gale > 2.0 * calm).all()
@@ -203,9 +203,7 @@ def test_a_kink_in_frost_is_learned_within_its_error() -> None:
         assert (np.abs(error) < 4.0 * np.sqrt(effect.covariance.diagonal()) + 2e-4).all()
 
 
-def test_a_restart_goes_on_with_what_was_learned(
-    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
-) -> None:
+def test_a_restart_goes_on_with_what_was_learned(site: Configuration, healthy: Learned, cut: Cut) -> None:
     """The state goes through a checkpoint half way; the law itself is in it."""
     whole, first = Pipeline(site, healthy[1]), Pipeline(site, healthy[1])
     floors = simulate(site.model(), duration_s=80.0, rate_hz=128.0, noise=0.03, seed=12).floors
@@ -224,7 +222,7 @@ def test_a_restart_goes_on_with_what_was_learned(
 
 
 def test_what_the_stories_do_together_is_taken_out_of_the_index_live_as_in_replay(
-    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
+    site: Configuration, healthy: Learned, cut: Cut
 ) -> None:
     """Simulated samples of a frame that is 2 % softer by the weather in the learned pattern, with 5 % of story 2 lost besides."""
     law = healthy[1].law

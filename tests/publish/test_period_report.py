@@ -318,7 +318,7 @@ def test_months_take_little_memory(months: Path) -> None:
     assert sizes == [1000, 1000]
 
 
-def test_damaged_and_unfinished_lines_are_left_out_and_told(months: Path, tmp_path: Path, main: Cli) -> None:
+def test_damaged_and_unfinished_lines_are_left_out_and_told(tmp_path: Path, main: Cli) -> None:
     good = [json.dumps(line_of(k)) for k in range(5)]
     (tmp_path / "results.jsonl").write_text("\n".join([*good, '{"t_end_ns": 1767228600000000001, oops', good[0][:90]]))
     done = main("report", tmp_path, "--out", tmp_path / "r.html", "--json", "--to", "2026-01-02")

@@ -444,7 +444,7 @@ def test_a_covariate_is_shown_beside_the_range_that_was_learned(tmp_path: Path) 
     assert "/trust/covariate/level" in _origins(_tabs(scene)[1])
 
 
-def test_the_models_spectrum_lies_on_a_simulated_one(tmp_path: Path) -> None:
+def test_the_models_spectrum_lies_on_a_simulated_one() -> None:
     """Same peaks, same relative size of the channels, within the scatter of forty segments."""
     scene = replace(SCENE, model=FRAME)
     motion = simulate(FRAME, duration_s=800.0, rate_hz=100.0, noise=0.0, seed=3)

@@ -37,6 +37,7 @@ from monitor.core import (
 from monitor.damage import Assessment, State
 from monitor.publish import to_json
 from monitor.runs import Session
+from monitor.service import daemon as daemon_module
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon import Daemon
 from monitor.service.daemon_health import losses, plain
@@ -46,6 +47,7 @@ from monitor.service.requests import Request
 from monitor.service.status import look, tell, troubles_of
 from monitor.service.threads import BlockQueue, Reader
 from tests.support.frames import settings_of
+from tests.support.full_disk import no_room
 from tests.support.results import alarm, damage_reading
 from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.site import RATE, Scripted, Step, health, lines, own, replayed, summary, write
@@ -229,12 +231,9 @@ def test_lines_that_the_disk_refuses_come_when_it_takes_them_again(
     assert file.dropped == 0
 
 
-def test_lines_that_find_no_room_to_wait_are_told_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_lines_that_find_no_room_to_wait_are_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     file = AppendedLines(tmp_path / "lines", most_pending_bytes=1000)
-    with monkeypatch.context() as full:
-        full.setattr(os, "write", lambda handle, data: (_ for _ in ()).throw(OSError(28, os.strerror(28))))
+    with no_room():
         for k in range(20):
             file.write(f"{k:099d}")
     file.close()
@@ -258,6 +257,33 @@ def test_a_restart_appends_after_removing_half_a_line(site: Path, record: np.nda
     (out / "results.jsonl").write_bytes(first + b'{"window": 9, "t_e')
     Daemon(site, Scripted(cut(record, RATE))).run()
     assert (out / "results.jsonl").read_bytes() == first * 2
+
+
+def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_starts(
+    site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = threading.Event()
+    said: list[str] = []
+
+    def slow(*_: Any) -> int:
+        until(lambda: len(health(site.parent / "out")) >= 3, "the daemon says that it starts")
+        told.set()
+        said.append(capsys.readouterr().err)
+        return 0
+
+    monkeypatch.setattr(daemon_module, "warm_up", slow)
+    Daemon(site, Scripted([None] * 50), quiet_s=0.05).run()
+    assert told.is_set() and said == [""] and capsys.readouterr().err == "READY\n"
+    first = health(site.parent / "out")[0]
+    assert first["source"]["error"] == "the monitor is starting" and not first["source"]["connected"]
+
+
+def test_a_start_goes_on_where_something_cannot_be_compiled(
+    site: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(daemon_module, "warm_up", lambda *_: 1 / 0)
+    Daemon(site, Scripted([])).run()
+    assert "not all is compiled" in caplog.text
 
 
 def test_two_daemons_do_not_share_a_folder(site: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -36,6 +35,7 @@ from monitor.service.serialization import (
     to_bytes,
 )
 from tests.support.frames import settings_of
+from tests.support.full_disk import no_room
 from tests.support.samples import Cut
 
 RATE = 128.0
@@ -188,19 +188,11 @@ def test_the_one_before_is_used_when_the_last_is_damaged(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace"])
-def test_a_disk_that_refuses_leaves_the_last_one_standing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
-) -> None:
+def test_a_disk_that_refuses_leaves_the_last_one_standing(tmp_path: Path, call: str) -> None:
     place = tmp_path / "c"
     save(place, "k", LEAF)
-
-    def full(*_: object) -> None:
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr(os, call, full)
-    with pytest.raises(OSError, match="space"):
+    with no_room(call), pytest.raises(OSError, match="space"):
         save(place, "k", replace(LEAF, number=2))
-    monkeypatch.undo()
     assert load(place, "k", Leaf).number == 1  # type: ignore[union-attr]
     assert [p.name for p in tmp_path.iterdir()] == ["c"]
 

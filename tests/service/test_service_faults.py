@@ -100,7 +100,7 @@ def test_a_full_disk_costs_recordings_and_no_result(site: Path, record: np.ndarr
     assert "Traceback" not in daemon.said
 
 
-def test_a_read_only_disk_is_one_message_at_start(site: Path, record: np.ndarray) -> None:
+def test_a_read_only_disk_is_one_message_at_start(site: Path) -> None:
     script = "mount -t tmpfs -o ro none $0 && exec $1 -m monitor run $2"
     (site.parent / "out").mkdir()
     write(site.parent / "rec.mcap", [])

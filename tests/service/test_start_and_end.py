@@ -123,7 +123,7 @@ def test_sigterm_while_an_outlet_is_joining_ends_it_with_0(
     assert seconds < 7.0  # 5 s are promised
 
 
-def test_the_lock_can_be_opened_by_its_owner_alone(site: Path, held: Path) -> None:
+def test_the_lock_can_be_opened_by_its_owner_alone(held: Path) -> None:
     path = held / "state" / "lock"
     path.chmod(0o644)  # as an earlier version made it
     with pytest.raises(Exception, match="another daemon"):

@@ -20,6 +20,8 @@ from monitor.service import restart
 from monitor.service.daemon import Daemon
 from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import Recording
+from tests.service.killed import killed
+from tests.support.full_disk import no_room
 from tests.support.samples import Cli, Cut
 from tests.support.site import RATE, Scripted, all_lines, replayed, write
 
@@ -79,7 +81,7 @@ def test_without_the_setting_all_months_stay_in_one_file(site: Path, blocks: lis
     ("at_s", "saved"), [(58.0, 3), (58.0, 8), (66.0, 7), (66.0, 9), (71.0, 3), (71.0, 8), (90.0, 7), (90.0, 9)]
 )
 def test_a_restart_at_the_turn_of_the_month_writes_each_window_once(
-    monthly: Path, blocks: list[SampleBlock], monkeypatch: pytest.MonkeyPatch, at_s: float, saved: int
+    monthly: Path, blocks: list[SampleBlock], at_s: float, saved: int
 ) -> None:
     """The latest checkpoint is that of a certain number of windows, as after kill -9."""
     cut_at = sum(b.t_ns < TURN_NS + (at_s - 60.0) * S for b in blocks)
@@ -88,9 +90,8 @@ def test_a_restart_at_the_turn_of_the_month_writes_each_window_once(
         if session.windows == saved and not keeper.busy:
             keeper.save(session)
 
-    with monkeypatch.context() as killed:
-        killed.setattr(restart.Checkpointer, "forget", lambda _: None)
-        killed.setattr(restart.Checkpointer, "took", took)
+    with killed() as patch:
+        patch.setattr(restart.Checkpointer, "took", took)
         out = run(monthly, blocks[:cut_at])
     run(monthly, blocks[cut_at:])
     windows = [json.loads(line)["window"] for line in all_lines(out)]
@@ -100,8 +101,7 @@ def test_a_restart_at_the_turn_of_the_month_writes_each_window_once(
 def test_results_that_were_moved_away_do_not_keep_it_from_starting(site: Path, blocks: list[SampleBlock]) -> None:
     out = site.parent / "out"
     half = len(blocks) // 2
-    with pytest.MonkeyPatch.context() as killed:
-        killed.setattr(restart.Checkpointer, "forget", lambda _: None)
+    with killed():
         Daemon(site, Scripted(blocks[:half])).run()
     before = (out / "results.jsonl").read_bytes()
     os.replace(out / "results.jsonl", out / "results-old.jsonl")
@@ -124,17 +124,14 @@ def test_a_month_is_packed_once_and_goes_on_if_its_time_comes_again(tmp_path: Pa
     assert list(read_lines(packed)) == [b"1\n", b"2\n", b"3\n"] and not place.exists()
 
 
-def test_a_month_that_ends_while_the_disk_refuses_lines_is_closed_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_month_that_ends_while_the_disk_refuses_lines_is_closed_later(tmp_path: Path) -> None:
     file = ResultsFile(tmp_path / "results.jsonl", by_month=True)
 
     def line(k: int) -> tuple[str, int]:
         t_ns = TURN_NS + (k - 3) * S
         return json.dumps({"t_end_ns": t_ns, "window": k}), t_ns
 
-    with monkeypatch.context() as full:
-        full.setattr(os, "write", lambda handle, data: (_ for _ in ()).throw(OSError(28, os.strerror(28))))
+    with no_room():
         for k in range(2, 4):
             file.write_window(*line(k))
     file.flush()
