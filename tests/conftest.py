@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,9 +11,10 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from monitor.config import configuration
 from monitor.model import simulate
+from tests.cli.within import call
 from tests.support.can_group import group as group
+from tests.support.frames import settings_of
 from tests.support.samples import FRAME, Cli, Cut, _cut
 from tests.support.site import site as site
 
@@ -53,28 +52,11 @@ def cli() -> Cli:
 
 @pytest.fixture(scope="session")
 def main() -> Cli:
-    """Runs a command within this process: far faster, and an exception that escapes fails the test."""
-    from monitor.cli.app import call as entry
-
-    def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-        out, err, argv = io.StringIO(), io.StringIO(), sys.argv
-        sys.argv = ["shm-monitor", *map(str, arguments)]
-        code = 0
-        try:
-            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.chdir(cwd or "."):
-                entry()
-        except SystemExit as ended:
-            code = int(ended.code or 0)
-        finally:
-            sys.argv = argv
-        return subprocess.CompletedProcess(sys.argv, code, out.getvalue(), err.getvalue())
-
-    return run
+    """Runs a command within this process."""
+    return call
 
 
 @pytest.fixture(scope="session")
-def record(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+def record(frame_text: str) -> np.ndarray:
     """A minute of the frame at 128 Hz, shape (7680, 3), m/s^2."""
-    path = tmp_path_factory.mktemp("s") / "s.toml"
-    path.write_text(frame_text)
-    return simulate(configuration.load(path).model(), duration_s=60.0, rate_hz=128.0, noise=0.03, seed=6).floors
+    return simulate(settings_of(frame_text).model(), duration_s=60.0, rate_hz=128.0, noise=0.03, seed=6).floors

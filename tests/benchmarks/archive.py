@@ -22,7 +22,6 @@ from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
 from monitor.config import Configuration
 from monitor.runs import WINDOWS
-from monitor.runs.recordings import read_blocks
 from monitor.signals import Conditioner, WindowGrid, alignment
 from monitor.signals import windows as window
 from tests.benchmarks.frames import baseline, configuration, write
@@ -49,7 +48,7 @@ def windowed(path: Path, config: Configuration) -> int:
     p, n_lags = config.processing, 2 * config.identification.block_rows
     state, count = alignment.start(), 0
     conditioner = memory = grid = held = None
-    for block in read_blocks([path], config, lambda _: None):
+    for block in read_recordings([path], longest_s=30.0):
         if block.topic != ACCELERATION:
             continue
         state, pieces = alignment.step(state, block, config.channels)

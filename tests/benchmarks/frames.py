@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from itertools import cycle
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from monitor.damage import Baseline
 from monitor.pipeline import Pipeline
 from monitor.runs import cut_into_blocks
 from tests.statistics.estimates import MASSES, STIFFNESS
+from tests.support.frames import shear_frame
 from tests.support.simulated import ambient, learned, windows_of
 
 T0_NS = 1_767_225_600_000_000_000
@@ -25,14 +25,8 @@ PAPER = (MASSES.tolist(), STIFFNESS.tolist())
 def configuration(n: int = 3, *, refined: bool = True, uncertainty: bool = True, **processing: float) -> Configuration:
     """The paper's frame, or a uniform one of n stories with as many channels whose eight lowest modes lie in the band."""
     masses, stiffness = PAPER if n == 3 else ([0.33] * n, [2000.0 * max(1.0, (n / 10.0) ** 2)] * n)
-    tables: dict[str, Any] = {
-        "structure": {"kind": "shear_frame", "masses_kg": masses, "stiffness_n_per_m": stiffness},
-        "sensors": [{"channel": f"a{i}", "floor": i} for i in range(1, n + 1)],
-        "processing": processing,
-        "refinement": {"enabled": refined},
-        "identification": {"uncertainty": uncertainty},
-    }
-    return Configuration.model_validate(tables)
+    tables = {"refinement": {"enabled": refined}, "identification": {"uncertainty": uncertainty}}
+    return shear_frame(masses, stiffness, processing=processing, **tables)
 
 
 def floors(config: Configuration, duration_s: float, rate_hz: float, seed: int) -> Array:

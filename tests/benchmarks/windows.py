@@ -152,7 +152,6 @@ def accuracy(count: int) -> dict[str, Array]:
 def _identified(config: Configuration, x: Array) -> Array:
     """Frequencies of the one window of `x`, as the pipeline finds them."""
     (modes,) = [r.modes for r in windows_of(Pipeline(config), x, 100.0, t0_ns=T0_NS, size=1000)]
-    assert modes is not None
     return modes.frequencies_hz
 
 

@@ -693,7 +693,6 @@ FLOATS = [
 def test_numbers_that_are_not_finite_or_absurd_are_wrong_usage(
     main: Cli, tmp_path: Path, command: CommandInfo, option: str
 ) -> None:
-    assert command.callback is not None
     name = command.name or command.callback.__name__
     for value in ("nan", "inf", "-inf", "1e300", "-1e300"):
         done = main(name, *bare(command.callback), f"{option}={value}", cwd=tmp_path)
@@ -772,13 +771,13 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(site: Site, tmp
 
 
 def test_a_simulated_recording_says_what_it_holds(site: Site, tmp_path: Path) -> None:
-    start = "2026-05-06T07:08:09+02:00"
-    done = short(site, tmp_path / "s.mcap", "--start", start, "--excitation", "ground", "--seed", 2)
-    assert_ok(done)
+    start = "2026-05-06T07:08:09.25+02:00"
+    more = ("--excitation", "ground", "--seed", 2, "--duration", 2.5)
+    assert_ok(short(site, tmp_path / "s.mcap", "--start", start, *more))
     info = recording_info(tmp_path / "s.mcap")
-    assert (info.sample_rate_hz, info.duration_s, info.n_samples) == (128.0, 3.0, 384)
+    assert (info.sample_rate_hz, info.duration_s, info.n_samples) == (128.0, 2.5, 320)
     assert info.channels == {ACCELERATION: ("a1", "a2", "a3"), GROUND: ("ground",)}
-    assert info.t_start_ns == 1_778_044_089 * 10**9  # 05:08:09 UTC
+    assert info.t_start_ns == 1_778_044_089_250_000_000  # 05:08:09.25 UTC
     with (tmp_path / "s.mcap").open("rb") as file:
         (metadata,) = make_reader(file).iter_metadata()
     assert metadata.name == "simulated"
@@ -790,11 +789,6 @@ def test_modes_beyond_half_the_rate_are_warned_of(site: Site, tmp_path: Path) ->
     told = short(site, tmp_path / "s.mcap", "--rate", 40).stderr
     assert "warning" in told and "fold into the band" in told and "--rate" in told
     assert "fold" not in short(site, tmp_path / "t.mcap").stderr
-
-
-def test_a_start_between_two_seconds_is_kept(site: Site, tmp_path: Path) -> None:
-    assert_ok(short(site, tmp_path / "s.mcap", "--start", "2026-01-01T00:00:00.25"))
-    assert recording_info(tmp_path / "s.mcap").t_start_ns == T0_NS + 250_000_000
 
 
 def test_by_default_a_recording_lasts_1200_s_at_1024_hz(main: Cli) -> None:
@@ -857,11 +851,6 @@ def test_damage_and_effects_add_up(site: Site, tmp_path: Path) -> None:
         (["--effect", "stiffness_change:story 1:relative=-1"], ("relative",)),
         (["--damage", "story1=0.6", "--damage", "story1=0.6"], ("story 1",)),
         (["--excitation", "earthquake"], ("earthquake", "ambient")),
-        (["--duration", "nan"], ("duration",)),
-        (["--duration", "inf"], ("duration",)),
-        (["--rate", "nan"], ("rate",)),
-        (["--noise", "nan"], ("noise",)),
-        (["--level-spread", "nan"], ("level-spread",)),
         (["--start", "yesterday"], ("yesterday",)),
         (["--start", "1960-01-01T00:00:00"], ("1960",)),
     ],
@@ -880,27 +869,7 @@ def test_a_recording_without_a_single_sample_is_refused(site: Site, tmp_path: Pa
     assert tree(tmp_path) == {}
 
 
-def test_a_partial_last_second_is_kept(site: Site, tmp_path: Path) -> None:
-    assert_ok(site.simulate(tmp_path / "s.mcap", "--duration", 2.5))
-    assert recording_info(tmp_path / "s.mcap").n_samples == round(2.5 * RATE)
-
-
 # --- outputs never take the place of inputs; what was not judged is not called healthy ---
-
-
-@pytest.mark.parametrize("victim", ["structure", "recording"])
-def test_an_output_in_the_place_of_an_input_is_refused_and_the_input_kept(
-    site: Site, victim: str, tmp_path: Path
-) -> None:
-    recording = site.write("kept.mcap", site.values(25))
-    structure = tmp_path / "kept.toml"
-    structure.write_text(site.quick.read_text())
-    target = {"structure": structure, "recording": recording}[victim]
-    before = target.read_bytes()
-    done = site.main("calibrate", recording, "--structure", structure, "--out", target)
-    assert done.returncode == 2
-    assert f"{target} is an input of this command" in done.stderr
-    assert target.read_bytes() == before
 
 
 @pytest.mark.parametrize(
@@ -932,14 +901,6 @@ def test_no_command_writes_over_what_it_reads_however_it_is_spelled(
         assert f"{tmp_path / written} is an input of this command" in done.stderr
         assert (tmp_path / written).read_text() == "mine"
         assert list(tree(tmp_path)) == [written]
-
-
-def test_a_replay_never_overwrites_its_own_baseline(site: Site, tmp_path: Path) -> None:
-    recording, baseline = site.write("r.mcap", site.values(25)), tmp_path / "summary.json"
-    assert_ok(site.main("calibrate", recording, "--structure", site.quick, "--out", baseline))
-    done = site.main("replay", recording, "--structure", site.quick, "--baseline", baseline, "--out", tmp_path)
-    assert done.returncode == 2
-    assert f"{baseline} is an input of this command" in done.stderr
 
 
 def test_a_replay_that_judged_nothing_says_so_and_why(site: Site, tmp_path: Path) -> None:

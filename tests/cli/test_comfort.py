@@ -168,11 +168,9 @@ def test_the_viewers_server_ends_with_the_command_and_listens_on_loopback_only(t
     stream.disconnect()
     command = [*MODULE, "view", str(tmp_path), "--web", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         found = re.match(
             r"http://127\.0\.0\.1:(\d+)/\?url=rerun%2Bhttp%3A%2F%2F127\.0\.0\.1%3A(\d+)", process.stdout.readline()
         )
-        assert found is not None
         ports = [int(found[1]), int(found[2])]
         until(lambda: all(addresses(port) == {"0100007F"} for port in ports), "both servers, on loopback only")
         process.send_signal(ending)

@@ -8,9 +8,9 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.inference import Band
-from monitor.inference.cross_spectra import Excitation, cross_spectra
 from monitor.model import Condition, Context, Effect, Model, ShearFrame, System, parse_effect, simulate
 from monitor.signals import SegmentDesign, transform
+from tests.inference.spectral_form import expected
 
 STRUCTURE = ShearFrame(
     np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01, np.array([0.093, 0.093, 0.1])
@@ -83,8 +83,7 @@ def predicted(effects: tuple[Effect, ...], rms: Array, excess_degc: float = 0.0)
         system = base
         for effect in effects:
             system = effect.extend(system, CONTEXT, condition)
-    force = np.full(3, 1.0 / RATE_HZ)
-    return cross_spectra(system, effects, Excitation(force, np.zeros(3)), BAND, CONTEXT, condition)
+    return expected(system, effects, 1.0 / RATE_HZ, BAND, CONTEXT, condition)
 
 
 def system_of(model: Model) -> System:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,6 +35,7 @@ from tests.contracts.effect_cases import (
     predicted,
     system_of,
 )
+from tests.model.laws import force
 
 AT_REST = condition_of(system_of(Model(STRUCTURE)))
 HZ = np.array([3.0, 17.0])
@@ -196,12 +196,6 @@ def test_at_rest_its_laws_have_no_force_and_what_follows_the_velocity_brakes_ali
             for speed in (1e-4, 0.1):
                 forth, back = force(law, 0.003, speed), force(law, 0.003, -speed)
                 assert forth > 0.0 and back == pytest.approx(-forth, rel=1e-9)
-
-
-def force(law: Any, displacement: float, velocity: float) -> float:
-    from monitor.model.integration import phi
-
-    return float(phi(int(law.kind), *law.parameters, displacement, velocity))
 
 
 @every

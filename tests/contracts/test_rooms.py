@@ -15,8 +15,14 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "monitor"
 SOURCES = sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.pyi")])
 STUBS = {path.parent.name: path for path in sorted(PACKAGE.glob("*/__init__.pyi"))}
-WITHOUT_STUB = {"cli": {"main"}, "pipeline": None}
+TESTS = PACKAGE.parent / "tests"
+WITHOUT_STUB = {"cli": {"main", "command_line"}, "pipeline": None}
 """What else may be imported from: the command line's entry, and the pipeline, which is one module and has no face."""
+INSIDE = {
+    "benchmarks/windows.py": "times the kernels of a hop bare",
+    "examples/opensees_frame.py": "stands for a file of monitor/model/structures",
+}
+"""Tests outside the room's folder that may use its inner parts -> why."""
 
 STAGES = ("core", "signals", "model", "inference", "identification", "events", "diagnosis", "damage")
 
@@ -30,7 +36,7 @@ Import = tuple[str, str]
 @cache
 def imports(path: Path) -> list[Import]:
     """List the names of this package that a file imports, with relative modules written out."""
-    package = ("monitor", *path.relative_to(PACKAGE).parent.parts)
+    package = path.relative_to(PACKAGE.parent).parent.parts
     found: list[Import] = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -122,6 +128,17 @@ def test_functions_of_a_face_are_typed(room: str) -> None:
             signature = inspect.signature(function)
             kinds = [signature.return_annotation, *(p.annotation for p in signature.parameters.values())]
             assert inspect.Signature.empty not in kinds, name
+
+
+def test_tests_of_other_folders_use_a_room_by_its_face() -> None:
+    beside = set()
+    for path in TESTS.rglob("*.py"):
+        place = path.relative_to(TESTS)
+        own = f"monitor.{place.parts[0].removeprefix('test_').removesuffix('.py')}"
+        for module, name in imports(path):
+            if "." in module and not f"{module}.".startswith(f"{own}.") and beside_the_face(module, name):
+                beside.add(str(place))
+    assert beside == set(INSIDE)
 
 
 def test_a_face_has_nothing_that_no_other_room_uses() -> None:

@@ -20,7 +20,6 @@ def test_modes_placed_among_all_channels_keep_each_channel_s_shape_and_uncertain
         np.testing.assert_array_equal(placed.shapes[:, channel], shapes[:, place])
         assert placed.others[0].shape[channel] == shapes[0, place]
         for rows, before in ((placed.deviations, deviations), (placed.weight_factor, factor)):
-            assert rows is not None
             parts = [channel, n_channels + channel]  # of Re shape and Im shape
             np.testing.assert_array_equal(rows[:, :, 2:][:, :, parts], before[:, :, 2:][:, :, [place, 2 + place]])
     np.testing.assert_array_equal(placed.deviations[:, :, :2], deviations[:, :, :2])  # of ln f and damping ratio

@@ -165,7 +165,6 @@ def test_a_slow_loss_is_not_learned() -> None:
         healthy = slow_learning.step(healthy, under, one, t_ns, 0.5, normal=True)
         hurt = slow_learning.step(hurt, under, other, t_ns, 0.5, normal=True)
     one_law, other_law = healthy.law.together(UNEVENNESS), hurt.law.together(UNEVENNESS)
-    assert one_law is not None and other_law is not None
     assert one_law.stretches > 29.0
     assert float(one_law.leading @ other_law.leading) > 0.9999
     np.testing.assert_allclose(other_law.covariance, one_law.covariance, rtol=0.1, atol=1e-7)
@@ -207,9 +206,7 @@ def test_the_alarm_is_silent_in_uneven_weather_and_finds_a_loss(expected: Expect
 def test_it_survives_the_baselines_file() -> None:
     law = law_of(20)
     content = encode(law)
-    assert content is not None
     read = read_law(content, 3)
-    assert read is not None and read.common is not None and law.common is not None
     np.testing.assert_array_equal(read.common.square, law.common.square)
     assert read.common.windows == law.common.windows
     np.testing.assert_array_equal(read.common.lowest, law.common.lowest)

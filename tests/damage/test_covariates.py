@@ -16,9 +16,10 @@ from monitor.damage.common_change import UNMEASURED, CommonChange
 from monitor.damage.covariate_law import Axis, learn, stories_prior
 from monitor.damage.level import drift_m, drift_weights, drift_weights_of_some, level_db
 from monitor.model import simulate
-from monitor.pipeline import Pipeline, PipelineState
+from monitor.pipeline import Pipeline
 from monitor.publish import to_json, window_line
-from monitor.service.serialization import from_bytes, to_bytes
+from tests.service.checkpoint import restored
+from tests.support.frames import settings_of
 from tests.support.samples import T0_NS, Cut
 
 WIND = """
@@ -31,13 +32,13 @@ unit = "m/s"
 [temperature]
 patience_s = 0.0
 """
+Learned = tuple[Baseline, Baseline]
+"""As learned, and as read back from its file."""
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
-    path = tmp_path_factory.mktemp("site") / "frame.toml"
-    path.write_text(frame_text + WIND)
-    return configuration.load(path)
+def site(frame_text: str) -> Configuration:
+    return settings_of(frame_text + WIND)
 
 
 def wind(speed: np.ndarray, unit: str = "m/s", channel: str = "speed") -> SampleBlock:
@@ -52,8 +53,8 @@ def windows(pipeline: Pipeline, cut: Cut, scale: float, seconds: int, seed: int)
 
 
 @pytest.fixture(scope="module")
-def healthy(site: Configuration, cut: Cut, tmp_path_factory: pytest.TempPathFactory) -> tuple[Baseline, Baseline]:
-    """A baseline of 200 s as learned, and as read back from its file."""
+def healthy(site: Configuration, cut: Cut, tmp_path_factory: pytest.TempPathFactory) -> Learned:
+    """Baseline of 200 s."""
     pipeline = Pipeline(site)
     good = [r for r in windows(pipeline, cut, 1.0, 200, 3) if r.modes is not None]
     learned, _ = learn_baseline(
@@ -139,9 +140,8 @@ def test_a_covariate_that_cannot_be_is_refused(
         configuration.load(path)
 
 
-def test_the_law_survives_the_baselines_file(healthy: tuple[Baseline, Baseline]) -> None:
+def test_the_law_survives_the_baselines_file(healthy: Learned) -> None:
     learned, read = healthy
-    assert learned.law is not None and read.law is not None
     assert [axis.name for axis in read.law.axes] == ["level", "wind"]
     for under in ({"level": np.array([-90.0])}, {"wind": np.full(14, 9.0)}, {}):
         a, b = learned.law.expected(under), read.law.expected(under)
@@ -150,14 +150,11 @@ def test_the_law_survives_the_baselines_file(healthy: tuple[Baseline, Baseline])
     np.testing.assert_array_equal(learned.drift_weights, read.drift_weights)
 
 
-def test_a_storm_beyond_calibration_is_uncertain_and_said(
-    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
-) -> None:
+def test_a_storm_beyond_calibration_is_uncertain_and_said(site: Configuration, healthy: Learned, cut: Cut) -> None:
     same, twice, eight, most = (windows(Pipeline(site, healthy[1]), cut, s, 60, 9) for s in (1.0, 2.0, 8.0, 80.0))
     calm, storm, gale = (np.mean([r.damage.ddi_std for r in x if r.damage], axis=0) for x in (same, twice, eight))
     assert (storm > calm).all() and (gale > 2.0 * calm).all()
     for r in eight:
-        assert r.damage is not None
         assert r.damage.beyond.startswith("stronger than anything at calibration: level")
         assert not r.alarm.active
     assert not any(r.damage.beyond for r in same if r.damage)
@@ -206,9 +203,7 @@ def test_a_kink_in_frost_is_learned_within_its_error() -> None:
         assert (np.abs(error) < 4.0 * np.sqrt(effect.covariance.diagonal()) + 2e-4).all()
 
 
-def test_a_restart_goes_on_with_what_was_learned(
-    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
-) -> None:
+def test_a_restart_goes_on_with_what_was_learned(site: Configuration, healthy: Learned, cut: Cut) -> None:
     """The state goes through a checkpoint half way; the law itself is in it."""
     whole, first = Pipeline(site, healthy[1]), Pipeline(site, healthy[1])
     floors = simulate(site.model(), duration_s=80.0, rate_hz=128.0, noise=0.03, seed=12).floors
@@ -218,22 +213,19 @@ def test_a_restart_goes_on_with_what_was_learned(
         first.push(b)
     assert first.state.learning is not None
     second = Pipeline(site, healthy[1])
-    second.state = from_bytes(to_bytes("k", first.state), "k", PipelineState)
+    second.state = restored(first.state)
     rest = [r for b in blocks[40:] for r in second.push(b) if isinstance(r, WindowResult)]
     assert [to_json(window_line(r)) for r in rest] == [to_json(window_line(r)) for r in lines[-len(rest) :]]
-    assert second.state.learning is not None
-    assert healthy[1].law is not None
     np.testing.assert_array_equal(
         second.state.learning.law.slopes, healthy[1].law.slopes
     )  # nothing has waited for two days yet
 
 
 def test_what_the_stories_do_together_is_taken_out_of_the_index_live_as_in_replay(
-    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
+    site: Configuration, healthy: Learned, cut: Cut
 ) -> None:
     """Simulated samples of a frame that is 2 % softer by the weather in the learned pattern, with 5 % of story 2 lost besides."""
     law = healthy[1].law
-    assert law is not None
     follows = np.array([1.0, 1.5, 0.8])
     white = np.linalg.solve(law.mixing, 0.01 * follows)  # by 1 % in a usual day
     square = 1440.0 * (np.eye(3) + np.outer(white, white))
@@ -248,8 +240,7 @@ def test_what_the_stories_do_together_is_taken_out_of_the_index_live_as_in_repla
         pipeline, results = Pipeline(site, baseline), []
         for k, block in enumerate([speed, *cut(floors, 128.0, lengths)]):
             if k == restart:
-                state = from_bytes(to_bytes("k", pipeline.state), "k", PipelineState)
-                pipeline = Pipeline(site, baseline)
+                state, pipeline = restored(pipeline.state), Pipeline(site, baseline)
                 pipeline.state = state
             results += [r for r in pipeline.push(block) if isinstance(r, WindowResult)]
         return results
@@ -257,7 +248,6 @@ def test_what_the_stories_do_together_is_taken_out_of_the_index_live_as_in_repla
     whole, blind = run(knows, [128]), run(healthy[1], [128])
     assert [to_json(window_line(r)) for r in run(knows, [100], 60)] == [to_json(window_line(r)) for r in whole]
     last, raw = whole[-1].damage, blind[-1].damage
-    assert last is not None and raw is not None
     assert UNMEASURED in last.covariate_effect and UNMEASURED not in raw.covariate_effect
     np.testing.assert_allclose(last.ddi - last.covariate_effect[UNMEASURED], raw.ddi, atol=1e-12)
     assert np.abs(last.ddi[1] - 0.05) < 3.0 * last.ddi_std[1] < 0.15

@@ -13,6 +13,7 @@ from monitor.config import Configuration
 from monitor.core import BadConfigurationError
 from monitor.damage import Baseline, load_baseline, rebase_baseline, save_baseline
 from tests.support.exact_modes import drawing, exact_modes, truth
+from tests.support.frames import configured
 from tests.support.learned import baseline_of
 
 
@@ -31,8 +32,7 @@ def matrices(coupling: float) -> Configuration:
         "stiffness_derivatives": frame.stiffness_derivatives().tolist(),
         "stiffness_n_per_m": frame.stiffness_n_per_m.tolist(),
     }
-    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
-    return Configuration.model_validate({"structure": table, "sensors": sensors})
+    return configured(table, (1, 2, 3))
 
 
 def load(path: Path, config: Configuration) -> Baseline:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
-from monitor.config import Configuration, configuration
+from monitor.config import Configuration
 from monitor.core import BadInputError, Temperature, WindowResult
 from monitor.damage import Baseline, CovariateSettings, load_baseline, save_baseline
 from monitor.damage.covariate_law import CovariateLaw
@@ -22,6 +22,7 @@ from monitor.pipeline import Pipeline
 from monitor.publish import to_json, window_line
 from monitor.runs import calibrate, cut_into_blocks, replay
 from monitor.signals import LAGS_S, TemperatureSettings, temperature
+from tests.support.frames import settings_of
 from tests.support.samples import CHANNELS, T0_NS, Cut
 
 PER_DEGC = 1.5e-3
@@ -30,18 +31,7 @@ SETTINGS = TemperatureSettings()
 
 def felt_blocks(degc: np.ndarray, rate_hz: float = 1.0, size: int = 10, t0_ns: int = T0_NS) -> list[SampleBlock]:
     """A temperature channel cut into blocks."""
-    return [
-        SampleBlock(
-            TEMPERATURE,
-            t0_ns + round(k / rate_hz * 1e9),
-            k,
-            rate_hz,
-            ("air",),
-            "degC",
-            degc[k : k + size, None].astype(np.float32),
-        )
-        for k in range(0, len(degc), size)
-    ]
+    return list(cut_into_blocks(TEMPERATURE, degc[:, None], ("air",), rate_hz, t0_ns, size, unit="degC"))
 
 
 def kept(blocks: list[SampleBlock]) -> temperature.TemperatureState:
@@ -59,7 +49,6 @@ def felt(state: temperature.TemperatureState, end_s: float, window_s: float = 40
 def test_a_window_feels_the_mean_of_its_stretch_at_any_rate(rate_hz: float, within: float) -> None:
     ramp = 10.0 + 0.01 * np.arange(0, 1000, 1 / rate_hz)
     seen = felt(kept(felt_blocks(ramp, rate_hz)), 1000.0)
-    assert seen is not None
     middle_s = 1000.0 - SETTINGS.patience_s - 200.0
     assert seen.lagged_degc[0] == pytest.approx(10.0 + 0.01 * middle_s, abs=within)
 
@@ -97,14 +86,12 @@ def test_what_a_broken_sensor_says_is_no_temperature() -> None:
     degc = np.full(600, 15.0)
     degc[100:110], degc[200:210], degc[300:310] = -127.0, np.nan, 850.0
     seen = felt(kept(felt_blocks(degc)), 600.0)
-    assert seen is not None
     np.testing.assert_array_equal(seen.lagged_degc, 15.0)
 
 
 def test_a_clock_put_right_is_believed_again() -> None:
     blocks = felt_blocks(np.full(10, 40.0), t0_ns=T0_NS + 10**18) + felt_blocks(np.full(600, 15.0))
     seen = felt(kept(blocks), 600.0)
-    assert seen is not None
     np.testing.assert_array_equal(seen.lagged_degc, 15.0)
 
 
@@ -222,10 +209,8 @@ def test_uncertainty_grows_beyond_the_range_seen() -> None:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
-    path = tmp_path_factory.mktemp("site") / "frame.toml"
-    path.write_text(frame_text + "\n[temperature]\npatience_s = 8.0\nmax_age_s = 15.0\n")
-    return configuration.load(path)
+def site(frame_text: str) -> Configuration:
+    return settings_of(frame_text + "\n[temperature]\npatience_s = 8.0\nmax_age_s = 15.0\n")
 
 
 def test_arrival_order_within_patience_changes_nothing(site: Configuration, cut: Cut) -> None:
@@ -267,11 +252,9 @@ def _piece(model: Model, duration_s: float, rate_hz: float, seed: int) -> np.nda
 
 
 @pytest.fixture(scope="module")
-def slow_site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
-    path = tmp_path_factory.mktemp("site") / "frame.toml"
+def slow_site(frame_text: str) -> Configuration:
     slow = frame_text.replace("window_s = 20.0\nhop_s = 5.0", "window_s = 200.0\nhop_s = 50.0\ncutoff_hz = 30.0")
-    path.write_text(slow + "\n[diagnosis]\nworth = 1e9\n")  # no cause is sought: the law is what is asked for
-    return configuration.load(path)
+    return settings_of(slow + "\n[diagnosis]\nworth = 1e9\n")  # no cause is sought: the law is what is asked for
 
 
 @pytest.fixture(scope="module")
@@ -288,7 +271,6 @@ def healthy(slow_site: Configuration, tmp_path_factory: pytest.TempPathFactory) 
 @pytest.mark.engine
 def test_calibrate_learns_the_dependence_from_a_recording(healthy: Baseline) -> None:
     law = healthy.law
-    assert law is not None
     assert healthy.reference_temperature_degc == pytest.approx(14.8, abs=0.2)
     low, high = next(axis.range for axis in law.axes if axis.name == "temperature")
     change, std = law.over_range("temperature")

@@ -26,8 +26,7 @@ from monitor.diagnosis.simulation_refit import refine_fit
 from monitor.diagnosis.verdict import Cause, Diagnosis
 from monitor.inference import Segments, classify, gather, maximize_posterior
 from monitor.model import Effect, Model, parse_effect, prior_from_drawing, simulate
-from monitor.runs import cut_into_blocks
-from monitor.runs.diagnose import diagnose_segments
+from monitor.runs import cut_into_blocks, diagnose
 from tests.support.brisk import brisk
 from tests.support.damped_frame import DAMPER, RATE, context_of, recorded, settings
 
@@ -72,7 +71,6 @@ def test_a_measured_ground_is_the_input() -> None:
     """With the ground measured the model predicts the floors; a wrong one cannot hide behind a fitted level."""
     config = settings()
     motion = simulate(config.model(), duration_s=200.0, rate_hz=RATE, excitation="ground", noise=0.02, seed=5)
-    assert motion.ground is not None
     blocks = [
         *cut_into_blocks("/acceleration/ground", motion.ground[:, None], ("g",), RATE, 10**18, 100),
         *cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100),
@@ -221,7 +219,7 @@ def test_what_a_swinging_gain_leaves_over_is_not_made_up_by_tones_and_oscillator
     swing = 1.0 + 0.3 * np.sin(2.0 * np.pi * np.arange(len(motion.floors))[:, None] / RATE / 240.0) * [0.0, 0.0, 1.0]
     seen = cut_into_blocks(ACCELERATION, motion.floors * swing, config.channels, RATE, 10**18, 100)
     known = prior_from_drawing(config.model(), np.full(6, 0.002), 3)
-    found, _ = diagnose_segments(gather(seen, config.front_end()), known, config)
+    found, _ = diagnose.diagnose_segments(gather(seen, config.front_end()), known, config)
     assert found.verdict == "unexplained"
     accepted = {round_[0].effect.name for round_ in found.rounds if round_}
     peaks = {"harmonic_excitation", "attached_oscillator", "unmodelled_mode"}

@@ -10,11 +10,9 @@ from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.inference import classify, gather
 from monitor.model import parse_effect, prior_from_drawing
 from monitor.runs import diagnose
-from tests.support.pushed_frame import FORCED, pushed
+from tests.model.pushed_frame import FORCED, pushed
 
 pytestmark = pytest.mark.engine
-
-
 PLACES = [("frame", 0.6, 0.06), ("story 3", 1.0, 0.12)]
 
 

@@ -27,6 +27,7 @@ from monitor.model import Model, ModelDiscrepancy, parse_effect, prior_file, pri
 from tests.support.commands import KEYS
 from tests.support.damped_frame import DAMPER, context_of, recorded, settings
 from tests.support.files import through_its_file
+from tests.support.frames import shear_frame_text
 
 pytestmark = pytest.mark.engine
 
@@ -201,20 +202,15 @@ def test_an_effect_is_added_once() -> None:
 
 
 def test_two_changes_of_one_story_add_up_in_the_file_too(tmp_path: Path) -> None:
-    text = """[structure]
-kind = "shear_frame"
-masses_kg = [1.0, 1.0]
-stiffness_n_per_m = [1e4, 1e4]
-
-[[sensors]]
-channel = "a1"
-floor = 1
-
+    text = (
+        shear_frame_text([1.0, 1.0], [1e4, 1e4])
+        + """
 [[effects]]
 effect = "stiffness_change"
 location = "story 2"
 parameters = { relative = -0.1 }
 """
+    )
     first, second = (parse_effect(f"stiffness_change:story 2:relative={x}") for x in (-0.1, -0.15))
     model = loaded(tmp_path, effects_text(text, (first, second))).model()
     np.testing.assert_allclose(model.structural_matrices()[1], [[1e4, -1e4], [-1e4, 1.75e4]])
@@ -297,7 +293,6 @@ def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
     assert learnt.judged_hz is None, "the whole band was judged"
     narrow = through_its_file(replace(learnt, judged_hz=(2.0, 18.5)), site)
     assert narrow.judged_hz == (2.0, 18.5)
-    assert learnt.ln_forces is not None and again.ln_forces is not None
     assert again.ln_forces.tolist() == learnt.ln_forces.tolist() and abs(learnt.ln_forces.sum()) < 1e-9
     assert np.abs(learnt.ln_forces).max() < 1.0, "the floors are pushed alike"
     plain = prior_file.prior_content(learnt) or {}
@@ -305,7 +300,6 @@ def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
         prior_file.read_prior(plain | {"ln_forces": [0.0, 1.0]}, site.model(), site.channels)
     wrong = ModelDiscrepancy(np.array([2.0, 2.25]), np.full((2, 3, 3), 0.1 - 0.2j), np.array([0.0, 0.01]))
     doubted = through_its_file(replace(learnt, error=wrong), site)
-    assert doubted.error is not None
     np.testing.assert_array_equal(doubted.error.relative, wrong.relative)
     assert doubted.error.doubtful_hz() == [[2.125, 2.375]]
     assert doubted.error.at(np.array([1.8, 2.1, 2.3, 2.4]))[1].tolist() == [0, 1]
@@ -317,7 +311,6 @@ def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
         np.testing.assert_array_equal(getattr(again, name), getattr(learnt, name))
     accepted = Model(site.model().structure, (parse_effect("sensor_gain:channel a2:gain=1.05"),))
     wider = prior_file.read_prior(prior_file.prior_content(learnt), accepted, site.channels)
-    assert wider is not None
     assert [e.name for e in wider.effects(wider.mean)] == ["story_damper", "sensor_gain"]
     with pytest.raises(ValueError, match=r"reference\.mean"):
         prior_file.read_prior(prior_file.prior_content(learnt), site.model(), ("a1", "a2"))

@@ -11,7 +11,7 @@ from monitor.diagnosis import stepwise_selection
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference import Posterior, classify
 from monitor.runs import diagnose
-from tests.support.jointed_frame import (
+from tests.diagnosis.jointed_frame import (
     ANOTHER_DAY,
     COLOUR,
     CONFIG,

@@ -14,7 +14,7 @@ from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.inference import MapEstimate, Posterior
 from monitor.model import parse_effect
 from monitor.signals import hann_amplitude
-from tests.support.jointed_frame import posed
+from tests.diagnosis.jointed_frame import posed
 
 pytestmark = pytest.mark.engine
 

@@ -33,7 +33,6 @@ READS = 0.85
 def low(tmp_path: Path) -> tuple[Segments, StructuralPrior, Configuration]:
     """The recording, the baseline's reference and the structure file."""
     written = re.search(r"cat > frame\.toml <<'TOML'\n(.*?)\nTOML", (ROOT / "docs" / "tutorial.md").read_text(), re.S)
-    assert written is not None
     structure, baseline = tmp_path / "frame.toml", tmp_path / "baseline.json"
     structure.write_text(written[1])
     baseline.write_bytes(lzma.decompress(BASELINE.read_bytes()))
@@ -64,16 +63,13 @@ def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> No
     problem, null = fit_linearized(
         classify(segments), prior_from_drawing(config.model(), config.instrumented().prior_std, 3), context
     )
-    assert problem.observed.drive is not None
     assert problem.observed.drive.between == "smooth"
     joints = fit_candidate(problem, null, parse_effect("joint_flexibility:frame:girder_to_column_ratio=3"))
     assert joints.log_evidence > 100.0
     told = find_ratio_change(problem, joints.fit)
-    assert told is not None
     assert told.says.startswith("frequency ratios: f2/f1 3.0")
     assert _beside_a_reference_with(joints.fit, problem) is None, "the reference has these ratios already"
     softer = find_level_dependence(backbone(problem, null))
-    assert softer is not None
     assert "falls with the level, from 3.7" in softer.says
 
 

@@ -36,7 +36,7 @@ from monitor.inference import (
     maximize_posterior,
 )
 from monitor.model import Effect, parse_effect
-from tests.support.jointed_frame import CONFIG, CONTEXT, TURNING, fitted, learned, recorded
+from tests.diagnosis.jointed_frame import CONFIG, CONTEXT, TURNING, fitted, learned, recorded
 from tests.support.turning_frame import TORSION
 
 pytestmark = pytest.mark.engine

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.config import Configuration
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.simulation_refit import refine_fit
 from monitor.inference import (
@@ -25,7 +24,8 @@ from monitor.inference import (
 )
 from monitor.model import Effect, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks
-from tests.support.jointed_frame import CONFIG, RATE, SENSORS, posed
+from tests.diagnosis.jointed_frame import CONFIG, RATE, posed
+from tests.support.frames import configured
 
 pytestmark = pytest.mark.engine
 
@@ -149,7 +149,7 @@ def test_a_law_on_a_floor_grows_with_the_motion_of_that_floor_where_stories_are_
         "stiffness_n_per_m": [2900.0],
         "stiffness_derivatives": [watched.tolist()],
     }
-    config = Configuration.model_validate({"structure": matrices, "sensors": SENSORS})
+    config = configured(matrices, (1, 2, 3))
     context = config.instrumented().context(RATE)
     motion = simulate(config.model(), duration_s=200.0, rate_hz=RATE, noise=0.05, seed=5, context=context)
     blocks = cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 128)

@@ -9,27 +9,19 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 from drivers.base import ACCELERATION
-from monitor.config import Configuration
 from monitor.diagnosis import diagnose as search
 from monitor.inference import Segments, classify, gather
 from monitor.model import Model, StructuralPrior, parse_effect, prior_file, simulate
 from monitor.runs import cut_into_blocks, diagnose
-from tests.support import jointed_frame
+from tests.diagnosis import jointed_frame
+from tests.diagnosis.jointed_frame import TURNING
 from tests.support.brisk import briefly
 from tests.support.files import through_its_file
-from tests.support.jointed_frame import TURNING
+from tests.support.frames import shear_frame
 
 pytestmark = pytest.mark.engine
 
-SITE = briefly(
-    Configuration.model_validate(
-        {
-            "structure": {"kind": "shear_frame", "masses_kg": [9e4, 1e5], "stiffness_n_per_m": [1.6e8, 1.8e8]},
-            "sensors": [{"channel": "a1", "floor": 1}, {"channel": "a2", "floor": 2}],
-        }
-    ),
-    cutoff_hz=16.0,
-)
+SITE = briefly(shear_frame([9e4, 1e5], [1.6e8, 1.8e8]), cutoff_hz=16.0)
 MACHINE = "harmonic_excitation:floor 2:frequency_hz=9.0,force_n=0.15"
 BUILDING = SITE.instrumented().context(256.0)
 
@@ -118,7 +110,6 @@ def test_a_reference_from_its_file_is_the_one_that_was_learned() -> None:
     for name in ("mean", "precision", "start", "units"):
         np.testing.assert_allclose(getattr(read, name), getattr(known, name), rtol=1e-14, err_msg=name)
     damaged = prior_file.prior_content(known)
-    assert damaged is not None
     for far in (1e4, -1e4):
         damaged["mean"][0] = far
         with pytest.raises(ValueError, match="not finite, above zero"):

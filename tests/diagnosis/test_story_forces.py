@@ -14,7 +14,7 @@ from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.diagnosis.story_forces import StoryLaw, story_laws
 from monitor.inference import MapEstimate, Posterior, Segments, classify, gather
 from monitor.model import Effect, parse_effect, prior_from_drawing
-from tests.support.pushed_frame import FORCED, pushed
+from tests.model.pushed_frame import FORCED, pushed
 
 pytestmark = pytest.mark.engine
 

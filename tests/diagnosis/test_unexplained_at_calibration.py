@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from monitor.core import Array
+from monitor.diagnosis import stepwise_selection
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content as content_of
-from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.diagnosis.verdict import Diagnosis
 from monitor.inference import classify
 from monitor.model import StructuralPrior
-from monitor.runs.diagnose import learn_healthy_prior
-from tests.support.jointed_frame import CONFIG, CONTEXT, recorded
+from monitor.runs import diagnose
+from tests.diagnosis.jointed_frame import CONFIG, CONTEXT, recorded
 
 pytestmark = pytest.mark.engine
 
@@ -30,7 +30,7 @@ def mixed(crosstalk: float) -> Array:
 def unexplained() -> StructuralPrior:
     """Learned without the effects that explain less than 100 nats of the misfit, which take most of the time."""
     certain = CONFIG.model_copy(update={"diagnosis": CONFIG.diagnosis.model_copy(update={"margin": 100.0})})
-    return learn_healthy_prior(recorded(seed=1, reads=mixed(STANDING_CROSSTALK)), certain)
+    return diagnose.learn_healthy_prior(recorded(seed=1, reads=mixed(STANDING_CROSSTALK)), certain)
 
 
 def diagnosed(
@@ -38,7 +38,8 @@ def diagnosed(
 ) -> Diagnosis:
     """Diagnose a later recording of the same frame."""
     segments = recorded(*effects, seed=seed, reads=mixed(crosstalk))
-    return diagnose(classify(segments), prior, CONTEXT, CONFIG.diagnosis.model_copy(update={"max_causes": max_causes}))
+    few = CONFIG.diagnosis.model_copy(update={"max_causes": max_causes})
+    return stepwise_selection.diagnose(classify(segments), prior, CONTEXT, few)
 
 
 def test_what_nothing_explains_at_calibration_is_no_news_later(unexplained: StructuralPrior) -> None:

@@ -22,6 +22,7 @@ from monitor.diagnosis.wording import (
     separating_measurement,
 )
 from monitor.model import EFFECTS, FORMS, prior_from_drawing
+from tests.examples.brace_stiffness import BraceStiffness
 from tests.support.damped_frame import settings
 
 pytestmark = pytest.mark.engine
@@ -251,7 +252,7 @@ def test_a_clock_that_drifts_is_said_before_what_nothing_explains() -> None:
     )
 
 
-def test_the_separating_measurement_speaks_of_the_rivals() -> None:
+def test_the_separating_measurement_speaks_of_the_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
     def alternatives(*pairs: tuple[str, str]) -> list[dict[str, str]]:
         return [{"effect": e, "location": p} for e, p in pairs]
 
@@ -267,3 +268,6 @@ def test_the_separating_measurement_speaks_of_the_rivals() -> None:
     assert where is not None and "story 1 and story 2" in where
     for effect in EFFECTS:
         assert separating_measurement(alternatives((effect, "x"), ("stiffness_change", "story 1")))
+    monkeypatch.setitem(EFFECTS, "brace_stiffness", BraceStiffness)
+    added = separating_measurement(alternatives(("brace_stiffness", "story 2"), ("stiffness_change", "story 2")))
+    assert added == BraceStiffness.separating_measurement

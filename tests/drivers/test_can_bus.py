@@ -496,7 +496,7 @@ def test_the_socketcan_path_with_error_frames_and_bus_off(wire: socket.socket) -
     reader.close()
 
 
-def test_no_such_bus(tmp_path: Path) -> None:
+def test_no_such_bus() -> None:
     for table in {"interface": "no_such"}, {"interface": "socketcand", "options": {"host": "127.0.0.1", "port": 9}}:
         with pytest.raises(SourceError):
             source(**table).open()

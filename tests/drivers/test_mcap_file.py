@@ -63,7 +63,6 @@ every_layout = pytest.mark.parametrize(
     ],
 )
 
-
 Rewrite = Callable[[bytes], Path]
 
 
@@ -85,7 +84,6 @@ def rewrite(tmp_path: Path) -> Iterator[Rewrite]:
 def chunks(path: Path) -> list[ChunkIndex]:
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None
     return summary.chunk_indexes
 
 
@@ -122,7 +120,6 @@ def test_the_reference_reader_accepts_our_files_with_metadata_and_json(tmp_path:
         summary = reader.get_summary()
         (metadata,) = reader.iter_metadata()
     assert found == [("shm.results", "jsonschema", "json"), ("shm.SampleBlock", "protobuf", "protobuf")]
-    assert summary is not None
     assert {index.compression for index in summary.chunk_indexes} == {"zstd"}
     assert metadata.metadata == {"seed": "7"}
 

@@ -11,6 +11,7 @@ from scipy.linalg import eigh, expm
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
 from monitor.config import Configuration
+from tests.support.frames import shear_frame, shear_frame_text
 
 Array = NDArray[np.float64]
 T0_NS = 1_767_225_600_000_000_000
@@ -22,24 +23,15 @@ RATE = 200.0
 
 def structure_text(stiffness: Array = STIFFNESS) -> str:
     """The frame's structure and sensors as tables of a site file."""
-    sensors = "".join(f'[[sensors]]\nchannel = "a{i}"\nfloor = {i}\n' for i in (1, 2, 3))
-    return (
-        f'[structure]\nkind = "shear_frame"\nmasses_kg = {MASSES.tolist()}\nstiffness_n_per_m = {stiffness.tolist()}\n'
-        f"damping_ratio = 0.02\nstory_heights_m = {HEIGHTS.tolist()}\n{sensors}"
-    )
+    return shear_frame_text(MASSES.tolist(), stiffness.tolist(), damping_ratio=0.02, story_heights_m=HEIGHTS.tolist())
 
 
-def configuration(**tables: object) -> Configuration:
-    """The site of the frames, three floors with a sensor each."""
-    structure = {
-        "kind": "shear_frame",
-        "masses_kg": MASSES.tolist(),
-        "stiffness_n_per_m": STIFFNESS.tolist(),
-        "damping_ratio": 0.02,
-        "story_heights_m": HEIGHTS.tolist(),
-    }
-    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
-    return Configuration.model_validate({"structure": structure, "sensors": sensors, **tables})
+def configuration(
+    floors: tuple[int, ...] = (1, 2, 3), scale: tuple[float, ...] = (1.0, 1.0, 1.0), **tables: object
+) -> Configuration:
+    """The site of the frames with sensors on some floors, its stiffnesses in the file wrong by a factor each."""
+    more = {"damping_ratio": 0.02, "story_heights_m": HEIGHTS.tolist()}
+    return shear_frame(MASSES, STIFFNESS * scale, floors, structure=more, **tables)
 
 
 @dataclass(frozen=True)

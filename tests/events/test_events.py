@@ -18,8 +18,8 @@ from monitor.events.ambient import AmbientReading, lasting_loss
 from monitor.events.motion import instrumental_intensity, integrated, response_spectrum
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import event_line, event_text, read_event, to_json
-from monitor.service.serialization import from_bytes, to_bytes
 from tests.events.shaken import HEIGHTS, RATE, STIFFNESS, T0_NS, Array, Shaken, blocks, configuration, shake
+from tests.service.checkpoint import restored
 from tests.support.quake import ground, shaken, true_drifts
 
 WINDOWS = {"processing": {"window_s": 100.0, "hop_s": 50.0}}
@@ -336,9 +336,8 @@ def test_the_state_survives_a_checkpoint_in_the_middle_of_an_event() -> None:
     whole = [to_json(event_line(e)) for e in events(run(configuration(), data))]
     half = Pipeline(configuration())
     told = [e for b in data[:720] for e in events(half.push(b))]
-    state = from_bytes(to_bytes("", half.state), "", type(half.state))
     rest = Pipeline(configuration())
-    rest.state = state
+    rest.state = restored(half.state)
     told += [e for b in data[720:] for e in events(rest.push(b))]
     assert [to_json(event_line(e)) for e in told] == whole
 

@@ -11,21 +11,8 @@ from drivers.base import ACCELERATION, GROUND, SampleBlock
 from monitor.config import Configuration
 from monitor.events import Event, Site
 from monitor.pipeline import Pipeline
-from tests.events.shaken import HEIGHTS, MASSES, STIFFNESS, blocks
+from tests.events.shaken import blocks, configuration
 from tests.support.quake import shaken, true_drifts
-
-
-def configuration(floors: tuple[int, ...], scale: tuple[float, ...], **events: object) -> Configuration:
-    """The frame with sensors on some floors, its stiffnesses in the file wrong by a factor each."""
-    structure = {
-        "kind": "shear_frame",
-        "masses_kg": MASSES.tolist(),
-        "stiffness_n_per_m": (STIFFNESS * scale).tolist(),
-        "damping_ratio": 0.02,
-        "story_heights_m": HEIGHTS.tolist(),
-    }
-    sensors = [{"channel": f"a{i}", "floor": i} for i in floors]
-    return Configuration.model_validate({"structure": structure, "sensors": sensors, "events": events})
 
 
 def told(config: Configuration, *, with_ground: bool = True) -> tuple[Event, Site]:
@@ -44,7 +31,7 @@ def told(config: Configuration, *, with_ground: bool = True) -> tuple[Event, Sit
 
 @pytest.mark.parametrize("floors", [(1,), (1, 2), (1, 3), (2, 3)])
 def test_with_the_right_model_the_drifts_are_those_of_the_simulation(floors: tuple[int, ...]) -> None:
-    event, _ = told(configuration(floors, (1.0, 1.0, 1.0)))
+    event, _ = told(configuration(floors))
     assert event.drift_m == pytest.approx(true_drifts(shaken(), event), rel=0.05)
     assert "the model and the ground tell those of" in event.note
 
@@ -59,13 +46,13 @@ def test_with_a_wrong_model_the_stated_deviation_says_so(floors: tuple[int, ...]
 
 
 def test_without_a_ground_they_are_null_and_it_is_said() -> None:
-    event, _ = told(configuration((1, 3), (1.0, 1.0, 1.0)), with_ground=False)
+    event, _ = told(configuration((1, 3)), with_ground=False)
     assert np.isnan(event.drift_m).any() and "without a measured ground, some are not known" in event.note
 
 
 def test_a_limit_within_a_drifts_interval_is_not_judged() -> None:
     unsure, wide = told(configuration((1,), (0.9, 0.9, 0.9)))
     limit = {"drift_ratio": 1.5 * float(unsure.drift_ratio.max()), "says": "go"}
-    assert told(configuration((1,), (0.9, 0.9, 0.9), limits=[limit]))[0].verdict is None
-    assert told(configuration((1,), (1.0, 1.0, 1.0), limits=[limit]))[0].verdict == "no limit exceeded"
+    assert told(configuration((1,), (0.9, 0.9, 0.9), events={"limits": [limit]}))[0].verdict is None
+    assert told(configuration((1,), (1.0, 1.0, 1.0), events={"limits": [limit]}))[0].verdict == "no limit exceeded"
     assert np.array_equal(Site.read(wide.content()).floor_shapes, wide.floor_shapes)

@@ -60,7 +60,6 @@ def test_a_clock_that_is_late_moves_the_energy_as_the_page_says() -> None:
 
 def test_the_first_mode_has_the_frequency_and_damping_of_the_simulation() -> None:
     mode = seen(shaken()).first_mode
-    assert mode is not None
     strong = mode.level_m > 0.2 * mode.level_m.max()
     assert strong.sum() >= 4
     true_hz = float(frame().instrumented().model.modes().frequencies_hz[0])

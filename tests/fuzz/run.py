@@ -32,10 +32,9 @@ def one(name: str, runs: int, seed: int) -> None:
     # numba compiles no tracing
     left_out = [".".join(path.relative_to(root).with_suffix("").parts) for path in compiled]
     with atheris.instrument_imports(include=["drivers", "monitor"], exclude=left_out):
-        for module in [m for m in sys.modules if m.split(".")[0] in ("drivers", "monitor")]:
+        for module in [m for m in sys.modules if m.split(".")[0] in ("drivers", "monitor", "tests")]:
             del sys.modules[module]
-        del sys.modules["tests.fuzz.targets"]
-        targets = importlib.import_module("tests.fuzz.targets")  # `from tests.fuzz import` would give the old one
+        targets = importlib.import_module("tests.fuzz.targets")
     targets.quiet()
     target = targets.TARGETS[name]
     with tempfile.TemporaryDirectory() as corpus:

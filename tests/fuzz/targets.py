@@ -9,7 +9,6 @@ import atexit
 import contextlib
 import copy
 import functools
-import hashlib
 import importlib
 import io
 import json
@@ -34,7 +33,6 @@ import numpy as np
 import zenoh
 from can.interfaces.udp_multicast.bus import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message
-from pydantic import ValidationError
 
 from drivers import codec, frames, mqtt, zenoh_bus
 from drivers.base import (
@@ -58,14 +56,10 @@ from drivers.socketcand_server import frame_text
 from drivers.zenoh_bus import ZenohSettings, ZenohSource
 from monitor.config import configuration
 from monitor.core import BadInputError, UserError
-from monitor.damage import alarm, load_baseline, save_baseline
-from monitor.runs import Session, importers, ledger
-from monitor.runs.importers import seismic
-from monitor.service import Request, serialization
-from monitor.service.outlets.inbox import Inbox
-from monitor.service.outlets.outbox import Outbox
-from monitor.service.requests import Answer, apply
-from monitor.service.restart import Saved
+from monitor.damage import load_baseline, save_baseline
+from monitor.runs import Session, import_files, ledger
+from tests.runs.hostile import seismic_file
+from tests.service import hostile
 from tests.support.frame_text import THREE_STORIES
 
 ROOT = Path(__file__).parents[2]
@@ -216,27 +210,6 @@ def _mqtt_json(data: bytes) -> None:
         assert source.read(0.0) is None
     counts = source.health().counts
     assert counts["blocks"] == (got is not None) == 1 - counts["undecodable"]
-
-
-def _json_request(data: bytes) -> None:
-    with contextlib.suppress(ValidationError):
-        request = Request.model_validate_json(data[:4096])
-        with contextlib.suppress(ValueError):
-            state = apply(alarm.start(3), request, T0_NS)
-            assert len(state.stories) == 4
-        assert json.loads(json.dumps(request.model_dump(), allow_nan=False))
-
-
-def _request_file(data: bytes) -> None:
-    folder = scratch() / "requests"
-    folder.mkdir(exist_ok=True)
-    (folder / "1.json").write_bytes(data)
-    box = Inbox(folder)
-    requests = box.take_requests()
-    assert all(isinstance(request, Request) for request in requests)
-    box.answer_requests([Answer()] * len(requests))
-    box.close(0.0)
-    assert not list(folder.iterdir())
 
 
 def _request_seeds() -> list[bytes]:
@@ -446,7 +419,7 @@ def _imported(
     def run(data: bytes) -> None:
         path, out = _file("a" + suffix, data), scratch() / "out.mcap"
         with contextlib.suppress(UserError):
-            importers.import_files([path], out, on_warning=lambda _: None, **options)
+            import_files([path], out, on_warning=lambda _: None, **options)
         out.unlink(missing_ok=True)
         assert not out.with_name("out.mcap.part").exists()
 
@@ -495,22 +468,6 @@ def _npz_array_seeds() -> list[bytes]:
         np.save(file, array)
         made.append(file.getvalue())
     return made
-
-
-def _seismic(kind: str) -> Callable[[bytes], None]:
-    """What ObsPy makes of a file, which it does in a process of its own, and what becomes of it."""
-
-    def run(data: bytes) -> None:
-        path = _file("a.mseed", data)
-        try:
-            with patch("sys.unraisablehook"):  # ObsPy's own callback cannot decode what libmseed says of damage
-                traces = seismic.read(path, 1 << 26, kind)
-        except Exception:  # noqa: BLE001 - as that process does
-            return
-        with contextlib.suppress(UserError):
-            seismic.join(path, *traces, 1 << 26, lambda _: None)
-
-    return run
 
 
 @functools.cache
@@ -581,15 +538,6 @@ DBC = {"rate_hz": 1024.0, "dbc": ROOT / "deploy" / "frame.dbc"}
 # --- state -------------------------------------------------------------------------------------------------------------
 
 
-def _checkpoint(data: bytes) -> None:
-    """The body may be anything: its checksum fits, as a file has that somebody made to harm."""
-    head = {"format": serialization.FORMAT, "version": serialization.VERSION, "key": "k"}
-    head["sha256"] = hashlib.sha256(data).hexdigest()
-    for raw in (data, json.dumps(head).encode() + b"\n" + data):
-        with contextlib.suppress(serialization.CheckpointError):
-            serialization.from_bytes(raw, "k", Saved)
-
-
 def _session() -> Session:
     return Session(_settings(), None, (), None, scratch())
 
@@ -598,7 +546,7 @@ def _session() -> Session:
 def _checkpoint_seeds() -> list[bytes]:
     session, made = _session(), []
     for k in range(3):
-        made.append(serialization.to_bytes("k", Saved(session.state, T0_NS + k, k)).partition(b"\n")[2])
+        made.append(hostile.checkpoint_body(session, T0_NS + k, k))
         session.push(block(k, 200))
     return made
 
@@ -639,14 +587,6 @@ def _finding_seeds() -> list[bytes]:
     return [json.dumps(whole).encode(), json.dumps({**whole, "model": {}}).encode()]
 
 
-def _outbox(data: bytes) -> None:
-    box = Outbox(_file("outbox.jsonl", data))
-    box.first("k")
-    assert len(box) <= 256
-    for left in scratch().glob("outbox.jsonl*"):
-        left.unlink()
-
-
 def _outbox_seeds() -> list[bytes]:
     told = {"levels": {"1": "alarm"}, "lost": False, "stopped": False, "blind": False, "judged_ns": None}
     notice = {"kind": "alarm", "good": False, "title": "t", "text": "x"}
@@ -685,14 +625,14 @@ def _stream() -> _Stream:
 TARGETS: dict[str, Target] = {
     "protobuf": Target(_protobuf, _protobuf_seeds, 0.2),
     "cdr": Target(_cdr, _cdr_seeds, 0.13),
-    "request": Target(_json_request, _request_seeds, 0.14),
+    "request": Target(lambda data: hostile.request(data, T0_NS), _request_seeds, 0.14),
     "can": Target(lambda data: _read_all(_Frames(data)), _can_seeds, 0.06, 4000),
     "socketcand": Target(_socketcand, _socketcand_seeds, 0.06, 4000),
     "udp_multicast": Target(_udp_multicast, _udp_multicast_seeds, 0.02, 8000),
     "can_log": Target(_can_log, _can_log_seeds, 0.02, 4000),
     "zenoh": Target(_zenoh, _zenoh_seeds, 0.08),
     "mqtt_json": Target(_mqtt_json, lambda: [mqtt.encode(block(k, 4), "json") for k in range(2)], 0.02),
-    "request_file": Target(_request_file, _request_seeds, 0.03),
+    "request_file": Target(lambda data: hostile.request_file(scratch() / "requests", data), _request_seeds, 0.03),
     "mcap": Target(_mcap, _mcap_seeds, 0.05),
     "crash_file": Target(_crash_file, _mcap_seeds, 0.02),
     "toml": Target(_toml, _toml_seeds, 0.03),
@@ -700,14 +640,14 @@ TARGETS: dict[str, Target] = {
     "npz": _imported(".npz", _npz_seeds, 0.02),
     "npz_array": Target(_npz_array, _npz_array_seeds, 0.01, 4000, 300),
     "mat": _imported(".mat", _written(".mat", _write_mat), share=0.001, least=6, rate_hz=100.0),  # each takes a process
-    "miniseed": Target(_seismic("MiniSEED"), _miniseed_seeds, 0.01, 4000, 300),
-    "knet": Target(_seismic("K-NET"), _knet_seeds, 0.01, 4000, 300),
+    "miniseed": Target(lambda data: seismic_file(_file("a.mseed", data), "MiniSEED"), _miniseed_seeds, 0.01, 4000, 300),
+    "knet": Target(lambda data: seismic_file(_file("a.mseed", data), "K-NET"), _knet_seeds, 0.01, 4000, 300),
     "uff": _imported(".uff", _written(".uff", _write_uff), rate_hz=100.0),
     **{kind: _imported(f".{kind}", _written(f".{kind}", _write_log), **DBC) for kind in ("asc", "blf", "trc")},
-    "checkpoint": Target(_checkpoint, _checkpoint_seeds, 0.03),
+    "checkpoint": Target(hostile.checkpoint, _checkpoint_seeds, 0.03),
     "baseline": Target(_baseline, _baseline_seeds, 0.02),
     "finding": Target(_finding, _finding_seeds, 0.02),
-    "outbox": Target(_outbox, _outbox_seeds, 0.02),
+    "outbox": Target(lambda data: hostile.outbox(_file("outbox.jsonl", data)), _outbox_seeds, 0.02),
     "pipeline": Target(lambda data: _stream().push(data), _protobuf_seeds, 0.01),
 }
 

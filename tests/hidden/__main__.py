@@ -20,8 +20,6 @@ from tests.hidden.worlds import NAMES, WORLDS, clean, rounds
 
 _PAUSE_S = 0.5
 """Between two looks at the results."""
-
-
 _found: SimpleQueue[dict[str, Any]]
 """Where a process puts its results, trial by trial."""
 

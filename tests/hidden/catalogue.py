@@ -75,7 +75,7 @@ def warm_day(s: Site) -> tuple[Hidden, Act]:
     return temperature(s, measured=False)
 
 
-def _law(s: Site, direction: np.ndarray, kind: int, p: float, q: float) -> Act:
+def with_law(s: Site, direction: np.ndarray, kind: int, p: float, q: float) -> Act:
     return replace(s.act, laws=(*s.act.laws, (kind, direction, p, q)))
 
 
@@ -83,7 +83,7 @@ def cubic_stiffness(s: Site) -> tuple[Hidden, Act]:
     j = _story(s)
     k, sd = float(s.truth.frame.stories[j]), float(s.motion.drift[j])
     k3 = s.sign() * s.between(0.02, 0.1) * k / (3.0 * sd**2)
-    act = _law(s, drifts(3)[j], world.CUBIC, k3, float(np.sqrt(0.9 * k / abs(k3))))
+    act = with_law(s, drifts(3)[j], world.CUBIC, k3, float(np.sqrt(0.9 * k / abs(k3))))
     return Hidden("cubic_stiffness", f"story {j + 1}", {"k3_n_per_m3": k3}), act
 
 
@@ -92,19 +92,19 @@ def gap_contact(s: Site) -> tuple[Hidden, Act]:
     gap = s.sign() * s.rng.uniform(1.2, 2.2) * float(s.motion.drift[j])
     contact = s.between(0.5, 2.0) * float(s.truth.frame.stories[j])
     parameters = {"gap_m": gap, "contact_stiffness_n_per_m": contact}
-    return Hidden("gap_contact", f"story {j + 1}", parameters), _law(s, drifts(3)[j], world.CONTACT, gap, contact)
+    return Hidden("gap_contact", f"story {j + 1}", parameters), with_law(s, drifts(3)[j], world.CONTACT, gap, contact)
 
 
 def bilinear_stiffness(s: Site) -> tuple[Hidden, Act]:
     j, drop = _story(s), s.pick(0.1, 0.2, 0.3)
-    act = _law(s, drifts(3)[j], world.CONTACT, 0.0, -drop * float(s.truth.frame.stories[j]))
+    act = with_law(s, drifts(3)[j], world.CONTACT, 0.0, -drop * float(s.truth.frame.stories[j]))
     return Hidden("bilinear_stiffness", f"story {j + 1}", {"relative_drop": drop}), act
 
 
 def coulomb_friction(s: Site) -> tuple[Hidden, Act]:
     j = _story(s)
     force = s.between(0.02, 0.1) * float(s.motion.story_force[j])
-    act = _law(s, drifts(3)[j], world.FRICTION, force, 0.01 * float(s.motion.drift_velocity[j]))
+    act = with_law(s, drifts(3)[j], world.FRICTION, force, 0.01 * float(s.motion.drift_velocity[j]))
     return Hidden("coulomb_friction", f"story {j + 1}", {"friction_force_n": force}), act
 
 
@@ -112,7 +112,7 @@ def quadratic_damping(s: Site) -> tuple[Hidden, Act]:
     j = _story(s)
     own = float(s.act.damping[j, j])
     c2 = s.between(0.3, 2.0) * own / float(np.sqrt(8.0 / np.pi) * s.motion.floor_velocity[j])
-    return Hidden("quadratic_damping", f"floor {j + 1}", {"coefficient_n_s2_per_m2": c2}), _law(
+    return Hidden("quadratic_damping", f"floor {j + 1}", {"coefficient_n_s2_per_m2": c2}), with_law(
         s, np.eye(3)[j], world.DRAG, c2, 0.0
     )
 

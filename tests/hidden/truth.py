@@ -56,6 +56,13 @@ def structure_file(masses: np.ndarray, stories: np.ndarray, heights: np.ndarray,
     return f'[structure]\nkind = "shear_frame"\ndamping_ratio = 0.01\n{rows}\n\n{sensors}\n'
 
 
+_FRAME = Frame(
+    np.array([0.3253, 0.3514, 0.3129]), np.array([2900.0, 1700.0, 1900.0]), np.array([0.093, 0.093, 0.1]), 0.01
+)
+PLAIN = Truth(_FRAME, "none", _FRAME.masses, _FRAME.stories, "ratios")
+"""A frame as drawn."""
+
+
 @dataclass(frozen=True)
 class Hidden:
     """One effect: the sealed answer."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import firwin, lfilter, sosfilt, upfirdn
+from scipy.signal import firwin, lfilter, upfirdn
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from tests.hidden.frame import Frame, hung
@@ -54,8 +54,6 @@ class Act(Sensors):
     heard: bool = False
     """Whether the ground is recorded, as the last channel."""
     corner_hz: float | None = None
-    sections: np.ndarray | None = None
-    """Second-order sections of a filter through which all floors' forces went, at 4096 Hz."""
     line: tuple[int, float, float] | None = None
     """(floor, Hz, N)"""
     chirp: tuple[int, float, float, float] | None = None
@@ -130,7 +128,6 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
     tail = np.zeros((_TAPS.size - 1, n + act.heard))
     last = np.zeros((1, size + 2))  # forces, ground acceleration, course
     memory = np.zeros((1, n))
-    filtered = np.zeros((0 if act.sections is None else len(act.sections), 2, n))
     for start in range(0, round(duration_s * KNOT_HZ), round(_CHUNK_S * KNOT_HZ)):
         k = np.arange(start, min(start + round(_CHUNK_S * KNOT_HZ), round(duration_s * KNOT_HZ)))
         t = k / KNOT_HZ
@@ -142,8 +139,6 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
         if act.corner_hz is not None:
             decay = np.exp(-2.0 * np.pi * act.corner_hz * dt)
             force, memory = lfilter([1.0 - decay], [1.0, -decay], force, axis=0, zi=memory)
-        if act.sections is not None:
-            force, filtered = sosfilt(act.sections, force, axis=0, zi=filtered)
         drive[:, :n] = force
         for floor, phase, amplitude in _tones(act, t, duration_s):
             drive[:, floor] += amplitude * np.sin(phase)
@@ -155,7 +150,7 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
             drive[:, size + 1] = np.interp(t, np.arange(act.course.size), act.course)
         if start == 0:
             last = drive[:1]
-        raw, state = _march(
+        raw, state = march(
             minv, act.damping, act.stiffness, moving, kinds, directions, parameters,
             np.concatenate([last, drive]), state, dt, n,
         )  # fmt: skip
@@ -247,7 +242,7 @@ def _slope(minv, damping, stiffness, moving, kinds, directions, parameters, u, z
 
 
 @njit(cache=True)
-def _march(minv, damping, stiffness, moving, kinds, directions, parameters, drive, state, dt, n):
+def march(minv, damping, stiffness, moving, kinds, directions, parameters, drive, state, dt, n):
     """Classical Runge-Kutta from knot to knot, what drives running straight between them."""
     size, width = minv.shape[0], drive.shape[1]
     seen = np.empty((drive.shape[0] - 1, n))

@@ -13,6 +13,7 @@ from monitor.identification.sensor_correction import correct_modes, seen_by_sens
 from monitor.model import Context, ShearFrame, parse_effect
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, synthetic_recording
+from tests.support.frames import shear_frame_text
 from tests.support.results import modal_estimate
 from tests.support.samples import T0_NS
 
@@ -58,12 +59,8 @@ def test_measured_shapes_are_recognized_through_swap_and_sign() -> None:
 
 
 def test_an_accepted_sensor_fault_no_longer_moves_the_index(tmp_path: Path) -> None:
-    text = (
-        '[structure]\nkind = "shear_frame"\nmasses_kg = [0.3253, 0.3514, 0.3129]\n'
-        "stiffness_n_per_m = [2900.0, 1700.0, 1900.0]\n"
-        + "".join(f'[[sensors]]\nchannel = "a{j}"\nfloor = {j}\n' for j in (1, 2, 3))
-        + "[processing]\nwindow_s = 200.0\nhop_s = 50.0\n"
-    )
+    text = shear_frame_text([0.3253, 0.3514, 0.3129], [2900.0, 1700.0, 1900.0])
+    text += "[processing]\nwindow_s = 200.0\nhop_s = 50.0\n"
     plain, extended = tmp_path / "frame.toml", tmp_path / "extended.toml"
     plain.write_text(text)
     config = configuration.load(plain)

@@ -24,8 +24,9 @@ from monitor.signals import (
     transform,
 )
 from monitor.signals import windows as window
+from tests.support.simulated import PAPER_FRAME
 
-FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
+FRAME = Model(PAPER_FRAME)
 
 
 def windowed(values: np.ndarray) -> tuple[Window, ModalEstimate]:

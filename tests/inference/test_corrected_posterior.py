@@ -8,7 +8,7 @@ import pytest
 from monitor.inference.corrected_posterior import bound_corrections
 from monitor.inference.linearization import forced_motion
 from monitor.model import parse_effect
-from tests.support.jointed_frame import posed
+from tests.diagnosis.jointed_frame import posed
 
 pytestmark = pytest.mark.engine
 

@@ -13,7 +13,7 @@ from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.posterior import Posterior
 from monitor.model import ModelDiscrepancy, parse_effect
-from tests.support.jointed_frame import CONFIG, CONTEXT, known, posed, recorded
+from tests.diagnosis.jointed_frame import CONFIG, CONTEXT, known, posed, recorded
 
 pytestmark = pytest.mark.engine
 

@@ -16,7 +16,7 @@ from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments
 from monitor.model import parse_effect
-from tests.support.jointed_frame import CONFIG, CONTEXT, PLAIN, RATE, fitted, known, recorded
+from tests.diagnosis.jointed_frame import CONFIG, CONTEXT, PLAIN, RATE, fitted, known, recorded
 
 pytestmark = pytest.mark.engine
 

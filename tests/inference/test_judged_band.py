@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from drivers.base import ACCELERATION
-from monitor.config import Configuration
 from monitor.core import BadInputError
 from monitor.diagnosis import healthy_prior
 from monitor.inference.exact_simulation import draw_forces
@@ -20,9 +18,9 @@ from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
 from monitor.inference.starting_point import make_posterior
 from monitor.model import prior_from_drawing, simulate
-from monitor.runs import cut_into_blocks
-from monitor.runs.diagnose import diagnose_segments
+from monitor.runs import cut_into_blocks, diagnose
 from tests.support import turning_frame
+from tests.support.frames import shear_frame
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -133,23 +131,7 @@ def test_a_dead_channel_is_no_end_of_the_forces() -> None:
     assert find_judged_band(transforms, HZ).judged == slice(0, HZ.size)
 
 
-CONFIG = Configuration.model_validate(
-    tomllib.loads(
-        """
-        [structure]
-        kind = "shear_frame"
-        masses_kg = [0.33, 0.35]
-        stiffness_n_per_m = [900.0, 1100.0]
-        damping_ratio = 0.01
-        [[sensors]]
-        channel = "a1"
-        floor = 1
-        [[sensors]]
-        channel = "a2"
-        floor = 2
-        """
-    )
-)
+CONFIG = shear_frame([0.33, 0.35], [900.0, 1100.0])
 RATE_HZ, END_HZ = 200.0, 20.0
 
 
@@ -195,7 +177,7 @@ def test_later_diagnoses_compare_where_the_healthy_recording_could_be_judged(end
     floors = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE_HZ, seed=5, noise=0.01).floors
     white = gather(cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 10**18, 500), CONFIG.front_end())
     assert white.band.n_bins == white.whole.n_bins
-    found, _ = diagnose_segments(white, learnt, CONFIG)
+    found, _ = diagnose.diagnose_segments(white, learnt, CONFIG)
     assert found.posterior.observed.band.hz[[0, -1]] == pytest.approx(ended.band.hz[[0, -1]])
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from monitor.inference import classify, gather
-from monitor.model import Model, ShearFrame, simulate
+from monitor.model import Model, simulate
 from monitor.signals import FrontEnd, ProcessingSettings
 from tests.support.samples import CHANNELS, Cut
+from tests.support.simulated import PAPER_FRAME
 
 RATE = 200.0
 FRONT_END = FrontEnd(CHANNELS, ProcessingSettings(), segment_s=20.0, n_lags=100)
-FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
+FRAME = Model(PAPER_FRAME)
 
 
 def classes(level: np.ndarray, cut: Cut) -> list[np.ndarray]:

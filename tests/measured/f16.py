@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION, FORCE, SampleBlock
 from monitor.config import Configuration
 from monitor.inference import gather
-from monitor.runs.diagnose import diagnose_segments, learn_healthy_prior
+from monitor.runs import diagnose
 
 Array = np.ndarray
 LEVELS = (1, 3, 5, 7)
@@ -219,13 +219,15 @@ def main() -> None:
         return
     config = Configuration.model_validate(structure_file(frequencies_hz, damping, shapes))
     with threadpool_limits(limits=1):
-        prior = learn_healthy_prior(gather(tests[1].blocks(with_force=options.force), config.front_end()), config)
+        prior = diagnose.learn_healthy_prior(
+            gather(tests[1].blocks(with_force=options.force), config.front_end()), config
+        )
         standing = [(e.name, e.location, e.values()) for e in prior.effects(prior.mean)]
         print("standing at level 1:", standing, flush=True)
         for level in options.levels:
             began = perf_counter()
             blocks = tests[level].blocks(with_force=options.force)
-            found, gain = diagnose_segments(gather(blocks, config.front_end()), prior, config)
+            found, gain = diagnose.diagnose_segments(gather(blocks, config.front_end()), prior, config)
             result = {
                 "level": level,
                 "verdict": found.verdict,

@@ -22,11 +22,11 @@ from scipy.signal import resample
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
+from drivers.mcap_file import read_recordings
 from monitor.config import Configuration
 from monitor.inference import gather
 from monitor.model import StructuralPrior
-from monitor.runs.diagnose import diagnose_segments, learn_healthy_prior
-from monitor.runs.recordings import read_blocks
+from monitor.runs import diagnose
 
 Array = np.ndarray
 RECORDINGS = Path(__file__).parents[2] / "recordings"
@@ -211,7 +211,7 @@ class Half:
 @lru_cache
 def halves(frame: str) -> tuple[Half, Half]:
     """Read a measured recording and cut it in two halves of equal length."""
-    blocks = list(read_blocks([RECORDINGS / f"mini-shake-table-{frame}.mcap"], configuration(frame), warnings.warn))
+    blocks = list(read_recordings([RECORDINGS / f"mini-shake-table-{frame}.mcap"], on_warning=warnings.warn))
     floors, ground = (
         np.concatenate([b.samples for b in blocks if b.topic == topic]).astype(float)
         for topic in (ACCELERATION, GROUND)
@@ -233,7 +233,7 @@ def configuration(frame: str) -> Configuration:
 def reference(frame: str, healthy: int) -> StructuralPrior:
     """Learn the baseline of one half."""
     config, half = configuration(frame), halves(frame)[healthy]
-    return learn_healthy_prior(gather(half.blocks(half.floors), config.front_end()), config)
+    return diagnose.learn_healthy_prior(gather(half.blocks(half.floors), config.front_end()), config)
 
 
 def run(frame: str, healthy: int, fault: Fault) -> dict[str, Any]:
@@ -241,7 +241,7 @@ def run(frame: str, healthy: int, fault: Fault) -> dict[str, Any]:
     prior, config, half = reference(frame, healthy), configuration(frame), halves(frame)[1 - healthy]
     began = perf_counter()
     segments = gather(half.blocks(fault.act(half.floors, half.rate_hz)), config.front_end())
-    found, gain = diagnose_segments(segments, prior, config)
+    found, gain = diagnose.diagnose_segments(segments, prior, config)
     causes = [
         {
             "effect": c.effect.name,

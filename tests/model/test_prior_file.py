@@ -25,9 +25,7 @@ def test_a_mode_comes_back_with_its_eccentricities_and_arms_and_without_them_is_
         precision=block_diag(drawn.precision, np.diag(np.arange(1.0, MODE.coordinates.size + 1.0))),
     )
     content = prior_content(prior)
-    assert content is not None
     read = read_prior(content, FRAME, ("a1", "a2"))
-    assert read is not None
     (mode,) = read.effects(read.mean)
     assert mode.values() == pytest.approx(MODE.values())
     np.testing.assert_array_equal(read.mean, prior.mean)

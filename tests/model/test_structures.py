@@ -15,9 +15,11 @@ from monitor.damage import load_baseline, save_baseline
 from monitor.model.effects import parse_effect
 from monitor.model.model import Model
 from monitor.model.structures import ShearFrame
-from tests.support.learned import configured, learned, results_of
+from tests.support.frames import configured, shear_frame
+from tests.support.learned import learned, results_of
+from tests.support.simulated import PAPER_FRAME
 
-SHEAR = ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01)
+SHEAR = PAPER_FRAME
 
 
 def matrices_table(structure: ShearFrame = SHEAR, **changes: object) -> dict:
@@ -74,13 +76,12 @@ def test_a_frame_given_by_its_matrices_gives_the_frame_s_results(main, frame_tex
     [(1, (1,), 1, True), (2, (1, 2), 2, True), (5, (1, 2, 3, 4, 5), 2, False), (10, (1, 3, 5, 8), 3, False)],
 )
 def test_a_shear_frame_of_any_height(n: int, floors: tuple[int, ...], story: int, refined: bool) -> None:
-    table = {"kind": "shear_frame", "masses_kg": [0.32] * n, "stiffness_n_per_m": [2000.0 * max(1, n / 3)] * n}
-    settings = configured(table, floors, processing={"window_s": 200.0, "hop_s": 50.0}, refinement={"enabled": refined})
+    stiffness, tables = [2000.0 * max(1, n / 3)] * n, {"processing": {"window_s": 200.0, "hop_s": 50.0}}
+    settings = shear_frame([0.32] * n, stiffness, floors, refinement={"enabled": refined}, **tables)
     truth = settings.model()
     healthy = learned(settings, truth, seed=1, duration_s=600.0)
     worse = Model(truth.structure, (parse_effect(f"stiffness_change:story {story}:relative=-0.1"),))
     (reading,) = [r.damage for r in results_of(worse, settings, healthy, seed=2, duration_s=201.0)]
-    assert reading is not None
     loss = 0.1 * (np.arange(n) == story - 1)
     assert (np.abs(reading.ddi - loss) < 4.5 * reading.ddi_std + 0.003).all()
     assert reading.ddi_std[story - 1] < 0.02
@@ -97,7 +98,6 @@ def test_more_dofs_than_stiffnesses_and_sensors() -> None:
     assert healthy.model_mode == (0, 1, 2)
     worse = truth.with_stiffness(truth.structure.stiffness_n_per_m * [1.0, 0.9, 1.0])
     (reading,) = [r.damage for r in results_of(worse, settings, healthy, seed=4, duration_s=201.0)]
-    assert reading is not None
     np.testing.assert_allclose(reading.ddi, [0.0, 0.1, 0.0], atol=0.02)
     np.testing.assert_array_equal(reading.ddi_sequential, reading.ddi)
 
@@ -167,14 +167,13 @@ def test_ranges_are_priors_of_stiffnesses_then_masses() -> None:
 
 def test_a_story_that_the_sensors_do_not_see_is_named_and_its_index_claims_nothing() -> None:
     """One sensor and two modes of eight stories: nearly all stays as uncertain as the drawing was."""
-    table = {"kind": "shear_frame", "masses_kg": [0.32] * 8, "stiffness_n_per_m": [5000.0] * 8}
-    settings = configured(table, (1,), processing={"window_s": 200.0, "hop_s": 50.0, "cutoff_hz": 12.0})
+    processing = {"window_s": 200.0, "hop_s": 50.0, "cutoff_hz": 12.0}
+    settings = shear_frame([0.32] * 8, [5000.0] * 8, (1,), processing=processing)
     truth = settings.model()
     healthy = learned(settings, truth, seed=6, duration_s=401.0)
     worse = Model(truth.structure, (parse_effect("stiffness_change:story 7:relative=-0.15"),))
     results = results_of(worse, settings, healthy, seed=7, duration_s=301.0)
     for r in results:
-        assert r.damage is not None
         assert 7 in r.damage.unidentified
         assert (r.damage.ddi_std[[j - 1 for j in r.damage.unidentified]] > 0.7 * 0.2).all()
         assert r.alarm.stories == ()
@@ -191,11 +190,8 @@ def test_a_story_that_the_sensors_do_not_see_is_named_and_its_index_claims_nothi
 def test_calibrate_tells_what_it_cannot_know(
     main, tables: str, floors: tuple[int, ...], warning: str | None, tmp_path: Path
 ) -> None:
-    table = {
-        "kind": "shear_frame",
-        "masses_kg": SHEAR.masses_kg.tolist(),
-        "stiffness_n_per_m": [2250.0, 2250.0, 1811.0],
-    }
+    stiffness = [2250.0, 2250.0, 1811.0]
+    table = {"kind": "shear_frame", "masses_kg": SHEAR.masses_kg.tolist(), "stiffness_n_per_m": stiffness}
     more = tables.removeprefix("[processing]\n")
     structure = toml(table, tmp_path, floors, "[processing]\nwindow_s = 50.0\nhop_s = 50.0\n" + more)
     assert main("simulate", "--structure", structure, "--out", tmp_path / "r.mcap", "--duration", 110, "--rate",

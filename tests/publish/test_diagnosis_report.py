@@ -15,16 +15,15 @@ from rerun.chunk import RrdReader
 
 from monitor.diagnosis import DiagnosisSettings, HeldOutGain, StoryLaw, diagnose, in_words
 from monitor.diagnosis import content as content_of
-from monitor.diagnosis.verdict import Cause
 from monitor.inference import classify
 from monitor.model import EFFECTS, FORMS, interval, parse_effect
 from monitor.publish.reports.charts import decades, ticks
 from monitor.publish.reports.comparison import compare, level_dependence
 from monitor.publish.reports.diagnosis_report import page, write_report
 from monitor.publish.viewer.diagnosis_view import write_view
-from tests.support import jointed_frame
-from tests.support.jointed_frame import COLOUR, FORCES, GAINS
-from tests.support.searched import CONFIG, GAIN, LOSS, REFERENCE, Case, recorded, searched
+from tests.diagnosis import jointed_frame
+from tests.diagnosis.jointed_frame import COLOUR, FORCES, GAINS
+from tests.diagnosis.searched import CONFIG, GAIN, LOSS, REFERENCE, Case, recorded, searched, stated
 
 pytestmark = pytest.mark.engine
 
@@ -101,7 +100,7 @@ def test_the_many_rows_of_the_witnesses_take_few_lines_on_a_narrow_page(cases: d
 
 def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tmp_path: Path) -> None:
     best = cases["none"].diagnosis.candidates[0]
-    also = (Cause(best.effect, dict.fromkeys(best.effect.values(), 0.001)),)
+    also = (stated(best.effect),)
     diagnosis = replace(cases["none"].diagnosis, also_fitted=also, final_fit=best.fit)
     case = Case(diagnosis, cases["none"].segments)
     write_report(tmp_path / "page.html", case.diagnosis, case.content, case.segments)
@@ -143,7 +142,6 @@ def test_the_forces_that_stand_are_drawn_where_their_spectrum_was_learned(standi
     assert (title in shown, "rise_1" in shown) == (standing == (FORCES,), False)
     if title in shown:  # falling, not level
         drawn = re.search(r'<polyline class="line after" points="([^"]*)"', shown[shown.index(title) :])
-        assert drawn is not None
         heights = [float(point.partition(",")[2]) for point in drawn[1].split()]
         assert heights[-1] > heights[0] + 50.0  # px, downwards
 
@@ -170,7 +168,6 @@ def test_level_dependence_is_shown_for_a_cause_that_has_one_and_follows_it() -> 
     fit = replace(case.diagnosis.final_fit, effects=(hard,))
     fit = replace(fit, x=np.append(fit.x[:-1], hard.coordinates))
     by = level_dependence(replace(case.diagnosis, final_fit=fit))
-    assert by is not None
     assert (np.diff(by.at) > 0).all() and (np.diff(by.model_frequency_hz, axis=0).max(axis=1) > 0).all()
     assert (np.ptp(by.frequency_hz, axis=0) < 5.0 * by.frequency_std.max(axis=0)).all()
 

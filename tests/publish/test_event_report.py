@@ -18,7 +18,7 @@ from monitor.publish import EventPage, Publisher, event_line, read_event, to_jso
 from monitor.runs import EventRecordings, Session, page_of, read_event_line, write_event_motion, write_event_page
 from monitor.service import status
 from tests.events.shaken import blocks, configuration
-from tests.support.event_pages import LIMITS, page, told
+from tests.publish.event_pages import LIMITS, page, told
 from tests.support.samples import Cli
 from tests.support.short_quake import shaken
 

@@ -16,7 +16,7 @@ from monitor.core import BadInputError
 from monitor.publish.reports.period_data import read_results
 from monitor.publish.reports.period_report import read_period, write_period
 from monitor.publish.results.event_lines import event_line, event_text
-from tests.support import event_pages
+from tests.publish import event_pages
 from tests.support.period_lines import ALARM, HOP, SKIPPED, T0, json_lines, line_of
 from tests.support.samples import Cli
 
@@ -73,6 +73,12 @@ def points(mark: ElementTree.Element) -> np.ndarray:
     return np.array([[float(v) for v in p.split(",")] for p in mark.get("points", "").split()])
 
 
+def drawn(folder: Path) -> ElementTree.Element:
+    """The page of all that a folder holds."""
+    write_period(folder / "r.html", read_period(folder, None, None))
+    return parsed(folder / "r.html")
+
+
 @pytest.fixture(scope="module")
 def page(months: Path, tmp_path_factory: pytest.TempPathFactory) -> ElementTree.Element:
     out = tmp_path_factory.mktemp("page") / "report.html"
@@ -106,8 +112,7 @@ def test_the_range_learned_and_where_the_latest_value_lies_are_said(months: Path
     }
     summary = json.loads((months / "summary.json").read_text())
     (tmp_path / "summary.json").write_text(json.dumps({**summary, "covariates_learned": learned}))
-    write_period(tmp_path / "report.html", read_period(tmp_path, None, None))
-    page = parsed(tmp_path / "report.html")
+    page = drawn(tmp_path)
     said = words(page)
     assert "level m 5e-07 2e-06 1e-06 4e-06 4e-06 above it: stiffness is compared by extrapolation" in said
     assert "temperature degC -3 25 12 12 12 within it" in said
@@ -170,8 +175,7 @@ def test_recordings_a_month_apart_share_the_chart_and_the_gap_is_shortened(tmp_p
 def test_times_beside_a_shortened_gap_do_not_overlap_on_a_narrow_page(tmp_path: Path, before: int, after: int) -> None:
     month = 30 * 144
     json_lines(tmp_path / "results.jsonl", [line_of(k) for k in (*range(before), *range(month, month + after))])
-    write_period(tmp_path / "r.html", read_period(tmp_path, None, None))
-    svg = chart(parsed(tmp_path / "r.html"), "mode 1: frequency")
+    svg = chart(drawn(tmp_path), "mode 1: frequency")
     shown = [t for t in svg.iter("text") if t.get("text-anchor") == "middle" and t.get("class") != "more"]
     dates = [t for t in shown if (t.text or "").startswith("2026")]
     at_px = np.sort([float(t.get("x", "").rstrip("%")) / 100.0 * 270.0 for t in dates])
@@ -219,8 +223,7 @@ def seen(folder: Path, detectable: list[float | None] | None, known: dict[str, o
     json_lines(folder / "results.jsonl", [{**line_of(k), "detectable_loss": detectable} for k in range(20)])
     site = {"names": ["pier", "deck", "story 3"], "has_baseline": True, "alarm_loss": 0.1, "misfit": 5.0, **known}
     (folder / "summary.json").write_text(json.dumps({"known": site, "thresholds": {"alarm_loss": 0.1}}))
-    write_period(folder / "r.html", read_period(folder, None, None))
-    return parsed(folder / "r.html")
+    return drawn(folder)
 
 
 def state_shown(page: ElementTree.Element) -> str:
@@ -259,7 +262,6 @@ def test_without_a_baseline_nothing_reads_as_an_all_clear(tmp_path: Path) -> Non
 def test_a_period_is_cut_out_and_reads_alike(months: Path, tmp_path: Path) -> None:
     period = read_period(months, T0 + 10 * DAY, T0 + 20 * DAY)
     assert (period.course.windows, period.results.due, period.course.losses, period.findings) == (1440, 1440, (), [])
-    assert period.quality is not None
     assert period.quality.gaps == 10
     assert np.isclose(period.quality.availability, 0.990099, atol=1e-6)
     write_period(tmp_path / "r.html", period)
@@ -316,7 +318,7 @@ def test_months_take_little_memory(months: Path) -> None:
     assert sizes == [1000, 1000]
 
 
-def test_damaged_and_unfinished_lines_are_left_out_and_told(months: Path, tmp_path: Path, main: Cli) -> None:
+def test_damaged_and_unfinished_lines_are_left_out_and_told(tmp_path: Path, main: Cli) -> None:
     good = [json.dumps(line_of(k)) for k in range(5)]
     (tmp_path / "results.jsonl").write_text("\n".join([*good, '{"t_end_ns": 1767228600000000001, oops', good[0][:90]]))
     done = main("report", tmp_path, "--out", tmp_path / "r.html", "--json", "--to", "2026-01-02")
@@ -331,11 +333,10 @@ def test_a_replay_shows_no_column_that_it_does_not_know_and_says_what_helps(tmp_
     channel = {"rms_m_s2": 3.0, "spikes": 0, "stuck_s": 0.0, "clipped_samples": 0}
     quality = {"availability": 1.0, "gaps": 1, "lost_s": 0.2, "overlaps": 0, "channels": {"a1": channel}}
     (tmp_path / "summary.json").write_text(json.dumps({"quality": quality}))
-    write_period(tmp_path / "r.html", read_period(tmp_path, None, None))
-    drawn = parsed(tmp_path / "r.html")
-    heads = [th.text for th in drawn.iter("th")]
+    page = drawn(tmp_path)
+    heads = [th.text for th in page.iter("th")]
     assert "spikes" in heads and not any("peak" in (h or "") or "noise" in (h or "") for h in heads)
-    assert "a shorter [processing] window_s" in words(drawn)
+    assert "a shorter [processing] window_s" in words(page)
 
 
 @pytest.mark.parametrize(

@@ -35,8 +35,8 @@ from monitor.publish.viewer.state import LAMP, StateDrawing, state_markdown
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
 from monitor.signals import Health, sensor_health
 from tests.examples.beam import bridge
+from tests.publish.event_pages import told as shaken_event
 from tests.publish.viewer_results import SCENE, T0, window
-from tests.support.event_pages import told as shaken_event
 from tests.support.results import damage_reading, modal_estimate
 from tests.support.strangers import listening
 from tests.support.waiting import until
@@ -444,7 +444,7 @@ def test_a_covariate_is_shown_beside_the_range_that_was_learned(tmp_path: Path) 
     assert "/trust/covariate/level" in _origins(_tabs(scene)[1])
 
 
-def test_the_models_spectrum_lies_on_a_simulated_one(tmp_path: Path) -> None:
+def test_the_models_spectrum_lies_on_a_simulated_one() -> None:
     """Same peaks, same relative size of the channels, within the scatter of forty segments."""
     scene = replace(SCENE, model=FRAME)
     motion = simulate(FRAME, duration_s=800.0, rate_hz=100.0, noise=0.0, seed=3)

@@ -11,7 +11,6 @@ from tests.support.results import alarm, damage_reading, modal_estimate, stiffne
 
 T0 = 1_772_359_200_000_000_000
 
-
 SCENE = Scene(
     name="test frame",
     channels=("a1", "a 2", "a3"),

@@ -35,9 +35,7 @@ def write(path: Path, skip: range = range(0)) -> np.ndarray:
 
 
 @pytest.mark.parametrize("suffix", [".blf", ".asc", ".log", ".trc"])
-def test_every_format_gives_the_same_samples_at_the_same_times(
-    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_format_gives_the_same_samples_at_the_same_times(tmp_path: Path, suffix: str) -> None:
     log, out, warnings = tmp_path / f"x{suffix}", tmp_path / "o.mcap", []
     samples = write(log, skip=range(500, 520))
     info = import_files([log], out, dbc=DBC, rate_hz=1024.0, on_warning=warnings.append)

@@ -384,7 +384,6 @@ def test_on_a_terminal_the_unit_is_asked_until_it_is_one(tmp_path: Path) -> None
     ) as process:  # fmt: skip
         os.close(theirs)
         os.write(ours, b"volts\nmg\n")
-        assert process.stdout is not None
         told = json.loads(process.stdout.read())
     os.close(ours)
     assert process.returncode == 0

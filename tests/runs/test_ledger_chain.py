@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 from pathlib import Path
 
 import pytest
 
 from monitor.core import BadInputError, MissingInputError
 from monitor.runs.ledger_chain import append_lines, read_head, verify
+from tests.support.full_disk import no_room
 
 
 @pytest.fixture
@@ -73,18 +72,12 @@ def test_an_older_ledger_goes_on_and_is_guarded_from_then_on(tmp_path: Path) -> 
         verify(place)
 
 
-def test_half_a_line_is_removed_and_a_full_disk_leaves_none(ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_half_a_line_is_removed_and_a_full_disk_leaves_none(ledger: Path) -> None:
     whole = ledger.read_bytes()
     ledger.write_bytes(whole + b'{"what": "ha')
     assert verify(ledger) == 6
-
-    def refused(_: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with monkeypatch.context() as full:
-        full.setattr(os, "fsync", refused)
-        with pytest.raises(MissingInputError, match=r"ledger\.jsonl: cannot be written: No space"):
-            append_lines(ledger, [{"what": "lost"}])
+    with no_room("fsync"), pytest.raises(MissingInputError, match=r"ledger\.jsonl: cannot be written: No space"):
+        append_lines(ledger, [{"what": "lost"}])
     assert ledger.read_bytes() == whole
     append_lines(ledger, [{"what": "line 7"}])
     assert verify(ledger) == 7

@@ -15,11 +15,11 @@ from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, BadInputError, Level, Samples, WindowResult
 from monitor.damage import ModalBaseline, load_baseline, load_modal_baseline, save_modal_baseline
 from monitor.model import simulate
-from monitor.pipeline import Pipeline, PipelineState
+from monitor.pipeline import Pipeline
 from monitor.publish import facts_of_line, replay_text, to_json, window_line
 from monitor.runs import calibrate_modes, load_healthy
 from monitor.runs.baselines import modal_origin
-from monitor.service.serialization import from_bytes, to_bytes
+from tests.service.checkpoint import restored
 from tests.support.samples import CHANNELS, FRAME, T0_NS, Cli, Cut
 
 RATE_HZ, WINDOW_S = 128.0, 20
@@ -92,7 +92,6 @@ def test_calibration_finds_the_modes_and_their_shapes_without_being_told_how_man
     assert (np.abs(healthy.frequencies_hz - modes.frequencies_hz) < 5.0 * healthy.frequencies_std_hz).all()
     true = (modes.shapes / modes.shapes[list(healthy.gauges), range(3)]).T
     assert np.abs(healthy.shapes - true).max() < 0.05
-    assert healthy.law is not None
     assert [axis.name for axis in healthy.law.axes] == ["level"]
 
 
@@ -107,7 +106,6 @@ def test_a_lost_tenth_of_a_story_is_announced_by_modes_and_never_by_a_story(
     assert after[-1].alarm.stories == ()
     assert after[-1].alarm.reason.startswith("changed since the baseline: ")
     assert "story" not in after[-1].alarm.reason
-    assert after[-1].modal is not None
     assert (after[-1].modal.ln_frequency < 0.0).all()
     line = json.loads(to_json(window_line(after[-1])))
     nothing = ("ddi", "ddi_std", "stiffness_n_per_m", "stiffness_std", "loss_n_per_m", "misfit")
@@ -131,7 +129,7 @@ def test_results_do_not_depend_on_the_size_of_blocks_nor_on_a_restart(
     first, blocks = Pipeline(site, healthy), cut(floors, RATE_HZ, [128])
     head = windows(first, blocks[:40])
     second = Pipeline(site, healthy)
-    second.state = from_bytes(to_bytes("k", first.state), "k", PipelineState)
+    second.state = restored(first.state)
     assert [to_json(window_line(r)) for r in [*head, *windows(second, blocks[40:])]] == whole
     assert any(r.left_out and r.skipped is None for r in [*head, *windows(first, blocks[40:])])
 
@@ -142,7 +140,6 @@ def test_without_a_baseline_modes_are_shown_and_nothing_is_compared(
     results = windows(Pipeline(site), cut(motion(folder, 25, 5), RATE_HZ, [128]))
     for result in results:
         assert result.skipped is None
-        assert result.modes is not None
         assert result.modes.model_mode.tolist() == [0, 1, 2]
         assert result.modal is None
         assert result.alarm.reason.startswith("no baseline")
@@ -167,14 +164,11 @@ def test_a_change_with_temperature_is_taken_out_once_it_is_learned(folder: Path,
 
     recording = write(folder / "warm.mcap", blocks([10.0, 20.0] * 5, 100))
     learned = calibrate_modes([recording], site)
-    assert learned.law is not None
     over, _ = learned.law.over_range("temperature")
     assert (over < -0.02).all()
     blind = replace(learned, law=None, shape_law=None)
     warm = blocks([20.0] * 6, 200)
     compensated, raw = (windows(Pipeline(site, one), warm)[-1].modal for one in (learned, blind))
-    assert compensated is not None
-    assert raw is not None
     assert np.abs(compensated.ln_frequency).max() < 0.5 * np.abs(raw.ln_frequency).max()
     assert {r.alarm.level for r in windows(Pipeline(site, learned), warm)} == {Level.NORMAL}
     assert "temperature" in compensated.covariate_effect

@@ -9,8 +9,8 @@ from pathlib import Path
 import pyarrow.dataset as ds
 import pytest
 
-from monitor.config import configuration
 from monitor.model import simulate
+from tests.support.frames import settings_of
 from tests.support.object_storage import object_storage
 from tests.support.samples import Cli, Cut, write_blocks
 from tests.support.zenoh_router import free_port
@@ -31,8 +31,7 @@ def storage() -> Iterator[s3fs.S3FileSystem]:
 def archive(tmp_path: Path, frame_text: str, cut: Cut, storage: s3fs.S3FileSystem) -> Path:
     """Two recordings that follow one another, as files and as objects."""
     (tmp_path / "frame.toml").write_text(frame_text)
-    model = configuration.load(tmp_path / "frame.toml").model()
-    floors = simulate(model, duration_s=80.0, rate_hz=RATE, noise=0.03, seed=6).floors
+    floors = simulate(settings_of(frame_text).model(), duration_s=80.0, rate_hz=RATE, noise=0.03, seed=6).floors
     (tmp_path / "a").mkdir()
     for name, (begin, end) in {"1": (0, 5000), "2": (5000, len(floors))}.items():
         path = tmp_path / "a" / f"{name}.mcap"

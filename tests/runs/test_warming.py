@@ -5,20 +5,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import threading
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from monitor.config import Configuration, configuration
+from monitor.config import configuration
 from monitor.model import simulate
 from monitor.runs import warm_up
-from monitor.service import Daemon
+from tests.support.frames import shear_frame
 from tests.support.samples import Cli, Cut, write_blocks
-from tests.support.site import SITE, Scripted, health
-from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = ROOT / "recordings"
@@ -79,46 +75,6 @@ def test_a_window_of_each_kind_is_judged() -> None:
     assert warm_up(configuration.load(RECORDINGS / "mini-shake-table-flexible.toml")) >= 2
 
 
-def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_starts(
-    tmp_path: Path, frame_text: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    site = tmp_path / "site.toml"
-    site.write_text(SITE + frame_text)
-    told = threading.Event()
-    said: list[str] = []
-
-    def slow(*_: Any) -> int:
-        until(lambda: len(health(tmp_path / "out")) >= 3, "the daemon says that it starts")
-        told.set()
-        said.append(capsys.readouterr().err)
-        return 0
-
-    monkeypatch.setattr("monitor.service.daemon.warm_up", slow)
-    Daemon(site, Scripted([None] * 50), quiet_s=0.05).run()
-    assert told.is_set() and said == [""] and capsys.readouterr().err == "READY\n"
-    first = health(tmp_path / "out")[0]
-    assert first["source"]["error"] == "the monitor is starting" and not first["source"]["connected"]
-
-
-def test_a_start_goes_on_where_something_cannot_be_compiled(
-    tmp_path: Path, frame_text: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    site = tmp_path / "site.toml"
-    site.write_text(SITE + frame_text)
-    monkeypatch.setattr("monitor.service.daemon.warm_up", lambda *_: 1 / 0)
-    Daemon(site, Scripted([])).run()
-    assert "not all is compiled" in caplog.text
-
-
 def test_a_structure_with_fewer_sensors_than_floors_is_warmed_up_too() -> None:
-    structure = {
-        "kind": "shear_frame",
-        "masses_kg": [0.3] * 4,
-        "stiffness_n_per_m": [2500.0] * 4,
-        "damping_ratio": 0.01,
-    }
-    sensors = [{"channel": f"a{floor}", "floor": floor} for floor in (1, 2, 4)]
-    config = Configuration.model_validate(
-        {"structure": structure, "sensors": sensors, "processing": {"window_s": 100.0, "hop_s": 50.0}}
-    )
-    assert warm_up(config) > 0
+    processing = {"window_s": 100.0, "hop_s": 50.0}
+    assert warm_up(shear_frame([0.3] * 4, [2500.0] * 4, (1, 2, 4), processing=processing)) > 0

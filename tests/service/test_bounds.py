@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
-from monitor.service import restart
 from monitor.service.daemon import Daemon
 from monitor.service.status import look, tell
+from tests.service.killed import killed
 from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.site import RATE, Scripted, lines, own, replayed
 
@@ -89,8 +89,7 @@ def test_a_restart_after_blocks_of_another_century_is_a_replay_of_all_recordings
     blocks = cut(np.tile(record, (5, 1)), RATE, [128])
     forged = [replace(b, t_ns=4_102_444_800 * 10**9 + k * 10**9) for k, b in enumerate(blocks[:5])]
     arrived = [*blocks[:60], *forged, *blocks[60:]]
-    with pytest.MonkeyPatch.context() as killed:
-        killed.setattr(restart.Checkpointer, "forget", lambda _: None)
+    with killed():
         Daemon(site, Scripted(arrived[:240])).run()
     Daemon(site, Scripted(arrived[240:])).run()
     out = site.parent / "out"

@@ -25,11 +25,19 @@ from hypothesis import strategies as st
 from drivers.base import GROUND, TEMPERATURE, SampleBlock, SourceError
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import unfit
-from monitor.config import configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, Level, MissingInputError, WindowResult
-from monitor.damage import Assessment, Loss, State
+from monitor.core import (
+    AlarmCondition,
+    BadConfigurationError,
+    BadInputError,
+    Gap,
+    Level,
+    MissingInputError,
+    WindowResult,
+)
+from monitor.damage import Assessment, State
 from monitor.publish import to_json
 from monitor.runs import Session
+from monitor.service import daemon as daemon_module
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon import Daemon
 from monitor.service.daemon_health import losses, plain
@@ -38,6 +46,9 @@ from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.requests import Request
 from monitor.service.status import look, tell, troubles_of
 from monitor.service.threads import BlockQueue, Reader
+from tests.support.frames import settings_of
+from tests.support.full_disk import no_room
+from tests.support.results import alarm, damage_reading
 from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.site import RATE, Scripted, Step, health, lines, own, replayed, summary, write
 from tests.support.waiting import until
@@ -170,9 +181,7 @@ def test_queues_are_bounded_in_bytes_and_give_way_when_lifted() -> None:
     queue = BlockQueue(100, 10_000)
     giver = threading.Thread(target=lambda: [queue.put(block) for _ in range(5)], daemon=True)
     giver.start()
-    deadline = time.monotonic() + 10.0
-    while len(queue) < 2 and time.monotonic() < deadline:
-        time.sleep(0.01)
+    until(lambda: len(queue) >= 2, "two fit")
     giver.join(0.1)
     assert giver.is_alive() and len(queue) == 2
     queue.lift()
@@ -222,12 +231,9 @@ def test_lines_that_the_disk_refuses_come_when_it_takes_them_again(
     assert file.dropped == 0
 
 
-def test_lines_that_find_no_room_to_wait_are_told_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_lines_that_find_no_room_to_wait_are_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     file = AppendedLines(tmp_path / "lines", most_pending_bytes=1000)
-    with monkeypatch.context() as full:
-        full.setattr(os, "write", lambda handle, data: (_ for _ in ()).throw(OSError(28, os.strerror(28))))
+    with no_room():
         for k in range(20):
             file.write(f"{k:099d}")
     file.close()
@@ -251,6 +257,33 @@ def test_a_restart_appends_after_removing_half_a_line(site: Path, record: np.nda
     (out / "results.jsonl").write_bytes(first + b'{"window": 9, "t_e')
     Daemon(site, Scripted(cut(record, RATE))).run()
     assert (out / "results.jsonl").read_bytes() == first * 2
+
+
+def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_starts(
+    site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = threading.Event()
+    said: list[str] = []
+
+    def slow(*_: Any) -> int:
+        until(lambda: len(health(site.parent / "out")) >= 3, "the daemon says that it starts")
+        told.set()
+        said.append(capsys.readouterr().err)
+        return 0
+
+    monkeypatch.setattr(daemon_module, "warm_up", slow)
+    Daemon(site, Scripted([None] * 50), quiet_s=0.05).run()
+    assert told.is_set() and said == [""] and capsys.readouterr().err == "READY\n"
+    first = health(site.parent / "out")[0]
+    assert first["source"]["error"] == "the monitor is starting" and not first["source"]["connected"]
+
+
+def test_a_start_goes_on_where_something_cannot_be_compiled(
+    site: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(daemon_module, "warm_up", lambda *_: 1 / 0)
+    Daemon(site, Scripted([])).run()
+    assert "not all is compiled" in caplog.text
 
 
 def test_two_daemons_do_not_share_a_folder(site: Path) -> None:
@@ -325,17 +358,19 @@ def test_an_alarm_is_in_the_summary_at_once_and_before_the_last_diagnosis_is_wai
     told: list[tuple[int, list[str]]] = []
 
     class Desk(Outlet):
-        def window(self, result: WindowResult, line: str) -> None:
-            summary = daemon.session._summary
-            if summary.course.windows == 4:
-                loss = Loss(Level.ALARM, 2, 0.1, 0.01, 1.0, result.t_end_ns)
-                summary.course = replace(summary.course, losses=(loss,))
-
         def summary(self, content: Mapping[str, Any]) -> None:
             told.append((content["windows"], [alarm["level"] for alarm in content["alarms"]]))
 
+    def alarmed(result: Any) -> Any:
+        """The fourth window and those after it have an alarm."""
+        is_late = isinstance(result, WindowResult) and result.index >= 3
+        lost = damage_reading(np.array([0.0, 0.1, 0.0]), 1e-4 * np.eye(3))
+        standing = alarm(Level.ALARM, active={2: Level.ALARM}, conditions={2: AlarmCondition.UNACKNOWLEDGED})
+        return replace(result, damage=lost, alarm=standing) if is_late else result
+
     daemon = Daemon(site, Scripted(cut(record, RATE)), [Desk()], quiet_s=1e6)
-    finish = daemon.session.finish
+    push, finish = daemon.session.pipeline.push, daemon.session.finish
+    daemon.session.pipeline.push = lambda block: [alarmed(result) for result in push(block)]  # type: ignore[method-assign]
     daemon.session.finish = lambda stop: (told.append((-1, [])), finish(stop))[1]  # type: ignore[method-assign]
     daemon.run()
     assert told[0] == (4, ["alarm"])
@@ -406,11 +441,8 @@ def test_a_signal_in_the_middle_ends_it_with_whole_files(site: Path, record: np.
         environment = {**os.environ, "NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": "400000"}
         command = [str(Path(sys.executable).with_name("shm-monitor")), "run", str(site)]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
-        assert process.stderr is not None
         assert process.stderr.readline() == "READY\n"
-        deadline = time.monotonic() + 60.0
-        while not ((folder / "out" / "results.jsonl").read_bytes().count(b"\n") >= 3) and time.monotonic() < deadline:
-            time.sleep(0.05)
+        until(lambda: (folder / "out" / "results.jsonl").read_bytes().count(b"\n") >= 3, "three windows")
         process.terminate()
         _, err = process.communicate(timeout=60.0)
         systemd.setblocking(False)
@@ -547,10 +579,8 @@ TIMES = st.one_of(st.integers(-(10**9), 10**9), st.sampled_from([-(10**13), 10**
 def test_no_block_whatever_it_says_ends_the_monitor_or_comes_back_as_nonsense(
     frame_text: str, record: np.ndarray, cut: Cut, tmp_path_factory: pytest.TempPathFactory, hostile: list[Any]
 ) -> None:
-    path = tmp_path_factory.getbasetemp() / "hostile.toml"
-    path.write_text(frame_text)
     blocks = cut(record, RATE)[:40]
-    session = Session(configuration.load(path), None, (), None, path.parent / "findings")
+    session = Session(settings_of(frame_text), None, (), None, tmp_path_factory.getbasetemp() / "findings")
     for k, block in enumerate(blocks):
         for place, t_ns, sequence, rate, factor, n in hostile:
             if place == k:

@@ -20,7 +20,6 @@ import pytest
 from drivers.base import SampleBlock
 from monitor.core import MissingInputError
 from monitor.publish import read_line, read_period
-from monitor.publish.results.files import read_all_lines
 from monitor.service import status
 from monitor.service.daemon import Daemon
 from monitor.service.restart import lock
@@ -28,7 +27,7 @@ from monitor.service.status import DOWN, HEALTHY, TROUBLE, look, tell
 from tests.support.damages import DAMAGES, DEEP
 from tests.support.live_site import RATE
 from tests.support.samples import Cli, Cut
-from tests.support.site import SITE, Scripted, lines, run_until, summary
+from tests.support.site import SITE, Scripted, all_lines, lines, run_until, summary
 
 S = 10**9
 
@@ -108,7 +107,7 @@ def test_a_damaged_time_at_the_end_of_the_results_ends_no_start_where_months_are
     with (stopped / "results.jsonl").open("ab") as out:
         out.write(text)
     Daemon(site, Scripted(following(cut(record, RATE), record))).run()
-    found = [json.loads(row)["window"] for row in read_all_lines(stopped) if row != text]
+    found = [json.loads(row)["window"] for row in all_lines(stopped) if row != text]
     assert found == list(range(21)) and "not resumed" not in caplog.text
 
 

@@ -18,11 +18,11 @@ from monitor.service.daemon import Daemon
 from monitor.service.history import open_database
 from monitor.service.requests import Request
 from monitor.service.restart import KeptAlarms
-from monitor.service.serialization import from_bytes, to_bytes
 from monitor.service.status import look, tell
 from tests.events.shaken import blocks
+from tests.service.checkpoint import restored
+from tests.service.desk import Desk, ledger_of
 from tests.support.quake import shaken
-from tests.support.requests import Desk, ledger_of
 from tests.support.samples import Cli
 from tests.support.shaken_site import SITE
 from tests.support.site import Scripted
@@ -90,7 +90,7 @@ def test_it_stands_until_an_operator_acknowledges_it_also_where_the_ledger_canno
 
 def test_it_outlasts_a_change_of_the_settings() -> None:
     kept = KeptAlarms((StoryState(),), (EventAlarm("e", ("x",), ((0, 2),)),))
-    assert from_bytes(to_bytes("k", kept), "k", KeptAlarms) == kept
+    assert restored(kept) == kept
 
 
 def test_the_request_is_in_ledger_and_history_and_takes_the_alarm_away_and_the_recording_is_checked(

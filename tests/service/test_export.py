@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,14 @@ import pyarrow.parquet
 import pytest
 import zstandard
 
-from monitor.core import BadInputError, MissingInputError, WrongUsageError
-from monitor.core.extras import EXTRAS, MissingExtraError
+from monitor.core import BadInputError, MissingInputError, UserError, WrongUsageError
 from monitor.service.export import export
 from monitor.service.line_protocol import line
 from tests.support.samples import Cli
 
 T0_NS = 1_767_225_600_000_000_000
 ALL = (0, 1 << 62)
+OTHER = {"frequency_hz": 0.0, "frequency_std_hz": 0.1, "damping_ratio": 0.03, "mode_shape": [[1, 0], None], "track": -1}
 SHAPES = np.array([[1.0, 0.5 + 0.1j, 0.2], [-0.5, 1.0, 0.3j]])
 
 
@@ -39,16 +40,7 @@ def window(k: int, **more: Any) -> dict[str, Any]:
         "mode_shapes": [[[z.real, z.imag] for z in shape] for shape in turned],
         "model_modes": [1, 2],
         "mode_tracks": [4, 5],
-        "other_modes": [
-            {
-                "frequency_hz": f,
-                "frequency_std_hz": 0.1,
-                "damping_ratio": 0.03,
-                "mode_shape": [[1, 0], None],
-                "track": -1,
-            }
-            for f in (7.5, 8.5)
-        ],
+        "other_modes": [OTHER | {"frequency_hz": f} for f in (7.5, 8.5)],
         "ddi": [0.1, None],
         "alarm": {"level": "normal", "stories": [], "reason": "x", "active": {}},
         "skipped": None,
@@ -184,8 +176,8 @@ def test_what_cannot_be_exported_is_said(run: Path, tmp_path: Path, monkeypatch:
     with pytest.raises(BadInputError, match=r"results\.jsonl: line 1 is no line of results"):
         export(run, "modes", tmp_path / "x.csv", ALL)
     (run / "results.jsonl").write_text(json.dumps(window(0)) + "\n")
-    monkeypatch.setitem(EXTRAS, "formats", ("pyuff", "no_such_module"))
-    with pytest.raises(MissingExtraError, match=r"needs the extra formats: pip install 'shm-monitor\[formats\]'"):
+    monkeypatch.setitem(sys.modules, "pyuff", None)
+    with pytest.raises(UserError, match=r"needs the extra formats: pip install 'shm-monitor\[formats\]'"):
         export(run, "modes", tmp_path / "x.uff", ALL)
     assert not list(tmp_path.glob("x.*"))
 

@@ -33,9 +33,7 @@ def served(line: Line, places: list[Place], *, cost_s: float) -> list[str]:
     for one in places:
         line.join(one)
     while (one := line.next()) is not None:
-        assert one.queue is not None
         item = one.queue.take(0.0)
-        assert item is not None
         order.append(one.name)
         line.spend(one, item[1], item[0].n_samples / item[0].sample_rate_hz, cost_s)
         line.join(one)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -103,14 +105,12 @@ def test_nothing_waits_for_a_broker_that_is_not_there_and_it_is_joined_when_it_c
 
 def test_a_monitor_that_dies_is_told_by_the_broker(broker: Broker) -> None:
     person = Person(broker, "person")
-    out = MqttOut("tower 1", MqttOutSettings(host="127.0.0.1", port=broker.port))
-    until(lambda: person.of("alive") == ["true"], "it is there")
-    connection = out._connection
-    assert connection is not None
-    socket = connection._client.socket()
-    assert socket is not None
-    connection._client.reconnect_delay_set(60, 60)
-    socket.shutdown(2)  # as when the process is killed
+    program = (
+        "import time; from monitor.service.outlets.mqtt import MqttOut, MqttOutSettings\n"
+        f"out = MqttOut('tower 1', MqttOutSettings(host='127.0.0.1', port={broker.port})); time.sleep(60.0)"
+    )
+    with subprocess.Popen([sys.executable, "-c", program]) as monitor:
+        until(lambda: person.of("alive") == ["true"], "it is there")
+        monitor.kill()
     until(lambda: person.of("alive") == ["true", "false"], "its end")
     person.close()
-    out.close(0.1)

@@ -567,7 +567,7 @@ def test_a_full_outbox_gives_up_housekeeping_first_and_counts_it(tmp_path: Path)
     assert delivered_in_order(Outbox(tmp_path / "outbox.jsonl")) == ["a3", "a2", "a1", "a0"]
 
 
-def test_every_kind_of_notice_has_its_place(tmp_path: Path) -> None:
+def test_every_kind_of_notice_has_its_place() -> None:
     made = {node.args[0].value for node in ast.walk(ast.parse(Path(str(notices.__file__)).read_text()))
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Notice"
             and isinstance(node.args[0], ast.Constant)}  # fmt: skip

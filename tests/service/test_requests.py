@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
-from monitor.runs.ledger_chain import verify
+from monitor.runs import ledger_chain
 from monitor.service import restart
 from monitor.service.daemon import Daemon
 from monitor.service.outlets import inbox
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.requests import Answer, RateLimit, Request
 from monitor.service.status import look
+from tests.service.desk import Desk, ledger_of
 from tests.support.damages import DAMAGES
-from tests.support.requests import Desk, ledger_of
 from tests.support.samples import Cli, Cut
 from tests.support.site import RATE, SITE, Scripted
 
@@ -114,7 +114,7 @@ def test_an_answer_comes_after_the_ledger_and_what_changes_nothing_is_not_writte
     daemon, desk = run(site, blocks, [nobody, absent, *[SHELVE, UNSHELVE] * 20, SHELVE], [nobody] * 64)
     assert [a.refusal is None for a in desk.answers] == [True, False, *[True] * (41 + 64)]
     assert "no story 9" in str(desk.answers[1].refusal) and not desk.answers[1].again
-    assert len(ledger_of(site)) == 41 and verify(site.parent / "out" / "ledger.jsonl") == 41
+    assert len(ledger_of(site)) == 41 and ledger_chain.verify(site.parent / "out" / "ledger.jsonl") == 41
     assert len(saves) == idle + 1, "one checkpoint a batch that changes something"
     assert daemon.session.pipeline.state.alarm.stories[1].shelved is not None
 

@@ -26,7 +26,7 @@ from drivers.recorder import recorded
 from monitor.config import configuration
 from monitor.core import Gap, Level
 from monitor.damage import AlarmState, StoryState, load_baseline
-from monitor.damage.alarm import acknowledge
+from monitor.damage import alarm as alarms
 from monitor.events import Event
 from monitor.model import simulate
 from monitor.publish import facts_of_line
@@ -37,6 +37,7 @@ from monitor.service.daemon_health import plain
 from monitor.service.restart import Checkpointer, Saved
 from monitor.service.threads import Recording
 from tests.events.shaken import blocks
+from tests.support.frames import settings_of
 from tests.support.live_rig import Command
 from tests.support.live_site import RATE, SIZE, LiveDaemon, save_stream
 from tests.support.quake import shaken
@@ -77,8 +78,6 @@ checkpoint_s = 20.0
 """
 FAST_S, STEADY_S = 0.01, 0.0625
 """Between two blocks of half a second: 50 times real time; and 8 times, at which the recorder can keep to its `flush_s`."""
-
-
 Bench = tuple[Path, np.ndarray]
 
 
@@ -86,15 +85,15 @@ Bench = tuple[Path, np.ndarray]
 def bench(frame_text: str, tmp_path_factory: pytest.TempPathFactory, cut: Cut, main: Cli) -> Bench:
     """A baseline, and a record in which story 2 softens and recovers."""
     folder = tmp_path_factory.mktemp("bench")
-    path, weak = folder / "s.toml", folder / "weak.toml"
-    path.write_text(frame_text)
-    weak.write_text(frame_text.replace("1514.8507", "900.0"))
+    (folder / "s.toml").write_text(frame_text)
+    weak = frame_text.replace("1514.8507", "900.0")
     healthy, damaged = (
-        simulate(configuration.load(file).model(), duration_s=seconds, rate_hz=RATE, noise=0.03, seed=seed).floors
-        for file, seconds, seed in ((path, 400.0, 6), (weak, 90.0, 7))
+        simulate(settings_of(text).model(), duration_s=seconds, rate_hz=RATE, noise=0.03, seed=seed).floors
+        for text, seconds, seed in ((frame_text, 400.0, 6), (weak, 90.0, 7))
     )
     write(folder / "healthy.mcap", cut(healthy, RATE))
-    done = main("calibrate", folder / "healthy.mcap", "--structure", path, "--out", folder / "baseline.json")
+    options = ("--structure", folder / "s.toml", "--out", folder / "baseline.json")
+    done = main("calibrate", folder / "healthy.mcap", *options)
     assert done.returncode == 0, done.stderr
     return folder / "baseline.json", np.concatenate([healthy[: round(90 * RATE)], damaged])
 
@@ -443,6 +442,6 @@ def test_an_acknowledged_alarm_stays_so_with_and_without_checkpoints(
         return found
 
     assert alarm_of_story_2(raise_it) == StoryState()
-    assert alarm_of_story_2(lambda state: acknowledge(state, 2, "ann")) == raised
+    assert alarm_of_story_2(lambda state: alarms.acknowledge(state, 2, "ann")) == raised
     assert alarm_of_story_2(None) == replace(raised, unacknowledged=False, acknowledged_by="ann")
     assert (out / "state" / "checkpoint").exists() == bool(checkpoint_s)

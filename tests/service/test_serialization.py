@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -19,7 +18,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from monitor.config import configuration
 from monitor.core import WindowResult
 from monitor.model import simulate
 from monitor.pipeline import Pipeline
@@ -36,6 +34,8 @@ from monitor.service.serialization import (
     save,
     to_bytes,
 )
+from tests.support.frames import settings_of
+from tests.support.full_disk import no_room
 from tests.support.samples import Cut
 
 RATE = 128.0
@@ -188,19 +188,11 @@ def test_the_one_before_is_used_when_the_last_is_damaged(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace"])
-def test_a_disk_that_refuses_leaves_the_last_one_standing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
-) -> None:
+def test_a_disk_that_refuses_leaves_the_last_one_standing(tmp_path: Path, call: str) -> None:
     place = tmp_path / "c"
     save(place, "k", LEAF)
-
-    def full(*_: object) -> None:
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr(os, call, full)
-    with pytest.raises(OSError, match="space"):
+    with no_room(call), pytest.raises(OSError, match="space"):
         save(place, "k", replace(LEAF, number=2))
-    monkeypatch.undo()
     assert load(place, "k", Leaf).number == 1  # type: ignore[union-attr]
     assert [p.name for p in tmp_path.iterdir()] == ["c"]
 
@@ -215,9 +207,7 @@ def test_objects_and_unknown_types_are_never_written() -> None:
 def test_a_pipeline_goes_on_from_its_state_as_if_nothing_had_been(
     frame_text: str, cut: Cut, tmp_path: Path, at: int
 ) -> None:
-    path = tmp_path / "s.toml"
-    path.write_text(frame_text)
-    settings = configuration.load(path)
+    settings = settings_of(frame_text)
     blocks = cut(simulate(settings.model(), duration_s=60.0, rate_hz=RATE, noise=0.03, seed=6).floors, RATE)
     del blocks[20]  # a gap, so that a run lies behind another
 
@@ -243,9 +233,7 @@ def test_what_changes_results_changes_the_key_and_nothing_else_does() -> None:
 
 
 def test_session_state_is_a_copy(frame_text: str, cut: Cut, tmp_path: Path) -> None:
-    path = tmp_path / "s.toml"
-    path.write_text(frame_text)
-    session = Session(configuration.load(path), None, (), None, tmp_path)
+    session = Session(settings_of(frame_text), None, (), None, tmp_path)
     before: SessionState = session.state
     for block in cut(np.random.default_rng(1).standard_normal((4000, 3)), RATE):
         session.push(block)

@@ -28,16 +28,14 @@ import pytest
 
 from drivers.base import SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter, read_recordings
-from monitor.config import configuration
 from monitor.core import Level
 from monitor.diagnosis import Request
-from monitor.runs import Session
 from monitor.service import Daemon, history, serialization
 from monitor.service.restart import KeptAlarms
 from tests.support import live_site
 from tests.support.live_site import RATE, LiveDaemon
 from tests.support.samples import T0_NS, Cli, Cut
-from tests.support.site import SITE, Endless, Scripted, Told, lines, own, run_until, summary, write
+from tests.support.site import SITE, Endless, Scripted, Told, judged_lines, lines, own, run_until, summary, write
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
 
@@ -53,15 +51,6 @@ def site(tmp_path: Path, frame_text: str) -> Path:
 
 ROOT = Path(__file__).parents[2]
 S = 10**9
-
-
-def expected(site: Path, blocks: list[SampleBlock]) -> list[dict[str, Any]]:
-    """What a replay says."""
-    told = Told()
-    session = Session(configuration.load(site), None, (told,), None, site.parent / "none")
-    for block in blocks:
-        session.push(block)
-    return [json.loads(line) for line in told.lines]
 
 
 # --- disks -------------------------------------------------------------------------------------------------------------
@@ -111,7 +100,7 @@ def test_a_full_disk_costs_recordings_and_no_result(site: Path, record: np.ndarr
     assert "Traceback" not in daemon.said
 
 
-def test_a_read_only_disk_is_one_message_at_start(site: Path, record: np.ndarray) -> None:
+def test_a_read_only_disk_is_one_message_at_start(site: Path) -> None:
     script = "mount -t tmpfs -o ro none $0 && exec $1 -m monitor run $2"
     (site.parent / "out").mkdir()
     write(site.parent / "rec.mcap", [])
@@ -158,7 +147,7 @@ def test_a_disk_that_turns_read_only_stops_no_result(
         monkeypatch.setattr(place, name, how)
     daemon.run()
     monkeypatch.undo()
-    assert [json.loads(line) for line in told.lines] == expected(site, blocks)
+    assert [json.loads(line) for line in told.lines] == judged_lines(site, blocks)
     assert told.health_lines[-1]["recorder"]["lost_blocks"] > 0
 
 
@@ -180,7 +169,7 @@ def test_a_slow_disk_holds_up_no_evaluation(
     monkeypatch.setattr(os, "fsync", slow)
     daemon.run()
     assert len(waited) >= 4 and "MainThread" not in waited
-    assert lines(site.parent / "out") == expected(site, cut(record, RATE))
+    assert lines(site.parent / "out") == judged_lines(site, cut(record, RATE))
     assert list(read_recordings(own(site.parent / "out")))
 
 
@@ -217,7 +206,7 @@ def test_the_machines_clock_jumps(site: Path, record: np.ndarray, cut: Cut, monk
     monkeypatch.setattr(time, "time", lambda: now() + 3600 * next(hours))
     monkeypatch.setattr(time, "time_ns", lambda: now_ns() + 3600 * S * next(hours))
     Daemon(site, Scripted(cut(record, RATE))).run()
-    assert lines(site.parent / "out") == expected(site, cut(record, RATE))
+    assert lines(site.parent / "out") == judged_lines(site, cut(record, RATE))
 
 
 # --- state -------------------------------------------------------------------------------------------------------------
@@ -232,7 +221,6 @@ def test_a_corrupt_checkpoint_costs_the_state_and_no_alarm(
     kept = state / "alarms"
     key = json.loads(kept.read_bytes().partition(b"\n")[0])["key"]
     alarms = serialization.load(kept, key, KeptAlarms)
-    assert alarms is not None
     latched = replace(alarms.stories[1], level=Level.ALARM, latched=Level.ALARM)
     serialization.save(kept, key, KeptAlarms((alarms.stories[0], latched, *alarms.stories[2:])))
     for name in ("checkpoint", "checkpoint.previous"):
@@ -292,7 +280,7 @@ def test_a_viewer_and_a_watcher_that_hang_hold_up_nothing(site: Path, record: np
             for one in held:
                 one.close()
     assert len(held) == 2
-    assert lines(site.parent / "out") == expected(site, cut(record, RATE))
+    assert lines(site.parent / "out") == judged_lines(site, cut(record, RATE))
 
 
 def _connects(port: int, held: list[socket.socket]) -> bool:
@@ -370,4 +358,4 @@ def test_memory_that_is_refused_ends_the_process_for_the_platform_to_start_again
         Daemon(site, Greedy(cut(record, RATE))).run()
     assert (site.parent / "out" / "state" / "checkpoint").exists()
     Daemon(site, Scripted(cut(record, RATE)[49:])).run()
-    assert lines(site.parent / "out") == expected(site, cut(record, RATE))
+    assert lines(site.parent / "out") == judged_lines(site, cut(record, RATE))

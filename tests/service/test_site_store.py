@@ -78,6 +78,10 @@ def _tag(data: bytes) -> str:
     return hashlib.md5(data, usedforsecurity=False).hexdigest()
 
 
+def away(call: str, is_done: bool) -> None:
+    raise exceptions.EndpointConnectionError(endpoint_url="s3")
+
+
 @pytest.fixture
 def bucket() -> Bucket:
     return Bucket()
@@ -101,13 +105,19 @@ def clock() -> Clock:
     return Clock()
 
 
+Machine = Callable[..., SiteStore]
+
+
 @pytest.fixture
-def machine(tmp_path: Path, bucket: Bucket, clock: Clock) -> Callable[[str], SiteStore]:
-    def on(name: str) -> SiteStore:
+def machine(tmp_path: Path, bucket: Bucket, clock: Clock) -> Machine:
+    def on(name: str, *, at_work: bool = False) -> SiteStore:
         (tmp_path / name / "state").mkdir(parents=True, exist_ok=True)
         (tmp_path / name / "state" / "lock").touch()
         folder = tmp_path / name
-        return SiteStore("s3://bucket/city", "tower", folder, 5.0, clock=clock, client=lambda: bucket, thread=by_hand)
+        made = SiteStore("s3://bucket/city", "tower", folder, 5.0, clock=clock, client=lambda: bucket, thread=by_hand)
+        if at_work:
+            made.open(wait=False)
+        return made
 
     return on
 
@@ -128,11 +138,8 @@ def silent(store: SiteStore, clock: Clock) -> None:
     assert not store.is_held()
 
 
-def test_another_machine_goes_on_with_the_same_files(
-    machine: Callable[[str], SiteStore], tmp_path: Path, clock: Clock
-) -> None:
-    a, b = machine("a"), machine("b")
-    a.open(wait=False)
+def test_another_machine_goes_on_with_the_same_files(machine: Machine, tmp_path: Path, clock: Clock) -> None:
+    a, b = machine("a", at_work=True), machine("b")
     for name, data in {"results.jsonl": b"one\n", "state/checkpoint": b"x" * 99, "recordings/1.mcap.part": b""}.items():
         (tmp_path / "a" / name).parent.mkdir(exist_ok=True)
         (tmp_path / "a" / name).write_bytes(data)
@@ -151,8 +158,7 @@ def test_another_machine_goes_on_with_the_same_files(
     a.push()
     assert a.is_lost and "taken over" in str(a.failed)
     b.push("released")
-    a = machine("a")
-    a.open(wait=False)
+    a = machine("a", at_work=True)
     assert (tmp_path / "a" / "results.jsonl").read_bytes() == b"one\ntwo\n"
     (aside,) = (tmp_path / "a" / "superseded").iterdir()
     assert content(aside) == {"results.jsonl": b"one\nalone\n"}, "what it alone had is kept"
@@ -163,11 +169,8 @@ def copied(source: Path, target: Path) -> None:
     shutil.copytree(source, target)
 
 
-def test_a_copy_of_the_folder_is_no_right_to_the_site(
-    machine: Callable[[str], SiteStore], tmp_path: Path, clock: Clock
-) -> None:
-    a = machine("a")
-    a.open(wait=False)
+def test_a_copy_of_the_folder_is_no_right_to_the_site(machine: Machine, tmp_path: Path) -> None:
+    a = machine("a", at_work=True)
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
     a.push()
     copied(tmp_path / "a", tmp_path / "b")
@@ -177,11 +180,8 @@ def test_a_copy_of_the_folder_is_no_right_to_the_site(
     assert not a.is_lost and a.failed is None
 
 
-def test_of_two_copies_of_a_folder_that_has_left_the_site_one_has_it(
-    machine: Callable[[str], SiteStore], tmp_path: Path
-) -> None:
-    a = machine("a")
-    a.open(wait=False)
+def test_of_two_copies_of_a_folder_that_has_left_the_site_one_has_it(machine: Machine, tmp_path: Path) -> None:
+    a = machine("a", at_work=True)
     a.push("released")
     copied(tmp_path / "a", tmp_path / "b")
     first, second = machine("b"), machine("a")
@@ -191,15 +191,11 @@ def test_of_two_copies_of_a_folder_that_has_left_the_site_one_has_it(
 
 
 def test_of_two_copies_that_begin_while_the_storage_is_away_one_ends(
-    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket
+    machine: Machine, tmp_path: Path, bucket: Bucket
 ) -> None:
-    a = machine("a")
-    a.open(wait=False)
+    a = machine("a", at_work=True)
     a.push("released")
     copied(tmp_path / "a", tmp_path / "b")
-
-    def away(call: str, is_done: bool) -> None:
-        raise exceptions.EndpointConnectionError(endpoint_url="s3")
 
     bucket.fail = away
     first, second = machine("a"), machine("b")
@@ -215,7 +211,7 @@ def test_of_two_copies_that_begin_while_the_storage_is_away_one_ends(
 @pytest.mark.parametrize("is_away", [False, True])
 @pytest.mark.parametrize("is_same_run", [False, True])
 def test_a_folder_restored_from_an_older_copy_deletes_nothing_that_is_newer(
-    machine: Callable[[str], SiteStore],
+    machine: Machine,
     tmp_path: Path,
     bucket: Bucket,
     clock: Clock,
@@ -224,15 +220,13 @@ def test_a_folder_restored_from_an_older_copy_deletes_nothing_that_is_newer(
 ) -> None:
     """Either the copy was made in the run that then died, or before; the storage may be away when the restored one begins."""
     folder = tmp_path / "a"
-    a = machine("a")
-    a.open(wait=False)
+    a = machine("a", at_work=True)
     (folder / "results.jsonl").write_bytes(b"one\n")
     a.push()
     copied(folder, tmp_path / "backup")
     if not is_same_run:
         a.push("released")
-        a = machine("a")
-        a.open(wait=False)
+        a = machine("a", at_work=True)
     (folder / "results.jsonl").write_bytes(b"one\ntwo\n")
     (folder / "recordings").mkdir()
     (folder / "recordings" / "1.mcap").write_bytes(b"data")
@@ -240,13 +234,8 @@ def test_a_folder_restored_from_an_older_copy_deletes_nothing_that_is_newer(
     newest = content(folder)
     copied(tmp_path / "backup", folder)
     if is_away:
-
-        def away(call: str, is_done: bool) -> None:
-            raise exceptions.EndpointConnectionError(endpoint_url="s3")
-
         bucket.fail = away
-        early = machine("a")
-        early.open(wait=False)
+        early = machine("a", at_work=True)
         bucket.fail = lambda call, is_done: None
         early.push()
         assert early.is_lost and "went on from other files" in str(early.failed)
@@ -260,11 +249,10 @@ def test_a_folder_restored_from_an_older_copy_deletes_nothing_that_is_newer(
 
 
 def test_the_lease_is_renewed_while_a_file_hangs_and_its_loss_is_heard(
-    machine: Callable[[str], SiteStore], tmp_path: Path, clock: Clock
+    machine: Machine, tmp_path: Path, clock: Clock
 ) -> None:
     """A pipe that nobody writes to stands for a file of a disk that hangs."""
-    a, b = machine("a"), machine("b")
-    a.open(wait=False)
+    a, b = machine("a", at_work=True), machine("b")
     pipe = tmp_path / "a" / "recordings.mcap"
     os.mkfifo(pipe)
     storing = threading.Thread(target=a.push, daemon=True)
@@ -286,11 +274,10 @@ def test_the_lease_is_renewed_while_a_file_hangs_and_its_loss_is_heard(
 
 
 def test_what_the_lease_hears_of_another_s_manifest_lets_no_writer_over_it(
-    machine: Callable[[str], SiteStore], tmp_path: Path, clock: Clock
+    machine: Machine, tmp_path: Path, clock: Clock
 ) -> None:
     """The storing thread is between two calls while the lease's hears that the site was taken over."""
-    a, b = machine("a"), machine("b")
-    a.open(wait=False)
+    a, b = machine("a", at_work=True), machine("b")
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
     silent(b, clock)
     b.open(wait=False)
@@ -323,11 +310,8 @@ def test_the_lease_has_a_thread_of_its_own(tmp_path: Path, bucket: Bucket) -> No
     assert manifest()["state"] == "released"
 
 
-def test_a_monitor_that_has_left_the_site_says_no_more_that_it_is_at_work(
-    machine: Callable[[str], SiteStore], clock: Clock
-) -> None:
-    a = machine("a")
-    a.open(wait=False)
+def test_a_monitor_that_has_left_the_site_says_no_more_that_it_is_at_work(machine: Machine, clock: Clock) -> None:
+    a = machine("a", at_work=True)
     a.push("released")
     clock.now_s += 60.0
     a.renew()
@@ -335,9 +319,6 @@ def test_a_monitor_that_has_left_the_site_says_no_more_that_it_is_at_work(
 
 
 def test_a_thread_stores_what_has_changed_at_once_where_asked_and_at_the_end(tmp_path: Path, bucket: Bucket) -> None:
-    def away(call: str, is_done: bool) -> None:
-        raise exceptions.EndpointConnectionError(endpoint_url="s3")
-
     def stored() -> bytes:
         return b"".join(data for key, data in bucket.objects.items() if not key.endswith("manifest.json"))
 
@@ -358,16 +339,14 @@ def test_a_thread_stores_what_has_changed_at_once_where_asked_and_at_the_end(tmp
 
 
 def test_a_restart_on_the_same_machine_waits_for_nobody_and_keeps_what_is_newer(
-    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket
+    machine: Machine, tmp_path: Path, bucket: Bucket
 ) -> None:
-    a = machine("a")
-    a.open(wait=False)
+    a = machine("a", at_work=True)
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n" * 1000)
     a.push()
     with (tmp_path / "a" / "results.jsonl").open("ab") as file:
         file.write(b"two\n")
-    again = machine("a")
-    again.open(wait=False)
+    again = machine("a", at_work=True)
     before = len(bucket.objects)
     again.push()
     assert content(tmp_path / "a") == {"results.jsonl": b"one\n" * 1000 + b"two\n"}
@@ -376,7 +355,7 @@ def test_a_restart_on_the_same_machine_waits_for_nobody_and_keeps_what_is_newer(
 
 
 def test_a_file_that_grows_is_stored_in_few_parts(
-    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket, clock: Clock
+    machine: Machine, tmp_path: Path, bucket: Bucket, clock: Clock
 ) -> None:
     a, b, sent = machine("a"), machine("b"), 0
     a.open(wait=False)
@@ -394,7 +373,7 @@ def test_a_file_that_grows_is_stored_in_few_parts(
 
 
 def test_while_much_is_stored_or_fetched_the_monitor_is_heard_of(
-    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket, clock: Clock
+    machine: Machine, tmp_path: Path, bucket: Bucket, clock: Clock
 ) -> None:
     heard: list[float] = []
 
@@ -403,8 +382,7 @@ def test_while_much_is_stored_or_fetched_the_monitor_is_heard_of(
         if is_done and bucket.calls[-1].endswith("manifest.json"):
             heard.append(clock.now_s)
 
-    a, b = machine("a"), machine("b")
-    a.open(wait=False)
+    a, b = machine("a", at_work=True), machine("b")
     (tmp_path / "a" / "recordings").mkdir()
     (tmp_path / "a" / "recordings" / "1.mcap").write_bytes(bytes(8 * OBJECT_BYTES + 1))
     bucket.fail = slow
@@ -417,13 +395,9 @@ def test_while_much_is_stored_or_fetched_the_monitor_is_heard_of(
 
 
 def test_without_the_storage_a_site_goes_on_where_its_files_are(
-    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket
+    machine: Machine, tmp_path: Path, bucket: Bucket
 ) -> None:
-    def away(call: str, is_done: bool) -> None:
-        raise exceptions.EndpointConnectionError(endpoint_url="s3")
-
-    a, b = machine("a"), machine("b")
-    a.open(wait=False)
+    a, b = machine("a", at_work=True), machine("b")
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
     a.push()
     bucket.fail = away
@@ -432,8 +406,7 @@ def test_without_the_storage_a_site_goes_on_where_its_files_are(
     assert b.is_held(), "nobody knows"
     with pytest.raises(MissingInputError, match=r"s3://bucket/city/tower: .*endpoint"):
         b.open(wait=False)
-    a = machine("a")
-    a.open(wait=False)
+    a = machine("a", at_work=True)
     a.push()
     assert a.failed is not None and not a.is_lost
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\ntwo\n")
@@ -445,7 +418,7 @@ def test_without_the_storage_a_site_goes_on_where_its_files_are(
 
 
 def test_files_that_another_machine_went_on_from_are_not_gone_on_from_where_the_storage_fails(
-    machine: Callable[[str], SiteStore], bucket: Bucket
+    machine: Machine, bucket: Bucket
 ) -> None:
     def refuse(call: str, is_done: bool) -> None:
         if call == "put":
@@ -461,10 +434,9 @@ def test_files_that_another_machine_went_on_from_are_not_gone_on_from_where_the_
 
 
 def test_files_that_are_missing_or_damaged_there_are_told_and_nobody_goes_on_without_them(
-    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket
+    machine: Machine, tmp_path: Path, bucket: Bucket
 ) -> None:
-    a, b = machine("a"), machine("b")
-    a.open(wait=False)
+    a, b = machine("a", at_work=True), machine("b")
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
     a.push("released")
     (key,) = (key for key in bucket.objects if not key.endswith("manifest.json"))
@@ -487,11 +459,8 @@ def site_store_released(bucket: Bucket) -> None:
 
 
 @pytest.mark.parametrize("name", ["../x", "/etc/x", "state/lock", "state/owner"])
-def test_a_manifest_names_files_of_the_site_alone(
-    machine: Callable[[str], SiteStore], bucket: Bucket, tmp_path: Path, name: str
-) -> None:
-    a, b = machine("a"), machine("b")
-    a.open(wait=False)
+def test_a_manifest_names_files_of_the_site_alone(machine: Machine, bucket: Bucket, tmp_path: Path, name: str) -> None:
+    a, b = machine("a", at_work=True), machine("b")
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
     a.push("released")
     place = "city/tower/manifest.json"
@@ -502,7 +471,7 @@ def test_a_manifest_names_files_of_the_site_alone(
 
 @pytest.mark.parametrize("seed", [*range(5), *(pytest.param(k, marks=pytest.mark.slow) for k in range(5, 20))])
 def test_whatever_fails_a_machine_that_takes_over_has_what_was_stored_last(
-    machine: Callable[[str], SiteStore], tmp_path: Path, bucket: Bucket, clock: Clock, seed: int
+    machine: Machine, tmp_path: Path, bucket: Bucket, clock: Clock, seed: int
 ) -> None:
     """Files grow, are replaced and vanish while every fifth call fails, before or after it took effect."""
     chance = random.Random(seed)

@@ -123,7 +123,7 @@ def test_sigterm_while_an_outlet_is_joining_ends_it_with_0(
     assert seconds < 7.0  # 5 s are promised
 
 
-def test_the_lock_can_be_opened_by_its_owner_alone(site: Path, held: Path) -> None:
+def test_the_lock_can_be_opened_by_its_owner_alone(held: Path) -> None:
     path = held / "state" / "lock"
     path.chmod(0o644)  # as an earlier version made it
     with pytest.raises(Exception, match="another daemon"):
@@ -155,7 +155,6 @@ def test_a_look_at_the_status_keeps_no_daemon_from_starting(tmp_path: Path) -> N
     os.close(lock(path, tmp_path))
     hold = "import fcntl, sys, time; f = open(sys.argv[1]); fcntl.flock(f, fcntl.LOCK_SH); print(flush=True); time.sleep(0.3)"
     with subprocess.Popen([sys.executable, "-c", hold, str(path)], stdout=subprocess.PIPE) as reader:
-        assert reader.stdout is not None
         reader.stdout.readline()
         os.close(lock(path, tmp_path))
 

@@ -14,16 +14,16 @@ import pytest
 from drivers.base import SampleBlock
 from drivers.settings import RecorderSettings
 from monitor.config import OutputSettings
-from monitor.publish import closed_files, month_file, pack_month, read_lines
-from monitor.publish.reports.period_data import read_results
-from monitor.publish.results.files import read_all_lines
+from monitor.publish import closed_files, month_file, pack_month, read_lines, read_period
 from monitor.runs import Session
 from monitor.service import restart
 from monitor.service.daemon import Daemon
 from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import Recording
+from tests.service.killed import killed
+from tests.support.full_disk import no_room
 from tests.support.samples import Cli, Cut
-from tests.support.site import RATE, Scripted, replayed, write
+from tests.support.site import RATE, Scripted, all_lines, replayed, write
 
 S = 10**9
 TURN_NS = 1_769_904_000 * S
@@ -58,12 +58,12 @@ def test_a_closed_month_is_packed_and_read_as_before(monthly: Path, blocks: list
     out = run(monthly, blocks)
     assert [path.name for path in closed_files(out)] == ["results-2026-01.jsonl.zst"]
     whole = replayed(main, monthly, [write(monthly.parent / "rec.mcap", blocks)], monthly.parent / "again")
-    assert b"".join(read_all_lines(out)) == whole
+    assert b"".join(all_lines(out)) == whole
     now = (out / "results.jsonl").read_bytes()
     assert whole.endswith(now) and b"".join(read_lines(closed_files(out)[0])) + now == whole
     ends = [json.loads(line)["t_end_ns"] for line in now.splitlines()]
     assert min(ends) >= TURN_NS and len(ends) < whole.count(b"\n")
-    one, two = (read_results(folder, None, None, 5.0) for folder in (out, monthly.parent / "again"))
+    one, two = (read_period(folder, None, None).results for folder in (out, monthly.parent / "again"))
     assert (one.course, one.judged, one.begun_ns, one.hop_s) == (two.course, two.judged, two.begun_ns, two.hop_s)
     for folder in (out, monthly.parent / "again"):
         (folder / "state").mkdir(exist_ok=True)
@@ -81,7 +81,7 @@ def test_without_the_setting_all_months_stay_in_one_file(site: Path, blocks: lis
     ("at_s", "saved"), [(58.0, 3), (58.0, 8), (66.0, 7), (66.0, 9), (71.0, 3), (71.0, 8), (90.0, 7), (90.0, 9)]
 )
 def test_a_restart_at_the_turn_of_the_month_writes_each_window_once(
-    monthly: Path, blocks: list[SampleBlock], monkeypatch: pytest.MonkeyPatch, at_s: float, saved: int
+    monthly: Path, blocks: list[SampleBlock], at_s: float, saved: int
 ) -> None:
     """The latest checkpoint is that of a certain number of windows, as after kill -9."""
     cut_at = sum(b.t_ns < TURN_NS + (at_s - 60.0) * S for b in blocks)
@@ -90,20 +90,18 @@ def test_a_restart_at_the_turn_of_the_month_writes_each_window_once(
         if session.windows == saved and not keeper.busy:
             keeper.save(session)
 
-    with monkeypatch.context() as killed:
-        killed.setattr(restart.Checkpointer, "forget", lambda _: None)
-        killed.setattr(restart.Checkpointer, "took", took)
+    with killed() as patch:
+        patch.setattr(restart.Checkpointer, "took", took)
         out = run(monthly, blocks[:cut_at])
     run(monthly, blocks[cut_at:])
-    windows = [json.loads(line)["window"] for line in read_all_lines(out)]
+    windows = [json.loads(line)["window"] for line in all_lines(out)]
     assert windows == list(range(len(windows))) and len(windows) > 20
 
 
 def test_results_that_were_moved_away_do_not_keep_it_from_starting(site: Path, blocks: list[SampleBlock]) -> None:
     out = site.parent / "out"
     half = len(blocks) // 2
-    with pytest.MonkeyPatch.context() as killed:
-        killed.setattr(restart.Checkpointer, "forget", lambda _: None)
+    with killed():
         Daemon(site, Scripted(blocks[:half])).run()
     before = (out / "results.jsonl").read_bytes()
     os.replace(out / "results.jsonl", out / "results-old.jsonl")
@@ -126,24 +124,21 @@ def test_a_month_is_packed_once_and_goes_on_if_its_time_comes_again(tmp_path: Pa
     assert list(read_lines(packed)) == [b"1\n", b"2\n", b"3\n"] and not place.exists()
 
 
-def test_a_month_that_ends_while_the_disk_refuses_lines_is_closed_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_month_that_ends_while_the_disk_refuses_lines_is_closed_later(tmp_path: Path) -> None:
     file = ResultsFile(tmp_path / "results.jsonl", by_month=True)
 
     def line(k: int) -> tuple[str, int]:
         t_ns = TURN_NS + (k - 3) * S
         return json.dumps({"t_end_ns": t_ns, "window": k}), t_ns
 
-    with monkeypatch.context() as full:
-        full.setattr(os, "write", lambda handle, data: (_ for _ in ()).throw(OSError(28, os.strerror(28))))
+    with no_room():
         for k in range(2, 4):
             file.write_window(*line(k))
     file.flush()
     for k in range(4, 6):
         file.write_window(*line(k))
     file.close()
-    assert [json.loads(text)["window"] for text in read_all_lines(tmp_path)] == [2, 3, 4, 5]
+    assert [json.loads(text)["window"] for text in all_lines(tmp_path)] == [2, 3, 4, 5]
 
 
 def fill(out: Path, files: dict[str, int]) -> None:

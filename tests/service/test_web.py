@@ -6,6 +6,7 @@ import asyncio
 import json
 import re
 import socket
+import sys
 import threading
 import urllib.error
 import urllib.request
@@ -17,7 +18,6 @@ from typing import Any, cast
 import pytest
 
 from monitor.config import configuration, security_check
-from monitor.core.extras import EXTRAS
 from monitor.damage import Assessment, State
 from monitor.publish import pack_month
 from monitor.service.outlets import make_outlets
@@ -417,7 +417,7 @@ def test_without_the_extra_one_line_names_it(
 ) -> None:
     path = tmp_path / "site.toml"
     path.write_text(BARE_SITE.replace('dir = "out"', 'dir = "out"\nweb = "127.0.0.1:0"') + frame_text)
-    monkeypatch.setitem(EXTRAS, "web", ("no_such_module",))
+    monkeypatch.setitem(sys.modules, "starlette", None)
     make_outlets(path, configuration.load(path), dry=True)
     assert caplog.messages == ["[output] web is left out: it needs the extra web: pip install 'shm-monitor[web]'"]
 

@@ -21,7 +21,7 @@ from monitor.core import WHOLE, DamageReading, Gap, Level
 from monitor.damage import Assessment, State, alarm
 from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, Request, apply
-from tests.support.answering import Monitor
+from tests.service.answering import Monitor
 from tests.support.results import T0_NS, window
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
@@ -42,8 +42,10 @@ def router(endpoint: str) -> Iterator[Router]:
 
 
 @pytest.fixture
-def out(endpoint: str, router: Router) -> Iterator[ZenohOut]:
+def out(endpoint: str, router: Router, person: zenoh.Session) -> Iterator[ZenohOut]:
+    """The monitor's, once others see it."""
     made = ZenohOut("tower 1", ZenohOutSettings(connect=(endpoint,), max_requests=3))
+    until(lambda: ask(person, "state"), "the monitor is there")
     yield made
     made.close()
 
@@ -69,12 +71,12 @@ def listen(session: zenoh.Session) -> list[tuple[str, str]]:
     session.declare_subscriber(
         f"{SITE}/*", lambda s: seen.append((str(s.key_expr).rpartition("/")[2], s.payload.to_string()))
     )
+    until(lambda: ask(session, "state"), "the monitor answers, and so has heard of the subscriber")
     return seen
 
 
 def test_results_as_in_the_file_and_alarms_when_they_change(out: ZenohOut, person: zenoh.Session) -> None:
     seen = listen(person)
-    until(lambda: ask(person, "state"), "the monitor is there")
     windows = [window(k, Level(level)) for k, level in enumerate(["normal", "normal", "warning", "warning", "normal"])]
     for result, line in windows:
         out.window(result, line)
@@ -91,7 +93,6 @@ def test_results_as_in_the_file_and_alarms_when_they_change(out: ZenohOut, perso
 
 def test_the_state_is_the_latest_of_everything(out: ZenohOut, person: zenoh.Session) -> None:
     seen, lost = listen(person), Assessment(State.ALARM, "Story 2 lost 12 %.", ("A doubt.",))
-    until(lambda: ask(person, "state"), "the monitor is there")
     nothing = dict.fromkeys(("results", "alarm", "health", "gap", "finding", "event"))
     state = {"state": "not_judged", "headline": "No window of data yet.", "doubts": []}
     assert ask(person, "state") == state | nothing
@@ -109,14 +110,13 @@ def test_the_state_is_the_latest_of_everything(out: ZenohOut, person: zenoh.Sess
 
 def test_what_was_said_last_arrives_even_if_the_monitor_ends_at_once(out: ZenohOut, person: zenoh.Session) -> None:
     seen = listen(person)
-    until(lambda: ask(person, "state"), "the monitor is there")
     for k in range(20):
         out.window(*window(k))
     out.close()
     until(lambda: [text for key, text in seen if key == "results"] == [window(k)[1] for k in range(20)], "all of them")
 
 
-def test_the_monitor_shows_that_it_lives(endpoint: str, out: ZenohOut, person: zenoh.Session) -> None:
+def test_the_monitor_shows_that_it_lives(out: ZenohOut, person: zenoh.Session) -> None:
     def alive() -> list[str]:
         return [str(r.ok.key_expr) for r in person.liveliness().get(f"{SITE}/alive/*", timeout=5.0) if r.ok]
 
@@ -126,7 +126,6 @@ def test_the_monitor_shows_that_it_lives(endpoint: str, out: ZenohOut, person: z
 
 
 def test_requests_reach_the_alarms(out: ZenohOut, person: zenoh.Session) -> None:
-    until(lambda: ask(person, "state"), "the monitor is there")
     wishes = [
         {"action": "acknowledge", "story": 2, "who": "Ann"},
         {"action": "shelve", "story": 1, "who": "Bob", "note": "crane at work", "seconds": 3600},
@@ -145,7 +144,6 @@ def test_requests_reach_the_alarms(out: ZenohOut, person: zenoh.Session) -> None
 
 
 def test_unfit_requests_are_refused_with_the_reason(out: ZenohOut, person: zenoh.Session) -> None:
-    until(lambda: ask(person, "state"), "the monitor is there")
     good = {"action": "acknowledge", "story": 1, "who": "Ann"}
     for wrong, says in [
         ("no json", "JSON"),
@@ -172,7 +170,6 @@ def test_unfit_requests_are_refused_with_the_reason(out: ZenohOut, person: zenoh
 
 
 def test_a_flood_of_requests_is_refused_at_once(out: ZenohOut, person: zenoh.Session) -> None:
-    until(lambda: ask(person, "state"), "the monitor is there")
     wish = json.dumps({"action": "acknowledge", "story": 2, "who": "Mallory"})
     with Monitor(out) as monitor:
         answers = [ask(person, "ack", wish) for _ in range(200)]
@@ -182,7 +179,6 @@ def test_a_flood_of_requests_is_refused_at_once(out: ZenohOut, person: zenoh.Ses
 
 
 def test_a_request_before_the_first_data_is_refused(out: ZenohOut, person: zenoh.Session) -> None:
-    until(lambda: ask(person, "state"), "the monitor is there")
     with Monitor(out, refuse="no data have come yet"):
         answer = ask(person, "ack", json.dumps({"action": "acknowledge", "story": 2, "who": "Ann"}))
     assert answer == {"accepted": False, "reason": "no data have come yet"}
@@ -225,7 +221,6 @@ def test_nothing_waits_for_a_router_that_is_not_there() -> None:
 
 def test_results_after_a_router_restart_arrive(out: ZenohOut, router: Router, person: zenoh.Session) -> None:
     seen = listen(person)
-    until(lambda: ask(person, "state"), "the monitor is there")
     router.kill()
     router.start()
     until(lambda: ask(person, "state"), "the monitor is there again")
@@ -245,12 +240,10 @@ sys.stdin.readline()
 
 def test_a_frozen_subscriber_holds_nobody_up(endpoint: str, out: ZenohOut, person: zenoh.Session) -> None:
     seen = listen(person)
-    until(lambda: ask(person, "state"), "the monitor is there")
     command = [sys.executable, "-c", _FROZEN, endpoint, f"{SITE}/*"]
     frozen = subprocess.Popen(
         command, cwd=Path(__file__).parents[2], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    assert frozen.stdout is not None
     assert frozen.stdout.readline() == "listening\n"
     os.kill(frozen.pid, signal.SIGSTOP)
     filler = "x" * 100_000

@@ -16,7 +16,7 @@ from drivers.zenoh_bus import PublisherSettings, ZenohPublisher, ZenohSettings, 
 from drivers.zenoh_session import SessionSettings, open_session
 from monitor.service import ZenohOutSettings
 from monitor.service.outlets.zenoh import ZenohOut
-from tests.support.answering import Monitor
+from tests.service.answering import Monitor
 from tests.support.certificates import certify
 from tests.support.numbered import CHANNELS, block, take
 from tests.support.waiting import until

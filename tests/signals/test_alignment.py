@@ -47,7 +47,6 @@ def assert_record(pieces: list[Piece], *runs: tuple[int, int]) -> None:
     assert len(gaps) == len(runs) - 1
     np.testing.assert_array_equal(joined(pieces), np.concatenate([VALUES[a:b] for a, b in runs]))
     for piece, (_, before), (begin, _) in zip(gaps, runs[:-1], runs[1:], strict=True):
-        assert piece.gap is not None
         assert piece.t_ns == T0 + begin * 10_000_000
         assert piece.gap.t_ns == T0 + before * 10_000_000
         assert piece.gap.duration_s == pytest.approx((begin - before) / RATE)
@@ -111,7 +110,6 @@ def test_blocks_become_runs_with_every_loss_counted(
 def test_lost_blocks_are_a_gap_that_says_how_many_samples() -> None:
     state, pieces = feed(block(0, 100), block(250, 300), block(300, 310))
     assert_record(pieces, (0, 100), (250, 310))
-    assert pieces[1].gap is not None
     assert "150 samples" in pieces[1].gap.reason
     assert state.dropped == 0
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from monitor.config import configuration
 from monitor.core import Gap, WindowResult
 from monitor.model import EFFECTS, Model
 from monitor.pipeline import Pipeline
 from monitor.signals import sensor_health
 from monitor.signals.sensor_health import ChannelHealth, Health, HealthSettings, HealthState
+from tests.support.frames import settings_of
 from tests.support.samples import CHANNELS, Cut
 from tests.support.simulated import PAPER_FRAME, ambient
 
@@ -190,12 +190,8 @@ def test_sensor_faults_that_a_diagnosis_explains_keep_their_windows(name: str, p
     assert verdict(ambient(Model(PAPER_FRAME, (effect,)), 60.0, RATE, 4, noise=0.03)) == {}
 
 
-def test_the_pipeline_judges_without_a_stuck_channel_and_takes_it_back(
-    frame_text: str, tmp_path: object, cut: Cut
-) -> None:
-    path = tmp_path / "s.toml"  # type: ignore[operator]
-    path.write_text(frame_text)
-    site = configuration.load(path)
+def test_the_pipeline_judges_without_a_stuck_channel_and_takes_it_back(frame_text: str, cut: Cut) -> None:
+    site = settings_of(frame_text)
     spoilt = ambient(site.model(), 80.0, RATE, 5, noise=0.03)
     spoilt[4000:8000, 0] = 1.0
     pipeline = Pipeline(site)
@@ -205,7 +201,6 @@ def test_the_pipeline_judges_without_a_stuck_channel_and_takes_it_back(
     assert left_out[15] == ["a1"] and "stuck" in found[15].left_out[0].reason
     assert left_out[0] == left_out[40] == left_out[60] == []
     modes = found[15].modes
-    assert modes is not None
     assert np.isnan(modes.shapes[:, 0]).all() and np.isfinite(modes.shapes[:, 1:]).all()
 
 

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from monitor.config import configuration
 from monitor.core import STILL, Gap
 from monitor.model import Model
 from monitor.pipeline import Pipeline
 from monitor.signals import stillness
 from monitor.signals.alignment import Piece
+from tests.support.frames import settings_of
 from tests.support.samples import FRAME
 from tests.support.simulated import PAPER_FRAME, ambient, windows_of
 
@@ -113,9 +112,8 @@ def test_what_is_told_does_not_depend_on_how_the_samples_came(motion: np.ndarray
 
 
 @pytest.mark.parametrize("size", [70, 100_000], ids=["small blocks", "one block"])
-def test_windows_with_a_dead_logger_are_not_judged(motion: np.ndarray, size: int, tmp_path: Path) -> None:
-    (tmp_path / "frame.toml").write_text(FRAME)
-    pipeline = Pipeline(configuration.load(tmp_path / "frame.toml"))
+def test_windows_with_a_dead_logger_are_not_judged(motion: np.ndarray, size: int) -> None:
+    pipeline = Pipeline(settings_of(FRAME))
     spoilt = motion.copy()
     spoilt[6_100:8_950] = spoilt[6_099]
     results = windows_of(pipeline, spoilt, RATE, size=size)

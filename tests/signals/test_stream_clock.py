@@ -13,7 +13,8 @@ from monitor.core import WindowResult
 from monitor.model import Model
 from monitor.pipeline import Pipeline
 from monitor.signals import alignment
-from tests.support.learned import baseline_of, configured
+from tests.support.frames import shear_frame
+from tests.support.learned import baseline_of
 from tests.support.samples import CHANNELS, T0_NS
 from tests.support.simulated import PAPER_FRAME, ambient
 
@@ -71,12 +72,8 @@ def test_a_stream_that_changes_its_stated_rate_begins_anew() -> None:
 
 
 def site(window_s: float) -> Configuration:
-    frame = {
-        "kind": "shear_frame",
-        "masses_kg": PAPER_FRAME.masses_kg.tolist(),
-        "stiffness_n_per_m": PAPER_FRAME.stiffness_n_per_m.tolist(),
-    }
-    return configured(frame, (1, 2, 3), processing={"window_s": window_s, "hop_s": 10.0})
+    frame = PAPER_FRAME.masses_kg, PAPER_FRAME.stiffness_n_per_m
+    return shear_frame(*frame, processing={"window_s": window_s, "hop_s": 10.0})
 
 
 def results_of(pipeline: Pipeline, parts: list[SampleBlock]) -> list[WindowResult]:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from monitor.core import Array, Level, WindowResult
 from monitor.damage import AlarmSettings, Baseline
 from monitor.pipeline import Pipeline
+from tests.damage.alarm_twin import HOP_S, MONTH, TWIN, WINDOW_S, episodes, evidence
 from tests.statistics import figures
-from tests.statistics.alarm_twin import HOP_S, MONTH, TWIN, WINDOW_S, episodes, evidence
 from tests.statistics.estimates import configuration
 from tests.support.campaign import words
 from tests.support.simulated import ambient, learned, seeded, windows_of

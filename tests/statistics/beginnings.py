@@ -10,11 +10,11 @@ from scipy.linalg import eigh
 from scipy.signal import cont2discrete, lfilter
 
 from drivers.base import ACCELERATION, SampleBlock
-from monitor.config import Configuration
 from monitor.events import Event
 from monitor.pipeline import Pipeline
 from tests.events.shaken import T0_NS, Array
 from tests.support.campaign import words
+from tests.support.frames import shear_frame
 
 RATE, LENGTH_S, RMS, NOISE, OFFSET = 100.0, 100.0, 0.01, 1e-5, 9.81
 FRAMES = {
@@ -66,9 +66,7 @@ def disturb(motion: Array, kind: str, rng: np.random.Generator) -> Array:
 def told(name: str, motion: Array) -> int:
     """Count the events that are told of a motion."""
     masses, stiffness, damping = FRAMES[name]
-    structure = {"kind": "shear_frame", "masses_kg": masses, "stiffness_n_per_m": stiffness, "damping_ratio": damping}
-    sensors = [{"channel": f"a{i}", "floor": i} for i in range(1, len(masses) + 1)]
-    config = Configuration.model_validate({"structure": structure, "sensors": sensors})
+    config = shear_frame(masses, stiffness, structure={"damping_ratio": damping})
     pipeline, found = Pipeline(config), 0
     for i in range(0, len(motion), 200):
         values = (motion[i : i + 200] + OFFSET).astype(np.float32)

@@ -24,6 +24,7 @@ from monitor.pipeline import Pipeline
 from monitor.runs import paper_tables
 from tests.statistics import figures
 from tests.support.campaign import each, words
+from tests.support.frames import shear_frame
 from tests.support.simulated import ambient, learned, seeded, windows_of
 
 MASSES = paper_tables.MASSES_KG
@@ -103,10 +104,7 @@ class Trials:
 
 def configuration(hop_s: float, **processing: float) -> Configuration:
     """The paper's frame with the true drawing."""
-    structure = {"kind": "shear_frame", "masses_kg": MASSES.tolist(), "stiffness_n_per_m": STIFFNESS.tolist()}
-    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
-    tables = {"structure": structure, "sensors": sensors, "processing": {"hop_s": hop_s, **processing}}
-    return Configuration.model_validate(tables)
+    return shear_frame(MASSES, STIFFNESS, processing={"hop_s": hop_s, **processing})
 
 
 def one_baseline(

@@ -26,7 +26,8 @@ from monitor.pipeline import Pipeline, Result
 from monitor.runs import Session
 from monitor.service import Daemon, outlets
 from tests.support.campaign import each, words
-from tests.support.learned import baseline_of, configured
+from tests.support.frames import shear_frame
+from tests.support.learned import baseline_of
 from tests.support.site import SITE, Scripted
 
 T0_NS = 1_767_225_600_000_000_000
@@ -53,18 +54,8 @@ def record(seed: int) -> Record:
     n, rate = int(draw.integers(2, 7)), float(draw.choice([100.0, 128.0, 200.0]))
     mass, stiffness = draw.uniform(0.8, 1.2, n), draw.uniform(0.8, 1.2, n) * (2.0 * np.pi * draw.uniform(6.0, 9.0)) ** 2
     window_s = float(draw.choice([40.0, 60.0]))
-    table = {
-        "kind": "shear_frame",
-        "masses_kg": mass.tolist(),
-        "stiffness_n_per_m": stiffness.tolist(),
-        "damping_ratio": 0.01,
-    }
-    site = configured(
-        table,
-        tuple(range(1, n + 1)),
-        processing={"window_s": window_s, "hop_s": 10.0},
-        selection={"required_modes": min(n, 3)},
-    )
+    tables = {"processing": {"window_s": window_s, "hop_s": 10.0}, "selection": {"required_modes": min(n, 3)}}
+    site = shear_frame(mass, stiffness, **tables)
     seconds = float(draw.uniform(180.0, 540.0))
     floors = simulate(site.model(), duration_s=seconds, rate_hz=rate, noise=0.05, seed=seed).floors
     floors = floors / floors.std()

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from drivers.base import ACCELERATION
-from monitor.config import configuration
 from monitor.runs import cut_into_blocks
+from tests.support.frames import settings_of
 from tests.support.live_rig import Command, shm_monitor, write
 from tests.support.object_storage import object_storage
 from tests.support.samples import CHANNELS, FRAME, T0_NS
@@ -70,7 +70,6 @@ class Sink:
             def do_POST(self) -> None:
                 body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
                 found = re.search(r"site (\S+), message (\d+)", body["message"])
-                assert found is not None
                 sink.taken.append((found[1], int(found[2]), body["title"]))
                 self.send_response(200)
                 self.end_headers()
@@ -123,8 +122,7 @@ def main() -> None:
 def _record(out: Path, seconds: float) -> None:
     """Write healthy data for the baseline, and for each site data in which story 2 softens every few minutes."""
     (out / "s.toml").write_text(FRAME)
-    (out / "weak.toml").write_text(FRAME.replace("1514.8507", "900.0"))
-    sound, weak = (configuration.load(out / name).model() for name in ("s.toml", "weak.toml"))
+    sound, weak = (settings_of(text).model() for text in (FRAME, FRAME.replace("1514.8507", "900.0")))
     parts = {
         k: ambient(model, length, _RATE, k, noise=0.03)
         for k, (model, length) in enumerate(((sound, 400.0), (sound, 120.0), (weak, 120.0)))

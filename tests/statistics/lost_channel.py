@@ -28,8 +28,6 @@ from tests.support.simulated import ambient, learned, seeded, windows_of
 HOUR_S, RATE_HZ, BLOCK, T0_NS = 3600, 100.0, 6000, 10**18
 BEFORE_H, DURING_H, AFTER_H = 3, 24, 3
 FAULTS = ("nan", "still", "noise", "drift", "stuck")
-
-
 SITE = configuration(200.0, rate_hz=RATE_HZ)
 """The frame, with a hop that spares time."""
 

@@ -10,7 +10,6 @@ from tests.statistics.thirty_days import PER_DEGC, Case, month
 
 def _judge(result: dict[str, Case]) -> None:
     law = result["with the channel"].baseline.law
-    assert law is not None
     low, high = law.axes[0].range
     change, std = law.over_range("temperature")
     assert (np.abs(change - np.expm1(PER_DEGC * (high - low))) < 4.0 * std).all()

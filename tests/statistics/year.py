@@ -31,10 +31,9 @@ from monitor.damage import alarm, load_baseline, save_baseline
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Publisher
 from monitor.runs import Session, calibrate, cut_into_blocks
-from monitor.runs import session as session_module
 from monitor.service import Daemon, logs
 from monitor.signals import Health
-from tests.statistics.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S
+from tests.damage.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S
 from tests.support.frame_text import THREE_STORIES
 from tests.support.live_rig import ROOT, write
 from tests.support.live_site import RATE, SIZE, given
@@ -189,30 +188,25 @@ def twin(days: int, folder: Path, seed: int = 20261121) -> None:
         def health(self, health: Health) -> None:
             seen.append(health)
 
-    session = Session(
-        settings,
-        load_baseline(folder / "baseline.json", settings.instrumented(), settings.updating),
-        (Kept(),),
-        None,
-        folder,
-    )
+    baseline = load_baseline(folder / "baseline.json", settings.instrumented(), settings.updating)
+    session = Session(settings, baseline, (Kept(),), None, folder)
     for block in healthy:
         session.push(block)
     like = next(r for r in seen if isinstance(r, WindowResult) and r.damage is not None)
     TwinPipeline.like = like
     TwinPipeline.health = next(r for r in seen if isinstance(r, Health))
     TwinPipeline.readings = TWIN.readings(days * DAY, BASELINE_S, np.random.default_rng(seed))
-    session_module.Pipeline = TwinPipeline  # type: ignore[misc]
     logs.begin(settings.log, settings.site_name)
     source, begun = Hops(days * DAY), time.monotonic()
     daemon = Daemon(site, source)
+    daemon.session.pipeline = TwinPipeline(settings, baseline)
     daemon.run()
     content = daemon.session.content(0.0)
     passed = source.given / DAY  # SIGTERM ends it before
     print(f"{passed:.1f} days, {content['windows']} windows, {content['skipped']} skipped, {content['gaps']} gaps")
     print(f"false alarms of any level at the default setting: {len(content['alarms'])}")
     print(Growth(np.arange(len(source.mb), dtype=float), np.array(source.mb)))
-    print(f"rows lost by the history: {daemon._history.dropped}")
+    print(f"rows lost by the history: {dict(daemon.outputs())['history'].dropped}")
     print(f"{time.monotonic() - begun:.0f} s\n{disk(folder / 'out', passed)}")
 
 

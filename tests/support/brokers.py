@@ -59,11 +59,9 @@ class OverZenoh:
         return codec.encode(block)
 
     def start(self) -> None:
-        assert self._router is not None
         self._router.start()
 
     def stop(self) -> None:
-        assert self._router is not None
         self._router.kill()
 
     def close(self) -> None:

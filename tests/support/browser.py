@@ -11,8 +11,6 @@ ROOT = Path(__file__).parents[2]
 
 def browser_tool() -> ModuleType:
     spec = spec_from_file_location("browser", ROOT / "docs/browser.py")
-    assert spec is not None
-    assert spec.loader is not None
     tool = module_from_spec(spec)
     spec.loader.exec_module(tool)
     return tool

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from tests.support.reference import ROOT, once
 
 T = TypeVar("T")
-_FOLDERS = ("tests/statistics", "tests/events", "tests/hidden")
+_FOLDERS = ("tests/statistics", "tests/events", "tests/hidden", "tests/damage")
 """What a trial reads besides the code of a reference."""
 
 

@@ -7,19 +7,14 @@ from monitor.config import Configuration
 from monitor.inference import Segments, gather
 from monitor.model import Context, Effect, Model, simulate
 from monitor.runs import cut_into_blocks
+from tests.support.frames import shear_frame
 
 RATE = 100.0
-
-
-TRUTH = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
-
-
 DAMPER = "story_damper:story 1:damping_n_s_per_m=1.5"
 
 
 def settings(**changes: object) -> Configuration:
-    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
-    return Configuration.model_validate({"structure": {**TRUTH, **changes}, "sensors": sensors})
+    return shear_frame([0.33, 0.35, 0.31], [2900.0, 1500.0, 1900.0], structure=changes)
 
 
 def recorded(effects: tuple[Effect, ...], seed: int, duration_s: float = 400.0, **more: object) -> Segments:

@@ -7,17 +7,12 @@ import numpy as np
 from monitor.config import Configuration
 from monitor.core import ModalEstimate
 from monitor.model import Model, ShearFrame, parse_effect
+from tests.support.frames import shear_frame
 from tests.support.results import modal_estimate
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
-
-
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])
-
-
 HEIGHTS = [0.093, 0.093, 0.1]
-
-
 JOINTS = (parse_effect("joint_flexibility:frame:girder_to_column_ratio=10"),)
 
 
@@ -26,18 +21,8 @@ def truth(loss: tuple[float, float, float], effects: tuple = JOINTS) -> Model:
 
 
 def drawing(signs: tuple[int, int, int], **processing: float) -> Configuration:
-    return Configuration.model_validate(
-        {
-            "structure": {
-                "kind": "shear_frame",
-                "masses_kg": list(MASSES * (1 + 0.05 * np.array(signs))),
-                "stiffness_n_per_m": [2251.8509, 2251.8509, 1811.292],
-                "story_heights_m": HEIGHTS,
-            },
-            "sensors": [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)],
-            "processing": processing,
-        }
-    )
+    masses, stiffness = MASSES * (1 + 0.05 * np.array(signs)), [2251.8509, 2251.8509, 1811.292]
+    return shear_frame(masses, stiffness, structure={"story_heights_m": HEIGHTS}, processing=processing)
 
 
 def exact_modes(model: Model) -> ModalEstimate:

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from drivers.mcap_file import McapWriter
-from monitor.config import Configuration, configuration
+from monitor.config import Configuration
 from monitor.model import simulate
+from tests.support.frames import settings_of
 from tests.support.samples import Cli, Cut
 
 RATE = 128.0
-
 
 SITE = """
 [site]
@@ -47,8 +47,8 @@ class Frames:
     def __init__(self, folder: Path, frame_text: str, cut: Cut, main: Cli) -> None:
         self._folder, self._cut = folder, cut
         (folder / "s.toml").write_text(frame_text)
-        (folder / "weak.toml").write_text(frame_text.replace("1514.8507", "900.0"))
-        self.sound, self.weak = (partial(self._move, configuration.load(folder / f"{n}.toml")) for n in ("s", "weak"))
+        texts = frame_text, frame_text.replace("1514.8507", "900.0")
+        self.sound, self.weak = (partial(self._move, settings_of(text)) for text in texts)
         self.write("healthy", self.sound(400.0, 6))
         options = ("--structure", folder / "s.toml", "--out", folder / "baseline.json")
         done = main("calibrate", folder / "healthy.mcap", *options)

@@ -14,11 +14,6 @@ from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, cut_into_blocks
 
 
-def configured(structure: dict, floors: tuple[int, ...], **tables: object) -> Configuration:
-    sensors = [{"channel": f"a{i}", "floor": i} for i in floors]
-    return Configuration.model_validate({"structure": structure, "sensors": sensors, **tables})
-
-
 def results_of(model: Model, settings: Configuration, healthy: Baseline | None, seed: int, duration_s: float):
     floors = simulate(model, duration_s=duration_s, rate_hz=128.0, noise=0.05, seed=seed).floors
     pipeline = Pipeline(settings, healthy)

@@ -9,14 +9,8 @@ from typing import Any
 import numpy as np
 
 T0 = 1_767_225_600 * 10**9  # 2026-01-01
-
-
 HOP = 600 * 10**9
-
-
 ALARM = range(10_000, 10_200)
-
-
 SKIPPED = range(3_000, 3_144)
 
 

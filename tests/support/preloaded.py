@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from threadpoolctl import threadpool_limits
 
-from monitor.cli import app, host, run
+from monitor.cli import command_line
 from monitor.runs import warm_up
 from tests.support import live_site
 
-LOADED = app, host, run, live_site
+LOADED = command_line(), live_site
 
 with threadpool_limits(limits=1):
     warm_up()

@@ -24,16 +24,9 @@ block_rows = 10
 """
 )
 
-
 T0_NS = 1_767_225_600_000_000_000
-
-
 CHANNELS = ("a1", "a2", "a3")
-
-
 Cut = Callable[..., list[SampleBlock]]
-
-
 Cli = Callable[..., subprocess.CompletedProcess[str]]
 
 

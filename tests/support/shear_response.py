@@ -12,8 +12,6 @@ from monitor.identification import RefinementSettings, SelectionSettings, SsiSet
 from monitor.signals import WindowGrid, windows
 
 RATE_HZ = 100.0
-
-
 Array = NDArray[np.float64]
 
 

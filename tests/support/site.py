@@ -14,13 +14,15 @@ from typing import Any
 import pytest
 
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
+from monitor.config import configuration
 from monitor.core import WindowResult
+from monitor.publish import closed_files, read_lines
+from monitor.runs import Session
 from monitor.service import Daemon, outlets
 from tests.support.samples import Cli, write_blocks
 
 RATE = 128.0
 write = write_blocks
-
 
 SITE = """
 [site]
@@ -39,7 +41,6 @@ min_free_gb = 0.0
 [watch]
 diagnose = false
 """
-
 
 Step = SampleBlock | Exception | None
 
@@ -84,6 +85,11 @@ def lines(folder: Path, name: str = "results.jsonl") -> list[dict[str, Any]]:
     file = folder / name
     whole = file.read_bytes().rpartition(b"\n")[0] if file.exists() else b""
     return [json.loads(line) for line in whole.splitlines()]
+
+
+def all_lines(folder: Path) -> list[bytes]:
+    """Lines of all months, packed ones too."""
+    return [line for path in (*closed_files(folder), folder / "results.jsonl") for line in read_lines(path)]
 
 
 def health(folder: Path) -> list[dict[str, Any]]:
@@ -140,6 +146,15 @@ class Endless(Scripted):
             self._asked = True
             os.kill(os.getpid(), signal.SIGTERM)
         return block
+
+
+def judged_lines(site: Path, blocks: Iterable[SampleBlock]) -> list[dict[str, Any]]:
+    """What a session says of blocks, without a daemon."""
+    told = Told()
+    session = Session(configuration.load(site), None, (told,), None, site.parent / "none")
+    for block in blocks:
+        session.push(block)
+    return [json.loads(line) for line in told.lines]
 
 
 def run_until(site: Path, blocks: list[SampleBlock], windows: int) -> Daemon:

@@ -9,14 +9,8 @@ import numpy as np
 from monitor.identification import TrackSettings, tracking
 
 TOWER = Path(__file__).parents[1] / "data" / "tower-modal" / "tower.npz"
-
-
 HOUR_NS = 3_600_000_000_000
-
-
 DAY_NS = 24 * HOUR_NS
-
-
 SETTINGS = TrackSettings()
 
 

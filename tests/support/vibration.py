@@ -8,28 +8,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
-from monitor.config import Configuration
 from monitor.inference import Segments, gather
+from tests.support.frames import shear_frame
 
 RATE_HZ = 100.0
-
-
 SHAPES = np.array([[1.0, 0.8, 0.4], [-0.6, 0.5, 1.0], [0.5, -1.0, 0.9]])
-
-
 MODES_HZ = (3.0, 9.0, 14.0)
-
-
-CONFIG = Configuration.model_validate(
-    {
-        "structure": {
-            "kind": "shear_frame",
-            "masses_kg": [1.0, 1.0, 1.0],
-            "stiffness_n_per_m": [2000.0, 2000.0, 2000.0],
-        },
-        "sensors": [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)],
-    }
-)
+CONFIG = shear_frame([1.0] * 3, [2000.0] * 3)
 
 
 @lru_cache

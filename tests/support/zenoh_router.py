@@ -31,7 +31,6 @@ class Router:
     def start(self) -> None:
         """Start it, again after `kill`, and wait until it listens."""
         self._process = subprocess.Popen(self._command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        assert self._process.stdout is not None
         said = self._process.stdout.readline()
         if said.strip() != "router up":
             raise RuntimeError(said + self._process.communicate()[0])
@@ -40,7 +39,6 @@ class Router:
         """End it at once, as a power cut would."""
         self._process.kill()
         self._process.wait()
-        assert self._process.stdout is not None
         self._process.stdout.close()
 
 

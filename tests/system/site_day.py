@@ -42,6 +42,7 @@ from tests.support.frame_text import THREE_STORIES
 from tests.support.hooks import Drip, Hook
 from tests.support.http import fetch
 from tests.support.live_rig import call, shm_monitor
+from tests.support.repeating import Repeating
 from tests.support.samples import CHANNELS, T0_NS
 from tests.support.site import lines, summary, write
 from tests.support.waiting import until
@@ -194,24 +195,14 @@ class Floods:
 
     def __init__(self, out: Path, metrics: int, viewer: int, seed: int) -> None:
         self._out, self._metrics, self._viewer, self._draw = out, metrics, viewer, random.Random(seed)
-        self._ended, self._held = threading.Event(), list[socket.socket]()
-        self.fetched = 0
-        acts = ((self._request, 0.05), (self._read, 0.5), (self._hold, 0.5))
-        self._threads = [threading.Thread(target=self._repeat, args=act) for act in acts]
-        for thread in self._threads:
-            thread.start()
+        self._acts, self._held = Repeating(), list[socket.socket]()
+        for act, pause_s in ((self._request, 0.05), (self._read, 0.5), (self._hold, 0.5)):
+            self._acts.start(act, pause_s)
 
     def close(self) -> None:
-        self._ended.set()
-        for thread in self._threads:
-            thread.join()
+        self._acts.end()
         for one in self._held:
             one.close()
-
-    def _repeat(self, act: Any, pause_s: float) -> None:
-        while not self._ended.wait(pause_s):
-            with contextlib.suppress(OSError):
-                act()
 
     def _request(self) -> None:
         """Through a file that another folder held: the flood itself waits for no disk that hangs, but here it may."""
@@ -223,7 +214,6 @@ class Floods:
 
     def _read(self) -> None:
         fetch(self._metrics)
-        self.fetched += 1
 
     def _hold(self) -> None:
         """Connect, say half a request, and stay."""

@@ -17,12 +17,12 @@ from PIL import Image
 
 from monitor.core import Level
 from monitor.publish import RerunPublisher, read_period, write_period, write_report
+from tests.diagnosis.searched import LOSS, searched
+from tests.publish import event_pages
 from tests.publish.viewer_results import SCENE, window
-from tests.support import event_pages
 from tests.support.browser import ROOT, browser_tool
 from tests.support.debian import demand
 from tests.support.period_lines import json_lines, line_of
-from tests.support.searched import LOSS, searched
 
 pytestmark = pytest.mark.system
 
@@ -126,7 +126,6 @@ def test_the_viewer_draws_in_a_browser(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "monitor", "view", str(tmp_path), "--web", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as server:
         try:
-            assert server.stdout is not None
             address = server.stdout.readline().strip()
             with browser_tool().browser(1600, 1000) as page:
                 page.call("Page.navigate", url=f"{address}&renderer=webgl")

@@ -100,7 +100,7 @@ def test_sites_go_on_from_their_checkpoints(bench: Path, frame_text: str) -> Non
     assert os.listdir(folder / "out-s0" / "recordings")
 
 
-def test_the_results_of_all_sites_are_one_dataset(bench: Path, frame_text: str, main: Cli) -> None:
+def test_the_results_of_all_sites_are_one_dataset(bench: Path, main: Cli) -> None:
     folder, out = bench / "run", bench / "dataset"
     done = main("dataset", folder, "--out", out, "--json")
     assert done.returncode == 0, done.stderr

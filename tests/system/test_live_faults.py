@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -23,10 +22,6 @@ from drivers.mcap_file import read_recordings
 from drivers.socketcand_server import SocketcandServer, frame_text
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
 from drivers.zenoh_session import SessionSettings, leave, open_session
-from monitor.config import configuration
-from monitor.core import WindowResult
-from monitor.publish import Publisher
-from monitor.runs import Session
 from monitor.service import Daemon
 from tests.support.can_group import accel, datagram
 from tests.support.live_rig import (
@@ -41,6 +36,7 @@ from tests.support.live_rig import (
     router_for,
     write,
 )  # fmt: skip
+from tests.support.site import judged_lines
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router
 
@@ -50,23 +46,6 @@ WINDOW_S, HOP_S = 20.0, 5.0
 PROCESSING = {"window_s": WINDOW_S, "hop_s": HOP_S}
 QUICK = {"watch": {"diagnose": False}, "recorder": {"flush_s": 1.0}}
 S = 10**9
-
-
-class Lines(Publisher):
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def window(self, result: WindowResult, line: str) -> None:
-        self.lines.append(line)
-
-
-def lines_of(site: Site, stream: Sequence[SampleBlock]) -> list[dict[str, Any]]:
-    """What a replay says."""
-    told = Lines()
-    session = Session(configuration.load(site.path), None, (told,), None, site.path.parent / "none")
-    for block in stream:
-        session.push(block)
-    return [json.loads(line) for line in told.lines]
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +94,7 @@ def demand_whole_end(site: Site, daemon: Command, amid: AbstractContextManager[N
     assert took_s < 10.0  # 5 s on a machine with nothing else to do
     assert "Traceback" not in daemon.said
     assert not list(site.out.rglob("*.part"))
-    assert lines_of(site, list(read_recordings(site.recordings))) == site.results
+    assert judged_lines(site.path, list(read_recordings(site.recordings))) == site.results
 
 
 def can_messages(stream: Sequence[SampleBlock]) -> list[can.Message]:
@@ -166,7 +145,7 @@ def test_can_frames_lost_repeated_swapped_and_a_flood_of_foreign_ones(
         demand_whole_end(site, daemon, flood_of(lambda: server.send(foreign)))
     holes = sorted((k / RATE_HZ, (k + 1) / RATE_HZ) for k in lost)
     demand_holes_skipped(site.results, holes)
-    assert site.results[:2] == lines_of(site, stream)[:2]
+    assert site.results[:2] == judged_lines(site.path, stream)[:2]
     counts = site.health["source"]["counts"]
     assert counts["foreign"] >= flood and counts["repeated"] > 300
     assert counts["lost_samples"] == len(lost)
@@ -292,7 +271,7 @@ def test_zenoh_blocks_lost_repeated_swapped_among_hostile_payloads(
         assert daemon.rss_mb - before < 50.0
         demand_whole_end(site, daemon, flood_of(lambda: put(b"\xff" * 1000)))
     demand_holes_skipped(site.results, [(k / 8, (k + 1) / 8) for k in sorted(lost)])
-    assert site.results[:2] == lines_of(site, stream)[:2]
+    assert site.results[:2] == judged_lines(site.path, stream)[:2]
     counts = site.health["source"]["counts"]
     assert counts["lost_samples"] == 3 * 128 and counts["gaps"] == site.summary["gaps"] == 3
     assert counts["undecodable"] >= len(wire) and counts["oversized"] == -(-len(wire) // 10)
@@ -314,7 +293,9 @@ def test_a_router_and_a_publisher_that_die(zenoh_site: tuple[Site, Router]) -> N
             for block in stream[240:320]:
                 publisher.send(block)
             until(lambda: len(site.results) == 5, "windows up to 40 s")
-        assert site.results == lines_of(site, stream)[:5]  # the cache held what the dead router did not pass on
+        assert (
+            site.results == judged_lines(site.path, stream)[:5]
+        )  # the cache held what the dead router did not pass on
         rest = write(site.path.with_name("rest.mcap"), stream[320:])
         with Command(site.path.with_name("nodes.log"), "emulate", rest, *site.destination, "--speed", "10"):
             until(lambda: len(site.results) >= 6, "the window of 45 s")

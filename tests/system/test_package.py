@@ -17,25 +17,15 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from tests.support.frames import shear_frame_text
+
 pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = ROOT / "recordings"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
-TWO_STORIES = """
-[structure]
-kind = "shear_frame"
-masses_kg = [1000.0, 1000.0]
-stiffness_n_per_m = [2e6, 2e6]
-damping_ratio = 0.01
-[[sensors]]
-channel = "a1"
-floor = 1
-[[sensors]]
-channel = "a2"
-floor = 2
-"""
+TWO_STORIES = shear_frame_text([1000.0, 1000.0], [2e6, 2e6])
 
 
 def run(environment: Path, *arguments: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:

@@ -14,9 +14,8 @@ import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +27,7 @@ from tests.support import live_site
 from tests.support.hooks import Drip, Hook
 from tests.support.http import fetch
 from tests.support.live_site import LiveDaemon
+from tests.support.repeating import Repeating
 from tests.support.site import SITE
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
@@ -111,30 +111,6 @@ def hold(port: int, count: int, text: bytes, held: list[socket.socket]) -> None:
             one.sendall(text)
 
 
-class Attack:
-    """Threads that repeat a request until the end, whatever becomes of it."""
-
-    def __init__(self) -> None:
-        self.answers = 0
-        self._ended = threading.Event()
-        self._threads: list[threading.Thread] = []
-
-    def repeat(self, act: Callable[[], None], pause_s: float) -> None:
-        def work() -> None:
-            while not self._ended.wait(pause_s):
-                with contextlib.suppress(OSError):
-                    act()
-                    self.answers += 1
-
-        self._threads.append(threading.Thread(target=work))
-        self._threads[-1].start()
-
-    def end(self) -> None:
-        self._ended.set()
-        for thread in self._threads:
-            thread.join(30.0)
-
-
 def read_slowly(port: int) -> None:
     """Take a byte of the answer now and then, for longer than the server waits."""
     with socket.create_connection(("127.0.0.1", port), 10.0) as one:
@@ -150,15 +126,15 @@ class Ports(NamedTuple):
 
 
 def soak(
-    daemon: LiveDaemon, seconds: float, ports: Ports, hook: Hook, attack: Attack, held: list[socket.socket]
+    daemon: LiveDaemon, seconds: float, ports: Ports, hook: Hook, attack: Repeating, held: list[socket.socket]
 ) -> None:
     """Attack the daemon, look at it for a while, and end it."""
     daemon.wait_for_windows(5)
     hold(ports.metrics, 200, b"GET /metrics HTTP/1.1\r\n", held)
     hold(ports.viewer, 100, b"PRI * HTTP/2.0\r\n", held)
     for _ in range(2):
-        attack.repeat(lambda: read_slowly(ports.metrics), 0.0)
-        attack.repeat(lambda: fetch(ports.metrics) and None, 0.0)
+        attack.start(lambda: read_slowly(ports.metrics), 0.0)
+        attack.start(lambda: fetch(ports.metrics) and None, 0.0)
     daemon.until(lambda: hook.got, "the address that is well has its message")
     daemon.until(lambda: "Notifier" in daemon.failed, "the address that drips is told")
     time.sleep(seconds / 5.0)  # until all that is made once has been made
@@ -174,7 +150,7 @@ def soak(
     assert np.ptp([s.threads for s in seen]) <= 4, seen
     assert np.ptp([s.handles for s in seen]) <= 40, seen
     assert seen[-1].memory_mb - seen[0].memory_mb < 64.0, seen
-    assert attack.answers > seconds  # readers are served beside those that hang
+    assert attack.done > seconds  # readers are served beside those that hang
     assert daemon.failed.keys() == {"Notifier"}, daemon.failed
     assert "address 1 (json) " in daemon.failed["Notifier"], daemon.failed
     assert seconds < 30.0 or "has taken" in daemon.failed["Notifier"], daemon.failed
@@ -190,7 +166,7 @@ def test_it_goes_on_judging_stays_as_it_is_and_ends(
     if user is not None:
         os.chown(folder, user, user)
     ports = Ports(free_port(), free_port())
-    drip, hook, attack, held = Drip(0.2), Hook(), Attack(), list[socket.socket]()
+    drip, hook, attack, held = Drip(0.2), Hook(), Repeating(), list[socket.socket]()
     tables = TABLES.format(viewer=ports.viewer, metrics=ports.metrics, drip=drip.address, hook=hook.url)
     (folder / "site.toml").write_text(SITE.replace('dir = "out"\n', f'dir = "out"{tables}', 1) + frame_text)
     live_site.save_stream(folder, record)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.statistics.weather_years import CASES, LOSSES, one
+from tests.damage.weather_years import CASES, LOSSES, one
 
 pytestmark = pytest.mark.slow
 

@@ -1,6 +1,6 @@
 """Coverage of the intervals of a diagnosis' sizes, on pairs of a healthy and a changed record.
 
-    .venv/bin/python -m tests.statistics.diagnosis_coverage FILE.jsonl [N] [--seed S] [--kinds loss,mass,gain] [--given]
+    .venv/bin/python -m tests.diagnosis.coverage FILE.jsonl [N] [--seed S] [--kinds loss,mass,gain] [--given]
 
 Each of the N structures has a healthy record, from which its baseline is learned, and for each kind a changed record with a
 place and a size of its own; all records have 600 s and 5 % noise.  Of four structures two are the paper's frame and one is
@@ -246,7 +246,7 @@ def report(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     """Diagnose what FILE does not hold yet, then print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.statistics.diagnosis_coverage", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.diagnosis.coverage", description=__doc__)
     parser.add_argument("file", type=Path, help="JSON lines, one a diagnosis; is added to")
     parser.add_argument("n", type=int, nargs="?", default=100, help="structures, each with a record of every kind")
     parser.add_argument("--seed", type=int, default=1)

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from prometheus_client.core import Metric
 
-from monitor.config import configuration
 from monitor.core import AlarmCondition, Level, WindowResult
 from monitor.damage import Known, State
 from monitor.publish import read_period, replay_text, to_json, write_period
@@ -24,6 +23,7 @@ from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_win
 from monitor.service.outlets.zenoh import ZenohOut
 from monitor.service.restart import lock
 from monitor.signals import Health, sensor_health
+from tests.support.frames import settings_of
 from tests.support.results import alarm, damage_reading, modal_estimate, stiffness_estimate, window_result
 from tests.support.samples import CHANNELS, T0_NS, Cut
 
@@ -77,11 +77,9 @@ class Site(Session):
 def test_a_state_reads_the_same_at_every_outlet(
     state: State, tmp_path: Path, frame_text: str, cut: Cut, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    structure = tmp_path / "frame.toml"
-    structure.write_text(frame_text)
     lines, metrics = Lines(), Metrics("bench", MetricsSettings())
     out = ZenohOut("bench", ZenohOutSettings(connect=("tcp/127.0.0.1:9",), connect_timeout_s=0.1))
-    site = Site(configuration.load(structure), None, (lines, metrics, out), None, tmp_path / "findings")
+    site = Site(settings_of(frame_text), None, (lines, metrics, out), None, tmp_path / "findings")
     try:
         channels = tuple(sensor_health.ChannelHealth(name, 0.0, 0.01, 0.05, 0, 0.0, 0.0, 1e-6) for name in CHANNELS)
         results: list[WindowResult | Health] = [window(index, state) for index in range(COUNT)]
@@ -147,9 +145,7 @@ def test_a_monitor_that_does_not_run_says_no_normal(tmp_path: Path) -> None:
 
 
 def test_an_alarm_that_a_restart_kept_stands_before_the_first_window(tmp_path: Path, frame_text: str) -> None:
-    structure = tmp_path / "frame.toml"
-    structure.write_text(frame_text)
-    site = Site(configuration.load(structure), None, (), None, tmp_path / "findings")
+    site = Site(settings_of(frame_text), None, (), None, tmp_path / "findings")
 
     def kept(level: Level) -> None:
         site.alter_alarm(

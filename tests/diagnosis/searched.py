@@ -26,9 +26,7 @@ CONFIG = Configuration.model_validate(
     }
 )
 
-
 REFERENCE = prior_from_drawing(CONFIG.model(), 0.01 * CONFIG.instrumented().prior_std, 3)
-
 
 GAIN = HeldOutGain(
     1.0,
@@ -38,7 +36,6 @@ GAIN = HeldOutGain(
     csd_error_after=0.1,
     heldout="every block judged by the fit to the others",
 )
-
 
 LOSS = "stiffness_change:story 2:relative=-0.1"
 
@@ -65,6 +62,11 @@ def recorded(*effects: Effect, rate_hz: float = 200.0) -> tuple[Segments, Contex
     return segments, context
 
 
+def stated(effect: Effect) -> Cause:
+    """As a cause whose size is known well."""
+    return Cause(effect, dict.fromkeys(effect.values(), 0.001))
+
+
 def searched(truth: tuple[str, ...], tried: tuple[str, ...], verdict: str, *, causes: int = 0) -> Case:
     """A diagnosis whose candidates are given, so that the search's choice is not what is tested here."""
     segments, context = recorded(*(parse_effect(t) for t in truth))
@@ -72,13 +74,12 @@ def searched(truth: tuple[str, ...], tried: tuple[str, ...], verdict: str, *, ca
     candidates = tuple(fit_candidate(posterior, null, parse_effect(t)) for t in tried)
     blank = diagnose(classify(segments), REFERENCE, context, DiagnosisSettings(worth=1e9))
     best = candidates[0]
-    std = dict.fromkeys(best.effect.values(), 0.001)
     ambiguous = verdict == "ambiguous"
     return Case(
         replace(
             blank,
             verdict=verdict,
-            causes=(Cause(best.effect, std),) * causes,
+            causes=(stated(best.effect),) * causes,
             alternatives=tuple((c, 1.0 / len(candidates)) for c in candidates) if ambiguous else (),
             left_over=blank.misfit if verdict == "unexplained" else (),
             candidates=candidates,

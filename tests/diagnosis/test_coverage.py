@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.statistics.diagnosis_coverage import KINDS, Coverage, Site, diagnose_site, draw_change, own_site, report
+from tests.diagnosis.coverage import KINDS, Coverage, Site, diagnose_site, draw_change, own_site, report
 
 
 def test_a_record_without_a_change_is_the_healthy_structure_and_one_with_a_gain_is_not() -> None:

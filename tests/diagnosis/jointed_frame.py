@@ -12,21 +12,12 @@ from monitor.inference import MapEstimate, Posterior, Segments, classify, gather
 from monitor.model import Effect, Model, StructuralPrior, parse_effect, prior_from_drawing, simulate
 from monitor.runs import cut_into_blocks, diagnose
 from tests.support.brisk import briefly
+from tests.support.frames import shear_frame
 from tests.support.reference import once
 
 RATE = 128.0
-
-
-FRAME = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
-
-
-SENSORS = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
-
-
-PLAIN = Configuration.model_validate({"structure": FRAME, "sensors": SENSORS})
+PLAIN = shear_frame([0.33, 0.35, 0.31], [2900.0, 1500.0, 1900.0])
 CONFIG = briefly(PLAIN)
-
-
 CONTEXT = CONFIG.instrumented().context(RATE)
 
 
@@ -82,7 +73,6 @@ def forces(share: float, more: float) -> str:
 
 FORCES, ANOTHER_DAY = forces(0.3, 0.0), forces(0.33, 0.06)
 """Of the forces, and how they are on another day."""
-
 
 TURNING = (
     "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=2.0,shape_2=1.5,shape_3=-0.9,"

@@ -1,6 +1,6 @@
 """Years of weather and storms over a frame, by a twin of its readings: false announcements, delays of losses.
 
-    .venv/bin/python -m tests.statistics.weather_years FILE.jsonl [YEARS] [SEED] [CASE ...]
+    .venv/bin/python -m tests.damage.weather_years FILE.jsonl [YEARS] [SEED] [CASE ...]
 
 A year in hourly windows of 400 s: temperature with seasons, days, spells and ten days of frost (slope four times that above 0
 degC: some 8 %), gales up to five times the day's level (joints that give by up to 2.4, 7.2, 4.8 %, half of it at three

@@ -1,6 +1,6 @@
 """Many emulated sites live over Zenoh at real pace: latency, losses, memory and processor of a host.
 
-``python -m tests.benchmarks.host --sites 200 60 --rates 100 1024 --seconds 1800 [--workers 2] --out DIR`` starts a router,
+``python -m tests.service.host_speed --sites 200 60 --rates 100 1024 --seconds 1800 [--workers 2] --out DIR`` starts a router,
 processes that emulate the sensors (counted apart) and ``shm-monitor host``, and prints one JSON object.  ``--spread 10`` lets the
 streams begin at different moments of ten seconds, as those of a city do.  ``--trouble`` adds three sites that are counted apart:
 one is sent garbage, one is flooded for a third of the time, and the sensor of one is killed halfway.  ``--arrivals`` simulates
@@ -25,13 +25,14 @@ import numpy as np
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
-from monitor.config import Configuration, configuration
+from monitor.config import Configuration
 from monitor.runs import Session
 from monitor.service.schedule import Line, Place
 from monitor.service.threads import BlockQueue
 from tests.support.frame_text import THREE_STORIES
 from tests.support.live_rig import ROOT, Command
 from tests.support.simulated import ambient
+from tests.support.site import judged_lines, lines
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
@@ -198,7 +199,7 @@ def _live(given: argparse.Namespace, sites: list[tuple[str, float]]) -> dict[str
         ready_s = time.monotonic() - begun_s
         before, begin_s = _used(host.pid), time.time() + 8.0
         emulators = _start_emulators(given, router, begin_s, len(sites))
-        own = [sys.executable, "-m", "tests.benchmarks.host", "--seconds", str(given.seconds), "--make-trouble"]
+        own = [sys.executable, "-m", "tests.service.host_speed", "--seconds", str(given.seconds), "--make-trouble"]
         trouble = [
             subprocess.Popen([*own, name, router, str(begin_s)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
             for name in (_TROUBLE if given.trouble else ())
@@ -228,7 +229,7 @@ def _live(given: argparse.Namespace, sites: list[tuple[str, float]]) -> dict[str
 
 def _start_emulators(given: argparse.Namespace, router: str, begin_s: float, count: int) -> list[subprocess.Popen[str]]:
     shares = -(-count // _PER_EMULATOR)
-    own = [sys.executable, "-m", "tests.benchmarks.host", "--seconds", str(given.seconds)]
+    own = [sys.executable, "-m", "tests.service.host_speed", "--seconds", str(given.seconds)]
     own += ["--sites", *map(str, given.sites), "--rates", *map(str, given.rates), "--spread", str(given.spread)]
     return [
         subprocess.Popen(
@@ -286,20 +287,8 @@ def _trouble(out: Path, told: list[str]) -> dict[str, Any]:
 
 
 def _is_replay(out: Path, name: str, window_s: float) -> bool:
-    from monitor.publish import Publisher
-
-    class Lines(Publisher):
-        def __init__(self) -> None:
-            self.lines: list[str] = []
-
-        def window(self, result: object, line: str) -> None:
-            self.lines.append(line)
-
-    kept = Lines()
-    session = Session(configuration.load(out / f"{name}.toml"), None, (kept,), None, out)
-    for _, block in recorded(out / f"out-{name}" / "recordings", 0):
-        session.push(block)
-    return (out / f"out-{name}" / "results.jsonl").read_text().splitlines() == kept.lines
+    kept = judged_lines(out / f"{name}.toml", [block for _, block in recorded(out / f"out-{name}" / "recordings", 0)])
+    return lines(out / f"out-{name}") == kept
 
 
 def _costs(rate_hz: float, sessions: int = 5) -> tuple[float, float]:
@@ -335,15 +324,12 @@ def _waits(sites: int, plain_s: float, window_s: float, hops: int = 6) -> dict[s
     places = [Place(Path(f"{k}"), str(k), None, queue=BlockQueue(1 << 20)) for k in range(sites)]
     for second in range(10 * hops):
         for place in places:
-            assert place.queue is not None
             block = SampleBlock(ACCELERATION, second, 0, 1.0, ("a",), "m/s^2", empty)
             place.queue.put(block)
             line.join(place)
         now_s = max(now_s, float(second))
         while (now_s < second + 1 or second == 10 * hops - 1) and (place := line.next()) is not None:
-            assert place.queue is not None
             item = place.queue.take(0.0)
-            assert item is not None
             arrived_s, is_window = float(item[0].t_ns), item[0].t_ns % 10 == 9  # by the clock of the simulation
             cost_s = window_s if is_window else plain_s
             now_s += cost_s

@@ -7,7 +7,7 @@ import pytest
 
 from monitor.core import DamageReading, Level
 from monitor.damage import AlarmSettings, alarm, sequential_test
-from tests.statistics.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S, evidence
+from tests.damage.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S, evidence
 from tests.statistics.alarms import (
     THRESHOLD,
     delay,

@@ -8,20 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.base import ACCELERATION, FORCE, GROUND
+from drivers.base import ACCELERATION, GROUND
 from monitor.config import Configuration
 from monitor.core import Array, BadInputError
 from monitor.diagnosis import DiagnosisSettings, diagnose, score
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.inference.linearization import linearize
-from monitor.inference.observed_spectra import classify
-from monitor.inference.posterior import Posterior
-from monitor.inference.segments import Segments, gather
-from monitor.inference.starting_point import make_posterior
+from monitor.inference import Posterior, Segments, classify, gather, linearize, make_posterior
 from monitor.model import Model, parse_effect, prior_from_drawing, simulate
-from monitor.model.simulation import level_wander, respond
 from monitor.runs import cut_into_blocks
-from tests.support.pushed_frame import FORCED, STRUCTURE, T0_NS, pushed
+from tests.model.pushed_frame import FORCED, T0_NS, pushed
+from tests.support.frames import shear_frame
 
 pytestmark = pytest.mark.engine
 
@@ -29,11 +25,8 @@ RATE = 1000.0
 
 
 def settings(**changes: object) -> Configuration:
-    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
     processing = {"rate_hz": 50.0, "cutoff_hz": 20.0, "window_s": 60.0, "hop_s": 5.0}
-    return Configuration.model_validate(
-        {"structure": {**STRUCTURE, **changes}, "sensors": sensors, "processing": processing}
-    )
+    return shear_frame([0.33, 0.35, 0.31], [2900.0, 1500.0, 1900.0], structure=changes, processing=processing)
 
 
 DRAWING = settings(masses_kg=[0.335, 0.345, 0.31], stiffness_n_per_m=[2800.0, 1550.0, 1950.0])
@@ -48,7 +41,6 @@ def recorded(
     motion = simulate(
         model, duration_s=120.0, rate_hz=rate_hz, excitation="ground", noise=0.01, level_spread=0.5, seed=seed
     )
-    assert motion.ground is not None
     late, second = round(earlier_s * rate_hz), round(rate_hz)
     streams = []
     for topic, x, names, start in (
@@ -80,7 +72,6 @@ def test_a_driven_frame_tells_its_cause(effects: tuple[str, ...], name: str | No
 def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_what_came_before_stays() -> None:
     whole = recorded(seed=12, rate_hz=200.0)
     part = recorded(seed=12, rate_hz=200.0, most_driven=12, lead_s=30.0)
-    assert whole.drive is not None and part.drive is not None
     assert part.t_s.size == part.values.shape[0] == part.drive.first.size == 12 < whole.t_s.size
     first = int(np.searchsorted(whole.t_s, part.t_s[0]))
     same = slice(first, first + 12)
@@ -100,13 +91,14 @@ def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_
 def windy(*effects: str, share: float, seed: int) -> Segments:
     """A frame on a shaken ground in wind that makes a share of the motion's variance; every sensor has noise of its own."""
     model = Model(settings().model().structure, tuple(parse_effect(e) for e in effects))
-    rng, n = np.random.default_rng(seed), round(90.0 * 200.0)
-    ground = level_wander(n, 200.0, 0.5, rng) * rng.standard_normal(n)
-    by_ground = respond(model, np.zeros((n, 3)), ground, 200.0)
-    by_wind = respond(model, level_wander(n, 200.0, 0.3, rng)[:, None] * rng.standard_normal((n, 3)), None, 200.0)
-    floors = by_ground + by_wind * np.sqrt(share / (1.0 - share) * by_ground.var() / by_wind.var())
+    shaken, blown = (
+        simulate(model, duration_s=90.0, rate_hz=200.0, excitation=kind, level_spread=spread, seed=seed + more)
+        for kind, spread, more in (("ground", 0.5, 0), ("ambient", 0.3, 1000))
+    )
+    ground, rng = shaken.ground, np.random.default_rng(seed)
+    floors = shaken.floors + blown.floors * np.sqrt(share / (1.0 - share) * shaken.floors.var() / blown.floors.var())
     floors += 0.02 * floors.std(axis=0) * rng.standard_normal(floors.shape)
-    ground = ground + 0.002 * ground.std() * rng.standard_normal(n)
+    ground = ground + 0.002 * ground.std() * rng.standard_normal(ground.size)
     streams = [(GROUND, ground[:, None], ("g",)), (ACCELERATION, floors, DRAWING.channels)]
     return gather(
         [b for t, x, names in streams for b in cut_into_blocks(t, x, names, 200.0, T0_NS, 200)], DRAWING.front_end()
@@ -131,10 +123,8 @@ def test_how_the_ground_moves_between_samples_is_asked_again_beside_a_cause() ->
     evidence = classify(recorded("added_mass:floor 3:mass_kg=0.06", seed=25, rate_hz=200.0))
     known, context = prior_from_drawing(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
     drive = fit_linearized(evidence, known, context)[0].observed.drive
-    assert drive is not None
     assert drive.between == "held", "another motion makes up for some of the mass"
     found = diagnose(evidence, known, context, DiagnosisSettings())
-    assert found.posterior.observed.drive is not None
     assert found.posterior.observed.drive.between != "held"
     assert [(c.effect.name, c.effect.location) for c in found.causes] == [("added_mass", "floor 3")]
     assert found.causes[0].effect.values()["mass_kg"] == pytest.approx(0.06, rel=0.02)
@@ -146,7 +136,6 @@ def test_how_the_ground_moves_between_slow_samples_is_found_and_no_cause_made_of
     known = prior_from_drawing(DRAWING.model(), DRAWING.instrumented().prior_std, 3)
     context = replace(CONTEXT, rate_hz=rate_hz)
     problem, null = fit_linearized(classify(segments), known, context)
-    assert problem.observed.drive is not None
     assert problem.observed.drive.between == "straight"
     left = problem.predict(null.x, ()).left
     assert left is not None
@@ -179,7 +168,6 @@ def test_the_response_explains_the_floors_and_a_wrong_frame_does_not() -> None:
 def test_a_ground_that_began_earlier_and_a_hole_in_both_change_nothing() -> None:
     """Each stretch without a hole is answered from its own beginning, at its own place in the ground's recording."""
     problem, x = _true_problem(recorded(seed=13, earlier_s=2.0, hole_s=70))
-    assert problem.observed.drive is not None
     assert np.unique(problem.observed.drive.run).size == 2
     mean = problem.mean(x, ())
     assert mean is not None
@@ -200,7 +188,6 @@ def test_drifts_follow_the_measured_ground() -> None:
         level_spread=0.5,
         seed=14,
     )
-    assert motion.ground is not None
     floors = motion.floors - motion.ground[:, None]
     spectrum = np.fft.rfft(floors, axis=0)
     hz = np.fft.rfftfreq(len(floors), 1.0 / RATE)
@@ -232,7 +219,6 @@ def unexplained_share(segments: Segments, config: Configuration) -> float:
 def test_the_response_to_a_measured_force_is_known(ground: bool) -> None:
     blocks = pushed(seed=3, ground=ground, late_s=7 * ground)
     segments = gather(blocks, FORCED.front_end())
-    assert segments.drive is not None
     assert {(one.name, one.floor) for one in segments.drive.inputs} == {("shaker", 2)} | (
         {("ground", None)} if ground else set()
     )
@@ -268,13 +254,5 @@ def test_a_force_that_the_structure_file_does_not_name_is_no_input() -> None:
 
 
 def test_where_the_inputs_end_inside_the_band_nothing_beyond_is_judged() -> None:
-    rate_hz, n = 256.0, round(120.0 * 256.0)
-    hz = np.fft.rfftfreq(n, 1.0 / rate_hz)
-    force = np.fft.irfft(np.fft.rfft(np.random.default_rng(5).standard_normal(n)) * (hz < 15.0), n=n)
-    floors = respond(FORCED.model(), np.column_stack([0 * force, force, 0 * force]), None, rate_hz)
-    blocks = [
-        *cut_into_blocks(ACCELERATION, floors, FORCED.channels, rate_hz, T0_NS, 256),
-        *cut_into_blocks(FORCE, force[:, None], ("shaker",), rate_hz, T0_NS, 256, unit="N"),
-    ]
-    segments = gather(sorted(blocks, key=lambda block: block.t_ns), FORCED.front_end())
+    segments = gather(pushed(seed=5, below_hz=15.0), FORCED.front_end())
     assert segments.whole.hz[-1] > 30.0 and 12.0 < segments.band.hz[-1] < 15.0
