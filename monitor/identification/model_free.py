@@ -84,9 +84,8 @@ def _certain(
 ) -> list[list[int]]:
     """Select the clusters with a pole that is more certain than stable poles may differ: the others are chance, or forces."""
     rows = [row for cluster in clusters for row in cluster]
-    square = dict(
-        zip(rows, (_deviations(window, realisation, poles, rows)[:, :, 0] ** 2).sum(axis=0).tolist(), strict=True)
-    )
+    squares = (_deviations(window, realisation, poles, rows)[:, :, 0] ** 2).sum(axis=0)
+    square = dict(zip(rows, squares.tolist(), strict=True))
     return [cluster for cluster in clusters if min(square[row] for row in cluster) <= select.stable_frequency**2]
 
 

@@ -209,14 +209,8 @@ def group_poles(poles: PoleTable, stable: Array, select: SelectionSettings, in_b
     enough = max(1.0, select.min_stable_share * min(len(poles.orders) - 1, max(roomy, len(poles.orders) // 3)))
     rows = np.flatnonzero(stable)
     group = np.full(stable.size, -1)
-    group[rows] = grouped(
-        poles.space[rows],
-        poles.frequency[rows],
-        poles.shape[rows],
-        2.0 * select.stable_frequency,
-        select.stable_mac,
-        enough,
-    )
+    near, alike = 2.0 * select.stable_frequency, select.stable_mac
+    group[rows] = grouped(poles.space[rows], poles.frequency[rows], poles.shape[rows], near, alike, enough)
     return group
 
 
@@ -240,16 +234,8 @@ def _match(
     from monitor.identification.kernels import IMPOSSIBLE, unlikeness
 
     group = group_poles(poles, stable, select, in_band)
-    cost = unlikeness(
-        group,
-        poles.frequency,
-        poles.shape,
-        len(poles.orders),
-        np.log(frequencies),
-        shapes,
-        log(select.max_frequency_ratio),
-        select.min_model_mac,
-    )
+    known = np.log(frequencies), shapes, log(select.max_frequency_ratio), select.min_model_mac
+    cost = unlikeness(group, poles.frequency, poles.shape, len(poles.orders), *known)
     found: list[list[int] | None] = [None] * len(frequencies)
     rest = {j: np.flatnonzero(group == j).tolist() for j in range(cost.shape[1])}
     matched = {int(i): int(j) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < IMPOSSIBLE}
@@ -425,9 +411,8 @@ def replace_split_modes(
     The two poles scatter about the mode, each with an uncertainty of percents.
     """
     cycles = found.frequencies_hz * window.sums.counts.sum() / window.rate_hz
-    allowed = found.frequencies_hz * np.sqrt(
-        found.damping_ratio / (2.0 * np.pi * cycles)
-    )  # Au, for a well-separated mode
+    # Au, for a well-separated mode.
+    allowed = found.frequencies_hz * np.sqrt(found.damping_ratio / (2.0 * np.pi * cycles))
     split = np.flatnonzero(found.frequencies_std_hz > _SPLIT * allowed)
     if not split.size:
         return found
