@@ -250,13 +250,7 @@ def group_poles(marked: MarkedPoles, select: SelectionSettings, in_band: int) ->
 
 
 def _match(
-    marked: MarkedPoles,
-    frequencies: Annotated[Array, "k"],
-    shapes: Annotated[Array, "k c"],
-    select: SelectionSettings,
-    in_band: int,
-    *,
-    in_places: bool,
+    marked: MarkedPoles, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int, *, in_places: bool
 ) -> tuple[list[list[int] | None], list[list[int]]]:
     """Find for each of the model's modes the stable poles of its counterpart, None where there is none, and the other modes'.
 
