@@ -153,7 +153,7 @@ class Drive:
         return np.asarray((power / np.maximum(power.mean(axis=0), np.finfo(float).tiny)).sum(axis=1))
 
     def moved(self, answers: Iterable[ComplexArray]) -> Iterator[tuple[NDArray[np.intp], Array]]:
-        """Yield every run's segments as `cut` returns them, for its frequency response to the inputs, shape (n_hz, columns, k)."""
+        """Yield every run's segments as `cut` returns them, for its frequency response to the inputs, (n_hz, columns, k)."""
         for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
             moved = np.einsum("fck,fk->cf", answer, run.spectrum[: len(answer)])
             yield self.cut(i, irfft(moved, n=run.n))
