@@ -64,8 +64,7 @@ def decode(
         raise ValueError(f"{at}{min(missing)} is missing")
     if unknown := tree.keys() - wanted.keys() - given.keys() - set(beside):
         raise ValueError(f"{at}{min(unknown)} is not known")
-    built = _fields(wanted, tree, place, dict(lengths), _array)
-    return cls(**built, **given)
+    return cls(**_fields(wanted, tree, place, dict(lengths), _array), **given)
 
 
 def to_plain(value: object, array: Callable[[np.ndarray], Any]) -> Any:

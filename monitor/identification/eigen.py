@@ -247,9 +247,8 @@ def _eigenvector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> b
         norm = max(norm, abs(h[k + 1, k]))
     least = _EPS * norm
     u[0, 0] -= pole
-    for k in range(
-        n - 1
-    ):  # Gaussian elimination of h - pole; a row is exchanged with the next where that has the larger pivot
+    # Gaussian elimination of h - pole; a row is exchanged with the next where that has the larger pivot.
+    for k in range(n - 1):
         subdiagonal = h[k + 1, k]
         for j in range(k + 1, n):
             u[k + 1, j] = h[k + 1, j]

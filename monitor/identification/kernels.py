@@ -14,12 +14,11 @@ IMPOSSIBLE = 1e3
 
 
 @compiled()
-def scatter(
-    products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]
-) -> Annotated[Array, "lags r c blocks"]:
+def scatter(products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]) -> Array:
     """Compute the deviation of each block's lagged products, about the window's mean, from those of the mean block.
 
-    The products are as in `LagSums`; `past` are the channels of the first factors.  The lags are from 1 on.
+    The products are as in `LagSums`; `past` are the channels of the first factors.  The axes are lags from 1 on, first
+    and second factor, and blocks.
     """
     n_blocks, n_lags, c, _ = products.shape
     out, share = np.empty((n_lags - 1, past.size, c, n_blocks)), counts / counts.sum()

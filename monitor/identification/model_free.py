@@ -14,17 +14,15 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array, ModalEstimate, Skipped, Window
-from monitor.identification.ssi import PoleTable, Realisation, SsiSettings
+from monitor.identification.ssi import PoleTable, SsiSettings
 from monitor.identification.stabilization import (
     BAND,
     WITHOUT_INTERVAL,
+    MarkedPoles,
     SelectionSettings,
-    deviations_of,
     distinct,
-    estimate_of,
     group_poles,
     has_intervals,
-    marked_poles,
     replace_split_modes,
 )
 from monitor.identification.whittle import RefinementSettings, refine
@@ -48,22 +46,22 @@ def identify_modes(
     past = past or tuple(range(window.sums.head.shape[1]))
     highest_hz = BAND * window.rate_hz if cutoff_hz is None else cutoff_hz
     cutoff = 0.5 if cutoff_hz is None else cutoff_hz / window.rate_hz
-    realisation, poles, stable = marked_poles(window, ssi, select, past, select.max_modes, cutoff, highest_hz)
-    clusters = _certain(window, realisation, poles, _clusters(poles, stable, select), select)
+    marked = MarkedPoles.of(window, ssi, select, past, select.max_modes, cutoff, highest_hz)
+    clusters = _certain(marked, _clusters(marked, select), select)
     if not clusters:
         return Skipped("no mode is stable over the orders of identification and certain enough")
     refiner = partial(refine, window, settings=refinement)
-    estimates = [estimate_of(window, poles, stable, rows, np.arange(len(rows))) for rows in _starts(poles, clusters)]
+    starts = _starts(marked.table, clusters)
+    estimates = [marked.estimate(rows, np.arange(len(rows))) for rows in starts]
     refined = _refine(estimates, refiner)
     if refined is not None:
         return refined
-    found, rows = estimates[0], _starts(poles, clusters)[0]
-    found = replace(found, deviations=_deviations(window, realisation, poles, rows))
-    found = replace_split_modes(window, realisation, poles, rows, found, select)
+    found = replace(estimates[0], deviations=_deviations(marked, starts[0]))
+    found = replace_split_modes(marked, starts[0], found, select)
     return found if has_intervals(found) else Skipped(WITHOUT_INTERVAL)
 
 
-def _clusters(poles: PoleTable, stable: Array, select: SelectionSettings) -> list[list[int]]:
+def _clusters(marked: MarkedPoles, select: SelectionSettings) -> list[list[int]]:
     """Group the stable poles into modes, by frequency: each a list of rows of the table, by order.
 
     In how many orders a mode must be stable depends on how many orders have room for all modes, and so on their number.  It is
@@ -71,33 +69,29 @@ def _clusters(poles: PoleTable, stable: Array, select: SelectionSettings) -> lis
     """
     count = 0
     while True:
-        group = group_poles(poles, stable, select, count)
+        group = group_poles(marked, select, count)
         found = [np.flatnonzero(group == k).tolist() for k in range(group.max(initial=-1) + 1)]
-        kept = distinct(poles, [], found, select)
+        kept = distinct(marked.table, [], found, select)
         if len(kept) <= count:
             return kept
         count = len(kept)
 
 
-def _certain(
-    window: Window, realisation: Realisation, poles: PoleTable, clusters: list[list[int]], select: SelectionSettings
-) -> list[list[int]]:
+def _certain(marked: MarkedPoles, clusters: list[list[int]], select: SelectionSettings) -> list[list[int]]:
     """Select the clusters with a pole that is more certain than stable poles may differ: the others are chance, or forces."""
     rows = [row for cluster in clusters for row in cluster]
-    square = dict(
-        zip(rows, (_deviations(window, realisation, poles, rows)[:, :, 0] ** 2).sum(axis=0).tolist(), strict=True)
-    )
+    squares = (_deviations(marked, rows)[:, :, 0] ** 2).sum(axis=0)
+    square = dict(zip(rows, squares.tolist(), strict=True))
     return [cluster for cluster in clusters if min(square[row] for row in cluster) <= select.stable_frequency**2]
 
 
-def _deviations(
-    window: Window, realisation: Realisation, poles: PoleTable, rows: list[int]
-) -> Annotated[Array, "blocks rows 2+2c"]:
+def _deviations(marked: MarkedPoles, rows: list[int]) -> Annotated[Array, "blocks rows 2+2c"]:
     """Compute the deviations of poles of any orders."""
-    out = np.zeros((len(window.sums.products), len(rows), 2 + 2 * window.sums.head.shape[1]))
-    for space in np.unique(poles.space[rows]):
-        alike = np.flatnonzero(poles.space[rows] == space)
-        out[:, alike] = deviations_of(window, realisation, poles, [rows[k] for k in alike])
+    sums, space_of = marked.window.sums, marked.table.space[rows]
+    out = np.zeros((len(sums.products), len(rows), 2 + 2 * sums.head.shape[1]))
+    for space in np.unique(space_of):
+        alike = np.flatnonzero(space_of == space)
+        out[:, alike] = marked.deviations([rows[k] for k in alike])
     return out
 
 

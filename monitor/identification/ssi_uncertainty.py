@@ -24,12 +24,7 @@ from monitor.identification.ssi import Realisation, StateSpace
 
 
 def mode_deviations(
-    sums: LagSums,
-    realisation: Realisation,
-    space: StateSpace,
-    chosen: list[int],
-    shapes: Annotated[ComplexArray, "m c"],
-    rate_hz: float,
+    sums: LagSums, realisation: Realisation, space: StateSpace, chosen: list[int], shapes: ComplexArray, rate_hz: float
 ) -> Annotated[Array, "blocks m 2+2c"]:
     """Compute the influence of every block on ln f, damping ratio, real and imaginary part of the shape of the chosen modes.
 
@@ -48,16 +43,13 @@ def mode_deviations(
     apart[modes, chosen] = np.inf
     d_shape = d_ov[:, :l] + space.shapes @ (moved / apart[..., None])
     gauge = np.abs(shapes - 1.0).argmin(axis=1)
-    d_shape = (d_shape - shapes[..., None] * d_shape[modes, gauge][:, None]) / space.shapes[gauge, chosen][
-        :, None, None
-    ]
+    at_gauge = space.shapes[gauge, chosen][:, None, None]
+    d_shape = (d_shape - shapes[..., None] * d_shape[modes, gauge][:, None]) / at_gauge
     influence = np.concatenate([d_ln_f[:, None], d_damping[:, None], d_shape.real, d_shape.imag], axis=1)
     return np.ascontiguousarray(influence.transpose(2, 0, 1))
 
 
-def _observability_influence(
-    sums: LagSums, realisation: Realisation, states: Annotated[ComplexArray, "n m"]
-) -> ComplexArray:
+def _observability_influence(sums: LagSums, realisation: Realisation, states: ComplexArray) -> ComplexArray:
     """Compute dO of every block, the last axis, times m state vectors, the first."""
     from monitor.identification.kernels import scatter  # compiled code takes a while to load
 

@@ -8,9 +8,9 @@ S.-K. Au, Uncertainty law in ambient modal identification, part I, Mechanical Sy
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import ceil, log
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,10 +139,11 @@ def identify(
         return Skipped("every mode of the model lies beyond the band; check the units of masses and stiffness")
     shapes = (sensors @ reference.shapes[:, list(wanted)]).T
     cutoff = 0.5 if cutoff_hz is None else cutoff_hz / window.rate_hz
-    realisation, poles, stable = marked_poles(window, ssi, select, past, len(wanted), cutoff, BAND * window.rate_hz)
+    marked = MarkedPoles.of(window, ssi, select, past, len(wanted), cutoff, BAND * window.rate_hz)
+    poles = marked.table
     in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
     frequencies = reference.frequencies_hz[list(wanted)]
-    modes, rest = _match(poles, stable, frequencies, shapes, select, in_band, in_places=measured)
+    modes, rest = _match(marked, frequencies, shapes, select, in_band, in_places=measured)
     clusters = [m for m in modes if m is not None]
     # Canonical correlations rank all modes alike, also those not wanted, which need room; by energy the strong ones come first.
     crowd = min(in_band, ssi.max_order // 2 - 2) if ssi.used(window.sums.head.shape[1]) in ("CVA", "UPC") else 0
@@ -156,7 +157,7 @@ def identify(
         for row in _common_order(poles, [cluster], enough) or []
         if poles.frequency[row] < cutoff * window.rate_hz
     ]
-    others = _other_modes(window, realisation, poles, beside, select, with_std=ssi.uncertainty)
+    others = _other_modes(marked, beside, select, with_std=ssi.uncertainty)
     missing = tuple(
         (i, _why_missing(i, f, shape, others, select, known))
         for i, f, shape, m in zip(wanted, frequencies.tolist(), shapes, modes, strict=True)
@@ -165,7 +166,7 @@ def identify(
     if not clusters and not others:
         return Skipped("; ".join(why for _, why in missing))
     found = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
-    estimate = _estimate(window, realisation, poles, stable, chosen, found, refiner, ssi, select)
+    estimate = _estimate(marked, chosen, found, refiner, ssi, select)
     if not has_intervals(estimate):
         return Skipped(WITHOUT_INTERVAL)
     return replace(estimate, others=others, missing=missing)
@@ -176,28 +177,61 @@ def has_intervals(estimate: ModalEstimate) -> bool:
     return not len(estimate.deviations) or bool((estimate.frequencies_std_hz > 0.0).all())
 
 
-def marked_poles(
-    window: Window, ssi: SsiSettings, select: SelectionSettings, past: tuple[int, ...], n_modes: int, cutoff: float,
-    highest_hz: float,
-) -> tuple[Realisation, PoleTable, Annotated[Array, "poles"]]:  # fmt: skip
-    """Identify the poles of all orders with room for so many modes, and mark with 1 each that recurs from the next lower order.
+@dataclass(frozen=True, eq=False, slots=True)
+class MarkedPoles:
+    """Poles of a window for all orders, and which of them are stable."""
 
-    `cutoff` is the lowpass's, in cycles per sample.  If the orders cover all states of the data, all poles of the last one are
-    stable.
-    """
-    from monitor.identification.kernels import recurring  # compiled code takes a while to load
+    window: Window
+    realisation: Realisation
+    table: PoleTable
+    stable: Annotated[Array, "poles"]
+    """1 for each pole that recurs from the next lower order, else 0."""
 
-    max_order = max(ssi.max_order, ORDERS_PER_MODE * n_modes)
-    realisation = realise(window.sums, ssi, past, max_order, cutoff)
-    band_hz, damping = (select.min_frequency_hz, highest_hz), (0.0, select.max_damping_ratio)
-    poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
-    stable = recurring(poles.space, poles.frequency, poles.shape, select.stable_frequency, select.stable_mac)
-    if realisation.singular_values.size < max_order:
-        stable[poles.space == len(poles.orders) - 1] = 1.0
-    return realisation, poles, stable
+    @classmethod
+    def of(
+        cls, window: Window, ssi: SsiSettings, select: SelectionSettings, past: tuple[int, ...], n_modes: int,
+        cutoff: float, highest_hz: float,
+    ) -> Self:  # fmt: skip
+        """Identify the poles of all orders with room for so many modes; `cutoff` is the lowpass's, in cycles per sample.
+
+        If the orders cover all states of the data, all poles of the last one are stable.
+        """
+        from monitor.identification.kernels import recurring  # compiled code takes a while to load
+
+        max_order = max(ssi.max_order, ORDERS_PER_MODE * n_modes)
+        realisation = realise(window.sums, ssi, past, max_order, cutoff)
+        band_hz, damping = (select.min_frequency_hz, highest_hz), (0.0, select.max_damping_ratio)
+        poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
+        stable = recurring(poles.space, poles.frequency, poles.shape, select.stable_frequency, select.stable_mac)
+        if realisation.singular_values.size < max_order:
+            stable[poles.space == len(poles.orders) - 1] = 1.0
+        return cls(window, realisation, poles, stable)
+
+    def estimate(self, rows: list[int], model_mode: NDArray[np.int64]) -> ModalEstimate:
+        """Form the estimate of the poles `rows`, without deviations."""
+        poles = self.table
+        orders = np.array(poles.orders, float)[poles.space]
+        return ModalEstimate(
+            frequencies_hz=poles.frequency[rows],
+            damping_ratio=poles.damping[rows],
+            shapes=normalize(poles.shape[rows]),
+            model_mode=model_mode,
+            deviations=np.zeros((0, len(rows), 2 + 2 * poles.shape.shape[1])),
+            first=self.window.first_block,
+            order=int(orders[rows].max(initial=0.0)),
+            poles=np.stack([orders, poles.frequency, poles.damping, self.stable], axis=1),
+        )
+
+    def deviations(self, rows: list[int]) -> Array:
+        """Compute the deviations (`mode_deviations`) of modes whose poles (`rows`) are all of one order."""
+        poles, window = self.table, self.window
+        space = state_space(self.realisation, poles.orders[poles.space[rows[0]]])
+        columns = [int(np.abs(space.poles - pole).argmin()) for pole in poles.value[rows]]
+        shapes = normalize(poles.shape[rows])
+        return mode_deviations(window.sums, self.realisation, space, columns, shapes, window.rate_hz)
 
 
-def group_poles(poles: PoleTable, stable: Array, select: SelectionSettings, in_band: int) -> NDArray[np.intp]:
+def group_poles(marked: MarkedPoles, select: SelectionSettings, in_band: int) -> Annotated[NDArray[np.intp], "poles"]:
     """Group the stable poles of all orders into modes: the number of each pole's mode, -1 for none.
 
     A mode must be stable in the share `min_stable_share` of the orders with room for `in_band` modes.  At least a third of all
@@ -205,30 +239,18 @@ def group_poles(poles: PoleTable, stable: Array, select: SelectionSettings, in_b
     """
     from monitor.identification.kernels import grouped  # compiled code takes a while to load
 
+    poles, stable = marked.table, marked.stable
     roomy = sum(order >= 2 * in_band for order in poles.orders)
     enough = max(1.0, select.min_stable_share * min(len(poles.orders) - 1, max(roomy, len(poles.orders) // 3)))
     rows = np.flatnonzero(stable)
     group = np.full(stable.size, -1)
-    group[rows] = grouped(
-        poles.space[rows],
-        poles.frequency[rows],
-        poles.shape[rows],
-        2.0 * select.stable_frequency,
-        select.stable_mac,
-        enough,
-    )
+    near, alike = 2.0 * select.stable_frequency, select.stable_mac
+    group[rows] = grouped(poles.space[rows], poles.frequency[rows], poles.shape[rows], near, alike, enough)
     return group
 
 
 def _match(
-    poles: PoleTable,
-    stable: Array,
-    frequencies: Annotated[Array, "k"],
-    shapes: Annotated[Array, "k c"],
-    select: SelectionSettings,
-    in_band: int,
-    *,
-    in_places: bool,
+    marked: MarkedPoles, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int, *, in_places: bool
 ) -> tuple[list[list[int] | None], list[list[int]]]:
     """Find for each of the model's modes the stable poles of its counterpart, None where there is none, and the other modes'.
 
@@ -239,17 +261,9 @@ def _match(
 
     from monitor.identification.kernels import IMPOSSIBLE, unlikeness
 
-    group = group_poles(poles, stable, select, in_band)
-    cost = unlikeness(
-        group,
-        poles.frequency,
-        poles.shape,
-        len(poles.orders),
-        np.log(frequencies),
-        shapes,
-        log(select.max_frequency_ratio),
-        select.min_model_mac,
-    )
+    poles, group = marked.table, group_poles(marked, select, in_band)
+    known = np.log(frequencies), shapes, log(select.max_frequency_ratio), select.min_model_mac
+    cost = unlikeness(group, poles.frequency, poles.shape, len(poles.orders), *known)
     found: list[list[int] | None] = [None] * len(frequencies)
     rest = {j: np.flatnonzero(group == j).tolist() for j in range(cost.shape[1])}
     matched = {int(i): int(j) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < IMPOSSIBLE}
@@ -315,22 +329,16 @@ def _why_missing(
 
 
 def _other_modes(
-    window: Window,
-    realisation: Realisation,
-    poles: PoleTable,
-    rows: list[int],
-    select: SelectionSettings,
-    *,
-    with_std: bool,
+    marked: MarkedPoles, rows: list[int], select: SelectionSettings, *, with_std: bool
 ) -> tuple[OtherMode, ...]:
     """Form the estimates of the modes, given by one pole each, that have no counterpart in the model.
 
     A pole that is less certain than stable poles may differ is left out: forces that change split modes into such poles.
     """
-    relative = dict.fromkeys(rows, float("nan"))
+    poles, relative = marked.table, dict.fromkeys(rows, float("nan"))
     for space in sorted(set(poles.space[rows].tolist())) if with_std else ():
         alike = [row for row in rows if poles.space[row] == space]
-        squares = (deviations_of(window, realisation, poles, alike)[:, :, 0] ** 2).sum(axis=0)
+        squares = (marked.deviations(alike)[:, :, 0] ** 2).sum(axis=0)
         relative |= dict(zip(alike, np.sqrt(squares).tolist(), strict=True))
     return tuple(
         OtherMode(
@@ -360,10 +368,7 @@ def _common_order(poles: PoleTable, clusters: list[list[int]], enough: int) -> l
 
 
 def _estimate(
-    window: Window,
-    realisation: Realisation,
-    poles: PoleTable,
-    stable: Array,
+    marked: MarkedPoles,
     rows: list[int],
     wanted: tuple[int, ...],
     refiner: Callable[[ModalEstimate], ModalEstimate] | None,
@@ -371,29 +376,12 @@ def _estimate(
     select: SelectionSettings,
 ) -> ModalEstimate:
     """Form the estimate of the chosen poles (`rows`), refine it if possible, and compute its deviations."""
-    estimate = estimate_of(window, poles, stable, rows, np.array(wanted, dtype=np.int64))
+    estimate = marked.estimate(rows, np.array(wanted, dtype=np.int64))
     better = estimate if refiner is None or not rows else refiner(estimate)
     if better is not estimate or not ssi.uncertainty or not rows:
         return better
-    estimate = replace(estimate, deviations=deviations_of(window, realisation, poles, rows))
-    return replace_split_modes(window, realisation, poles, rows, estimate, select)
-
-
-def estimate_of(
-    window: Window, poles: PoleTable, stable: Array, rows: list[int], model_mode: NDArray[np.int64]
-) -> ModalEstimate:
-    """Form the estimate of the poles `rows`, without deviations."""
-    orders = np.array(poles.orders, float)[poles.space]
-    return ModalEstimate(
-        frequencies_hz=poles.frequency[rows],
-        damping_ratio=poles.damping[rows],
-        shapes=normalize(poles.shape[rows]),
-        model_mode=model_mode,
-        deviations=np.zeros((0, len(rows), 2 + 2 * poles.shape.shape[1])),
-        first=window.first_block,
-        order=int(orders[rows].max(initial=0.0)),
-        poles=np.stack([orders, poles.frequency, poles.damping, stable], axis=1),
-    )
+    estimate = replace(estimate, deviations=marked.deviations(rows))
+    return replace_split_modes(marked, rows, estimate, select)
 
 
 def normalize(shapes: Annotated[ComplexArray, "m c"]) -> ComplexArray:
@@ -404,30 +392,18 @@ def normalize(shapes: Annotated[ComplexArray, "m c"]) -> ComplexArray:
     return np.asarray(scaled)
 
 
-def deviations_of(window: Window, realisation: Realisation, poles: PoleTable, rows: list[int]) -> Array:
-    """Compute the deviations (`mode_deviations`) of modes whose poles (`rows`) are all of one order."""
-    space = state_space(realisation, poles.orders[poles.space[rows[0]]])
-    columns = [int(np.abs(space.poles - pole).argmin()) for pole in poles.value[rows]]
-    return mode_deviations(window.sums, realisation, space, columns, normalize(poles.shape[rows]), window.rate_hz)
-
-
 def replace_split_modes(
-    window: Window,
-    realisation: Realisation,
-    poles: PoleTable,
-    rows: list[int],
-    found: ModalEstimate,
-    select: SelectionSettings,
+    marked: MarkedPoles, rows: list[int], found: ModalEstimate, select: SelectionSettings
 ) -> ModalEstimate:
     """Take each mode that is far more uncertain than ambient vibration implies from the order of least uncertainty.
 
     Nonstationary forces, for example an earthquake's, split one mode into two poles in most orders that have room for both.
     The two poles scatter about the mode, each with an uncertainty of percents.
     """
+    window, poles = marked.window, marked.table
     cycles = found.frequencies_hz * window.sums.counts.sum() / window.rate_hz
-    allowed = found.frequencies_hz * np.sqrt(
-        found.damping_ratio / (2.0 * np.pi * cycles)
-    )  # Au, for a well-separated mode
+    # Au, for a well-separated mode.
+    allowed = found.frequencies_hz * np.sqrt(found.damping_ratio / (2.0 * np.pi * cycles))
     split = np.flatnonzero(found.frequencies_std_hz > _SPLIT * allowed)
     if not split.size:
         return found
@@ -436,7 +412,7 @@ def replace_split_modes(
         near = np.abs(poles.frequency / poles.frequency[rows[m]] - 1.0) < 2.0 * select.stable_frequency
         alike = np.abs(poles.shape @ poles.shape[rows[m]].conj()) ** 2 > select.stable_mac
         same = np.flatnonzero(near & alike)
-        candidates = [deviations_of(window, realisation, poles, [row])[:, 0] for row in same.tolist()]
+        candidates = [marked.deviations([row])[:, 0] for row in same.tolist()]
         best = int(np.argmin([(d[:, 0] ** 2).sum() for d in candidates]))
         chosen[m], deviations[:, m] = same[best], candidates[best]
     return replace(

@@ -131,14 +131,8 @@ def starting_point(layout: Layout, modes: ModalEstimate, mean: Annotated[Complex
     gauge = modes.shapes[np.arange(m), list(layout.gauges)]
     i, j = triangle(c)
     power = mean[i == j].real
-    p = Point(
-        np.log(modes.frequencies_hz),
-        np.log(modes.damping_ratio),
-        (modes.shapes / gauge[:, None]).real.T,
-        np.eye(m),
-        0.01 * (power @ layout.sizes) / layout.sizes.sum(),
-        np.zeros(2),
-    )
+    shapes, noise = (modes.shapes / gauge[:, None]).real.T, 0.01 * (power @ layout.sizes) / layout.sizes.sum()
+    p = Point(np.log(modes.frequencies_hz), np.log(modes.damping_ratio), shapes, np.eye(m), noise, np.zeros(2))
     rough = np.zeros((mean.shape[1], c, c), dtype=complex)
     rough[:, i, j] = mean.T
     rough[:, j, i] = mean.conj().T
@@ -174,15 +168,8 @@ def take_step(layout: Layout, p: Point, step: Array) -> Point:
         forces[i, j] += value
         forces[j, i] = forces[i, j]
     ln_noise, colour = np.split(np.clip(step[2 * m + n_free + len(layout.pairs) :], -1.0, 1.0), [p.noise.size])
-    ln_damping = p.ln_damping + np.clip(step[m : 2 * m], -0.5, 0.5)
-    return Point(
-        p.ln_f + np.clip(step[:m], -0.02, 0.02),
-        ln_damping,
-        shapes,
-        forces,
-        p.noise * np.exp(ln_noise),
-        p.colour + colour,
-    )
+    ln_f, ln_damping = p.ln_f + np.clip(step[:m], -0.02, 0.02), p.ln_damping + np.clip(step[m : 2 * m], -0.5, 0.5)
+    return Point(ln_f, ln_damping, shapes, forces, p.noise * np.exp(ln_noise), p.colour + colour)
 
 
 def shrunk_uncertainty(influence: Annotated[Array, "segments n"], covariance: Array) -> tuple[Array, Array]:

@@ -27,9 +27,7 @@ def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.in
 
 
 @compiled()
-def pack_columns(
-    u: Array | ComplexArray, v: Annotated[ComplexArray, "pools c columns"]
-) -> Annotated[ComplexArray, "columns pairs pools"]:
+def pack_columns(u: Array | ComplexArray, v: Annotated[ComplexArray, "pools c columns"]) -> ComplexArray:
     """Compute the upper triangles of ``u v^H + v u^H`` of every column; u may be the same for all pools."""
     pools, c, columns = v.shape
     out = np.empty((columns, c * (c + 1) // 2, pools), dtype=np.complex128)
@@ -45,9 +43,7 @@ def pack_columns(
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def modal_products(
-    w: Array, weights: Array, omega: Array, damping: Array, colour: Array
-) -> Annotated[ComplexArray, "pools 5 m m"]:
+def modal_products(w: Array, weights: Array, omega: Array, damping: Array, colour: Array) -> ComplexArray:
     """Compute the products of modal transfer functions g of acceleration, and of their derivatives, with every conjugate g.
 
     g includes the amplitude of the forces' spectrum, whose tilt and curvature are `colour`.  The five are of g itself, then of

@@ -191,9 +191,8 @@ class AmbientPosterior(Posterior):
             system = extended(bare, everything, context, condition)
             forces = force_matrix(system, everything, self.forces(x)[middle], n_extra)
             lines = packed(line_spectra(system, everything, band, context, condition)) if has_lines else np.zeros(())
-            return system, (
-                system.mass, system.damping, system.stiffness, system.sensors(context.sensors), forces, lines
-            )  # fmt: skip
+            matrices = system.mass, system.damping, system.stiffness
+            return system, (*matrices, system.sensors(context.sensors), forces, lines)
 
         def moved(i: int) -> tuple[Array, ...]:
             h, moved_x = self.nudged(x, i, effects)
@@ -210,13 +209,6 @@ class AmbientPosterior(Posterior):
 
         system, here = at(x, bare, context, everything)
         changes = [moved(i) for i in wanted]
-        slopes = system_slopes(
-            system,
-            everything,
-            self.forces(x)[middle],
-            [SystemChange(*change[:-1]) for change in changes],
-            band,
-            context,
-            condition,
-        )
+        of_system = [SystemChange(*change[:-1]) for change in changes]
+        slopes = system_slopes(system, everything, self.forces(x)[middle], of_system, band, context, condition)
         return slopes + np.array([change[-1] for change in changes]) if has_lines else slopes

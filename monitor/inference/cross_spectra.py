@@ -296,10 +296,8 @@ def _integration_hz(rate_hz: float) -> Array:
     return np.exp(np.linspace(np.log(_LOWEST_HZ), np.log(0.5 * rate_hz), _LOG_STEPS))
 
 
-def extra_mode_response(
-    modes: Sequence[ExtraMode], hz: Array, context: Context
-) -> Annotated[ComplexArray, "hz c modes"]:
-    """Compute the frequency response of the true accelerations to a force on each extra mode."""
+def extra_mode_response(modes: Sequence[ExtraMode], hz: Array, context: Context) -> ComplexArray:
+    """Compute the frequency response of the true accelerations to a force on each extra mode, (n_hz, c, n_modes)."""
     out = np.empty((hz.size, len(context.channels), len(modes)), dtype=complex)
     for i, mode in enumerate(modes):
         f = mode.frequency_hz
@@ -414,9 +412,7 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
 
 
 @compiled(error_model="numpy")
-def _at_sensors(
-    floors: Annotated[ComplexArray, "omega N columns"], sensors: Array, ground: int, shares: Array
-) -> ComplexArray:
+def _at_sensors(floors: ComplexArray, sensors: Array, ground: int, shares: Array) -> ComplexArray:
     """Compute the sensors' absolute acceleration from that of the degrees of freedom relative to the ground.
 
     `ground` is the column of the ground, of whose own acceleration every channel has its share.

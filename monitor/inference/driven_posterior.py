@@ -168,12 +168,11 @@ class DrivenPosterior(Posterior):
         The slopes by an effect's own coordinates are those of the exact laws.  The slopes by nuisances are those of the
         linearized laws, which are faster, corrected by `exact_slopes` where known.
         """
-        wanted, linear = tuple(wanted), self._linear_mean(x, effects, mean)
+        wanted, linear = tuple(wanted), self._mean_by("linearized", x, effects, mean)
         has_own = any(i > self.layout.noise for i in wanted)
-        coarse = self._coarse_mean(x, effects, mean) if has_own else mean
-        exact = (
-            self.exact_slopes if self.exact_slopes is not None and self.exact_slopes.laws == _laws(effects) else None
-        )
+        coarse = self._mean_by("coarse", x, effects, mean) if has_own else mean
+        known = self.exact_slopes
+        exact = known if known is not None and known.laws == _laws(effects) else None
         out = []
         for i in wanted:
             h, moved = self.nudged(x, i, effects)
@@ -191,7 +190,7 @@ class DrivenPosterior(Posterior):
     def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
         def added(x: Array) -> ComplexArray:
             mean = self.mean(x, effects, laws="coarse")
-            return np.asarray(mean - self._linear_mean(x, effects, mean))
+            return np.asarray(mean - self._mean_by("linearized", x, effects, mean))
 
         at_fit = added(x)
 
@@ -203,17 +202,9 @@ class DrivenPosterior(Posterior):
         slopes[self._moving] = parallel_map(slope, self._moving)
         return replace(self, exact_slopes=ExactSlopes(_laws(effects), slopes))
 
-    def _linear_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
-        """Compute the linearized laws' response, given the exact laws' response `mean`."""
-        return self.mean(x, effects, laws="linearized") if self._has_laws(x, effects) else mean
-
-    def _coarse_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
-        """Compute the exact laws' response in long steps, given that in short ones."""
-        return self.mean(x, effects, laws="coarse") if self._has_laws(x, effects) else mean
-
-    def _has_laws(self, x: Array, effects: Sequence[Effect]) -> bool:
-        """Decide if a model has nonlinear laws."""
-        return any(e.nonlinear for e in self.effects(x, effects))
+    def _mean_by(self, laws: Laws, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
+        """Compute the response with nonlinear laws that act in another way, given that by the exact laws, `mean`."""
+        return self.mean(x, effects, laws=laws) if any(e.nonlinear for e in self.effects(x, effects)) else mean
 
     @property
     def _moving(self) -> list[int]:

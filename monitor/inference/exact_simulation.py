@@ -74,7 +74,8 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     e, context = posterior.observed, posterior.context_at(x)
     effects = posterior.effects(x, effects)
     nonlinear = _nonlinear_sensors(effects)
-    half = round(e.rate_hz / e.band.bin_hz / 2) if nonlinear else _half_segment_samples(posterior)
+    fast = int(next_fast_len(int(np.ceil(_STEPS_A_PERIOD * e.band.hz[-1] / e.band.bin_hz / 2.0))))
+    half = round(e.rate_hz / e.band.bin_hz / 2) if nonlinear else fast
     rate = 2.0 * half * e.band.bin_hz
     n, n_segments, known = context.structure.n_dofs, e.t_s.size, posterior.forces(x)
     density = np.empty((n_segments, n))
@@ -107,12 +108,6 @@ def _limit_band(forces: Annotated[Array, "samples n"], band: Band, rate_hz: floa
     if forced.all():
         return forces
     return np.asarray(irfft(rfft(forces, axis=0) * forced[:, None], n=len(forces), axis=0))
-
-
-def _half_segment_samples(posterior: Posterior) -> int:
-    """Choose the number of samples in half a segment of the simulation."""
-    band = posterior.observed.band
-    return int(next_fast_len(int(np.ceil(_STEPS_A_PERIOD * band.hz[-1] / band.bin_hz / 2.0))))
 
 
 def _nonlinear_sensors(effects: Sequence[Effect]) -> list[Effect]:
@@ -241,12 +236,8 @@ def _extra_mode_spectra(posterior: Posterior, x: Array, effects: Sequence[Effect
 
 def _noise_density(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
     """Compute the density of the channels' noise in every class, (m/s^2)^2/Hz."""
-    return np.array(
-        [
-            posterior.noise(x) + noise_density(effects, posterior.context, posterior.conditions[k])
-            for k in range(posterior.n_classes)
-        ]
-    )
+    added = [noise_density(effects, posterior.context, condition) for condition in posterior.conditions]
+    return posterior.noise(x) + np.array(added)
 
 
 def _linear_transforms(

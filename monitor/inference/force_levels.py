@@ -29,14 +29,13 @@ def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) 
     The rest, which none of them causes alone, is shared equally by the forces.  Shape (n + 1, classes, bins, c, c).
     """
     layout, n = posterior.layout, posterior.context.structure.n_dofs
-    posterior, noiseless = posterior.without_drift(), _without_noise(posterior, x)
+    posterior, noiseless = posterior.without_drift(), x.copy()
+    noiseless[layout.noise] = _LOG_NOTHING
     # The simulated correction and the known model error are relative to the spectra of all forces together.
     linear = posterior.of_model_alone()
     calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in posterior.conditions))
-    whole, ground = (
-        posterior.scatter(noiseless, effects),
-        linear.scatter(noiseless, effects) - calm.scatter(noiseless, effects),
-    )
+    whole = posterior.scatter(noiseless, effects)
+    ground = linear.scatter(noiseless, effects) - calm.scatter(noiseless, effects)
     none = noiseless.copy()
     none[layout.forces] = _LOG_NOTHING
     alone, unforced = [], calm.scatter(none, effects)
@@ -81,10 +80,3 @@ def fit_levels(parts: Annotated[ComplexArray, "parts bins c c"], noise: Spectrum
         step = np.linalg.lstsq(np.einsum("ifab,jfba->ij", slopes, slopes).real, rise, rcond=_MIN_SPECTRAL_DIFFERENCE)[0]
         level = np.maximum(level + step, _MIN_LEVEL_FACTOR * level)
     return level
-
-
-def _without_noise(posterior: Posterior, x: Array) -> Array:
-    """Return the parameters with no noise."""
-    noiseless = x.copy()
-    noiseless[posterior.layout.noise] = _LOG_NOTHING
-    return noiseless

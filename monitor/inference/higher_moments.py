@@ -104,9 +104,7 @@ def measure_moments(transforms: Transforms, posterior: Posterior, at: MapEstimat
 
 def simulate_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> Moments:
     """Compute the moments of simulated segments as `measure_moments` does, without standard deviations."""
-    split = _split_by_mode(transforms, posterior, at)
-    tails = np.array([_kurtosis(narrow, split.level)[0] for narrow in split.modes])
-    return Moments(drift_skewness(split.floors, posterior)[0], tails)
+    return measure_moments(transforms, posterior, at).mean
 
 
 def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:

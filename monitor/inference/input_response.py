@@ -152,18 +152,14 @@ class Drive:
         power = (np.abs(self.measured(band)) ** 2).sum(axis=1)
         return np.asarray((power / np.maximum(power.mean(axis=0), np.finfo(float).tiny)).sum(axis=1))
 
-    def moved(
-        self, answers: Iterable[Annotated[ComplexArray, "hz columns k"]]
-    ) -> Iterator[tuple[NDArray[np.intp], Annotated[Array, "members n columns"]]]:
-        """Yield the indices of every run's segments and their samples, for the runs' frequency responses to the inputs."""
+    def moved(self, answers: Iterable[ComplexArray]) -> Iterator[tuple[NDArray[np.intp], Array]]:
+        """Yield every run's segments as `cut` returns them, for its frequency response to the inputs, (n_hz, columns, k)."""
         for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
             moved = np.einsum("fck,fk->cf", answer, run.spectrum[: len(answer)])
             yield self.cut(i, irfft(moved, n=run.n))
 
-    def cut(
-        self, run: int, samples: Annotated[Array, "columns n"]
-    ) -> tuple[NDArray[np.intp], Annotated[Array, "members n columns"]]:
-        """Cut samples of the run with a number into its segments, and return these segments' indices with them."""
+    def cut(self, run: int, samples: Array) -> tuple[NDArray[np.intp], Annotated[Array, "members n columns"]]:
+        """Cut samples (columns, n) of a run into its segments, and return these segments' indices with them."""
         members = np.flatnonzero(self.run == run)
         windows = np.lib.stride_tricks.sliding_window_view(samples, self.design.n, axis=1)
         return members, np.moveaxis(windows[:, self.first[members]], 0, -1)

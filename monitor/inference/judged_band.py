@@ -79,11 +79,9 @@ def find_judged_band(transforms: Transforms, hz: Annotated[Array, "bins"]) -> Ju
     first, end = np.searchsorted(hz, [low, high])
     if end - first < 2:
         return JudgedBand(slice(0, hz.size))
-    forces = (
-        0.0 if lower is None else float(np.exp(-lower.half)),
-        np.inf if upper is None else float(np.exp(upper.half)),
-    )
-    return JudgedBand(slice(int(first), int(end)), forces)
+    begin_hz = 0.0 if lower is None else float(np.exp(-lower.half))
+    end_hz = np.inf if upper is None else float(np.exp(upper.half))
+    return JudgedBand(slice(int(first), int(end)), (begin_hz, end_hz))
 
 
 def _first(falls: Iterable[_Fall | None]) -> _Fall | None:
@@ -91,7 +89,7 @@ def _first(falls: Iterable[_Fall | None]) -> _Fall | None:
     return next((fall for fall in falls if fall is not None), None)
 
 
-def _steepest_fall(u: Array, level: Annotated[Array, "n c"], chance: float, least_order: float) -> _Fall | None:
+def _steepest_fall(u: Array, level: Array, chance: float, least_order: float) -> _Fall | None:
     """Find the steepest fall of all channels from an octave to everything beyond; None where none reaches the least order.
 
     The fall is taken for a Butterworth filter's, whose order and corner follow from the steepest part.  `u` are logarithms of the

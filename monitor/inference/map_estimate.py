@@ -146,18 +146,12 @@ def _maximize(
     )
     found = search.point
     last = search.linearization or _no_slopes(start.x.size)
-    return MapEstimate(
-        found.x,
-        found.effects,
-        found.log_likelihood,
-        found.log_prior,
-        inverse(last.normal),
-        search.converged,
-        last.slopes if keep_slopes else RowSlopes(np.zeros((0, start.x.size))),
-        last.residual,
-        last.mean_residual,
-        last.slopes.information,
-    )
+    slopes, information = last.slopes, last.slopes.information
+    estimate = MapEstimate(
+        found.x, found.effects, found.log_likelihood, found.log_prior, inverse(last.normal), search.converged,
+        slopes, last.residual, last.mean_residual, information,
+    )  # fmt: skip
+    return estimate if keep_slopes else estimate.without_slopes()
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -67,23 +67,11 @@ class Posterior(ForwardModel):
         middle = self.conditions[self.n_classes // 2]
         known = [e.known(self.context, middle) for e in effects]
         forces, force_precision = self.force_prior(x)
-        precision = block_diag(
-            self.prior.precision,
-            force_precision,
-            np.eye(self.n_classes) / LEVEL_STD**2,
-            np.eye(1) / _NOISE_STD**2,
-            *[np.diag(precision) for _, precision in known],
-        )
-        mean = np.concatenate(
-            [
-                self.prior.mean,
-                forces,
-                np.zeros(self.n_classes),
-                [x[self.layout.noise]],
-                *[m for m, _ in known],
-            ]
-        )
-        return mean, precision
+        levels, noise = np.eye(self.n_classes) / LEVEL_STD**2, np.eye(1) / _NOISE_STD**2
+        own = [np.diag(precision) for _, precision in known]
+        excitation = [forces, np.zeros(self.n_classes), [x[self.layout.noise]]]
+        mean = np.concatenate([self.prior.mean, *excitation, *[m for m, _ in known]])
+        return mean, block_diag(self.prior.precision, force_precision, levels, noise, *own)
 
     @abstractmethod
     def force_prior(self, x: Array) -> tuple[Annotated[Array, "n"], Annotated[Array, "n n"]]:

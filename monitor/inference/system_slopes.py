@@ -94,9 +94,7 @@ def system_slopes(
     return _sum_changes(left_re, left_im, right_re, right_im, 1.0 / omega, start, at, of_matrices, _TAPS, band.gain)
 
 
-def _entries(
-    changes: Sequence[SystemChange], size: int, c: int
-) -> tuple[NDArray[np.intp], Annotated[NDArray[np.intp], "entries 2"], Annotated[Array, "entries 3"]]:
+def _entries(changes: Sequence[SystemChange], size: int, c: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """List the entries of all changes that are not zero, ordered by change and by row of the right factor.
 
     Returned are the first entry of each change; the rows of the right factor and columns of the left one; and the factors of 1,

@@ -122,13 +122,11 @@ class Model:
             return self.structure.stiffness_derivatives()
         stiffness = self.structure.stiffness_n_per_m
         step = 1e-5 * stiffness
-        pairs = [(self.with_stiffness(stiffness + e), self.with_stiffness(stiffness - e)) for e in np.diag(step)]
-        return np.array(
-            [
-                (up.stiffness_matrix() - down.stiffness_matrix()) / (2.0 * h)
-                for (up, down), h in zip(pairs, step, strict=True)
-            ]
-        )
+
+        def at(change: Array) -> Array:
+            return self.with_stiffness(stiffness + change).stiffness_matrix()
+
+        return np.array([(at(e) - at(-e)) / (2.0 * h) for e, h in zip(np.diag(step), step, strict=True)])
 
     def modes(self) -> Modes:
         """Solve the undamped eigenvalue problem K phi = lambda M phi.

@@ -233,20 +233,11 @@ def prior_from_drawing(
     `prior_std` are relative standard deviations of stiffnesses, then masses.  Within the lowest `n_modes` modes the stiffness may
     be corrected, with the relative standard deviation `correction_std`.
     """
-    s = model.structure
-    n = s.mass_matrix().shape[0]
-    mean = np.concatenate(
-        [
-            np.log(s.stiffness_n_per_m),
-            np.log(np.diag(s.mass_matrix())),
-            np.log(model.damping_ratios()),
-            np.zeros(n_channels + n_modes * (n_modes + 1) // 2),
-            *[e.coordinates for e in model.effects],
-        ]
-    )
-    std = np.concatenate(
-        [prior_std, np.full(n, 0.7), np.full(n_channels, 0.1), np.full(n_modes * (n_modes + 1) // 2, correction_std)]
-    )
+    s, n_corrections = model.structure, n_modes * (n_modes + 1) // 2
+    sizes = [np.log(of) for of in (s.stiffness_n_per_m, np.diag(s.mass_matrix()), model.damping_ratios())]
+    mean = np.concatenate([*sizes, np.zeros(n_channels + n_corrections), *[e.coordinates for e in model.effects]])
+    beside = np.repeat([0.7, 0.1, correction_std], [s.n_dofs, n_channels, n_corrections])
+    std = np.concatenate([prior_std, beside])
     basis = correction_basis(model, n_modes)
     precision = np.diag(np.concatenate([std**-2.0, as_stated(model.effects)]))
     return StructuralPrior(model, mean, precision, basis).with_known_lines()

@@ -51,9 +51,7 @@ def linear_system(model: Model) -> System:
     return system
 
 
-def respond_exactly(
-    model: Model, forces: Annotated[Array, "samples columns"], rate_hz: float, *, appended: bool = False
-) -> Array:
+def respond_exactly(model: Model, forces: Array, rate_hz: float, *, appended: bool = False) -> Array:
     """Simulate the floors' accelerations relative to the ground, m/s^2, without nonlinear laws, from rest.
 
     The response is exact under forces (N) that are linear in time between samples.  Columns beyond n act on the degrees of

@@ -254,7 +254,6 @@ class Effect(ReportFace, ABC):
     A subclass adds one float field for each parameter, in the order of `parameters`.
     """
 
-    name: ClassVar[str]
     family: ClassVar[Literal["structure", "excitation", "sensor"]]
     places: ClassVar[tuple[str, ...]]
     """Allowed kinds of place: ``story``, ``floor``, ``channel``, ``channels`` (a pair), ``base``, ``frame``."""

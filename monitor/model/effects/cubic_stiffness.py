@@ -62,8 +62,9 @@ class CubicStiffness(Effect):
         return self.k3_n_per_m3 < 0.0
 
     def form_std_in(self, fitted: FittedModel) -> Array:
-        """The law of softening beyond the third order is not known.  With a fifth order like that of tanh, a size would differ by
-        twice the relative softening.
+        """The law of softening beyond the third order is not known.
+
+        With a fifth order like that of tanh, a size would differ by twice the relative softening.
         """
         if not self.is_softening:
             return self.form_std

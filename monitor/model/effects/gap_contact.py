@@ -36,10 +36,7 @@ class GapContact(Effect):
     conditional = True
     nonlinear = True
     amplitude_powers = (-1.0, 0.0)
-    form_uncertainty = (
-        0.05,
-        0.12,
-    )  # the stiffness of a contact while it closes is not known
+    form_uncertainty = (0.05, 0.12)  # the stiffness of a contact while it closes is not known
 
     gap_m: float
     """Drift at which the contact closes; negative for one that closes at negative drift."""
