@@ -300,10 +300,8 @@ def _growth_on_missing_modes(posterior: Posterior, fitted: MapEstimate) -> float
     The change of the logarithm of their density, the mean of the modes; 0 where there are none.
     """
     known, context = posterior.prior, posterior.context
-    then, now = (
-        np.array([np.linalg.norm(m.shape) for e in known.effects(x) for m in e.extra_modes(context)])
-        for x in (known.mean, fitted.x)
-    )
+    shapes = ([m.shape for e in known.effects(x) for m in e.extra_modes(context)] for x in (known.mean, fitted.x))
+    then, now = (np.array([np.linalg.norm(shape) for shape in own]) for own in shapes)
     tiny = np.finfo(float).tiny
     return 2.0 * float(np.log(np.maximum(now, tiny) / np.maximum(then, tiny)).mean()) if then.size else 0.0
 

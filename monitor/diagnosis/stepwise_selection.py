@@ -445,10 +445,8 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
     modes kept their damping ratios, or the structure kept its damping matrix.
     """
     posterior = update_linearization(posterior, fit)
-    before, after = (
-        posterior.model(fit.x, posterior.effects(fit.x, effects)).modes().frequencies_hz
-        for effects in (fit.effects[:-1], fit.effects)
-    )
+    models = (posterior.model(fit.x, posterior.effects(fit.x, effects)) for effects in (fit.effects[:-1], fit.effects))
+    before, after = (model.modes().frequencies_hz for model in models)
     change = np.nan_to_num(np.log(after / before), nan=_NO_FREQUENCY)
     ratios = replace(posterior, prior=posterior.prior.with_looser_damping(change))
     known = posterior.damped_as_built or isinstance(posterior, CorrectedPosterior)

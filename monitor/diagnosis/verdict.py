@@ -217,8 +217,7 @@ def _keep_confirmed_elsewhere(found: FittedCauses, settings: DiagnosisSettings) 
 def find_direction_beside_causes(found: FittedCauses, settings: DiagnosisSettings) -> LackOfFit | None:
     """Find that the forces act in another direction than at calibration, by the fit with the sensors' faults and machines alone.
 
-    Other causes may stand in for the direction; a channel that is exchanged, or a machine, changes the forces that are fitted
-    without it.
+    Other causes may stand in for the direction; an exchanged channel or a machine changes the forces that are fitted without it.
     Where the causes have forced an effect away from what it was at calibration, as a coupled mode, they are not believed either.
     """
     if not knows_direction(found.posterior):

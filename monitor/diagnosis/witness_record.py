@@ -100,7 +100,7 @@ class WitnessRecord:
         floors, ground = (self._streams.get((topic, False)) for topic in (ACCELERATION, GROUND))
         if floors is None or floors.design is None or GROUND in self._unusable:
             return None
-        witnesses = [s for (_, is_witness), s in self._streams.items() if is_witness and s is not None]
+        witnesses = self._witnesses()
         beside = [s for s in (ground, *witnesses) if s is not None and s.rate_hz == floors.rate_hz]
         if ground is not None and ground not in beside:
             return None
@@ -116,6 +116,10 @@ class WitnessRecord:
         found = {name: series[:, :, k] for s, series in by_stream for k, name in enumerate(s.channels)}
         still = frozenset(name for s in witnesses for name, moves in zip(s.channels, s.moves, strict=True) if not moves)
         return WitnessTransforms(hz, moved, None if ground is None else rest[0][:, :, 0], found, still)
+
+    def _witnesses(self) -> list[_Stream]:
+        """List the streams of the witnesses that the recording holds."""
+        return [s for (_, is_witness), s in self._streams.items() if is_witness and s is not None]
 
 
 class _Stream:
