@@ -81,8 +81,8 @@ def read_event_page(folder: Path, line: Mapping[str, Any]) -> EventPage:
         event = read_event(line)
     except (KeyError, TypeError, ValueError) as error:
         raise BadInputError(f"{folder / EVENTS}: not as the monitor writes it ({error!r})") from error
-    recording, site, seen, why_not = line.get("recording"), None, None, "The event's samples are not kept."
-    name = ""
+    recording, site, seen = line.get("recording"), None, None
+    name, why_not = "", "The event's samples are not kept."
     path = None if recording is None else folder / str(recording)
     if path is not None:
         name, site, found = _read_recording(path, event)
