@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import indent
 
 from monitor.config import configuration
 from monitor.core import MissingInputError, demand_place, missing_extra
@@ -28,20 +29,16 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
     parts = [recordings / "frame-before.mcap", recordings / "frame-after.mcap"]
     files = (recordings / "frame.toml", out / "baseline.json")
     summary = replay.replay(parts, frame, healthy, out, files=files, on_warning=on_warning)
-    say(_indent(replay_text(summary)))
+    say(indent(replay_text(summary), "   "))
     say("3. Replaying a measured frame (mini shake table, an earthquake record played by the table) ...")
     measured = configuration.load(recordings / "mini-shake-table-flexible.toml")
     target = out / "measured-frame"
     summary = replay.replay(
         [recordings / "mini-shake-table-flexible.mcap"], measured, None, target, on_warning=on_warning
     )
-    say(_indent(replay_text(summary)))
+    say(indent(replay_text(summary), "   "))
     if missing_extra("viewer") is None:
         say("Look at it:")
         for folder in (out, target):
             say(f"   .venv/bin/shm-monitor view {folder}    (--web for a browser)")
     say(f"Numbers: {out / 'results.jsonl'} (a line a window), {out / 'summary.json'}")
-
-
-def _indent(text: str) -> str:
-    return "\n".join(f"   {line}" for line in text.splitlines())

@@ -67,7 +67,6 @@ from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names,
 
 _IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
 """Setting that ignores overflow: a trial step of a fit that overflows has no likelihood, and is rejected for that."""
-
 NO_REFERENCE = "holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"
 """What is said of a baseline of too short recordings, or rebased on another drawing. [words]"""
 _MAX_INITIAL_CAUSES = 8

@@ -81,14 +81,12 @@ def read_event_page(folder: Path, line: Mapping[str, Any]) -> EventPage:
         event = read_event(line)
     except (KeyError, TypeError, ValueError) as error:
         raise BadInputError(f"{folder / EVENTS}: not as the monitor writes it ({error!r})") from error
-    recording, site, seen, why_not = line.get("recording"), None, None, "The event's samples are not kept."
-    name = ""
-    path = None if recording is None else folder / str(recording)
+    recording, site, seen, name = line.get("recording"), None, None, ""
+    path, why_not = None if recording is None else folder / str(recording), "The event's samples are not kept."
     if path is not None:
         name, site, found = _read_recording(path, event)
-        seen, why_not = (
-            (None, f"{found.reason[:1].upper()}{found.reason[1:]}.") if isinstance(found, Skipped) else (found, "")
-        )
+        why_not = f"{found.reason[:1].upper()}{found.reason[1:]}." if isinstance(found, Skipped) else ""
+        seen = None if isinstance(found, Skipped) else found
     checksum = None if path is None or not path.exists() else sha256(path)
     return EventPage(name or folder.resolve().name, event, recording, checksum, site, seen, why_not)
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.disk import destination
-from monitor.core import BadInputError, MissingInputError
+from monitor.core import BadInputError, MissingInputError, os_errors_of, tail_lines
 
 _READ_BYTES = 1 << 20
 """Bytes that are read at a time, and within which the last line begins. [bytes; cost]"""
@@ -31,35 +31,28 @@ def append_lines(ledger: Path, entries: Sequence[Mapping[str, Any]]) -> str:
 
     Raises MissingInputError if the ledger cannot be written; it is then as it was before.
     """
-    try:
-        with destination(ledger).open("a+b", buffering=0) as file:
-            _lock(file)
-            size = _remove_incomplete_line(file)
-            text, previous = b"", _link(file, size)
-            for entry in entries:
-                line = json.dumps({**entry, "previous": previous}, allow_nan=False).encode()
-                text, previous = text + line + b"\n", hashlib.sha256(line).hexdigest()
-            try:
-                rest = text
-                while rest:
-                    rest = rest[file.write(rest) :]
-                os.fsync(file.fileno())
-            except OSError:
-                file.truncate(size)
-                raise
-    except OSError as error:
-        raise MissingInputError(f"{ledger}: cannot be written: {error.strerror or error}") from error
+    with os_errors_of(ledger, "cannot be written: "), destination(ledger).open("a+b", buffering=0) as file:
+        _lock(file)
+        size = _remove_incomplete_line(file)
+        text, previous = b"", _link(file, size)
+        for entry in entries:
+            line = json.dumps({**entry, "previous": previous}, allow_nan=False).encode()
+            text, previous = text + line + b"\n", hashlib.sha256(line).hexdigest()
+        try:
+            rest = text
+            while rest:
+                rest = rest[file.write(rest) :]
+            os.fsync(file.fileno())
+        except OSError:
+            file.truncate(size)
+            raise
     return previous
 
 
 def read_head(ledger: Path) -> str | None:
     """Read the hash of the ledger's last line; None without a ledger that can be read, or without a line in it."""
-    try:
-        with ledger.open("rb", buffering=0) as file:
-            line = _last_line(file, file.seek(0, os.SEEK_END))
-    except OSError:
-        return None
-    return hashlib.sha256(line).hexdigest() if line else None
+    rows = tail_lines(ledger, _READ_BYTES)
+    return hashlib.sha256(rows[-1]).hexdigest() if rows and rows[-1] else None
 
 
 def verify(ledger: Path, heads: Sequence[str] = ()) -> int:

@@ -207,6 +207,7 @@ def _look(
         lowest_hz=lowest_hz,
     )
     facts = replace(facts, modes=remark_modes(facts))
+    columns = np.array_split(np.abs(transforms) ** 2, min(len(transforms), _SHOWN_COLUMNS))  # of the spectrogram
     return LookedRecording(
         files=tuple(map(str, paths)),
         notes=(*notes, *find_remarks(facts)),
@@ -224,7 +225,7 @@ def _look(
         singular_values=2.0 * np.linalg.eigvalsh(spectra)[:, ::-1].T,
         n_segments=len(transforms),
         spectrogram_s=(float(middles_s[0]), float(middles_s[-1])),
-        spectrogram=_thinned(np.abs(transforms) ** 2),
+        spectrogram=np.array([2.0 * part.mean(axis=0) for part in columns]),
         bands=tuple(bands),
         modes=facts.modes,
         doubts=find_doubts(facts),
@@ -300,12 +301,6 @@ def _transforms(runs: Sequence[_Run], rate_hz: float) -> tuple[ComplexArray, Seg
             transforms.append(transform(design, part - part.mean(axis=0)))
             middles.append((run.t_ns - runs[0].t_ns) * 1e-9 + (begin + n / 2) / rate_hz)
     return np.array(transforms), design, np.array(middles)
-
-
-def _thinned(power: Annotated[Array, "segments bins c"]) -> Annotated[Array, "columns bins c"]:
-    """Average the power of neighbouring segments to at most `_SHOWN_COLUMNS`."""
-    parts = np.array_split(power, min(len(power), _SHOWN_COLUMNS))
-    return np.array([2.0 * part.mean(axis=0) for part in parts])
 
 
 def _identify_bands(values: Annotated[Array, "n c"], rate_hz: float) -> list[LookedBand]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from math import ceil
-from typing import Annotated
 
 import numpy as np
 
@@ -154,7 +153,8 @@ def _matrices(modes: Sequence[LookedMode], mass_kg: float) -> list[str]:
     O'Callahan, Avitabile, Riemer: System equivalent reduction expansion process, Proc. IMAC VII, 1989.
     """
     n, m = len(modes[0].shape), len(modes)
-    basis = _basis(modes)
+    shapes = np.array([mode.shape.real / np.linalg.norm(mode.shape.real) for mode in modes]).T
+    basis = np.concatenate([shapes, np.linalg.svd(shapes)[0][:, m:]], axis=1)  # completed by what is orthogonal to them
     inverse = np.linalg.inv(basis)
     mass = inverse.T @ inverse
     mass *= mass_kg / mass.sum()
@@ -174,13 +174,6 @@ def _matrices(modes: Sequence[LookedMode], mass_kg: float) -> list[str]:
         f"stiffness_derivatives = [{derivatives}]",
         f"story_names = {json.dumps([f'mode {k}' for k in range(1, len(modes) + 1)])}",
     ]
-
-
-def _basis(modes: Sequence[LookedMode]) -> Annotated[Array, "n n"]:
-    """Form the shapes of unit norm as columns, completed to a basis by what is orthogonal to them."""
-    shapes = np.array([mode.shape.real / np.linalg.norm(mode.shape.real) for mode in modes]).T
-    u, _, _ = np.linalg.svd(shapes)
-    return np.concatenate([shapes, u[:, len(modes) :]], axis=1)
 
 
 def _processing(found: LookedRecording, modes: Sequence[LookedMode]) -> tuple[list[str], list[str]]:

@@ -13,7 +13,7 @@ from monitor.config import Configuration
 from monitor.core import BadInputError, MissingInputError, ModalEstimate
 from monitor.identification import LEAST_PERIODS, LEAST_RECORD_S
 from monitor.pipeline import Pipeline, Result
-from monitor.publish import between_recordings, recorded_stretches
+from monitor.publish import recorded_stretches
 
 OnWarning = Callable[[str], None]
 """Shows a warning to the user."""
@@ -23,10 +23,8 @@ OnProgress = Callable[[float], None]
 _BLOCK_S = 30.0
 """Greatest length of a joined block, s: about what one chunk of our own recordings holds at 1024 Hz.  Longer blocks save no
 more calls."""
-
 _ROUNDING_S = 1e-3
 """Time by which a window may reach over the end of a recording and lie within it. [s; rounding: below one sample at 100 Hz]"""
-
 _LEAST_OVERLAP_S = 1.0
 """Overlap of two recordings up to which they follow one another. [s; judgement: as of the runs of an archive]"""
 
@@ -80,11 +78,6 @@ def recorded_spans(paths: list[Path], config: Configuration) -> list[RecordedSpa
             continue
         spans.append(RecordedSpan(path.name, info.t_start_ns, info.t_end_ns))
     return sorted(spans, key=lambda span: span.t_begin_ns)
-
-
-def times_between(spans: list[RecordedSpan]) -> list[tuple[int, int]]:
-    """List the times between recordings, UTC in ns, in order."""
-    return between_recordings(span._asdict() for span in spans)
 
 
 def without_window(spans: list[RecordedSpan], window_s: float, hop_s: float) -> list[str]:

@@ -15,7 +15,7 @@ from monitor.config import Configuration
 from monitor.core import WindowResult, demand_place, os_errors_of, write_atomically
 from monitor.damage import AnyBaseline
 from monitor.events import Event
-from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, event_text, to_json
+from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, between_recordings, event_text, to_json
 from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.recordings import (
     OnProgress,
@@ -26,7 +26,6 @@ from monitor.runs.recordings import (
     push_block,
     read_blocks,
     recorded_spans,
-    times_between,
     without_window,
 )
 from monitor.runs.session import Session
@@ -143,8 +142,8 @@ def whole_session(
     spans: list[RecordedSpan],
 ) -> Session:
     """Make the session of a whole run, with the findings and the recordings of events in the folder `out`."""
-    recordings, between = EventRecordings(out, config.events), times_between(spans)
-    findings = out / "findings"
+    recordings, findings = EventRecordings(out, config.events), out / "findings"
+    between = between_recordings(span._asdict() for span in spans)
     return Session(config, baseline, publishers, files, findings, whole=True, recordings=recordings, between=between)
 
 

@@ -13,7 +13,7 @@ from drivers.base import SampleBlock
 from monitor.core import Level, Skipped, WindowResult
 from monitor.diagnosis import Request, WatchSettings, trigger
 from monitor.runs.diagnosis_process import DiagnosisQueue
-from monitor.runs.online_diagnosis import RecentBlocks
+from monitor.runs.recent_blocks import RecentBlocks
 from tests.support.results import alarm, stiffness_estimate, window_result
 from tests.support.samples import T0_NS, Cut
 

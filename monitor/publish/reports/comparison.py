@@ -112,9 +112,8 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
     level = np.einsum("sfa,af->s", np.abs(segments.values) ** 2, 1.0 / measured[: segments.values.shape[2]])
     equal_level_segments = level.sum() ** 2 / (level @ level)  # number of segments of equal level with the same scatter
     z_before, band_hz = residual_bands(problem, diagnosis.null_fit)
-    random_error = (
-        1.0 if problem.offset is None else np.sqrt(0.5)
-    )  # a simulation has as much random error as the recording
+    # A simulation has as much random error as the recording.
+    random_error = 1.0 if problem.offset is None else np.sqrt(0.5)
     return Comparison(
         channels=problem.context.channels,
         hz=e.band.hz,

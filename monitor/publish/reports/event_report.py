@@ -170,18 +170,14 @@ def _floors(page: EventPage) -> str:
 def _frequencies(page: EventPage) -> str:
     """Tabulate the frequencies before, during and after, and draw the first one and its damping over time."""
     e = page.event
-    rows = []
-    for k, (before, during, after) in enumerate(zip(e.before_hz, e.during_hz, e.after_hz, strict=True), 1):
-        rows.append(
-            (f"mode {k}", *(_number(v, 4) for v in (before, during, after)), _number(100 * (after / before - 1), 2))
-        )
+    rows = [
+        (f"mode {k}", *(_number(v, 4) for v in hz), _number(100 * (hz[2] / hz[0] - 1), 2))
+        for k, hz in enumerate(zip(e.before_hz, e.during_hz, e.after_hz, strict=True), 1)
+    ]
     head = ["mode", "#before, Hz", "#during, Hz", "#after, Hz", "#after against before, %"]
     out = ["<h2>Frequencies</h2>", table(head, rows)]
-    after = (
-        "by windows of ambient motion"
-        if e.revision == _REVISED
-        else "of the largest power in the quiet motion after it"
-    )
+    quiet = "of the largest power in the quiet motion after it"
+    after = "by windows of ambient motion" if e.revision == _REVISED else quiet
     out.append(f"<p class='muted'>Before: by windows; during: of the largest power; after: {after}.</p>")
     if page.review is not None and page.review.first_mode is not None:
         out.append(charts.first_mode(page.review.first_mode, page.review))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ModalEstimate, Skipped, write_atomically
+from monitor.identification import SingleMode
 from monitor.publish.reports.charts import WIDTH, Axes
 from monitor.publish.reports.look_data import G_M_S2, LookedBand, LookedMode, LookedRecording
 from monitor.publish.reports.page import document, doubts, figures, table, verdict
@@ -67,26 +68,17 @@ def shown_hz(found: LookedRecording) -> float:
 def mode_rows(found: LookedRecording) -> list[list[str]]:
     """Write the table of modes: number, frequency, damping, both of the second opinion, and what is to say."""
     return [
-        [
-            str(number),
-            with_interval(mode.frequency_hz, 2.0 * mode.frequency_std_hz, 5),
-            with_interval(100.0 * mode.damping_ratio, 200.0 * mode.damping_std, 5),
-            *_second(mode),
-            _says(mode),
-        ]
+        [str(number), *_intervals(mode), *_intervals(mode.second), _says(mode)]
         for number, mode in enumerate(found.modes, start=1)
     ]
 
 
-def _second(mode: LookedMode) -> tuple[str, str]:
-    """Write frequency and damping of the second opinion."""
-    second = mode.second
-    if isinstance(second, Skipped):
+def _intervals(mode: LookedMode | SingleMode | Skipped) -> tuple[str, str]:
+    """Write frequency and damping of an opinion, Hz and %, with two standard deviations."""
+    if isinstance(mode, Skipped):
         return "-", "-"
-    return (
-        with_interval(second.frequency_hz, 2.0 * second.frequency_std_hz, 5),
-        with_interval(100.0 * second.damping_ratio, 200.0 * second.damping_std, 5),
-    )
+    damping = with_interval(100.0 * mode.damping_ratio, 200.0 * mode.damping_std, 5)
+    return with_interval(mode.frequency_hz, 2.0 * mode.frequency_std_hz, 5), damping
 
 
 def _says(mode: LookedMode) -> str:
@@ -119,13 +111,9 @@ def _head(found: LookedRecording) -> str:
 
 def _duration(seconds: float) -> str:
     """Write a length of time in its unit."""
-    return (
-        f"{seconds / 3600:.2f} h"
-        if seconds >= 5400
-        else f"{seconds / 60:.1f} min"
-        if seconds >= 300
-        else f"{seconds:.1f} s"
-    )
+    if seconds >= 5400:
+        return f"{seconds / 3600:.2f} h"
+    return f"{seconds / 60:.1f} min" if seconds >= 300 else f"{seconds:.1f} s"
 
 
 def _modes(found: LookedRecording) -> str:

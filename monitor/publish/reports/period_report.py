@@ -163,11 +163,8 @@ def _head(period: Period) -> str:
     if period.quality is not None and period.quality.availability is not None:
         shown.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
     if r.ddi and period.known.has_baseline:
-        latest = [
-            (f"{100 * c.latest:.2f} %", f"{_story(j, period)}, latest")
-            for j, c in enumerate(r.ddi, 1)
-            if _sight(j, period)[0]
-        ]
+        seen = ((j, c.latest) for j, c in enumerate(r.ddi, 1) if _sight(j, period)[0])
+        latest = [(f"{100 * loss:.2f} %", f"{_story(j, period)}, latest") for j, loss in seen]
         shown += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
     shown += [(f"{100 * c.latest:+.2f} %", f"mode {k}, latest") for k, c in enumerate(r.changes[:4], 1) if c.values]
     return (

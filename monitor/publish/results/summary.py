@@ -87,6 +87,7 @@ class Summary:
         """
         most = max((n for n, _ in [*self.modes.values(), *self.other_modes]), default=0)
         means = {mode: hz for mode, (n, hz) in sorted(self.modes.items()) if n >= _COMMON_MODE * most}
+        misfit = [hz / model_frequencies_hz[mode - 1] - 1.0 for mode, hz in means.items() if model_frequencies_hz]
         others = sorted((hz, n) for n, hz in self.other_modes if n >= _COMMON_MODE * most)
         return {
             "windows": self.course.windows,
@@ -100,9 +101,7 @@ class Summary:
             "frequencies_hz": list(means.values()) or None,
             "model_modes": list(means) or None,
             "structure_file_frequencies_hz": model_frequencies_hz,
-            "frequency_misfit": [hz / model_frequencies_hz[mode - 1] - 1.0 for mode, hz in means.items()] or None
-            if model_frequencies_hz
-            else None,
+            "frequency_misfit": misfit or None,
             "other_modes": [{"frequency_hz": hz, "windows": n} for hz, n in others],
             "missing_modes": [why for mode, why in sorted(self.missing_modes.items()) if mode not in means],
             "temperature_range_degc": self.temperature_range_degc,

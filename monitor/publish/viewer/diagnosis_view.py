@@ -14,7 +14,7 @@ from monitor.core import Array, name_stories
 from monitor.diagnosis import Diagnosis, StoryLaw, in_words
 from monitor.inference import Segments
 from monitor.publish.reports.comparison import Comparison, compare
-from monitor.publish.viewer.layout import ALL_TIME, DARK, alone
+from monitor.publish.viewer.layout import DARK, alone, plot
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.rows import name_line
 from monitor.publish.viewer.scene import GREY, Colour, markdown_table
@@ -147,16 +147,12 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
 
 def _blueprint(c: Comparison, laws: Sequence[StoryLaw], story_names: Sequence[str]) -> rrb.Blueprint:
     """Place the verdict, the maps of the misfit and the stories' loops at the left, the spectra at the right."""
-    corner = rrb.PlotLegend("RightTop")
-
-    def plot(origin: str, name: str) -> rrb.TimeSeriesView:
-        return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=ALL_TIME)
 
     def tab(channel: str) -> rrb.Vertical:
         part = rr.escape_entity_path_part(channel)
         return rrb.Vertical(
-            plot(f"/spectra/{part}", f"{channel}: power, dB re 1 (m/s²)²/Hz, over mHz"),
-            plot(f"/ratios/{part}", f"{channel}: measured over simulated, dB, over mHz"),
+            plot(f"/spectra/{part}", f"{channel}: power, dB re 1 (m/s²)²/Hz, over mHz", corner="RightTop"),
+            plot(f"/ratios/{part}", f"{channel}: measured over simulated, dB, over mHz", corner="RightTop"),
             row_shares=[2, 1],
             name=channel,
         )
@@ -184,7 +180,7 @@ def _blueprint(c: Comparison, laws: Sequence[StoryLaw], story_names: Sequence[st
     )
     right = rrb.Vertical(
         rrb.Horizontal(*columns) if len(columns) <= 3 else rrb.Tabs(*columns),
-        plot("/worst", "Worst misfit of a band, standard deviations, over mHz"),
+        plot("/worst", "Worst misfit of a band, standard deviations, over mHz", corner="RightTop"),
         row_shares=[3, 1],
     )
     return alone(rrb.Horizontal(left, right, column_shares=[2, 3]), timeline=_TIMELINE)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.events import Event, Review, Site
 from monitor.model import Drawing
-from monitor.publish.viewer.layout import ALL_TIME, alone, view_from_front
+from monitor.publish.viewer.layout import alone, plot, view_from_front
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.rows import Rows, Strips, name_line
 from monitor.publish.viewer.scene import GREY, SERIES, loss_colour
@@ -124,19 +124,8 @@ def _blueprint(title: str, drawing: Drawing, stories: tuple[str, ...], drift_mm:
     high[1] = low[1]  # the front, which is nearest and largest
     largest = 1.1 * max(float(np.abs(np.nan_to_num(drift_mm)).max()), 1e-9)
     alike = rrb.ScalarAxis(range=(-largest, largest))
-    drifts = [
-        rrb.TimeSeriesView(
-            origin=_place("/drift", name),
-            name=f"{name}: drift, mm",
-            axis_x=ALL_TIME,
-            axis_y=alike,
-            plot_legend=rrb.PlotLegend(visible=False),
-        )
-        for name in stories
-    ]
-    accelerations = rrb.TimeSeriesView(
-        origin="/acceleration", name="Accelerations, m/s²", axis_x=ALL_TIME, plot_legend=rrb.PlotLegend("RightTop")
-    )
+    drifts = [plot(_place("/drift", name), f"{name}: drift, mm", legend=False, axis_y=alike) for name in stories]
+    accelerations = plot("/acceleration", "Accelerations, m/s²", corner="RightTop")
     frame = view_from_front("/frame", title, low, high)
     views = rrb.Horizontal(frame, rrb.Vertical(rrb.Grid(*drifts, grid_columns=1), accelerations))
     return alone(views, timeline=_TIMELINE, playback_speed=_SPEED, play_state="playing", loop_mode="all")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import rerun as rr
@@ -25,10 +25,12 @@ ALL_TIME = rrb.TimeAxis(
 """Time axis over the whole recording; by default plots show one minute about the cursor."""
 
 
-def _plot(origin: str, name: str, *, legend: bool = True) -> rrb.TimeSeriesView:
+def plot(
+    origin: str, name: str, *, legend: bool = True, corner: Literal["LeftTop", "RightTop"] = "LeftTop", **more: Any
+) -> rrb.TimeSeriesView:
     """Make a view of time series over the whole recording."""
-    corner = rrb.PlotLegend("LeftTop", visible=legend)
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=ALL_TIME)
+    key = rrb.PlotLegend(corner, visible=legend)
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=key, axis_x=ALL_TIME, **more)
 
 
 def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
@@ -94,7 +96,7 @@ def _state() -> rrb.TextDocumentView:
 def _healthy(scene: Scene) -> rrb.Horizontal:
     """Make the page of health, with the present state at the left and the history at the right."""
     n = scene.n_modes
-    modes = [_plot(f"/modes/frequency/{i}", f"Mode {i}, Hz", legend=False) for i in range(1, n + 1)]
+    modes = [plot(f"/modes/frequency/{i}", f"Mode {i}, Hz", legend=False) for i in range(1, n + 1)]
     since = "since the baseline" if scene.has_baseline else "against the structure file"
     first = "the baseline" if scene.has_baseline else "the first window"
     left = rrb.Vertical(
@@ -107,12 +109,12 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
         ),
         row_shares=[0.4, 3.4, 5.6, 4.4],
     )
-    change = _plot("/modes/change", f"Frequencies: change since {first}, %")
+    change = plot("/modes/change", f"Frequencies: change since {first}, %")
     frequencies = rrb.Grid(*modes, grid_columns=1 if n <= _MODES_IN_A_COLUMN else 2, name="Frequencies, Hz")
     stiffness = rrb.Tabs(
-        _plot("/ddi", f"Stiffness lost {since} (DDI), %"),
-        _plot("/stiffness", "Stiffness, N/m"),
-        _plot(DRIFT, "Events: largest drift, mm"),
+        plot("/ddi", f"Stiffness lost {since} (DDI), %"),
+        plot("/stiffness", "Stiffness, N/m"),
+        plot(DRIFT, "Events: largest drift, mm"),
         active_tab=0 if scene.has_baseline else 1,
     )
     right = rrb.Vertical(
@@ -127,9 +129,9 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
 
 def _trust(scene: Scene) -> rrb.Horizontal:
     """Make the page of trust, with state, verdict and fit at the left, and the sensors and clocks at the right."""
-    fit = _plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}")
+    fit = plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}")
     covariates = [
-        _plot(f"/trust/covariate/{rr.escape_entity_path_part(name)}", f"{name}, {learned.unit}, and the range learned")
+        plot(f"/trust/covariate/{rr.escape_entity_path_part(name)}", f"{name}, {learned.unit}, and the range learned")
         for name, learned in scene.learned.items()
     ]
     known = [fit, *covariates] if scene.n_stories else covariates
@@ -140,10 +142,10 @@ def _trust(scene: Scene) -> rrb.Horizontal:
         row_shares=[2, 3, 2][: 3 if known else 2],
     )
     right = rrb.Vertical(
-        _plot("/quality/availability", "Samples that came, %", legend=False),
-        _plot("/quality/rms", "RMS, m/s²"),
-        _plot("/quality/noise_floor", "Noise floor, m/s²/√Hz"),
-        rrb.Tabs(_plot("/quality/clipped", "Clipped, %"), _plot("/clock", "Clock offset, ms"), active_tab=0),
+        plot("/quality/availability", "Samples that came, %", legend=False),
+        plot("/quality/rms", "RMS, m/s²"),
+        plot("/quality/noise_floor", "Noise floor, m/s²/√Hz"),
+        rrb.Tabs(plot("/quality/clipped", "Clipped, %"), plot("/clock", "Clock offset, ms"), active_tab=0),
     )
     return rrb.Horizontal(left, right, name="Can I trust it?")
 
@@ -151,11 +153,11 @@ def _trust(scene: Scene) -> rrb.Horizontal:
 def _present_motion(scene: Scene) -> rrb.Horizontal:
     """Make the page of the present motion, with the streams, the spectra with the model's, and the mode shapes."""
     left = rrb.Vertical(
-        _plot("/streams", "Acceleration, m/s²"),
+        plot("/streams", "Acceleration, m/s²"),
         _canvas("/spectra", "Power spectral density, dB re 1 (m/s²)²/Hz: measured, and the model's (white)"),
         row_shares=[1, 1],
     )
     shapes = _frame(scene)
     shapes.name = "Mode shapes: they move on the timeline 'phase'"
-    right = rrb.Vertical(shapes, _plot("/modes/damping", "Damping, %"), row_shares=[3, 2])
+    right = rrb.Vertical(shapes, plot("/modes/damping", "Damping, %"), row_shares=[3, 2])
     return rrb.Horizontal(left, right, column_shares=[5, 4], name="What does it do now?")

@@ -162,7 +162,8 @@ def _diagnose(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
     from monitor.runs import diagnose
 
     settings = configuration.load(task.structure)
-    known = task.baseline and load_baseline(task.baseline, settings.instrumented(), settings.updating)
+    file = task.baseline
+    known = None if file is None else load_baseline(file, settings.instrumented(), settings.updating)
     found = diagnose.diagnose(paths, settings, known, on_warning)
     final = task.out / DIAGNOSES / f"{task.name}.json"
     write_atomically(final, json.dumps(found.content, indent=1, allow_nan=False) + "\n")

@@ -71,7 +71,8 @@ def reprocess(
     settings = config.load_with_model(structure) if diagnose else config.load(structure)
     if baseline is not None:
         load_healthy(baseline, settings)
-    configuration = _configuration_fingerprint(settings, baseline)
+    inputs = settings.model_dump_json(exclude={"output", "source"})
+    configuration = fingerprint(inputs, "" if baseline is None else baseline.read_text(encoding="utf-8"))
     with os_errors_of(out, "cannot be written: "):
         for folder in (WINDOWS, RUNS, DIAGNOSES):
             (out / folder).mkdir(parents=True, exist_ok=True)
@@ -104,12 +105,6 @@ def _compute_missing(
     """Compute the results that do not exist."""
     existing = [Outcome(t.name, t.paths, made=False) for t, r in zip(tasks, results, strict=True) if r.exists()]
     return existing + work(function, [t for t, r in zip(tasks, results, strict=True) if not r.exists()])
-
-
-def _configuration_fingerprint(settings: config.Configuration, baseline: Path | None) -> str:
-    """Compute the fingerprint of all inputs of the results besides the recordings."""
-    settings_json = settings.model_dump_json(exclude={"output", "source"})
-    return fingerprint(settings_json, "" if baseline is None else baseline.read_text(encoding="utf-8"))
 
 
 @contextmanager
