@@ -23,9 +23,8 @@ def warnings(path: Path, config: Configuration) -> list[str]:
     if not is_loopback(host) and "client_ca" not in metrics:
         found.append(f"output.metrics: all who reach {host} may read; set certificate, private_key and client_ca")
     if (web := config.output.web_address) is not None and not is_loopback(web[0]):
-        found.append(
-            f"output.web: at {config.output.web} the token and the results pass unencrypted; use SSH or a proxy with TLS"
-        )
+        risk = "the token and the results pass unencrypted; use SSH or a proxy with TLS"
+        found.append(f"output.web: at {config.output.web} {risk}")
     for name, table in (("source", config.source), ("output.zenoh", config.output.zenoh)):
         for key, risk in (
             ("listen", "is open to the network without TLS: whoever reaches it may send and ask anything"),
@@ -35,10 +34,9 @@ def warnings(path: Path, config: Configuration) -> list[str]:
             remote = (e for e in endpoints if not is_loopback(e[4:].rpartition(":")[0]))
             found += [f"{name}.{key}: {endpoint} {risk}" for endpoint in remote]
     for name, broker in _mqtt_tables(config).items():
-        if not is_loopback(str(broker.get("host"))) and not broker.get("tls"):
-            found.append(
-                f"{name}.host: {broker.get('host')} is reached without TLS: data and password may be read on the way"
-            )
+        host = str(broker.get("host"))
+        if not is_loopback(host) and not broker.get("tls"):
+            found.append(f"{name}.host: {host} is reached without TLS: data and password may be read on the way")
     return found + _readable_secrets(path, config)
 
 
