@@ -467,8 +467,7 @@ class Pipeline:
 
 def _judge(config: Configuration, baseline: AnyBaseline | None, reference: Modes | None) -> tuple[Judge, Site]:
     """Make the judge of a site's windows, by a model or by the modes alone, and what its events are described with."""
-    names = config.identification.reference_channels or config.channels
-    past = tuple(config.channels.index(name) for name in names)
+    past = tuple(config.channels.index(name) for name in config.identification.reference_channels)
     window_s, events = config.processing.window_s, config.events
     if config.has_model:
         assert not isinstance(baseline, ModalBaseline)

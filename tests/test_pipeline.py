@@ -198,16 +198,19 @@ def test_a_gap_is_the_same_gap_in_any_block_sizes(
 
 
 def test_events_and_skipped_windows_come_in_the_order_of_the_data_in_any_block_sizes(cut: Cut) -> None:
-    """A gap at 20 s, a quake from 30 to 50 s, and windows of 60 s."""
-    tables = {"processing": {"window_s": 60.0, "hop_s": 5.0}, "events": {"merge_s": 5.0, "post_s": 5.0}}
-    config, floors = shaken.configuration(**tables), short_quake.shaken().floors
+    """A gap at 20 s, a quake from 30 to 50 s, and windows of 60 s, or of 20 s of which one ends in the gap."""
+    floors = short_quake.shaken().floors
 
-    def order(size: int) -> list[str]:
-        blocks = cut(floors[:4000], shaken.RATE, [size]) + cut(floors[4100:], shaken.RATE, [size], first=4100)
+    def order(size: int, window_s: float = 60.0, hop_s: float = 5.0, gap: int = 4000) -> list[str]:
+        tables = {"processing": {"window_s": window_s, "hop_s": hop_s}, "events": {"merge_s": 5.0, "post_s": 5.0}}
+        config = shaken.configuration(**tables)
+        blocks = cut(floors[:gap], shaken.RATE, [size]) + cut(floors[4100:], shaken.RATE, [size], first=4100)
         told = [r for r in push(Pipeline(config), blocks) if isinstance(r, Event | WindowResult)]
         return [f"window {r.index}" if isinstance(r, WindowResult) else "event" for r in told]
 
     assert order(len(floors)) == order(50) == ["event", "event", *(f"window {k}" for k in range(4))]
+    short = order(len(floors), 20.0, 20.0, 3900)
+    assert short == order(50, 20.0, 20.0, 3900) and short[0] == "window 0" and short.count("event") == 2
 
 
 def test_windows_around_a_gap_are_skipped_with_their_data_length(

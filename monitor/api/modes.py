@@ -203,8 +203,7 @@ def _by_model(samples: Array, rate_hz: float, structure: Structure) -> Modes:
 def sub_array(structure: Structure) -> SubArray:
     """Return all channels of a structure as the pipeline sees them: reference channels, sensor matrix, stated sensor effects."""
     config, drawn = structure.config, structure.config.instrumented()
-    names = config.identification.reference_channels or config.channels
-    past = tuple(config.channels.index(name) for name in names)
+    past = tuple(config.channels.index(name) for name in config.identification.reference_channels)
     effects = tuple(effect for effect in drawn.model.effects if effect.family == "sensor")
     everything = tuple(range(len(config.channels)))
     context = structure.instrumented.context(config.processing.rate_hz)

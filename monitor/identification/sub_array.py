@@ -52,7 +52,8 @@ class SubArray:
     ) -> Self:
         """Select some channels (0 = first) of a structure.
 
-        `past` and `sensors` are those of the whole structure, `effects` those of sensors that the structure file states.
+        `past` (all channels where it holds none of these) and `sensors` are those of the whole structure, `effects` those of
+        sensors that the structure file states.
         """
         places = sensor_correction.true_channels(effects, context, channels) if effects else channels
         left = tuple(k for k, channel in enumerate(channels) if channel in past)

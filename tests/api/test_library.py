@@ -61,6 +61,8 @@ def test_modes_and_stiffness_are_the_pipelines_bit_for_bit(
     assert np.array_equal(updated.loss, window.damage.ddi)
     assert updated.converged
     assert not updated.since_baseline
+    known = replace(updated, covariance=np.diag([100.0] * 3), loss_covariance=np.diag([0.05**2] * 3))
+    assert all(line.count("± 20 N/m") == line.count("± 10.00 %") == 1 for line in str(known).splitlines())
 
 
 def test_without_a_structure_the_same_modes_are_found(record: shm.Recording, modes: shm.Modes) -> None:

@@ -95,3 +95,22 @@ def test_a_host_of_bad_files_alone_ends_with_their_problems(tmp_path: Path, fram
         assert done.returncode == 78
         assert "one.toml: processing.window_s: must be a number" in done.stderr
     assert "other.toml: alarms" in done.stderr
+
+
+def test_a_host_begins_where_a_file_cannot_be_read_yet(
+    tmp_path: Path, frame_text: str, main: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[list[Path]] = []
+
+    class Noted:
+        def __init__(self, places: list[Path], *_: object, **__: object) -> None:
+            begun.append(places)
+
+        def run(self) -> None: ...
+
+    monkeypatch.setattr("monitor.service.Host", Noted)
+    bad, early = tmp_path / "bad.toml", tmp_path / "early.toml"
+    bad.write_text(frame_text.replace("window_s = 20.0", 'window_s = "20"'))
+    early.write_text('[structure]\nkind = "matrices"\nmass_matrix = "m.mtx"\nstiffness_matrix = "k.mtx"\n')
+    assert main("check", early).returncode == 66, "its matrices come later"
+    assert main("host", bad, early).returncode == 0 and begun == [[bad, early]]

@@ -301,6 +301,13 @@ def test_two_forces_of_one_channel_are_told(load: Load, frame_text: str) -> None
     assert_problem(load, frame_text + force + force.replace("1", "2"), "'f' stands twice")
 
 
+@pytest.mark.parametrize("correction", [-900.0, -900.5])
+def test_a_frame_whose_correction_takes_its_whole_stiffness_would_not_stand(load: Load, correction: float) -> None:
+    frame = '[structure]\nkind = "shear_frame"\nmasses_kg = [1.0]\nstiffness_n_per_m = [900.0]\n'
+    sensor = '[[sensors]]\nchannel = "top"\nfloor = 1\n'
+    assert_problem(load, f"{frame}stiffness_correction_n_per_m = [[{correction}]]\n{sensor}", "would not stand")
+
+
 def test_effects_extend_the_model(load: Load, frame_text: str) -> None:
     bare = load(frame_text).model()
     weak = load(frame_text + effects("stiffness_change", "story 2", "relative = -0.2")).model()

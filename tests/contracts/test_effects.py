@@ -91,6 +91,12 @@ def test_the_catalogue_is_the_contracts() -> None:
 
 
 @every
+def test_what_is_not_known_of_a_law_s_form_leaves_its_size_known(text: str) -> None:
+    effect = parse_effect(text)
+    assert (effect.form_std <= 0.2 * np.abs(effect.coordinates)).all()
+
+
+@every
 def test_bounds_and_names_of_parameters_are_kept(text: str) -> None:
     effect = parse_effect(text)
     for p in effect.parameters:

@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 
 from monitor.config import Configuration
-from monitor.core import BadInputError, WindowResult
+from monitor.core import BadInputError, ModalEstimate, WindowResult
 from monitor.damage import Baseline, damage_index, load_baseline, save_baseline
 from monitor.damage.damage_index import sequential_reading
+from monitor.damage.observations import mean_observation
+from monitor.damage.updating import observe
 from monitor.model import Model, parse_effect, simulate
 from monitor.pipeline import Pipeline
 from monitor.runs import cut_into_blocks
 from tests.support.exact_modes import JOINTS, drawing, exact_modes, truth
+from tests.support.frames import shear_frame
 from tests.support.learned import baseline_of
+from tests.support.results import modal_estimate
 
 
 @pytest.mark.parametrize("signs", [(1, 1, 1), (1, -1, 1), (-1, 1, -1), (-1, -1, 1)])
@@ -50,6 +54,27 @@ def test_an_unchanged_structure_reads_zero_however_wrong_the_drawing() -> None:
     assert np.abs(healthy.misfit).max() > 0.005  # the drawing is wrong indeed, and stays so
     _, reading = damage_index.step(exact_modes(truth((0, 0, 0))), healthy.model, healthy, np.eye(3), config.updating)
     assert np.abs(reading.ddi).max() < 1e-6
+
+
+def test_a_story_judged_by_its_frequency_alone_loses_what_the_frequency_tells_and_leaves_no_misfit() -> None:
+    """Nothing is left to be misfitted, nor expected to be: as many data as stiffnesses."""
+    config = shear_frame([1.3], [2000.0], updating={"use_shapes": False, "penalty": "least_squares"})
+
+    def modes(loss: float) -> ModalEstimate:
+        model = config.model().with_stiffness(np.array([2000.0 * (1.0 - loss)]))
+        return modal_estimate(model.modes().frequencies_hz, np.ones((1, 1)), deviations=np.full((1, 1, 4), 1e-3))
+
+    healthy = baseline_of(config, [modes(0.0)])
+    estimate, reading = damage_index.step(modes(0.1), healthy.model, healthy, np.eye(1), config.updating)
+    np.testing.assert_allclose(reading.ddi, [0.1], atol=1e-9)
+    assert estimate.misfit == 0.0 and 0.0 < reading.ddi_covariance[0, 0] < 0.01**2
+
+
+def test_the_mean_of_one_window_is_that_window() -> None:
+    modes, updating = exact_modes(truth((0.1, 0, 0))), drawing((0, 0, 0)).updating
+    mean, alone = mean_observation([modes], updating), observe(modes, updating)
+    for name in ("z", "weight", "deviations"):
+        np.testing.assert_array_equal(getattr(mean, name), getattr(alone, name), err_msg=name)
 
 
 @pytest.mark.parametrize("losses", [(0.2, 0.0, 0.0), (0.0, 0.2, 0.1), (0.3, 0.1, 0.4)])

@@ -21,7 +21,9 @@ from mcap.writer import CompressionType, Writer
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_messages
+from drivers.mcap_index import read_index
 from drivers.mcap_records import McapFile
+from drivers.mcap_writer import LIBRARY
 from tests.support.any_block import blocks, same
 
 DATA = Path(__file__).parents[1] / "data"
@@ -100,6 +102,15 @@ def test_any_block_written_is_read_back(tmp_path: Path, written: SampleBlock) ->
         writer.write(SampleBlock(topic, *(getattr(written, name) for name in written.__slots__[1:])))
     (read,) = read_recordings([path], (topic,))
     assert same(SampleBlock(ACCELERATION, *(getattr(read, name) for name in read.__slots__[1:])), written)
+
+
+def test_the_index_names_every_chunk_and_its_first_time(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", *map(block, range(9)))
+    places = [(c.message_start_time, c.chunk_start_offset, c.chunk_length) for c in chunks(path)]
+    found = read_index(recording := McapFile(path), LIBRARY)
+    assert found is not None and len(places) == 3
+    assert [(start_ns, segment.offset, segment.length) for start_ns, segment in found] == places
+    assert [channel.topic for channel in recording.channels.values()] == [ACCELERATION]
 
 
 def test_the_same_blocks_give_the_same_bytes(tmp_path: Path) -> None:

@@ -113,8 +113,10 @@ def test_a_power_cut_costs_no_more_than_flush_s_and_the_next_start_names_the_fil
     after.mkdir()
     (after / part.name).write_bytes(part.read_bytes() + b"\0" * 100)  # what the disk holds at this moment
     (after / "20000101T000000.000000Z-0001.mcap.part").write_bytes(b"")
+    (after / "20000101T000000.000000Z-0002.mcap.part").write_bytes(b"what a broken disk holds")
     make(after, clock).close()
-    assert [p.name for p in after.iterdir()] == [part.name.removesuffix(".part")]
+    set_aside = "20000101T000000.000000Z-0002.damaged"
+    assert sorted(p.name for p in after.iterdir()) == [set_aside, part.name.removesuffix(".part")]
     got = recorded(after)
     assert len(got) >= 53
     assert all(same(a, b) for a, b in zip(got, arrived, strict=False))

@@ -63,6 +63,8 @@ def test_a_revised_event_shows_its_lasting_loss_with_its_interval() -> None:
 def test_a_drift_stands_with_two_standard_deviations_and_one_that_is_not_known_is_a_dash() -> None:
     event, site, seen = told()
     drifts = replace(event, drift_m=np.array([0.0123, np.nan, 0.0045]), drift_std_m=np.array([5e-4, np.nan, 2e-4]))
+    html = page(replace(drifts, drift_m=np.array([0.01234, np.nan, 0.0045])), site, seen)
+    assert all(words in html for words in ("drift 12.3 mm", "drift not known", "drift 4.5 mm"))
     rows = page(drifts, site, seen).partition("largest drift, mm")[2].partition("</table>")[0]
     assert re.findall(r"<td[^>]*>(\d[^<]* ± [^<]*|–)</td>", rows) == ["12.3 ± 1.0", "–", "4.50 ± 0.40"]
 

@@ -218,9 +218,11 @@ def test_every_chart_has_three_ticks_and_its_unit_and_times_in_full(page: Elemen
         assert 2 <= sum(t.get("class") != "more" for t in svg.iter("text") if t.get("text-anchor") == "middle") <= 4
 
 
-def seen(folder: Path, detectable: list[float | None] | None, known: dict[str, object]) -> ElementTree.Element:
-    """The page of twenty healthy windows."""
-    json_lines(folder / "results.jsonl", [{**line_of(k), "detectable_loss": detectable} for k in range(20)])
+def seen(
+    folder: Path, detectable: list[float | None] | None, known: dict[str, object], **figures: object
+) -> ElementTree.Element:
+    """The page of twenty healthy windows, each with these figures."""
+    json_lines(folder / "results.jsonl", [{**line_of(k), "detectable_loss": detectable, **figures} for k in range(20)])
     site = {"names": ["pier", "deck", "story 3"], "has_baseline": True, "alarm_loss": 0.1, "misfit": 5.0, **known}
     (folder / "summary.json").write_text(json.dumps({"known": site, "thresholds": {"alarm_loss": 0.1}}))
     return drawn(folder)
@@ -243,6 +245,12 @@ def test_a_story_s_chart_says_its_name_and_from_which_loss_on_it_is_seen(tmp_pat
     charts = [f.get("class") for f in page.iter("figure")][:3]
     assert charts == ["chart", "chart unseen", "chart unseen"]
     assert state_shown(page) == "verdict not_judged"
+
+
+def test_of_five_stories_the_latest_loss_of_the_one_that_lost_most_is_shown(tmp_path: Path) -> None:
+    known = {"names": ["a", "b", "c", "d", "e"]}
+    page = seen(tmp_path, [0.01] * 5, known, ddi=[0.0, 0.02, 0.1, 0.03, 0.0], ddi_std=[0.002] * 5)
+    assert re.findall(r"[-\d.]+ % \w, latest", words(page)) == ["10.00 % c, latest"]
 
 
 def test_green_is_only_where_every_story_would_have_been_seen(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_a_site_that_cannot_begin_to_read_is_started_again_and_the_others_run_on
         path.parent.mkdir()
         path.write_text(SITE.replace("bench", path.parent.name) + frame_text)
         write(path.parent / "rec.mcap", cut(record[:2600], 128.0))
-    begin, failed = Site.start, []
+    begin, failed, hurried = Site.start, [], list[Site]()
 
     def start(site: Site) -> None:
         if site.out.parent.name == "a" and not failed:
@@ -98,7 +98,9 @@ def test_a_site_that_cannot_begin_to_read_is_started_again_and_the_others_run_on
         begin(site)
 
     monkeypatch.setattr(Site, "start", start)
+    monkeypatch.setattr(Site, "ask_to_stop", lambda site: hurried.append(site))
     host = Host(paths, clock=lambda: 10.0 * time.monotonic(), say=lambda _: None)
     host.run()
     assert failed and [(one.is_over, one.failure) for one in host.places] == [(True, "")] * 2
     assert [len(lines(path.parent / "out")) for path in paths] == [1, 1]
+    assert not hurried, "where data end, their last diagnosis is waited for"
