@@ -13,7 +13,7 @@ import pytest
 
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE
 from drivers.mcap_file import RecordingInfo, read_recordings
-from monitor.core import BadInputError, MissingInputError, WrongUsageError, utc_ns
+from monitor.core import BadInputError, MissingInputError, utc_ns
 from monitor.runs.importers import csv_table, import_files
 
 DATA = Path(__file__).parents[1] / "data"
@@ -151,11 +151,6 @@ def test_what_cannot_be_used_is_named_with_file_and_place(tmp_path: Path, conten
 def test_options_that_do_not_fit_are_refused(tmp_path: Path, options: dict[str, object], reason: str) -> None:
     with pytest.raises(BadInputError, match=reason):
         convert(tmp_path / "a.csv", "time,a1 [g],a2 [g]\n" + rows("{t},{a},{b}\n"), **options)
-
-
-def test_an_unknown_unit_is_wrong_usage(tmp_path: Path) -> None:
-    with pytest.raises(WrongUsageError, match=r"--unit 'furlong': known.*m/s\^2"):
-        convert(tmp_path / "a.csv", "time,a1\n" + rows("{t},{a}\n"), unit="furlong")
 
 
 def test_a_unit_that_no_column_needs_is_told(tmp_path: Path) -> None:
