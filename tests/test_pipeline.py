@@ -155,13 +155,7 @@ def test_what_stands_in_place_of_lost_samples_reaches_no_other_channel(
 @given(sizes=st.lists(st.integers(20, 1500), min_size=1, max_size=5), files=st.integers(1, 4), order=st.randoms())
 @settings(deadline=None, max_examples=10)
 def test_files_split_anywhere_and_named_in_any_order_give_the_same_bits(
-    site: Configuration,
-    record: np.ndarray,
-    cut: Cut,
-    whole: Told,
-    sizes: list[int],
-    files: int,
-    order: object,
+    site: Configuration, record: np.ndarray, cut: Cut, whole: Told, sizes: list[int], files: int, order: object
 ) -> None:
     blocks = cut(record, RATE, sizes)
     with TemporaryDirectory() as folder:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
 import sys
 import warnings
 from dataclasses import replace
@@ -19,6 +18,7 @@ from drivers.base import GROUND
 from monitor.config import configuration
 from monitor.core import WindowResult
 from monitor.pipeline import Pipeline
+from tests.support.commands import ended
 from tests.support.samples import FRAME, Cut, write_blocks
 
 NAMES = {
@@ -193,13 +193,8 @@ def test_the_names_stay() -> None:
 def test_the_import_loads_no_library_for_computation() -> None:
     code = "import shm_monitor, sys; print(*{'numpy', 'scipy', 'pydantic', 'numba', 'matplotlib'} & set(sys.modules))"
     places = [str(Path(monitor.api.__file__).parents[2]), str(Path(shm.__file__).parents[1])]
-    done = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path[:0] = {places!r}; {code}"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == ""
+    done = ended(sys.executable, "-c", f"import sys; sys.path[:0] = {places!r}; {code}")
+    assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
 
 
 @pytest.mark.docs

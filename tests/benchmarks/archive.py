@@ -92,7 +92,7 @@ def command(*arguments: object) -> Run:
     """Run a command of the monitor to its end."""
     # A child's ru_maxrss begins with its parent's, so it tells its own peak.
     code = (
-        "import atexit, sys; from pathlib import Path; from monitor.cli.app import main; sys.argv[0] = 'shm-monitor'\n"
+        "import atexit, sys; from pathlib import Path; from monitor.cli import main; sys.argv[0] = 'shm-monitor'\n"
         "told = Path('/proc/self/status'); atexit.register(lambda: print(told.read_text(), file=sys.stderr)); main()"
     )
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])}

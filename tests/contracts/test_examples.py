@@ -21,8 +21,7 @@ DIAGNOSES = {"monitor.api.causes"}
 
 
 @pytest.mark.parametrize(
-    "module",
-    [pytest.param(m, marks=[pytest.mark.engine] if m in DIAGNOSES else []) for m in _modules_with_examples()],
+    "module", [pytest.param(m, marks=[pytest.mark.engine] if m in DIAGNOSES else []) for m in _modules_with_examples()]
 )
 def test_the_examples_of_a_module_run(module: str) -> None:
     result = doctest.testmod(importlib.import_module(module), optionflags=doctest.NORMALIZE_WHITESPACE)

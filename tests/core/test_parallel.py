@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,8 @@ import pytest
 
 from monitor.core.errors import NoResourcesError
 from monitor.core.parallel import parallel_map
+from tests.support.commands import ended
+from tests.support.waiting import until
 
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 ENDLESS = """
@@ -88,11 +89,11 @@ def test_one_after_the_other_within_a_share_of_the_work_and_beside_threads() -> 
 def test_nothing_outlives_a_caller_that_is_killed(tmp_path: Path) -> None:
     caller = subprocess.Popen([sys.executable, "-c", ENDLESS, str(tmp_path)])
     try:
-        _until(lambda: len(list(tmp_path.iterdir())) == 2)
+        until(lambda: len(list(tmp_path.iterdir())) == 2, "both work")
     finally:
         caller.send_signal(signal.SIGKILL)
         caller.wait()
-    _until(lambda: not any(_runs(int(pid.name)) for pid in tmp_path.iterdir()))
+    until(lambda: not any(_runs(int(pid.name)) for pid in tmp_path.iterdir()), "both have ended")
 
 
 @pytest.mark.skipif(CORES < 2, reason="one core")
@@ -100,12 +101,12 @@ def test_an_interrupt_ends_the_work_at_once(tmp_path: Path) -> None:
     caller = subprocess.Popen(
         [sys.executable, "-c", ENDLESS, str(tmp_path)], stderr=subprocess.PIPE, start_new_session=True
     )
-    _until(lambda: len(list(tmp_path.iterdir())) == 2)
+    until(lambda: len(list(tmp_path.iterdir())) == 2, "both work")
     os.killpg(caller.pid, signal.SIGINT)  # as a terminal does
     told = caller.communicate(timeout=30)[1]
     assert b"KeyboardInterrupt" in told
     assert b"Process ForkProcess" not in told
-    _until(lambda: not any(_runs(int(pid.name)) for pid in tmp_path.iterdir()))
+    until(lambda: not any(_runs(int(pid.name)) for pid in tmp_path.iterdir()), "both have ended")
 
 
 @pytest.mark.skipif(CORES < 2, reason="one core")
@@ -128,17 +129,8 @@ def refuse():
     return fork()
 os.fork = refuse
 """
-    done = subprocess.run(
-        [sys.executable, "-c", refusing + ENDLESS, str(tmp_path)], capture_output=True, timeout=60, check=False
-    )
-    assert b"NoResourcesError: a process of the computation could not be made" in done.stderr
-
-
-def _until(true: Callable[[], bool], within_s: float = 30.0) -> None:
-    end = time.monotonic() + within_s
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    done = ended(sys.executable, "-c", refusing + ENDLESS, tmp_path, timeout_s=60.0)
+    assert "NoResourcesError: a process of the computation could not be made" in done.stderr
 
 
 def _runs(pid: int) -> bool:

@@ -36,11 +36,7 @@ from monitor.model import EFFECTS, Effect, StructuralPrior, simulate
 from monitor.runs import cut_into_blocks, diagnose
 from tests.hidden import truth, world
 
-KINDS = {
-    "loss": ("stiffness_change", "relative"),
-    "mass": ("added_mass", "mass_kg"),
-    "gain": ("sensor_gain", "gain"),
-}
+KINDS = {"loss": ("stiffness_change", "relative"), "mass": ("added_mass", "mass_kg"), "gain": ("sensor_gain", "gain")}
 """Effect and parameter of every kind."""
 DURATION_S, RATE_HZ, NOISE, LEVEL_SPREAD = 600.0, 128.0, 0.05, 0.35
 CONFIDENT_STDS = 1.959964

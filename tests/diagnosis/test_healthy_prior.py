@@ -11,17 +11,7 @@ from monitor.diagnosis import stepwise_selection
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference import Posterior, classify
 from monitor.runs import diagnose
-from tests.diagnosis.jointed_frame import (
-    ANOTHER_DAY,
-    COLOUR,
-    CONFIG,
-    CONTEXT,
-    FORCES,
-    GAINS,
-    PLAIN,
-    learned,
-    recorded,
-)
+from tests.diagnosis.jointed_frame import ANOTHER_DAY, COLOUR, CONFIG, CONTEXT, FORCES, GAINS, PLAIN, learned, recorded
 
 pytestmark = pytest.mark.engine
 

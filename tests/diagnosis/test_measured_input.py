@@ -180,13 +180,7 @@ def test_a_ground_that_began_earlier_and_a_hole_in_both_change_nothing() -> None
 def test_drifts_follow_the_measured_ground() -> None:
     problem, x = _true_problem(recorded(seed=14))
     motion = simulate(
-        settings().model(),
-        duration_s=120.0,
-        rate_hz=RATE,
-        excitation="ground",
-        noise=0.0,
-        level_spread=0.5,
-        seed=14,
+        settings().model(), duration_s=120.0, rate_hz=RATE, excitation="ground", noise=0.0, level_spread=0.5, seed=14
     )
     floors = motion.floors - motion.ground[:, None]
     spectrum = np.fft.rfft(floors, axis=0)

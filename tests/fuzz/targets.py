@@ -47,6 +47,7 @@ from drivers.base import (
 )
 from drivers.can_bus import CanSource
 from drivers.can_open import CanSettings
+from drivers.limits import BlockLimits, within_limits
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.mqtt import MqttSettings, MqttSource
 from drivers.recorder import recorded, recover, unfit
@@ -126,7 +127,10 @@ def sound(got: SampleBlock) -> None:
 def _protobuf(data: bytes) -> None:
     with contextlib.suppress(ValueError):
         got = codec.decode(data, ACCELERATION)
+        assert got.samples.shape == (got.n_samples, len(got.channels)) and got.channels
         assert codec.decode(codec.encode(got), ACCELERATION).samples.shape == got.samples.shape
+        sound(limited := within_limits(got, BlockLimits()))
+        assert limited.sample_rate_hz <= 100e3
 
 
 def _protobuf_seeds() -> list[bytes]:
@@ -418,8 +422,10 @@ def _imported(
 
     def run(data: bytes) -> None:
         path, out = _file("a" + suffix, data), scratch() / "out.mcap"
-        with contextlib.suppress(UserError):
+        try:
             import_files([path], out, on_warning=lambda _: None, **options)
+        except UserError as refused:
+            assert path.name in str(refused)
         out.unlink(missing_ok=True)
         assert not out.with_name("out.mcap.part").exists()
 
@@ -437,6 +443,13 @@ def _csv_seeds() -> list[bytes]:
         b"2026-01-01T00:00:00.000Z,1,2,3\n2026-01-01T00:00:00.010Z,1,2,3\n2026-01-01T00:00:00.020Z,2,3,4\n",
         f"time,a1\n{rows}".encode("utf-16"),
     ]
+
+
+def _zip_seeds() -> list[bytes]:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.csv", _csv_seeds()[0])
+    return [file.getvalue()]
 
 
 def _npz_seeds() -> list[bytes]:
@@ -637,6 +650,7 @@ TARGETS: dict[str, Target] = {
     "crash_file": Target(_crash_file, _mcap_seeds, 0.02),
     "toml": Target(_toml, _toml_seeds, 0.03),
     "csv": _imported(".csv", _csv_seeds, 0.03),
+    "zip": _imported(".zip", _zip_seeds),
     "npz": _imported(".npz", _npz_seeds, 0.02),
     "npz_array": Target(_npz_array, _npz_array_seeds, 0.01, 4000, 300),
     "mat": _imported(".mat", _written(".mat", _write_mat), share=0.001, least=6, rate_hz=100.0),  # each takes a process

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from itertools import groupby
 from multiprocessing import SimpleQueue
@@ -57,7 +57,7 @@ def _results(tasks: list[tuple[int, str]], processes: int) -> Iterator[dict[str,
             r.result()  # raises what a process failed with
 
 
-def _options() -> argparse.Namespace:
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.hidden", description="Hide effects and have them found.")
     parser.add_argument("n", type=int, nargs="?", help="trials (default: two rounds)")
     parser.add_argument("--world", choices=WORLDS, default="planar", help="the simulator (default: planar)")
@@ -73,7 +73,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "--add", type=Path, nargs="*", default=[], help="count these files' trials too; N = 0 prints them"
     )
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     only = set(filter(None, options.effects.split(",")))
     if only - set(NAMES):
         parser.error(f"unknown: {', '.join(sorted(only - set(NAMES)))}")
@@ -87,9 +87,9 @@ def _read(paths: Iterable[Path]) -> list[dict[str, Any]]:
     return [json.loads(line) for path in paths for line in path.read_text().splitlines()]
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run the trials, one line each, then the tables."""
-    options = _options()
+    options = _options(arguments)
     own = options.out
     results = _read(options.add) + _read([own] if own is not None and own.exists() and own not in options.add else [])
     done = {(r["seed"], r["name"]) for r in results}

@@ -137,10 +137,7 @@ def test_a_campaign_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(trial, "run", run)
     for n in ("3", "5"):
-        monkeypatch.setattr(
-            "sys.argv", ["hidden", n, "--world", "building", "--seed", "9", "--out", str(tmp_path / "all.jsonl")]
-        )
-        main()
+        main([n, "--world", "building", "--seed", "9", "--out", str(tmp_path / "all.jsonl")])
     assert asked == worlds.rounds(5, 9, building_trials.NAMES)
     assert len((tmp_path / "all.jsonl").read_text().splitlines()) == 5
 

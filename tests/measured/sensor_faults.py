@@ -199,10 +199,7 @@ class Half:
         out = []
         for at in range(0, len(floors), BLOCK_N):
             t_ns = self.t_ns + round(at / self.rate_hz * 1e9)
-            for topic, channels, values in (
-                (GROUND, ("ground",), self.ground),
-                (ACCELERATION, CHANNELS, floors),
-            ):
+            for topic, channels, values in ((GROUND, ("ground",), self.ground), (ACCELERATION, CHANNELS, floors)):
                 part = values[at : at + BLOCK_N].astype(np.float32)
                 out.append(SampleBlock(topic, t_ns, at, self.rate_hz, channels, "m/s^2", part))
         return out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import scipy.linalg
 
 from monitor.config import configuration
 from monitor.model.structures import condense_massless
+from tests.support.commands import ended
 from tests.support.samples import Cli
 
 ROOT = Path(__file__).parents[2]
@@ -61,18 +61,14 @@ def test_a_frame_of_opensees_has_the_frequencies_that_opensees_gives(tmp_path: P
     """In a process of its own: the program keeps its model in the library, and may fail to load there."""
     if importlib.util.find_spec("openseespy") is None:
         pytest.skip("openseespy is not installed")
-    probe = subprocess.run(
-        [sys.executable, "-c", "import openseespy.opensees"], capture_output=True, text=True, check=False
-    )
+    probe = ended(sys.executable, "-c", "import openseespy.opensees")
     if probe.returncode:
         pytest.skip(f"openseespy cannot be imported: {(probe.stderr.strip().splitlines() or ['it ends'])[-1]}")
     code = (
         "import json, sys; from pathlib import Path; from tests.examples.opensees_frame import write_structure; "
         "print('given', json.dumps(list(write_structure(Path(sys.argv[1])))))"
     )
-    made = subprocess.run(
-        [sys.executable, "-c", code, tmp_path / "f.toml"], capture_output=True, text=True, check=False, cwd=ROOT
-    )
+    made = ended(sys.executable, "-c", code, tmp_path / "f.toml", cwd=ROOT)
     assert made.returncode == 0, made.stderr
     own_hz = json.loads(made.stdout.partition("given ")[2].splitlines()[0])
     model = configuration.load(tmp_path / "f.toml").model()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,8 @@ from monitor.model.effects.joint_flexibility import JointFlexibility
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from tests.contracts.effect_cases import CASES, CONTEXT, STRUCTURE
+from tests.support.samples import Cli
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
 T0_NS = 1_767_225_600_000_000_000
 
 
@@ -32,7 +31,7 @@ def frame(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Path:
 
 
 @pytest.fixture
-def short(main: Run, frame: Path, tmp_path: Path) -> Run:
+def short(main: Cli, frame: Path, tmp_path: Path) -> Cli:
     def run(*more: object) -> subprocess.CompletedProcess[str]:
         out = tmp_path / "s.mcap"
         return main("simulate", "--structure", frame, "--out", out, "--duration", 3, "--rate", 128, *more)
@@ -51,7 +50,7 @@ def metadata(path: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("text", [c for c in CASES if not c.startswith("temperature")])
-def test_the_command_plants_any_effect(short: Run, tmp_path: Path, text: str) -> None:
+def test_the_command_plants_any_effect(short: Cli, tmp_path: Path, text: str) -> None:
     assert short("--effect", text, "--seed", 4).returncode == 0
     effect = parse_effect(text)
     wanted = simulate(Model(STRUCTURE, (effect,)), duration_s=3, rate_hz=128, noise=0.05, seed=4, context=CONTEXT)
@@ -61,7 +60,7 @@ def test_the_command_plants_any_effect(short: Run, tmp_path: Path, text: str) ->
     assert told == [{"effect": effect.name, "location": effect.location, **effect.values()}]
 
 
-def test_temperature_is_recorded_with_the_stiffness_that_follows_it(short: Run, tmp_path: Path) -> None:
+def test_temperature_is_recorded_with_the_stiffness_that_follows_it(short: Cli, tmp_path: Path) -> None:
     assert short("--effect", "temperature_stiffness:frame:per_degc=-0.01,lag_s=0").returncode == 0
     felt = blocks(tmp_path / "s.mcap", TEMPERATURE)
     assert [b.t_ns for b in felt] == [T0_NS + k * 10**9 for k in range(3)]
@@ -72,7 +71,7 @@ def test_temperature_is_recorded_with_the_stiffness_that_follows_it(short: Run, 
     assert metadata(tmp_path / "s.mcap")["reference_degc"] == "20.0"
 
 
-def test_the_weather_can_be_told(short: Run, tmp_path: Path) -> None:
+def test_the_weather_can_be_told(short: Cli, tmp_path: Path) -> None:
     """Half a period of 6 s, and 10 K above the reference is 10 per_degc of stiffness."""
     assert short("--temperature", "5,8,6").returncode == 0
     felt = [b.samples[0, 0] for b in blocks(tmp_path / "s.mcap", TEMPERATURE)]
@@ -103,7 +102,7 @@ def test_the_weather_can_be_told(short: Run, tmp_path: Path) -> None:
         (["--temperature", "20,inf"], "finite"),
     ],
 )
-def test_what_cannot_be_is_one_message(short: Run, tmp_path: Path, arguments: list[str], word: str) -> None:
+def test_what_cannot_be_is_one_message(short: Cli, tmp_path: Path, arguments: list[str], word: str) -> None:
     done = short(*arguments)
     assert done.returncode == 78
     assert word in done.stderr and "Traceback" not in done.stderr
@@ -111,7 +110,7 @@ def test_what_cannot_be_is_one_message(short: Run, tmp_path: Path, arguments: li
 
 
 @pytest.mark.parametrize("text", CASES)
-def test_any_effect_may_stand_in_a_structure_file(main: Run, tmp_path: Path, frame_text: str, text: str) -> None:
+def test_any_effect_may_stand_in_a_structure_file(main: Cli, tmp_path: Path, frame_text: str, text: str) -> None:
     effect = parse_effect(text)
     values = ", ".join(f"{name} = {value!r}" for name, value in effect.values().items())
     path = tmp_path / "with.toml"
@@ -138,7 +137,7 @@ def test_a_story_that_changed_is_other_columns_between_the_girders_that_were_bui
 
 
 def test_replay_and_calibrate_take_a_structure_file_with_a_nonlinear_effect(
-    main: Run, tmp_path: Path, frame: Path, frame_text: str
+    main: Cli, tmp_path: Path, frame: Path, frame_text: str
 ) -> None:
     law = "cubic_stiffness:story 2:k3_n_per_m3=2e7"
     done = main(

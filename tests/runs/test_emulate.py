@@ -5,7 +5,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -18,11 +17,11 @@ from drivers.can_bus import CanSource
 from drivers.socketcand_server import SocketcandServer, frame_text
 from monitor.core import BadConfigurationError, MissingInputError
 from monitor.runs import emulate
-from tests.support.samples import write_blocks
+from tests.support.samples import Cli, Cut, write_blocks
+from tests.support.zenoh_router import free_port
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 CHANNELS = ("a1", "a2", "a3")
-Cut = Callable[..., list[SampleBlock]]
 
 
 @pytest.fixture
@@ -227,11 +226,6 @@ def test_no_client_comes() -> None:
         emulate.open_sink("can:socketcand-server:127.0.0.1:0", CHANNELS, dbc=DEPLOY / "frame.dbc", wait_s=0.05)
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        return int(probe.getsockname()[1])
-
-
 def test_two_processes(tmp_path: Path, cut: Cut) -> None:
     raw = np.random.default_rng(2).integers(-9000, 9000, (5000, 3))
     write_blocks(tmp_path / "r.mcap", cut((raw * 0.001).astype(np.float32), 1024.0, (1000,)))
@@ -249,9 +243,7 @@ def test_two_processes(tmp_path: Path, cut: Cut) -> None:
     assert blocks[0].topic == ACCELERATION
 
 
-def test_simulate_sends_to_a_bus(
-    tmp_path: Path, frame_text: str, main: Callable[..., subprocess.CompletedProcess[str]]
-) -> None:
+def test_simulate_sends_to_a_bus(tmp_path: Path, frame_text: str, main: Cli) -> None:
     (tmp_path / "s.toml").write_text(frame_text)
     with can.Bus(interface="virtual", channel="simulated") as bus:
         done = main(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+from tests.support.waiting import until
 
 pytest.importorskip("dask")  # until it stands in the lock
 
@@ -154,16 +155,8 @@ def test_events_of_an_archive_are_told(archive: Path, tmp_path: Path, main: Cli)
     """A recording of an earthquake, shorter than a window, is a run with an event and without windows."""
     (tmp_path / "site.toml").write_text(STRUCTURE)
     write_blocks(tmp_path / "quake.mcap", blocks(shaken(), n=200))
-    done = main(
-        "reprocess",
-        tmp_path / "quake.mcap",
-        "--structure",
-        tmp_path / "site.toml",
-        "--out",
-        tmp_path / "out",
-        "--workers",
-        1,
-    )
+    options = ("--structure", tmp_path / "site.toml", "--out", tmp_path / "out", "--workers", 1)
+    done = main("reprocess", tmp_path / "quake.mcap", *options)
     assert done.returncode == 0, done.stderr
     (run,) = (tmp_path / "out/runs").iterdir()
     told = main("report", run, "--event", "last")
@@ -240,10 +233,9 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
     local = ["--host", "127.0.0.1", "--no-dashboard"]
     processes = [subprocess.Popen([*command, *local, "--port", "0", "--scheduler-file", str(where)], stderr=log)]
     try:
-        deadline = time.monotonic() + 60.0
-        while not where.exists() or not where.read_text().strip().endswith("}"):
-            assert time.monotonic() < deadline, (tmp_path / "dask.log").read_text()
-            time.sleep(0.05)
+        until(
+            lambda: where.exists() and where.read_text().strip().endswith("}"), f"a scheduler: {tmp_path / 'dask.log'}"
+        )
         address = json.loads(where.read_text())["address"]
         command = [sys.executable, "-W", "ignore", "-m", "distributed.cli.dask_worker", address, "--nthreads", "1"]
         scratch = ["--local-directory", str(tmp_path)]

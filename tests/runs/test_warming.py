@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import pytest
 from monitor.config import configuration
 from monitor.model import simulate
 from monitor.runs import warm_up
+from tests.support.commands import ended
 from tests.support.frames import shear_frame
 from tests.support.samples import Cli, Cut, write_blocks
 
@@ -59,10 +59,8 @@ def test_no_window_compiles_anything(
         baseline = str(tmp_path / "baseline.json")
         done = main("calibrate", tmp_path / "healthy.mcap", "--structure", structure, "--out", baseline)
         assert done.returncode == 0, done.stderr
-    arguments = [str(structure), str(recording), baseline, str(tmp_path)]
-    done = subprocess.run(
-        [sys.executable, "-c", COUNT, *arguments], capture_output=True, text=True, cwd=ROOT, check=True
-    )
+    done = ended(sys.executable, "-c", COUNT, structure, recording, baseline, tmp_path, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
     warm, after, windows, state = json.loads(done.stdout)
     assert windows > 10 and len(warm) > 10 and (state == "alarm") is with_baseline
     assert after == warm

@@ -43,10 +43,7 @@ def test_scraps_with_gaps_between_them_fill_no_database(site: Path) -> None:
 
 
 def test_a_stream_faster_than_max_pace_is_cut_counted_and_told(
-    site: Path,
-    record: np.ndarray,
-    cut: Cut,
-    caplog: pytest.LogCaptureFixture,
+    site: Path, record: np.ndarray, cut: Cut, caplog: pytest.LogCaptureFixture
 ) -> None:
     """An hour of data at once brings ten minutes of windows."""
     text = site.read_text().replace('kind = "mcap"\nfiles = ["rec.mcap"]', f"{ZENOH}\nmax_pace = 2.0")
@@ -63,11 +60,7 @@ def test_a_stream_faster_than_max_pace_is_cut_counted_and_told(
     assert caplog.text.count("a block is refused") == 1
 
 
-def test_blocks_of_another_century_are_set_aside_and_the_rest_goes_on(
-    site: Path,
-    record: np.ndarray,
-    cut: Cut,
-) -> None:
+def test_blocks_of_another_century_are_set_aside_and_the_rest_goes_on(site: Path, record: np.ndarray, cut: Cut) -> None:
     text = site.read_text().replace('kind = "mcap"\nfiles = ["rec.mcap"]', f"{ZENOH}\nmax_ahead_s = 3600.0")
     blocks = cut(record, RATE)
     site.write_text(text)
@@ -80,10 +73,7 @@ def test_blocks_of_another_century_are_set_aside_and_the_rest_goes_on(
 
 
 def test_a_restart_after_blocks_of_another_century_is_a_replay_of_all_recordings(
-    site: Path,
-    record: np.ndarray,
-    cut: Cut,
-    main: Cli,
+    site: Path, record: np.ndarray, cut: Cut, main: Cli
 ) -> None:
     """Without bounds the stream jumps there and back; recordings are named by the right time again, and keep their order."""
     blocks = cut(np.tile(record, (5, 1)), RATE, [128])

@@ -245,13 +245,18 @@ def test_the_wall_clock_alone_makes_no_daemon_silent(locked: Path, ahead_ns: int
     assert 0.0 <= found["silent_s"] < 60.0
 
 
+def later(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    """Let the machine have run for so much longer."""
+    boot_id, boot_s = status.boot_time()
+    monkeypatch.setattr(status, "boot_time", lambda: (boot_id, boot_s + seconds))
+
+
 @pytest.mark.parametrize("ahead_ns", [0, DAY_NS, -DAY_NS])
 def test_the_wall_clock_alone_makes_no_hung_daemon_healthy(
     locked: Path, ahead_ns: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     put_last(locked, wall_ns=time.time_ns() + ahead_ns)
-    boot_id, boot_s = status.boot_time()
-    monkeypatch.setattr(status, "boot_time", lambda: (boot_id, boot_s + 90.0))
+    later(monkeypatch, 90.0)
     found = look(locked)
     assert (found["monitor"], found["exit_code"]) == ("silent", DOWN) and found["silent_s"] >= 90.0
     assert "is silent since" in found["headline"]
@@ -286,8 +291,7 @@ def test_who_may_not_open_the_lock_goes_by_the_age_of_the_latest_line(
     monkeypatch.setattr(os, "open", refuse)
     put_last(stopped)
     assert look(stopped)["monitor"] == "running"
-    boot_id, boot_s = status.boot_time()
-    monkeypatch.setattr(status, "boot_time", lambda: (boot_id, boot_s + 90.0))
+    later(monkeypatch, 90.0)
     assert look(stopped)["monitor"] == "not running"
 
 

@@ -380,8 +380,7 @@ def test_mail(place: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("url", "told"),
-    [("beat", "beat?ledger=ab12"), ("b?status=up#x", "b?status=up&ledger=ab12#x"), ("beat", "beat")],
+    ("url", "told"), [("beat", "beat?ledger=ab12"), ("b?status=up#x", "b?status=up&ledger=ab12#x"), ("beat", "beat")]
 )
 def test_a_heartbeat_carries_the_head_of_the_ledger(place: Path, clerk: Clerk, url: str, told: str) -> None:
     one = clerk.notifier(place, beats=(BEAT + url,))

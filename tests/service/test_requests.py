@@ -97,10 +97,7 @@ def test_whatever_the_ledger_holds_a_request_is_answered(
 
 
 def test_an_answer_comes_after_the_ledger_and_what_changes_nothing_is_not_written(
-    site: Path,
-    record: np.ndarray,
-    cut: Cut,
-    monkeypatch: pytest.MonkeyPatch,
+    site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     saves = []
     really = restart.Checkpointer.save

@@ -33,6 +33,7 @@ from monitor.diagnosis import Request
 from monitor.service import Daemon, history, serialization
 from monitor.service.restart import KeptAlarms
 from tests.support import live_site
+from tests.support.commands import ended
 from tests.support.live_site import RATE, LiveDaemon
 from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.site import SITE, Endless, Scripted, Told, judged_lines, lines, own, run_until, summary, write
@@ -105,9 +106,7 @@ def test_a_read_only_disk_is_one_message_at_start(site: Path) -> None:
     (site.parent / "out").mkdir()
     write(site.parent / "rec.mcap", [])
     command = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script]
-    done = subprocess.run(
-        [*command, site.parent / "out", sys.executable, site], capture_output=True, text=True, cwd=ROOT, check=False
-    )
+    done = ended(*command, site.parent / "out", sys.executable, site, cwd=ROOT)
     if "mount" in done.stderr or "unshare" in done.stderr:
         pytest.skip("no mount namespaces here")
     assert done.returncode == 66 and done.stderr.count("\n") == 1 and "cannot be written: Read-only" in done.stderr

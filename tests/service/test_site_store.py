@@ -211,12 +211,7 @@ def test_of_two_copies_that_begin_while_the_storage_is_away_one_ends(
 @pytest.mark.parametrize("is_away", [False, True])
 @pytest.mark.parametrize("is_same_run", [False, True])
 def test_a_folder_restored_from_an_older_copy_deletes_nothing_that_is_newer(
-    machine: Machine,
-    tmp_path: Path,
-    bucket: Bucket,
-    clock: Clock,
-    is_same_run: bool,
-    is_away: bool,
+    machine: Machine, tmp_path: Path, bucket: Bucket, clock: Clock, is_same_run: bool, is_away: bool
 ) -> None:
     """Either the copy was made in the run that then died, or before; the storage may be away when the restored one begins."""
     folder = tmp_path / "a"

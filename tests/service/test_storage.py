@@ -149,11 +149,7 @@ def fill(out: Path, files: dict[str, int]) -> None:
 
 @pytest.mark.parametrize(
     ("keep", "left", "closed", "says"),
-    [
-        (10_000, 10_000 - 4_600, 2, None),
-        (4_000, 4_000 - 3_600, 1, None),
-        (1_000, 0, 0, "without recordings, keep_gb"),
-    ],
+    [(10_000, 10_000 - 4_600, 2, None), (4_000, 4_000 - 3_600, 1, None), (1_000, 0, 0, "without recordings, keep_gb")],
 )
 def test_recordings_go_first_then_closed_months_and_what_does_not_fit_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keep: int, left: int, closed: int, says: str | None

@@ -46,12 +46,12 @@ def test_a_file_of_results_is_gone_on_with(tmp_path: Path) -> None:
     assert made == [("a", 1), ("b", 1), ("b", 2)]
 
 
-def test_words_of_a_command_have_the_type_of_their_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["command", "3", "x", "0.5"])
-    assert words(int, Path, 2.0, "none") == [3, Path("x"), 0.5, "none"]
+def test_words_of_a_command_have_the_type_of_their_default() -> None:
+    given = ["3", "x", "0.5"]
+    assert words(int, Path, 2.0, "none", given=given) == [3, Path("x"), 0.5, "none"]
     for kinds in ((int,), (int, str, str, int)):
         with pytest.raises(SystemExit, match="words are needed, not 3"):
-            words(*kinds)
+            words(*kinds, given=given)
 
 
 @pytest.mark.system

@@ -21,9 +21,9 @@ _FOLDERS = ("tests/statistics", "tests/events", "tests/hidden", "tests/damage")
 """What a trial reads besides the code of a reference."""
 
 
-def words(*kinds: Any) -> list[Any]:
+def words(*kinds: Any, given: Sequence[str] | None = None) -> list[Any]:
     """Read the words of the command, in order; a kind is a type, or the value that stands where no word does."""
-    given = sys.argv[1:]
+    given = sys.argv[1:] if given is None else given
     needed = sum(isinstance(kind, type) for kind in kinds)
     if not needed <= len(given) <= len(kinds):
         sys.exit(f"{needed} to {len(kinds)} words are needed, not {len(given)}")

@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
+from pathlib import Path
 
 Done = subprocess.CompletedProcess[str]
+
+
+def ended(*command: object, cwd: Path | None = None, timeout_s: float = 600.0, **environment: str) -> Done:
+    """A command at its end, with some variables of the environment changed."""
+    return subprocess.run(
+        [*map(str, command)], capture_output=True, text=True, check=False, cwd=cwd, timeout=timeout_s,
+        env={**os.environ, **environment},
+    )  # fmt: skip
 
 
 def strict(text: str) -> object:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import configparser
-import os
 import re
 import shlex
 import subprocess
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from monitor.config import configuration, security_check
+from tests.support.commands import ended
 from tests.support.debian import demand
 from tests.support.samples import Cli
 
@@ -34,9 +34,7 @@ def test_systemd_accepts_the_unit(name: str, tmp_path: Path) -> None:
     demand("systemd")
     text = (DEPLOY / name).read_text().replace("/opt/shm-monitor/bin/shm-monitor", "/bin/true")
     (tmp_path / name).write_text(text)  # it wants programs to exist
-    done = subprocess.run(
-        ["systemd-analyze", "verify", str(tmp_path / name)], capture_output=True, text=True, check=False
-    )
+    done = ended("systemd-analyze", "verify", tmp_path / name)
     assert done.returncode == 0 and not done.stderr, done.stderr
 
 
@@ -132,13 +130,9 @@ def test_the_fleet_file_is_sound(tmp_path: Path, main: Cli) -> None:
 
 def test_a_user_without_a_home_may_run_what_root_installed() -> None:
     """Where compiled code cannot be kept, it is compiled anew."""
-    environment = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "IPythonCacheLocator"}  # none for files
     script = (
-        "from monitor.inference import cross_spectra, wishart; from monitor.model import LawKind; "
-        "from monitor.model.integration import phi; print(phi(int(LawKind.CUBIC), 2.0, 1e9, 3.0, 0.0))"
+        "from monitor.inference import linearize; from monitor.model import loaded; print(loaded(), linearize.__name__)"
     )
-    command = [sys.executable, "-c", script]
-    done = subprocess.run(
-        command, capture_output=True, text=True, env=environment, cwd=DEPLOY.parent, timeout=240, check=False
-    )
-    assert done.returncode == 0 and round(float(done.stdout), 9) == 54.0, done.stderr
+    nowhere = "IPythonCacheLocator"  # none for files
+    done = ended(sys.executable, "-c", script, cwd=DEPLOY.parent, NUMBA_CACHE_LOCATOR_CLASSES=nowhere)
+    assert (done.returncode, done.stdout) == (0, "None linearize\n"), done.stderr

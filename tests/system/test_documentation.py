@@ -17,7 +17,6 @@ import re
 import runpy
 import shlex
 import shutil
-import subprocess
 import sys
 import tomllib
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from pathlib import Path
 import pytest
 
 from monitor.cli import command_line
+from tests.support.commands import ended
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
@@ -107,15 +107,7 @@ def run(page: Path, folder: Path, *, slow: bool) -> None:
         if block.kind != "sh" or block.mark == "not run":
             continue
         script = "\n".join(["set -euo pipefail", block.why if block.mark == "first" else "", block.text])
-        done = subprocess.run(
-            ["bash", "-c", script],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=900,
-            check=False,
-        )
+        done = ended("bash", "-c", script, cwd=folder, timeout_s=900.0, **environment)
         assert done.returncode == 0, f"{page.name}:\n{block.text}\n{done.stdout[-2000:]}\n{done.stderr[-3000:]}"
         assert "Traceback" not in done.stderr
 
@@ -193,11 +185,7 @@ API = ROOT / "docs/api.py"
 def api_reference(folder: Path, *names: str) -> set[str]:
     """Pages that are made, each with its module's docstring."""
     pytest.importorskip("pdoc")
-    command = [sys.executable, str(API), str(folder), *names]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        command, capture_output=True, text=True, env=environment, cwd=folder, timeout=240, check=False
-    )
+    done = ended(sys.executable, API, folder, *names, cwd=folder, timeout_s=240.0, PYTHONPATH=str(ROOT))
     assert done.returncode == 0, done.stderr[-2000:]
     assert "Hankel" in (folder / "monitor/identification/ssi.html").read_text(encoding="utf-8")
     return {path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.html")}

@@ -183,9 +183,7 @@ class Wire:
 
 
 def test_malformed_datagrams_beside_every_frame_cost_no_window(
-    tmp_path: Path,
-    stream: list[SampleBlock],
-    group: tuple[CanSource, Callable[[bytes], object]],
+    tmp_path: Path, stream: list[SampleBlock], group: tuple[CanSource, Callable[[bytes], object]]
 ) -> None:
     site, (reader, send) = make_site(tmp_path, "can", PROCESSING, **QUICK), group
     messages = can_messages(stream)[: round(31 * RATE_HZ)]

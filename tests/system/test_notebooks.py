@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import nbformat
 import pytest
+
+from tests.support.commands import ended
 
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = sorted((ROOT / "docs/notebooks").glob("*.ipynb"))
@@ -38,13 +38,6 @@ def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
     """In a kernel of its own; its assertions are what it claims."""
     (tmp_path / "recordings").symlink_to(ROOT / "recordings")
     places = f"{ROOT}:{ROOT / 'monitor/api/installed'}"
-    done = subprocess.run(
-        [sys.executable, "-c", _RUN, str(path)],
-        env={**os.environ, "PYTHONPATH": places, "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg"},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    environment = {"PYTHONPATH": places, "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg"}
+    done = ended(sys.executable, "-c", _RUN, path, cwd=tmp_path, **environment)
     assert done.returncode == 0, done.stderr[-3000:]

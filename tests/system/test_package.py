@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from tests.support.commands import ended
 from tests.support.frames import shear_frame_text
 
 pytestmark = pytest.mark.system
@@ -79,13 +80,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(ROOT / name, source)
     for name in ("monitor", "drivers"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
-    done = subprocess.run(
-        [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(source)],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
+    done = ended(sys.executable, "-m", "build", "--no-isolation", "--outdir", out, source, timeout_s=240.0)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     return out
 
@@ -114,7 +109,7 @@ def test_the_wheel_installs_and_its_library_and_commands_answer(built: Path, tmp
     place = tmp_path / "packages"
     link_core(place)
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", str(place)]
-    done = subprocess.run([*command, str(wheel)], capture_output=True, text=True, timeout=120, check=False)
+    done = ended(*command, wheel, timeout_s=120.0)
     assert done.returncode == 0, done.stderr
     assert run(place, "-m", "monitor", "--version", folder=tmp_path).stdout.strip() == PROJECT["version"]
     checked = run(place, "-m", "monitor", "check", RECORDINGS / "frame.toml", folder=tmp_path)

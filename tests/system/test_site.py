@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.support.commands import ended
 
 ROOT = Path(__file__).parents[2]
 
@@ -18,14 +18,7 @@ ROOT = Path(__file__).parents[2]
 def test_the_site_is_built_strictly_and_needs_no_other_host(tmp_path: Path) -> None:
     """Every page is there, links and anchors hold (a warning would be an error), scripts, styles and fonts are its own."""
     places = f"{ROOT}:{ROOT / 'monitor/api/installed'}"
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "docs/site_builder.py"), str(tmp_path / "site")],
-        env={**os.environ, "PYTHONPATH": places},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    done = ended(sys.executable, ROOT / "docs/site_builder.py", tmp_path / "site", PYTHONPATH=places)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     site = tmp_path / "site"
     for page in (ROOT / "docs").rglob("*.md"):

@@ -105,10 +105,7 @@ def test_a_browser_reads_the_page_with_the_token_at_a_desk_and_on_a_telephone(tm
             picture.write_bytes(page.picture())
             assert (
                 page.value("getComputedStyle(document.body).backgroundColor")
-                == {
-                    "light": "rgb(246, 247, 249)",
-                    "dark": "rgb(17, 22, 28)",
-                }[scheme]
+                == {"light": "rgb(246, 247, 249)", "dark": "rgb(17, 22, 28)"}[scheme]
             )
         assert page.value(OUTSIDE) == 0
         assert page.value("performance.getEntriesByType('resource').length") > 5
