@@ -1,4 +1,4 @@
-from . import alarm, damage_index, slow_learning
+from . import alarm, damage_index, judge, slow_learning
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
 from .assessment import (
@@ -22,14 +22,15 @@ from .covariate_law import CovariateLaw
 from .covariates import LEVEL, CovariateSettings, LearnedRange, common_words, law_lines, learned_ranges
 from .detectable_loss import clock_error
 from .feature_change import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
-from .judge import AnyBaseline, Judge, Memory, View
+from .judge import Memory
 from .level import drift_m, level_db
-from .modal_alarm import modal_parts
 from .modal_baseline import ModalBaseline, ModalOrigin, learn_modal_baseline
 from .modal_baseline_file import load_modal_baseline, save_modal_baseline
-from .modal_judge import ModalJudge
+from .modal_stiffness import ModalStiffness
 from .origin import Origin
-from .stiffness_judge import StiffnessJudge
+from .parts import modal_parts
+from .quantities import AnyBaseline, Quantities, View
+from .story_stiffness import StoryStiffness
 from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
@@ -47,19 +48,19 @@ __all__ = [
     "FeatureJudge",
     "FeatureTable",
     "FeatureVerdict",
-    "Judge",
     "Known",
     "LearnedRange",
     "Loss",
     "Memory",
     "ModalBaseline",
-    "ModalJudge",
     "ModalOrigin",
+    "ModalStiffness",
     "Observation",
     "Origin",
+    "Quantities",
     "State",
-    "StiffnessJudge",
     "StoryState",
+    "StoryStiffness",
     "Update",
     "UpdatingSettings",
     "View",
@@ -74,6 +75,7 @@ __all__ = [
     "follow",
     "hold",
     "is_seen",
+    "judge",
     "judge_features",
     "law_lines",
     "learn_baseline",

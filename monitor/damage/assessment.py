@@ -24,8 +24,8 @@ from monitor.core import (
     utc,
 )
 from monitor.damage.detectable_loss import WITHIN_S, clock_error
-from monitor.damage.modal_alarm import change_words
 from monitor.damage.origin import MOST_LISTED
+from monitor.damage.parts import STORIES, ModesAndShapes, Parts, change_words
 from monitor.damage.sequential_test import CHANCE_STDS
 from monitor.model import FORMS
 
@@ -82,7 +82,7 @@ class Loss:
     t_last_ns: int | None = None
     """None while the alarm lasts."""
     modal: bool = False
-    """Whether `story` is the number of a mode or of a shape (`modal_alarm.modal_parts`), and `ddi` its relative change, negative
+    """Whether `story` is the number of a mode or of a shape (`parts.modal_parts`), and `ddi` its relative change, negative
     for a fall."""
 
 
@@ -156,22 +156,6 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
-    """What is judged, as people call it."""
-
-    part: str
-    every: str
-    loss: str
-    """What is looked for, with its article left out."""
-
-
-_STORIES = Words("story", "every story", "loss")
-"""Words with a model. [words]"""
-_MODES = Words("mode", "every mode", "change of frequency")
-"""Words without a model. [words]"""
-
-
-@dataclass(frozen=True, slots=True)
 class Known:
     """What does not change from window to window."""
 
@@ -202,14 +186,14 @@ class Known:
     """Those of them that are faulty, and what is wrong with each."""
 
     @property
-    def words(self) -> Words:
+    def words(self) -> Parts:
         """What is judged, in words."""
-        return _STORIES if self.n_modes is None else _MODES
+        return STORIES if self.n_modes is None else ModesAndShapes(self.n_modes)
 
     @property
     def seen_from(self) -> float:
         """Change that must have been seen for an all-clear, as `detectable` counts it."""
-        return self.alarm_loss if self.n_modes is None else 0.5 * self.alarm_loss
+        return self.words.reading.shown * self.alarm_loss
 
 
 @dataclass(frozen=True, slots=True)
@@ -525,7 +509,7 @@ def _levels(course: Course, known: Known, whole: bool) -> list[str]:
 def _clock(course: Course, known: Known, clocks: Sequence[tuple[str, float, float]]) -> list[str]:
     """State both rates where what a clock leaves open exceeds the smallest loss that would have been seen."""
     modal, last, judged = known.n_modes is not None, course.last, course.judged
-    widened = 0.0 if judged is None else clock_error(judged.rates_hz, known.clock_ratio, modal=modal)
+    widened = 0.0 if judged is None else clock_error(judged.rates_hz, known.clock_ratio, known.words.reading.shown)
     seen = [] if judged is None else [loss for loss in judged.detectable or () if loss is not None]
     least = max(seen) - widened if seen else known.seen_from
     if last is not None and (last.skipped or "").startswith(CLOCK):  # it lets no window be judged
@@ -536,7 +520,7 @@ def _clock(course: Course, known: Known, clocks: Sequence[tuple[str, float, floa
     says = []
     for how, ratio, std in found:
         away = max(abs(ratio / known.clock_ratio - 1.0) - 2.0 * std, 0.0)
-        error = clock_error((1.0, 1.0 + away), 1.0, modal=modal)
+        error = clock_error((1.0, 1.0 + away), 1.0, known.words.reading.shown)
         if error > least and 1.0 / _PLAYBACK < ratio < _PLAYBACK:
             says.append(
                 f"the samples come at {stated * ratio:.6g} Hz {how}, at {stated:g} Hz as the source states: all "

@@ -22,13 +22,14 @@ Smith, Applied regression analysis (1998), section 5.1 (variance of a prediction
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core import Array, DamageReading
-from monitor.damage.sequential_test import LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS, History
+from monitor.core import Array, Reading
+
+AnyReading = TypeVar("AnyReading", bound=Reading)
 
 EVERY_NS = 3_600_000_000_000
 """Time between two windows that are learned from: they share no data. [ns; judgement]"""
@@ -37,6 +38,11 @@ WAIT_NS = 48 * EVERY_NS
 1 percent take to be announced]"""
 UNMEASURED = "unmeasured"
 """Name, among the covariates, of what all stories do together without a known cause. [name]"""
+LOCAL_LOSS_CREDIT = 1.0
+"""A loss in one story needs this much less evidence than a uniform change, which is the rarer explanation. [standard
+deviations; judgement]"""
+SIGNIFICANT_STDS = 3.0
+"""Size from which a change counts as significant. [standard deviations; convention: three sigma]"""
 _ANY_SIZE = 1.0
 """Standard deviation of a change of all stories alike, where one is found. [relative change; rounding: any value far above the
 changes of healthy structures]"""
@@ -281,48 +287,25 @@ class Expected:
         of_learned, of_total = (np.asarray(np.linalg.inv(m), dtype=float) for m in (learned, total))
         return _Compared(*beside_each_other(np.ascontiguousarray(losses), of_learned, of_total, self.stretches))
 
-    def take_out(self, reading: DamageReading, history: History, beside: Beside) -> tuple[DamageReading, History]:
-        """Take out of a window's damage index what the other stories let expect.
-
-        Parameters
-        ----------
-        history : History
-            The alarm's, after the window.
-        beside : Beside
-            Comparison of the window's losses (`beside_others`).
-
-        Returns
-        -------
-        DamageReading
-        History
-            The variances of what is left, for the smallest detectable loss; its readings are unchanged.
-        """
-        # The smallest detectable loss is of a structure without loss, and its simulation is kept for the next windows: what
-        # changes from window to window by chance stays out of it.
-        smooth, of_history = np.exp(history.ln_variance), history.common.mean(axis=0)
-        inverse = np.linalg.inv(self._covariances(np.diag(smooth) + of_history)[1])
-        intact = inverse / inverse.diagonal()[:, None]  # weights, as in `Beside`
+    def take_out(self, reading: AnyReading, beside: Beside) -> AnyReading:
+        """Take out of a window's losses what the other parts let expect (`beside_others`)."""
         own, common = beside.left_of(
-            np.stack([reading.ddi_covariance - reading.common_covariance, reading.common_covariance + self.covariance])
+            np.stack([reading.covariance - reading.common_covariance, reading.common_covariance + self.covariance])
         )
         common += np.diag(beside.beyond)
-        shift = reading.ddi - beside.loss
-        loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
-        of_history = replace(beside, weights=intact).left_of(of_history + self.covariance)
-        of_history += np.diag(beside.beyond)
-        return replace(
-            reading,
-            ddi=beside.loss,
-            ddi_covariance=own + common,
-            common_covariance=common,
-            ddi_sequential=reading.ddi_sequential - shift,
-            loss_n_per_m=loss_n_per_m,
-            covariate_effect={**reading.covariate_effect, UNMEASURED: -shift},
-        ), replace(
-            history,
-            ln_variance=np.log(intact**2 @ smooth),
-            common=of_history[None],
-        )
+        return reading.left_by_others(beside.loss, own + common, common, UNMEASURED)
+
+    def left_of_intact(self, variance: Array, common: Array, beside: Beside) -> tuple[Array, Array]:
+        """Compute the variances of windows' losses, shape (n,), and what they have in common, (n, n), once that is taken out.
+
+        It is of a structure without loss: what changes from window to window by chance stays out of it, so that the simulation of
+        the smallest detectable loss serves the next windows too.
+        """
+        inverse = np.linalg.inv(self._covariances(np.diag(variance) + common)[1])
+        intact = inverse / inverse.diagonal()[:, None]  # weights, as in `Beside`
+        left = replace(beside, weights=intact).left_of(common + self.covariance)
+        left += np.diag(beside.beyond)
+        return intact**2 @ variance, left
 
 
 class _Compared(NamedTuple):

@@ -91,8 +91,8 @@ def step(
     form = 0.0 if baseline is None else baseline.model_form
     form_covariance = (form * np.abs(ddi).max()) ** 2 * np.eye(ddi.size)
     reading = DamageReading(
-        ddi=ddi,
-        ddi_covariance=covariance / np.outer(healthy, healthy) + effect_covariance + form_covariance,
+        loss=ddi,
+        covariance=covariance / np.outer(healthy, healthy) + effect_covariance + form_covariance,
         model_form=form,
         ddi_sequential=sequential_reading(healthy_k, now_k) if is_chain else ddi,
         loss_n_per_m=healthy - fit.parameters,

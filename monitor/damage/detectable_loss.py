@@ -12,9 +12,10 @@ from math import ceil, sqrt
 
 import numpy as np
 
-from monitor.core import Array, DamageReading
+from monitor.core import Array, Reading
 from monitor.damage.alarm import AlarmSettings
-from monitor.damage.sequential_test import LOCAL_LOSS_CREDIT, STRETCHES, History
+from monitor.damage.common_change import LOCAL_LOSS_CREDIT
+from monitor.damage.sequential_test import STRETCHES, History
 
 PROBABILITY = 0.9
 """Probability with which the smallest detectable loss is seen. [1; convention: a90 of inspection reliability, MIL-HDBK-1823A]"""
@@ -33,8 +34,8 @@ _CORRELATION_STEP = 0.2
 """The same for correlations. [1; cost]"""
 
 
-def clock_error(rates_hz: tuple[float, float] | None, calibration: float, *, modal: bool) -> float:
-    """Compute the relative error of a stiffness, or of a frequency (`modal`), that the source's clock leaves open.
+def clock_error(rates_hz: tuple[float, float] | None, calibration: float, shown: float = 1.0) -> float:
+    """Compute the relative error of a stiffness, or of what is `shown` for it, that the source's clock leaves open.
 
     Parameters
     ----------
@@ -42,25 +43,27 @@ def clock_error(rates_hz: tuple[float, float] | None, calibration: float, *, mod
         Rate that the source states, and its rate by the timestamps, Hz.
     calibration : float
         Rate of the healthy data by their timestamps over the stated one: an error that both have cancels.
+    shown : float
+        As `Reading.shown`.
 
     Examples
     --------
-    >>> round(clock_error((100.0, 98.0), 1.0, modal=False), 6)
+    >>> round(clock_error((100.0, 98.0), 1.0), 6)
     0.04
     """
     if rates_hz is None:
         return 0.0
-    return (1.0 if modal else 2.0) * abs(rates_hz[1] / rates_hz[0] / calibration - 1.0)
+    return 2.0 * shown * abs(rates_hz[1] / rates_hz[0] / calibration - 1.0)
 
 
-def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
-    """Compute the smallest sudden loss of each story that the alarm sees with `PROBABILITY` within `WITHIN_S`.
+def smallest_detectable_loss(reading: Reading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
+    """Compute the smallest sudden loss of each part that the alarm sees with `PROBABILITY` within `WITHIN_S`, as it is shown.
 
     Where fewer data were judged in that time, because windows were skipped or the run is young, only these count.
 
     Parameters
     ----------
-    reading : DamageReading
+    reading : Reading
         Of the latest window.
     history : History
         The alarm's, after that window.
@@ -73,22 +76,18 @@ def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: fl
     -------
     ndarray, shape (n,)
         Relative losses of stiffness (0.02 = 2 %); infinite where no loss can be confirmed: too few windows, or modes that say
-        next to nothing of the story.
+        next to nothing of the part.
     """
-    loss = detectable_change(history, hop_s, settings, reading.model_form)
-    loss[[j - 1 for j in reading.unidentified]] = np.inf
-    return loss
-
-
-def detectable_change(history: History, hop_s: float, settings: AlarmSettings, model_form: float = 0.0) -> Array:
-    """Compute the smallest sudden change of each quantity that the alarm sees, as `smallest_detectable_loss`, shape (n,)."""
+    loss = np.full(reading.loss.size, np.inf)
     if (history.t_ns.size - 1) * hop_s < settings.confirm_s:
-        return np.full(history.ddi.shape[1], np.inf)
-    common = history.common.mean(axis=0)  # of the windows' conditions since the longest stretch began
-    own_std = np.exp(0.5 * history.ln_variance)
+        return loss
+    known = np.flatnonzero(np.isfinite(reading.loss))
+    seen = history if known.size == loss.size else history.of_parts(known)
+    common = seen.common.mean(axis=0)  # of the windows' conditions since the longest stretch began
+    own_std = np.exp(0.5 * seen.ln_variance)
     window_s = history.window_ns * 1e-9
     common_std = np.sqrt(np.maximum(np.diag(common), 1e-24))
-    return _simulated(
+    loss[known] = reading.shown * _simulated(
         _steps(own_std, _LN_STEP),
         _steps(common_std, _LN_COMMON_STEP),
         _correlation(common),
@@ -97,9 +96,11 @@ def detectable_change(history: History, hop_s: float, settings: AlarmSettings, m
         int((WITHIN_S + 1e-6) // window_s),
         round(settings.confirm_s / window_s, 6),
         settings.significance,
-        max(settings.model_form, model_form),
+        max(settings.model_form, reading.model_form),
         settings.min_loss,
-    ).copy()
+    )
+    loss[[j - 1 for j in reading.unidentified]] = np.inf
+    return loss
 
 
 def _judged_s(history: History, hop_s: float) -> float:

@@ -146,4 +146,4 @@ def test_a_baseline_survives_its_file(tmp_path) -> None:
     modes = exact_modes(truth((0.0, 0.05, 0.0)))
     first, second = (damage_index.step(modes, b.model, b, np.eye(3), config.updating)[1] for b in (healthy, again))
     np.testing.assert_array_equal(first.ddi, second.ddi)
-    np.testing.assert_array_equal(first.ddi_covariance, second.ddi_covariance)
+    np.testing.assert_array_equal(first.covariance, second.covariance)

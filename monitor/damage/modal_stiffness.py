@@ -1,42 +1,46 @@
-"""Judgement by the modes alone: frequencies and shapes of a window's modes, compared with those of the healthy structure."""
+"""The modes of a structure without a model, compared with those of the healthy structure: their stiffness, and their shapes.
+
+The stiffness of a mode is the square of its frequency, so that the thresholds of ``[alarm]`` mean the same as with a model.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
-from monitor.core import Alarm, Array, Level, ModalEstimate, ModalReading, Skipped, Window
-from monitor.damage import modal_alarm, slow_learning
+from monitor.core import Array, ModalEstimate, ModalReading, Skipped, Window
+from monitor.damage import alarm
 from monitor.damage.alarm import AlarmState
 from monitor.damage.covariate_law import Effect
-from monitor.damage.judge import LEAST_SHARE, Judged, JudgeSettings, Memory, View, explained, hidden_words
 from monitor.damage.level import displacement_weights
 from monitor.damage.modal_baseline import ModalBaseline
-from monitor.identification import SubArray, identify, identify_modes, refine
+from monitor.damage.parts import ModesAndShapes
+from monitor.damage.quantities import LEAST_SHARE, UNCERTAIN, Covariates, Found, JudgeSettings, View, explained
+from monitor.identification import SelectionSettings, SubArray, identify, identify_modes, refine
 from monitor.model import Modes
 
 _LEAST_MODES = 2
 """Fewest modes that tell a change of one from a change of all alike, if the baseline has as many. [count; definition]"""
 
 
-class ModalJudge:
-    """Comparison of modes with those of the baseline.
+class ModalStiffness:
+    """Stiffness and shapes of modes, and their change since the baseline.
 
     Parameters
     ----------
     channels : tuple of str
         Names of the channels.
-    baseline : ModalBaseline, optional
-        Without a baseline nothing is compared.
     past : sequence of int
         Reference channels (0 = first) of the identification.
     reference : Modes, optional
         Modes by which those of the windows are numbered: the baseline's, or where there is none yet those that calibration
         chose.  Without either, the modes of each window are chosen by themselves.
     """
+
+    without_baseline: ClassVar[str] = "no baseline: there is nothing to compare the modes with"
+    names: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -47,18 +51,19 @@ class ModalJudge:
     ) -> None:
         self.baseline = baseline
         self.reference = reference if baseline is None else baseline.modes
-        self._channels, self._past = channels, past
+        n_modes = 0 if baseline is None else baseline.frequencies_hz.size
+        self.parts = ModesAndShapes(n_modes, channels)
+        self._past = past
 
     def start(self, window_s: float) -> AlarmState:
         """Return the state of the alarms before the first window."""
-        n_modes = 0 if self.baseline is None else self.baseline.frequencies_hz.size
-        return modal_alarm.start(n_modes, len(self._channels), window_s)
+        return alarm.start(self.parts.n_modes, window_s, len(self.parts.channels))
 
     def view(self, channels: tuple[int, ...]) -> View:
         """Return what windows of some channels (0 = first) are judged with."""
         motion = None if self.baseline is None else self.baseline.motion
         weights = None if self.reference is None else displacement_weights(self.reference, channels, motion)
-        return View(SubArray.plain(channels, self._past, len(self._channels)), weights)
+        return View(SubArray.plain(channels, self._past, len(self.parts.channels)), weights)
 
     def identify(
         self, window: Window, cutoff_hz: float, view: View, settings: JudgeSettings
@@ -83,46 +88,21 @@ class ModalJudge:
             measured=True,
         )
 
-    def judge(
-        self,
-        memory: Memory,
-        modes: ModalEstimate,
-        covariates: Mapping[str, Array],
-        view: View,
-        t_end_ns: int,
-        settings: JudgeSettings,
-    ) -> tuple[Memory, Judged] | Skipped:
-        """Compare a window's modes with the baseline's, and update the alarms."""
-        if self.baseline is None:
-            nothing = Alarm(Level.NORMAL, (), "no baseline: there is nothing to compare the modes with")
-            return memory, Judged(modes, nothing)
-        m, found = self.baseline.frequencies_hz.size, modes.model_mode.size
-        if found < max(LEAST_SHARE * m, min(_LEAST_MODES, m)):
-            return Skipped("; ".join(why for _, why in modes.missing))
-        if not len(modes.deviations):
-            return Skipped("the modes' uncertainty is not asked for, so nothing is judged")
-        law = self.baseline.law if memory.learning is None else memory.learning.law
-        effect = explained(law, covariates, settings.alarm)
-        if isinstance(effect, Skipped):
-            return effect
-        of_shapes = explained(self.baseline.shape_law, covariates, settings.alarm)
-        in_use = view.array.channels if len(view.array.channels) < len(self._channels) else ()
-        reading = replace(
-            _reading(self.baseline, view.array.spread(modes), effect, of_shapes),
-            beyond=hidden_words(law, effect, covariates, settings.alarm),
-            channels=in_use,
-        )
-        alarms, verdict = modal_alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, self._channels)
-        detectable = modal_alarm.detectable(alarms, reading, settings.processing.hop_s, settings.alarm)
-        learning = memory.learning
-        if law is not None and settings.compensation.learn_in_service:
-            state = learning or slow_learning.start(law, t_end_ns)
-            learning = _learned(state, reading, covariates, t_end_ns, settings, normal=verdict.level is Level.NORMAL)
-        return Memory(alarms, learning), Judged(modes, verdict, modal=reading, detectable_loss=detectable)
+    def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> str:
+        """Say why a window's modes are too few to be judged; empty where they are not."""
+        m = self.parts.n_modes
+        if modes.model_mode.size < max(LEAST_SHARE * m, min(_LEAST_MODES, m)):
+            return "; ".join(why for _, why in modes.missing)
+        return "" if self.baseline is None or len(modes.deviations) else UNCERTAIN
 
-    def hold(self, state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
-        """Keep the alarms over a window that was not judged."""
-        return modal_alarm.hold(state, t_ns)
+    def read(
+        self, modes: ModalEstimate, view: View, effect: Effect | None, covariates: Covariates, settings: JudgeSettings
+    ) -> Found | Skipped:
+        """Compare a window's modes with the baseline's, less what the covariates explain."""
+        if self.baseline is None:
+            return Found(modes, None)
+        of_shapes = explained(self.baseline.shape_law, covariates, settings.alarm)
+        return Found(modes, _reading(self.baseline, view.array.spread(modes), effect, of_shapes))
 
 
 def _reading(
@@ -133,14 +113,13 @@ def _reading(
     Shapes are left out (NaN) where the covariates may change them by any amount (`Skipped`).
     """
     (m, c), found = healthy.shapes.shape, modes.model_mode
-    change, covariance, common = np.full(m, np.nan), np.full((m, m), np.nan), healthy.covariance.copy()
-    change[found] = np.log(modes.frequencies_hz / healthy.frequencies_hz[found])
-    covariance[np.ix_(found, found)] = modes.deviations[:, :, 0].T @ modes.deviations[:, :, 0]
-    parts: dict[str, Array] = {}
-    if effect is not None:  # of the modal stiffness, the square of the frequency
-        change -= 0.5 * np.log1p(effect.relative)
-        common += 0.25 * effect.covariance
-        parts = {name: 0.5 * part for name, part in effect.parts.items()}
+    loss, covariance, common = np.full(m, np.nan), np.full((m, m), np.nan), 4.0 * healthy.covariance
+    loss[found] = 2.0 * np.log(healthy.frequencies_hz[found] / modes.frequencies_hz)
+    influence = 2.0 * modes.deviations[:, :, 0]
+    covariance[np.ix_(found, found)] = influence.T @ influence
+    if effect is not None:
+        loss += np.log1p(effect.relative)
+        common += effect.covariance
     shape, variance, shape_common = np.full((m, c), np.nan), np.full((m, c), np.nan), healthy.shape_variance.copy()
     if not isinstance(of_shapes, Skipped):
         shape[found], variance[found] = _ratios(modes, [healthy.gauges[k] for k in found])
@@ -150,7 +129,13 @@ def _reading(
             shape[healthy.free] -= np.log1p(of_shapes.relative)
             shape_common[healthy.free] += of_shapes.covariance.diagonal()
     return ModalReading(
-        change, covariance + common, common, shape, variance + shape_common, shape_common, covariate_effect=parts
+        loss,
+        covariance + common,
+        common,
+        covariate_effect={} if effect is None else dict(effect.parts),
+        shape=shape,
+        shape_variance=variance + shape_common,
+        shape_common_variance=shape_common,
     )
 
 
@@ -171,19 +156,3 @@ def _ratios(modes: ModalEstimate, gauges: list[int]) -> tuple[Array, Array]:
     moved = (influence[:, :, seen] - shown * of_gauge) / at_gauge
     ratio[np.ix_(rows, seen)], variance[np.ix_(rows, seen)] = shown.real, (moved.real**2).sum(axis=0)
     return ratio, variance
-
-
-def _learned(
-    state: slow_learning.LearningState,
-    reading: ModalReading,
-    covariates: Mapping[str, Array],
-    t_end_ns: int,
-    settings: JudgeSettings,
-    *,
-    normal: bool,
-) -> slow_learning.LearningState:
-    """Learn the covariates' law on from healthy service; from windows that show all modes alone."""
-    change = 2.0 * (reading.ln_frequency + sum(reading.covariate_effect.values(), np.zeros(1)))
-    if normal and not np.isfinite(change).all():
-        return state
-    return slow_learning.step(state, covariates, change, t_end_ns, settings.compensation.unevenness, normal=normal)
