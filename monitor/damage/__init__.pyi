@@ -15,8 +15,9 @@ from .assessment import (
     outdated,
     unit_questions,
 )
-from .baseline import Baseline, learn_baseline, rebase_baseline
-from .baseline_file import load_baseline, save_baseline
+from .baseline import AnyBaseline, Baseline, ModalBaseline
+from .baseline_file import load_baseline, load_modal_baseline, save_baseline
+from .baseline_learning import learn_baseline, learn_modal_baseline, rebase_baseline
 from .common_change import UNMEASURED, Expected
 from .covariate_law import CovariateLaw
 from .covariates import LEVEL, CovariateSettings, LearnedRange, common_words, law_lines, learned_ranges
@@ -24,12 +25,10 @@ from .detectable_loss import clock_error
 from .feature_change import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
 from .judge import Memory
 from .level import drift_m, level_db
-from .modal_baseline import ModalBaseline, ModalOrigin, learn_modal_baseline
-from .modal_baseline_file import load_modal_baseline, save_modal_baseline
 from .modal_stiffness import ModalStiffness
 from .origin import Origin
 from .parts import modal_parts
-from .quantities import AnyBaseline, Quantities, View
+from .quantities import Quantities, View
 from .story_stiffness import StoryStiffness
 from .updating import Observation, Update, UpdatingSettings, observe, update
 
@@ -53,7 +52,6 @@ __all__ = [
     "Loss",
     "Memory",
     "ModalBaseline",
-    "ModalOrigin",
     "ModalStiffness",
     "Observation",
     "Origin",
@@ -89,7 +87,6 @@ __all__ = [
     "outdated",
     "rebase_baseline",
     "save_baseline",
-    "save_modal_baseline",
     "second_solutions",
     "slow_learning",
     "unit_questions",

@@ -13,9 +13,9 @@ import numpy as np
 from monitor.core import Array, ModalEstimate, ModalReading, Skipped, Window
 from monitor.damage import alarm
 from monitor.damage.alarm import AlarmState
+from monitor.damage.baseline import ModalBaseline
 from monitor.damage.covariate_law import Effect
 from monitor.damage.level import displacement_weights
-from monitor.damage.modal_baseline import ModalBaseline
 from monitor.damage.parts import ModesAndShapes
 from monitor.damage.quantities import LEAST_SHARE, UNCERTAIN, Covariates, Found, JudgeSettings, View, explained
 from monitor.identification import SelectionSettings, SubArray, identify, identify_modes, refine
@@ -112,22 +112,24 @@ def _reading(
 
     Shapes are left out (NaN) where the covariates may change them by any amount (`Skipped`).
     """
-    (m, c), found = healthy.shapes.shape, modes.model_mode
-    loss, covariance, common = np.full(m, np.nan), np.full((m, m), np.nan), 4.0 * healthy.covariance
-    loss[found] = 2.0 * np.log(healthy.frequencies_hz[found] / modes.frequencies_hz)
+    free, found = healthy.free, modes.model_mode
+    m, c = free.shape
+    loss, covariance, common = np.full(m, np.nan), np.full((m, m), np.nan), healthy.z_covariance[:m, :m].copy()
+    loss[found] = healthy.z[found] - 2.0 * np.log(2.0 * np.pi * modes.frequencies_hz)
     influence = 2.0 * modes.deviations[:, :, 0]
     covariance[np.ix_(found, found)] = influence.T @ influence
     if effect is not None:
         loss += np.log1p(effect.relative)
         common += effect.covariance
-    shape, variance, shape_common = np.full((m, c), np.nan), np.full((m, c), np.nan), healthy.shape_variance.copy()
+    shape, variance, shape_common = np.full((m, c), np.nan), np.full((m, c), np.nan), np.zeros((m, c))
+    shape_common[free] = healthy.z_covariance.diagonal()[m:]
     if not isinstance(of_shapes, Skipped):
         shape[found], variance[found] = _ratios(modes, [healthy.gauges[k] for k in found])
         shape -= healthy.shapes
-        shape[~healthy.free] = variance[~healthy.free] = np.nan
+        shape[~free] = variance[~free] = np.nan
         if of_shapes is not None:
-            shape[healthy.free] -= np.log1p(of_shapes.relative)
-            shape_common[healthy.free] += of_shapes.covariance.diagonal()
+            shape[free] -= np.log1p(of_shapes.relative)
+            shape_common[free] += of_shapes.covariance.diagonal()
     return ModalReading(
         loss,
         covariance + common,

@@ -14,10 +14,9 @@ import numpy as np
 
 from monitor.core import Array, ModalEstimate, Reading, Skipped, StiffnessEstimate, Window
 from monitor.damage.alarm import AlarmSettings, AlarmState
-from monitor.damage.baseline import Baseline
+from monitor.damage.baseline import AnyBaseline
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import CovariateSettings, beyond_words
-from monitor.damage.modal_baseline import ModalBaseline
 from monitor.damage.parts import Parts
 from monitor.damage.updating import UpdatingSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, SubArray
@@ -34,8 +33,6 @@ UNCERTAIN = "the modes' uncertainty is not asked for, so nothing is judged"
 """Why a window of modes without uncertainty is not judged. [words]"""
 Covariates = Mapping[str, Array]
 """Lagged values of each covariate that is known of a window."""
-AnyBaseline = Baseline | ModalBaseline
-"""Healthy state of a structure with a model, or of modes alone."""
 
 
 class JudgeSettings(Protocol):
