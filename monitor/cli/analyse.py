@@ -136,9 +136,9 @@ def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path,
     """Learn the healthy modes of a structure without a model, and tell them."""
     from monitor.damage import law_lines, save_baseline
     from monitor.model import interval
-    from monitor.runs import calibrate_modes
+    from monitor.runs import calibrate as run
 
-    baseline = calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+    baseline = run.calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
     save_baseline(baseline, out)
     lines = [f"{baseline.windows} windows"]
     rows = zip(

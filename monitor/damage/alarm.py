@@ -306,18 +306,26 @@ def _summarize(stories: tuple[StoryState, ...], says: dict[int, str], alike: str
     """
     alarms = dict(zip([*range(1, len(stories)), WHOLE], stories, strict=True))
     active: dict[int, Level] = {j: a.announced for j, a in alarms.items() if a.announced is not Level.NORMAL}
-    conditions: dict[int, AlarmCondition] = {
-        j: a.condition for j, a in alarms.items() if a.condition is not AlarmCondition.NORMAL
-    }
+    conditions: dict[int, AlarmCondition] = {j: a.condition for j, a in alarms.items()}
     level = max(active.values(), key=lambda item: item.rank, default=Level.NORMAL)
     highest = [j for j, item in active.items() if item is level]
+    words = _words(level, highest, says, alike, parts)
+    shelved = {"the whole structure" if j == WHOLE else parts.name(j): a.shelved for j, a in alarms.items()}
+    words += [f"{name} shelved: {by.reason}" for name, by in shelved.items() if by is not None]
+    return Alarm(
+        level,
+        tuple(j for j in highest if j != WHOLE) if parts.are_places else (),
+        (parts.since if active and says else "") + ", ".join(words),
+        active,
+        {j: condition for j, condition in conditions.items() if condition is not AlarmCondition.NORMAL},
+    )
+
+
+def _words(level: Level, highest: list[int], says: dict[int, str], alike: str, parts: Parts) -> list[str]:
+    """Say what changed at the announced level, and what is to be known beside it."""
     words = [says[j] for j in highest if j in says] or [alike or parts.unchanged]
     if highest and WHOLE not in highest and alike and says:
         words.append(alike)
     if level is Level.ADVISORY and highest != [WHOLE]:
         words.append("not confirmed yet")
-    shelved = {"the whole structure" if j == WHOLE else parts.name(j): a.shelved for j, a in alarms.items()}
-    words += [f"{name} shelved: {by.reason}" for name, by in shelved.items() if by is not None]
-    reason = ", ".join(words)
-    places = tuple(j for j in highest if j != WHOLE) if parts.are_places else ()
-    return Alarm(level, places, f"{parts.since}{reason}" if active and says else reason, active, conditions)
+    return words

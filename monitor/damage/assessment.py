@@ -569,22 +569,7 @@ def _alike(course: Course, known: Known) -> list[Fact]:
 
 def _unjudged(course: Course, known: Known) -> list[Fact]:
     """State why nothing, or not enough, can be said of damage."""
-    says = []
-    if course.last is None:
-        says.append("no window of data yet")
-    elif course.judged is None or not any(judged for _, judged in course.recent):
-        reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
-        latest = course.last.skipped if course.last is not None else None
-        if latest is not None and _without_numbers(latest) == reason:
-            reason = latest
-        since = "" if course.judged is None else " for an hour"
-        says.append(f"no window could be judged{since}: {Skipped(reason).mend}")
-    elif course.last is not None:
-        silent_s = (course.last.t_end_ns - course.judged.t_end_ns) * 1e-9
-        if (course.last.skipped or "").startswith(STILL):
-            says.append(course.last.skipped or STILL)
-        elif silent_s >= course.judged.window_s > 0.0:
-            says.append(f"the last {silent_s:.0f} s could not be judged: {Skipped(course.last.skipped or '').mend}")
+    says = [] if (why := _why_unjudged(course)) is None else [why]
     if not known.has_baseline:
         says.append("no baseline to compare with; make one with 'calibrate'")
     elif not says and course.judged is not None:
@@ -593,6 +578,25 @@ def _unjudged(course: Course, known: Known) -> list[Fact]:
         if _unseen(course.judged, known) or not watched:
             says.append(_seen(course, known))
     return [(State.NOT_JUDGED, _sentence(sentence)) for sentence in says]
+
+
+def _why_unjudged(course: Course) -> str | None:
+    """Say why no window of late could be judged; None where one was."""
+    if course.last is None:
+        return "no window of data yet"
+    skipped = course.last.skipped or ""
+    if course.judged is None or not any(judged for _, judged in course.recent):
+        reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
+        if skipped and _without_numbers(skipped) == reason:
+            reason = skipped
+        since = "" if course.judged is None else " for an hour"
+        return f"no window could be judged{since}: {Skipped(reason).mend}"
+    if skipped.startswith(STILL):
+        return skipped
+    silent_s = (course.last.t_end_ns - course.judged.t_end_ns) * 1e-9
+    if silent_s >= course.judged.window_s > 0.0:
+        return f"the last {silent_s:.0f} s could not be judged: {Skipped(skipped).mend}"
+    return None
 
 
 def _unseen(window: WindowFacts, known: Known) -> list[int]:

@@ -416,46 +416,79 @@ def _correlations(models: list[FeatureModel], left: Mapping[str, Array]) -> dict
 def _judge(judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array], first: int) -> list[FeatureVerdict]:
     """Judge the rows from `first` on, in order."""
     recent: list[list[tuple[int, float, float]]] = [[] for _ in judge.models]
-    run, quiet, level, verdicts = 0, 0, Level.NORMAL, []
+    alarm, verdicts = _Alarm(), []
     predicted = _predicted(judge, table, lagged)
     for row in range(first, table.t_ns.size):
-        t_ns, unknown = int(table.t_ns[row]), []
-        sigma: list[float | None] = []
-        for model, past, (means, law_stds) in zip(judge.models, recent, predicted, strict=True):
-            value = float(table.features[model.name][row])
-            if not np.isfinite(value + means[row]) or (model.log and value <= 0.0):
-                sigma.append(None)
-                continue
-            law_std = float(law_stds[row])
-            residual = (float(np.log(value)) if model.log else value) - float(means[row])
-            sigma.append(residual / float(np.hypot(model.std, law_std)))
-            if law_std > _UNKNOWN * model.std:
-                unknown.append(model)
-                continue
-            past.append((t_ns, residual, law_std))
-            del past[: -2 * _SHORTEST * max(STRETCHES)]
-        judged = [s is not None for s in sigma]
-        skipped = None
-        if not any(judged):
+        t_ns = int(table.t_ns[row])
+        sigma, unknown = _take_row(judge, table, predicted, recent, row)
+        known = sum(s is not None for s in sigma)
+        changed: tuple[str, ...] = ()
+        skipped, reason = None, "unchanged: the features were not judged"
+        if not known:
             skipped = Skipped("no feature at this time")
-        elif len(unknown) == sum(judged):
+        elif len(unknown) == known:
             skipped = Skipped(_beyond(unknown[0], lagged, row))
-        if skipped is None:
-            z, changed, words = _evidence(judge, recent, t_ns)
-            band = 1.0 if level is not Level.NORMAL else 0.0
-            significant = z >= _SIGNIFICANCE - band
-            run, quiet = (run + 1, 0) if significant else (0, quiet + 1)
-            if significant:
-                confirmed = level is not Level.NORMAL and (run >= _CONFIRMED or level is not Level.ADVISORY)
-                level = Level.WARNING if confirmed else Level.ADVISORY
-            elif quiet >= _CONFIRMED:
-                level = Level.NORMAL
-            reason = words if level is not Level.NORMAL else "no significant change"
         else:
-            changed, reason = (), "unchanged: the features were not judged"
-        announced = changed if level is not Level.NORMAL else ()
-        verdicts.append(FeatureVerdict(t_ns, tuple(sigma), level, announced, reason, skipped))
+            z, changed, words = _evidence(judge, recent, t_ns)
+            alarm = alarm.after(z)
+            reason = words if alarm.level is not Level.NORMAL else "no significant change"
+        announced = changed if alarm.level is not Level.NORMAL else ()
+        verdicts.append(FeatureVerdict(t_ns, sigma, alarm.level, announced, reason, skipped))
     return verdicts
+
+
+@dataclass(frozen=True, slots=True)
+class _Alarm:
+    """State of the alarm between readings."""
+
+    level: Level = Level.NORMAL
+    run: int = 0
+    """Significant readings up to now, in a row."""
+    quiet: int = 0
+    """Insignificant ones."""
+
+    def after(self, z: float) -> _Alarm:
+        """Return the state after a reading with this z-score."""
+        is_active = self.level is not Level.NORMAL
+        if z >= _SIGNIFICANCE - (1.0 if is_active else 0.0):
+            confirmed = is_active and (self.run + 1 >= _CONFIRMED or self.level is not Level.ADVISORY)
+            return _Alarm(Level.WARNING if confirmed else Level.ADVISORY, self.run + 1)
+        level = Level.NORMAL if self.quiet + 1 >= _CONFIRMED else self.level
+        return _Alarm(level, 0, self.quiet + 1)
+
+
+def _take_row(
+    judge: FeatureJudge,
+    table: FeatureTable,
+    predicted: list[tuple[Array, Array]],
+    recent: list[list[tuple[int, float, float]]],
+    row: int,
+) -> tuple[tuple[float | None, ...], list[FeatureModel]]:
+    """Add what is left of each feature to the `recent` ones.
+
+    Returns
+    -------
+    tuple of float or None
+        `FeatureVerdict.residual_sigma`.
+    list of FeatureModel
+        The features whose prediction is too uncertain to be judged.
+    """
+    sigma: list[float | None] = []
+    unknown = []
+    for model, past, (means, law_stds) in zip(judge.models, recent, predicted, strict=True):
+        value = float(table.features[model.name][row])
+        if not np.isfinite(value + means[row]) or (model.log and value <= 0.0):
+            sigma.append(None)
+            continue
+        law_std = float(law_stds[row])
+        residual = (float(np.log(value)) if model.log else value) - float(means[row])
+        sigma.append(residual / float(np.hypot(model.std, law_std)))
+        if law_std > _UNKNOWN * model.std:
+            unknown.append(model)
+            continue
+        past.append((int(table.t_ns[row]), residual, law_std))
+        del past[: -2 * _SHORTEST * max(STRETCHES)]
+    return tuple(sigma), unknown
 
 
 def _predicted(judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array]) -> list[tuple[Array, Array]]:

@@ -17,8 +17,9 @@ from monitor.damage import ModalBaseline, load_baseline, load_modal_baseline, sa
 from monitor.model import simulate
 from monitor.pipeline import Pipeline, PipelineState
 from monitor.publish import facts_of_line, replay_text, to_json, window_line
-from monitor.runs import calibrate_modes, load_healthy
+from monitor.runs import load_healthy
 from monitor.runs.baselines import modal_origin
+from monitor.runs.calibrate import calibrate_modes
 from monitor.service.serialization import from_bytes, to_bytes
 from tests.support.samples import CHANNELS, FRAME, T0_NS, Cli, Cut
 
