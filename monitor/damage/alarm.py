@@ -104,14 +104,9 @@ class AlarmState:
 
 
 def start(n_parts: int, window_s: float = 400.0, n_channels: int = 0) -> AlarmState:
-    """Return the state before the first window.
+    """Return the state before the first window of `window_s` seconds: readings further apart share no data.
 
-    Parameters
-    ----------
-    window_s : float
-        Length of the windows, s: readings further apart share no data.
-    n_channels : int
-        Channels of the parts' shapes, where these are judged too.
+    `n_channels` is the number of components of the parts' shapes, where these are judged too.
 
     Examples
     --------
@@ -179,13 +174,7 @@ def hold(state: AlarmState, t_ns: int, parts: Parts = STORIES) -> tuple[AlarmSta
 
 
 def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
-    """Acknowledge a story's alarm (`WHOLE`: the structure's); a later rise of its level must be acknowledged again.
-
-    Raises
-    ------
-    ValueError
-        If there is no such story.
-    """
+    """Acknowledge a story's alarm (`WHOLE`: the structure's), or raise ValueError; a later rise must be acknowledged again."""
     alarm = _find_alarm(state, story)
     if not alarm.unacknowledged:
         return state
@@ -193,13 +182,7 @@ def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
 
 
 def reset(state: AlarmState, story: int) -> AlarmState:
-    """Release a latched alarm that has returned to normal and was acknowledged; any other stays as it is.
-
-    Raises
-    ------
-    ValueError
-        If there is no such story.
-    """
+    """Release a latched alarm that has returned to normal and was acknowledged; ValueError where there is no such story."""
     alarm = _find_alarm(state, story)
     if alarm.condition is not AlarmCondition.LATCHED_ACKNOWLEDGED:
         return state
@@ -209,10 +192,7 @@ def reset(state: AlarmState, story: int) -> AlarmState:
 def shelve(state: AlarmState, story: int, until_ns: int, reason: str) -> AlarmState:
     """Suppress the announcement of a story's alarm until `until_ns` (UTC); its level is still updated meanwhile.
 
-    Raises
-    ------
-    ValueError
-        If there is no such story or no reason is given.
+    ValueError if there is no such story or no reason is given.
     """
     if not reason.strip():
         raise ValueError("shelving needs a reason")
@@ -220,13 +200,7 @@ def shelve(state: AlarmState, story: int, until_ns: int, reason: str) -> AlarmSt
 
 
 def unshelve(state: AlarmState, story: int) -> AlarmState:
-    """Announce a shelved alarm again.
-
-    Raises
-    ------
-    ValueError
-        If there is no such story.
-    """
+    """Announce a shelved alarm again; ValueError where there is no such story."""
     return _replace_alarm(state, story, replace(_find_alarm(state, story), shelved=None))
 
 

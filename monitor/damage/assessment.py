@@ -290,14 +290,10 @@ def assess(
     clocks: Sequence[tuple[str, float, float]] = (),
     whole: bool = False,
 ) -> Assessment:
-    """Decide the state.
+    """Decide the state, with the sentence of the gravest fact as headline.
 
     Parameters
     ----------
-    course : Course
-        The windows.
-    known : Known
-        Site and baseline.
     findings : sequence of mappings
         Results of diagnoses: `verdict`, `says`, `causes`, `alternatives`, `ddi_effect`, `from_ns`, `t_ns`.
     standing : mapping, optional
@@ -308,11 +304,6 @@ def assess(
         Each sensor node whose rate the driver measures: its name, its rate over the stated one, and its standard deviation.
     whole : bool
         State of a whole recording, alarms that ended and misfits that passed included, in place of the present state.
-
-    Returns
-    -------
-    Assessment
-        With the sentence of the gravest fact as headline.
     """
     facts = [
         *_alarms(course, known, findings, whole),
@@ -336,14 +327,7 @@ def assess(
 def outdated(assessment: Assessment, why: str, t_ns: int | None = None) -> Assessment:
     """State what is left of an assessment when nothing new is known: an alarm or a doubt stands, `normal` does not.
 
-    Parameters
-    ----------
-    assessment : Assessment
-        The latest one.
-    why : str
-        Why nothing new is known.
-    t_ns : int, optional
-        Until when it was known, UTC, ns since 1970.
+    `why` says why nothing new is known since `t_ns` (UTC, ns).
     """
     known = "" if t_ns is None else f", as of {utc(t_ns)} UTC"
     latest = f"{assessment.headline.rstrip('.')}{known}"

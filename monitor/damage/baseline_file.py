@@ -73,26 +73,19 @@ def save_baseline(baseline: AnyBaseline, path: Path) -> None:
 def load_baseline(
     path: Path, instrumented: InstrumentedModel, updating: UpdatingSettings, *, redrawn: bool = False
 ) -> Baseline:
-    """Read a baseline and check that it belongs to this structure.
+    """Read a baseline and check that it belongs to this structure; its `doubts` say why it may not, or is not to be trusted.
 
     Parameters
     ----------
     redrawn : bool
         Accept a changed drawing of the same structure, for `rebase_baseline`.
 
-    Returns
-    -------
-    Baseline
-        With the reasons in `doubts` why it may not be this structure's, or why losses against it are not to be trusted.
-
     Raises
     ------
-    MissingInputError
-        If the file cannot be read.
-    BadInputError
-        If the file is no baseline or damaged.
+    MissingInputError, BadInputError
+        If the file cannot be read, or is no baseline or damaged.
     BadConfigurationError
-        If the baseline is another structure's.
+        If the baseline is another structure's, or of another kind.
     """
 
     def build(tree: dict[str, Any]) -> Baseline:
@@ -117,17 +110,7 @@ def load_baseline(
 
 
 def load_modal_baseline(path: Path, channels: tuple[str, ...], here: Origin) -> ModalBaseline:
-    """Read the healthy modes and check that they are of these channels and samples.
-
-    Raises
-    ------
-    MissingInputError
-        If the file cannot be read.
-    BadInputError
-        If the file is no baseline or damaged.
-    BadConfigurationError
-        If the baseline is another structure's, or of another kind.
-    """
+    """Read the healthy modes and check that they are of these channels and samples; errors as of `load_baseline`."""
     loaded = _load(path, _build_modal, is_modal=True)
     there = loaded.origin
     says = [] if loaded.channels == channels else [f"its channels are {', '.join(loaded.channels)}"]
@@ -140,13 +123,7 @@ def load_modal_baseline(path: Path, channels: tuple[str, ...], here: Origin) -> 
 
 
 def _load(path: Path, build: Callable[[dict[str, Any]], Built], *, is_modal: bool) -> Built:
-    """Read a file of one kind and build the baseline from its content.
-
-    Raises
-    ------
-    MissingInputError, BadInputError, BadConfigurationError
-        As `load_baseline`.
-    """
+    """Read a file of one kind and build the baseline from its content; errors as of `load_baseline`."""
     try:
         tree = _read_content(path)
         if ("kind" in tree) != is_modal or tree.get("kind", MODAL) != MODAL:
@@ -167,14 +144,7 @@ def _load(path: Path, build: Callable[[dict[str, Any]], Built], *, is_modal: boo
 def _read_content(path: Path) -> dict[str, Any]:
     """Read the JSON object that a baseline's file holds.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If the file cannot be read.
-    ValueError, RecursionError
-        If it holds no JSON.
-    TypeError
-        If it holds no object.
+    MissingInputError or BadInputError if it cannot be read; ValueError, RecursionError or TypeError if it holds no such object.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -195,14 +165,9 @@ def _read_content(path: Path) -> dict[str, Any]:
 def _demand_own(
     path: Path, tree: dict[str, Any], instrumented: InstrumentedModel, updating: UpdatingSettings, redrawn: bool
 ) -> None:
-    """Refuse a baseline of another structure, of other sensors or of other samples.
+    """Refuse a baseline of another structure, of other sensors or of other samples (BadConfigurationError).
 
-    Raises
-    ------
-    BadConfigurationError
-        With the differences in words, and the remedy.
-    ValueError
-        If the content is damaged.
+    ValueError if the content is damaged.
     """
     told = decode(_Drawn, {f.name: tree[f.name] for f in fields(_Drawn)})
     here, there = Origin.of(instrumented), told.origin
@@ -223,25 +188,13 @@ def _demand_own(
 
 
 def _refuse(path: Path, says: list[str], mend: str) -> None:
-    """Refuse a baseline that differs from the structure.
-
-    Raises
-    ------
-    BadConfigurationError
-        With the differences in words, and the remedy.
-    """
+    """Refuse a baseline that differs from the structure (BadConfigurationError), with the differences in words and the remedy."""
     if says:
         raise BadConfigurationError(f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: {mend}")
 
 
 def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
-    """Build the baseline from a file's content.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        If the parts of the content do not fit each other or the structure.
-    """
+    """Build the baseline from a file's content; ValueError, KeyError or TypeError if its parts do not fit."""
     model, channels = instrumented.model, instrumented.channels
     n, p, m, c = model.structure.n_dofs, model.structure.n_stories, len(tree["model_mode"]), len(channels)
     model_keys = [f.name for f in fields(_Model)]
@@ -274,13 +227,7 @@ def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
 
 
 def _build_modal(tree: dict[str, Any]) -> ModalBaseline:
-    """Build the baseline from a file's content.
-
-    Raises
-    ------
-    ValueError, TypeError, KeyError
-        If the parts of the content do not fit each other.
-    """
+    """Build the baseline from a file's content; ValueError, KeyError or TypeError if its parts do not fit each other."""
     m, c = len(tree["frequencies_hz"]), len(tree["channels"])
     laws = {"law": read_law(tree["law"], m), "shape_law": read_law(tree["shape_law"], m * (c - 1), "shape_law")}
     built = decode(ModalBaseline, tree, laws | {"doubts": ()}, beside=("kind", "format"), d=m * c, m=m, c=c)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -24,42 +24,36 @@ _MODES_ALONE = UpdatingSettings()
 def learn_baseline(
     instrumented: InstrumentedModel,
     windows: list[ModalEstimate],
-    rms: Array,
+    rms: Annotated[Array, "windows"],
     recordings: tuple[dict[str, str], ...],
     span_ns: tuple[int, int] = (0, 0),
     covariates: Sequence[Mapping[str, Array]] = (),
     units: Mapping[str, str] | None = None,
-    drift_weights: Array | None = None,
+    drift_weights: Annotated[Array, "c c"] | None = None,
     *,
     updating: UpdatingSettings,
     compensation: CovariateSettings,
     t_ns: Sequence[int] = (),
-    motion: Sequence[Array] = (),
+    motion: Sequence[Annotated[Array, "c c"]] = (),
 ) -> tuple[Baseline, Update]:
-    """Learn the baseline from the windows of healthy recordings.
+    """Learn the baseline from the windows of healthy recordings, and return it with the updating to their mean.
 
     Parameters
     ----------
     windows : list of ModalEstimate
         Windows may overlap: the covariance of their mean counts shared data once.
-    rms : ndarray, shape (n_windows,)
+    rms : ndarray
         Response level of each window, m/s^2.
     covariates : sequence of mapping
         Lagged values of each covariate that is known in each window; empty where nothing is to be learned from them.
     units : mapping, optional
         Unit of each covariate, by its name.
-    drift_weights : ndarray, shape (c, c), optional
+    drift_weights : ndarray
         How the covariate `LEVEL` was measured.
     t_ns : sequence of int
         End of each window, UTC.  Without them it is not learned what the stories do together.
-    motion : sequence of ndarray, shape (c, c), (m/s^2)^2
-        Covariance of the accelerations of windows (`WindowResult.motion`).
-
-    Returns
-    -------
-    Baseline
-    Update
-        Outcome of the updating to the mean of the windows.
+    motion : sequence of ndarray
+        Covariance of the accelerations of windows (`WindowResult.motion`), (m/s^2)^2.
 
     Raises
     ------
@@ -104,19 +98,9 @@ def rebase_baseline(
 ) -> tuple[Baseline, Update]:
     """Update a changed drawing of the same structure to the baseline's healthy modes.
 
-    The modes are kept, and so is the dependence on covariates: a relative change that all stories have alike is the same in every
-    drawing.  `Baseline.reference`, which was fitted to spectra with the old drawing, is left out.
-
-    Parameters
-    ----------
-    instrumented : InstrumentedModel
-        The changed drawing, with as many masses, stiffnesses and sensors as the old one.
-
-    Returns
-    -------
-    Baseline
-    Update
-        Outcome of the updating to the healthy modes.
+    The modes are kept, and so is the dependence on covariates: a relative change that all stories have alike is the same in
+    every drawing.  `Baseline.reference`, which was fitted to spectra with the old drawing, is left out.  The changed drawing
+    must have as many masses, stiffnesses and sensors as the old one.
 
     Raises
     ------
@@ -137,13 +121,7 @@ def rebase_baseline(
 
 
 def _fit(instrumented: InstrumentedModel, healthy: Observation, updating: UpdatingSettings) -> Update:
-    """Update the drawing's stiffnesses and masses to the healthy modes.
-
-    Raises
-    ------
-    BadInputError
-        If that is not possible.
-    """
+    """Update the drawing's stiffnesses and masses to the healthy modes; BadInputError if that is not possible."""
     fit = update(
         instrumented.model,
         instrumented.sensor_matrix,
@@ -180,29 +158,18 @@ def learn_modal_baseline(
     channels: tuple[str, ...],
     origin: Origin,
     windows: list[ModalEstimate],
-    rms: Array,
+    rms: Annotated[Array, "windows"],
     recordings: tuple[dict[str, str], ...],
     span_ns: tuple[int, int],
     covariates: Sequence[Mapping[str, Array]],
     units: Mapping[str, str],
     compensation: CovariateSettings,
     *,
-    motion: Sequence[Array] = (),
+    motion: Sequence[Annotated[Array, "c c"]] = (),
 ) -> ModalBaseline:
-    """Learn the healthy modes from the windows of healthy recordings.
+    """Learn the healthy modes from the windows of healthy recordings, as `learn_baseline`.
 
-    Parameters
-    ----------
-    windows : list of ModalEstimate
-        All with the same modes and all channels.  They may overlap: the covariance of their mean counts shared data once.
-    rms : ndarray, shape (n_windows,)
-        Response level of each window, m/s^2.
-    covariates : sequence of mapping
-        Lagged values of each covariate that is known in each window.
-    units : mapping
-        Unit of each covariate, by its name.
-    motion : sequence of ndarray, shape (c, c), (m/s^2)^2
-        Covariance of the accelerations of windows (`WindowResult.motion`).
+    All windows have the same modes and all channels.
     """
     mean = mean_observation(windows, _MODES_ALONE)
     m, c = len(mean.model_mode), len(channels)

@@ -109,20 +109,10 @@ class CommonChange:
             return f"not learned: {self.stretches:.3g} of {self.wanted} stretches of two days"
         return f"nothing beyond the noise of the windows, in {self.stretches:.3g} stretches of two days"
 
-    def learned(self, mixing: Array, unevenness: float) -> Expected | None:
-        """Estimate the covariance of common changes, shape (n, n).
+    def learned(self, mixing: Annotated[Array, "n n"], unevenness: float) -> Expected | None:
+        """Estimate the covariance of common changes; `mixing` is `CovariateLaw.mixing`, `unevenness` as in `Expected`.
 
-        Parameters
-        ----------
-        mixing : ndarray, shape (n, n)
-            `CovariateLaw.mixing`.
-        unevenness : float
-            See `Expected`.
-
-        Returns
-        -------
-        Expected or None
-            None while too few windows are known, or noise alone explains them as well (Bayesian information criterion).
+        It is None while too few windows are known, or noise alone explains them as well (Bayesian information criterion).
         """
         n = len(self.square)
         if n < 2 or self.stretches < self.wanted:
@@ -140,15 +130,15 @@ class CommonChange:
 class Expected:
     """How far the quantities change together, as learned."""
 
-    covariance: Array
-    """Shape (n, n): of the relative changes, without the noise of windows."""
-    leading: Array
-    """Shape (n,): the direction that stands out most from the noise, of length 1.  How far it goes is taken as unknown: seasons
-    go farther than what was learned."""
+    covariance: Annotated[Array, "n n"]
+    """Of the relative changes, without the noise of windows."""
+    leading: Annotated[Array, "n"]
+    """The direction that stands out most from the noise, of length 1.  How far it goes is taken as unknown: seasons go farther
+    than what was learned."""
     stretches: float
     """Independent stretches that it was learned from."""
-    seen: Array
-    """Shape (2, n): least and greatest loss of each quantity that was learned (`CommonChange.seen`)."""
+    seen: Annotated[Array, "2 n"]
+    """Least and greatest loss of each quantity that was learned (`CommonChange.seen`)."""
     unevenness: float
     """Scatter of the quantities' shares beyond what was learned, about a common one, relative to its size."""
 
@@ -162,38 +152,22 @@ class Expected:
             self.unevenness,
         )
 
-    def beside_others(self, loss: Array, covariance: Array, *, either_side: bool = False) -> Beside:
-        """Compare the loss of each story with what those others let expect that are not lost themselves.
+    def beside_others(
+        self, loss: Annotated[Array, "n"], covariance: Annotated[Array, "n n"], *, either_side: bool = False
+    ) -> Beside:
+        """Compare the loss of each part with what those others let expect that are not lost themselves.
 
-        Stories are set aside one by one, the most significant loss first; so are, where it explains more, a change of all
-        stories alike, and its size is then taken as unknown.
-
-        Parameters
-        ----------
-        loss : ndarray, shape (n,)
-            Measured loss of each story.
-        covariance : ndarray, shape (n, n)
-            Its covariance, without what is learned here.
-        either_side : bool
-            A gain counts as a loss does.
+        Parts are set aside one by one, the most significant loss first; so are, where it explains more, a change of all parts
+        alike, and its size is then taken as unknown.  `covariance` is that of the losses, without what is learned here; with
+        `either_side` a gain counts as a loss does.
         """
         found = self.each_beside_others(loss[None], covariance[None], either_side=either_side)
         return Beside(found.loss[0], found.std[0], found.weights[0], found.inflation[0], found.beyond[0])
 
-    def each_beside_others(self, losses: Array, covariances: Array, *, either_side: bool = False) -> Beside:
-        """Compare each of k measurements of the stories, as `beside_others`.
-
-        Parameters
-        ----------
-        losses : ndarray, shape (k, n)
-        covariances : ndarray, shape (k, n, n)
-        either_side : bool
-
-        Returns
-        -------
-        Beside
-            Each of its arrays with the k measurements before the other dimensions.
-        """
+    def each_beside_others(
+        self, losses: Annotated[Array, "k n"], covariances: Annotated[Array, "k n n"], *, either_side: bool = False
+    ) -> Beside:
+        """Compare each of k measurements, as `beside_others`; the arrays of the outcome have k before their other dimensions."""
         learned, total = self._covariances(covariances)
         found = self._compare(losses, learned, total)
         weights, inflation = found.weights, found.inflation
@@ -228,19 +202,10 @@ class Expected:
     def _set_aside(
         self, loss: Array, learned: Array, total: Array, found: _Compared, *, either_side: bool
     ) -> tuple[Array, Array, Array]:
-        """Set aside the stories that are lost themselves, and a change of all alike, and compare each story with the rest.
+        """Set aside the parts that are lost themselves, and a change of all alike, and compare each part with the rest.
 
-        Parameters
-        ----------
-        learned, total : ndarray, shape (n, n)
-            Covariance of the losses: as learned, and with what is of any size.
-        found : _Compared
-            Comparison of all stories.
-
-        Returns
-        -------
-        total, weights : ndarray, shape (n, n)
-        inflation : ndarray, shape (n,)
+        `learned` and `total` are the covariance of the losses: as learned, and with what is of any size; `found` compares all
+        parts. Returned are the total with what else is of any size, and `weights` and `inflation` as in `Beside`.
         """
         n = loss.size
         kept, alike = tuple(range(n)), False
@@ -311,14 +276,14 @@ class Expected:
 class _Compared(NamedTuple):
     """Comparison of n stories, each with the others."""
 
-    z: Array
-    """Shape (..., n): z-score of each loss beyond what the others let expect."""
-    weights: Array
-    """Shape (..., n, n): that loss as a combination of the measured ones."""
-    inflation: Array
-    """Shape (..., n): factor of its variance, as in `Beside`."""
-    z_alike: Array
-    """Shape (...): size of the z-score of a change of all alike."""
+    z: Annotated[Array, "k n"]
+    """z-score of each loss beyond what the others let expect."""
+    weights: Annotated[Array, "k n n"]
+    """That loss as a combination of the measured ones."""
+    inflation: Annotated[Array, "k n"]
+    """Factor of its variance, as in `Beside`."""
+    z_alike: Annotated[Array, "k"]
+    """Size of the z-score of a change of all alike."""
 
     def of(self, k: int) -> _Compared:
         """Return the comparison of one of several measurements."""
@@ -329,24 +294,19 @@ class _Compared(NamedTuple):
 class Beside:
     """Losses of n stories beyond what the others let expect."""
 
-    loss: Array
-    """Shape (n,)."""
-    std: Array
-    """Shape (n,)."""
-    weights: Array
-    """Shape (n, n): `loss` as a combination of the measured losses."""
-    inflation: Array
-    """Shape (n,): factor of the variance, since what was learned holds the less, the further the others are from it."""
-    beyond: Array
-    """Shape (n,): variance, in `std`, that comes of others that lie beyond what was learned."""
+    loss: Annotated[Array, "n"]
+    std: Annotated[Array, "n"]
+    weights: Annotated[Array, "n n"]
+    """`loss` as a combination of the measured losses."""
+    inflation: Annotated[Array, "n"]
+    """Factor of the variance, since what was learned holds the less, the further the others are from it."""
+    beyond: Annotated[Array, "n"]
+    """Variance, in `std`, that comes of others that lie beyond what was learned."""
 
     def beyond_words(self, most_std: float) -> str:
-        """Say that the stories lie where a loss of one is hidden by what was not learned; empty where they do not.
+        """Say that the parts lie where a loss of one is hidden by what was not learned; empty where they do not.
 
-        Parameters
-        ----------
-        most_std : float
-            Standard deviation, of what was not learned, up to which nothing is hidden.
+        Up to a standard deviation of `most_std`, of what was not learned, nothing is hidden.
         """
         hidden = self.beyond.max() > most_std**2
         return "what the stories do together goes beyond anything learned" if hidden else ""
@@ -360,14 +320,7 @@ class Beside:
 def is_known(divergence: float, unknowns: int, count: float) -> bool:
     """Decide by the Bayesian information criterion if data show a covariance that differs from none.
 
-    Parameters
-    ----------
-    divergence : float
-        Twice the gain in ln likelihood of one observation.
-    unknowns : int
-        Number of values that were estimated.
-    count : float
-        Number of independent observations.
+    `divergence` is twice the gain in ln likelihood of one observation, `unknowns` the number of values that were estimated.
     """
     return bool(count * divergence > unknowns * np.log(count))
 
@@ -377,15 +330,11 @@ def nothing_learned(n: int) -> CommonChange:
     return CommonChange(np.zeros((n, n)), 0, np.zeros((2, n + 2, n)))
 
 
-def distance(changes: Array, mixing: Array) -> Array:
-    """Compute the distance of a window from the mean of those after it, shape (n,), scaled to the noise of one window.
+def distance(changes: Annotated[Array, "w n"], mixing: Annotated[Array, "n n"]) -> Annotated[Array, "n"]:
+    """Compute the distance of a window from the mean of those after it, scaled to the noise of one window.
 
-    Parameters
-    ----------
-    changes : ndarray, shape (w, n)
-        What the covariates leave of the windows' changes, w > 1; the window is the first.
-    mixing : ndarray, shape (n, n)
-        `CovariateLaw.mixing`.
+    `changes` are what the covariates leave of the windows' changes, two or more, the window first; `mixing` is
+    `CovariateLaw.mixing`.
     """
     away = (changes[0] - changes[1:].mean(axis=0)) / np.sqrt(1.0 + 1.0 / (len(changes) - 1))
     return np.asarray(np.linalg.solve(mixing, away))

@@ -6,7 +6,7 @@ The stiffness of a mode is the square of its frequency, so that the thresholds o
 from __future__ import annotations
 
 from functools import partial
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -26,17 +26,10 @@ _LEAST_MODES = 2
 
 
 class ModalStiffness:
-    """Stiffness and shapes of modes, and their change since the baseline.
+    """Stiffness and shapes of modes, and their change since the baseline; `past` are the identification's reference channels.
 
-    Parameters
-    ----------
-    channels : tuple of str
-        Names of the channels.
-    past : sequence of int
-        Reference channels (0 = first) of the identification.
-    reference : Modes, optional
-        Modes by which those of the windows are numbered: the baseline's, or where there is none yet those that calibration
-        chose.  Without either, the modes of each window are chosen by themselves.
+    The modes of windows are numbered by the baseline's or, where there is none yet, by those that calibration chose
+    (`reference`). Without either, the modes of each window are chosen by themselves.
     """
 
     without_baseline: ClassVar[str] = "no baseline: there is nothing to compare the modes with"
@@ -141,8 +134,8 @@ def _reading(
     )
 
 
-def _ratios(modes: ModalEstimate, gauges: list[int]) -> tuple[Array, Array]:
-    """Compute the real parts of the shapes over their components at the gauges, and their variances, shape (m, c).
+def _ratios(modes: ModalEstimate, gauges: list[int]) -> tuple[Annotated[Array, "m c"], Annotated[Array, "m c"]]:
+    """Compute the real parts of the shapes over their components at the gauges, and their variances.
 
     They are NaN at channels that are left out, and as a whole where that is the gauge.
     """

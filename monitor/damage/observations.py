@@ -9,20 +9,10 @@ from monitor.damage.updating import Observation, UpdatingSettings, observe
 
 
 def mean_observation(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
-    """Average the observations of several windows.
+    """Average the observations of several windows, all with the same modes of the model in the same order.
 
     Windows that overlap share data.  Their influences are added before squaring, so that the covariance of the mean counts
-    shared data once.
-
-    Parameters
-    ----------
-    windows : list of ModalEstimate
-        All with the same modes of the model, in the same order.
-
-    Returns
-    -------
-    Observation
-        The gauges are those of the first window.
+    shared data once.  The gauges are those of the first window.
     """
     gauges = observe(windows[0], settings).gauges
     observations = [observe(m, settings, gauges if settings.use_shapes else None) for m in windows]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +43,7 @@ class Smoothed:
     """Smoothed variance of the readings of other channels, for their return."""
 
     channels: tuple[int, ...]
-    ln_variance: Array
-    """Shape (n,)."""
+    ln_variance: Annotated[Array, "n"]
     memory_s: float
 
 
@@ -52,17 +52,17 @@ class History:
     """History of the h latest readings, as many as the longest stretch needs."""
 
     window_ns: int
-    t_ns: NDArray[np.int64]
-    """Shape (h,): ends of the windows, UTC."""
-    loss: Array
-    """Shape (h, n): loss of each part; NaN where a window does not show it."""
-    variance: Array
-    """Shape (h, n): variance of the loss in each window, without the baseline's error."""
+    t_ns: Annotated[NDArray[np.int64], "h"]
+    """Ends of the windows, UTC."""
+    loss: Annotated[Array, "h n"]
+    """NaN where a window does not show the part."""
+    variance: Annotated[Array, "h n"]
+    """Variance of the loss in each window, without the baseline's error."""
     common: Array
-    """Shape (h, n, n): covariance that a window has in common with the others: the baseline's and the covariates' law's.  Shape
+    """Covariance that a window has in common with the others, the baseline's and the covariates' law's: shape (h, n, n), or
     (h, n) where only its variances are kept."""
-    ln_variance: Array
-    """Shape (n,): smoothed logarithm of the variance."""
+    ln_variance: Annotated[Array, "n"]
+    """Smoothed logarithm of the variance."""
     memory_s: float
     """Time over which the variance has been smoothed so far."""
     channels: tuple[tuple[int, ...], ...] = ()
@@ -96,30 +96,29 @@ class SequentialStatistic:
 
     parts: tuple[int, ...]
     """Their numbers (0 = first)."""
-    z: Array
-    """Shape (n,): largest z-score over the stretches, for a loss of this story beyond a change common to all stories."""
-    loss: Array
-    """Shape (n,): mean loss over the longest stretch with which the newest window agrees."""
-    std: Array
-    """Shape (n,): standard deviation of `loss`."""
-    own: Array
-    """Shape (n,): the part of `loss` beyond what all stories have in common."""
-    own_std: Array
-    """Shape (n,): standard deviation of `own`."""
+    z: Annotated[Array, "n"]
+    """Largest z-score over the stretches, for a loss of this part beyond a change common to all parts."""
+    loss: Annotated[Array, "n"]
+    """Mean loss over the longest stretch with which the newest window agrees."""
+    std: Annotated[Array, "n"]
+    """Of `loss`."""
+    own: Annotated[Array, "n"]
+    """The share of `loss` beyond what all parts have in common."""
+    own_std: Annotated[Array, "n"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Averages:
     """Means over the k stretches that end with the newest reading."""
 
-    means: Array
-    """Shape (k, n); 0 where the newest reading does not show the quantity."""
-    variances: Array
-    """Shape (k, n): their own variances, without what readings have in common."""
+    means: Annotated[Array, "k n"]
+    """0 where the newest reading does not show the part."""
+    variances: Annotated[Array, "k n"]
+    """Their own variances, without what readings have in common."""
     common: Array
     """Shape (k, n, n) or (k, n), as `History.common`: mean of what the readings have in common."""
-    agrees: NDArray[np.bool_]
-    """Shape (k, n): whether the newest reading agrees with the mean."""
+    agrees: Annotated[NDArray[np.bool_], "k n"]
+    """Whether the newest reading agrees with the mean."""
 
     def of_parts(self, known: NDArray[np.intp]) -> Averages:
         """Select some of the parts (0 = first)."""
@@ -127,17 +126,14 @@ class Averages:
         return Averages(self.means[:, known], self.variances[:, known], common, self.agrees[:, known])
 
     def longest(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the index, into (k, n), of the longest stretch of each quantity with which the newest reading agrees."""
+        """Return the index, into (k, n), of the longest stretch of each part with which the newest reading agrees."""
         return len(self.agrees) - 1 - self.agrees[::-1].argmax(axis=0), np.arange(self.agrees.shape[1])
 
 
 def begin(n_stories: int, window_s: float, *, variances_only: bool = False) -> History:
-    """Return the empty history of n stories, or other quantities, for windows of `window_s` seconds.
+    """Return the empty history of n parts for windows of `window_s` seconds.
 
-    Parameters
-    ----------
-    variances_only : bool
-        Keep of what windows have in common the variances alone.
+    With `variances_only`, of what windows have in common the variances alone are kept.
     """
     none = np.zeros((0, n_stories))
     shared = none if variances_only else np.zeros((0, n_stories, n_stories))
@@ -148,17 +144,11 @@ def begin(n_stories: int, window_s: float, *, variances_only: bool = False) -> H
 def look(
     history: History, reading: Reading, t_ns: int, model_form: float, expected: Expected | None = None
 ) -> tuple[History, SequentialStatistic]:
-    """Update the test statistic by one window's reading.
+    """Update the test statistic by one window's reading; `t_ns` is the UTC of the window's end.
 
-    Parameters
-    ----------
-    t_ns : int
-        End of the window, UTC.  Missing readings are left out of the means.
-    model_form : float
-        Share of another part's loss that may appear in a part (one standard deviation).
-    expected : Expected, optional
-        What parts do together without a known cause, where it was learned.  Without it, what they have in common is a change
-        of all alike.
+    Missing readings are left out of the means.  `model_form` is the share of another part's loss that may appear in a part (one
+    standard deviation).  `expected` is what parts do together without a known cause, where it was learned; without it, what they
+    have in common is a change of all alike.
     """
     n, own = reading.loss.size, reading.own_covariance
     model_form = max(model_form, reading.model_form)
@@ -197,7 +187,7 @@ def look_at_shapes(history: History, reading: Reading, t_ns: int) -> tuple[Histo
 def _beside_others(
     means: Array, covariance: Array, model_form: float, expected: Expected, *, either_side: bool
 ) -> tuple[Array, Array, Array]:
-    """Compute the z-scores of losses beyond what the other stories let expect, the losses and their deviations, (k, n) each."""
+    """Compute the z-scores of losses beyond what the other parts let expect, the losses and their deviations."""
     found = expected.each_beside_others(means, covariance, either_side=either_side)
     sizes = np.abs(found.loss)
     others = np.where(np.eye(sizes.shape[1], dtype=bool), 0.0, sizes[:, None, :]).max(axis=2)
@@ -207,20 +197,17 @@ def _beside_others(
 
 
 def average(
-    history: History, values: Array, variance: Array, common: Array, channels: tuple[int, ...], t_ns: int
+    history: History,
+    values: Annotated[Array, "n"],
+    variance: Annotated[Array, "n"],
+    common: Array,
+    channels: tuple[int, ...],
+    t_ns: int,
 ) -> tuple[History, Averages]:
-    """Append a reading of n quantities and average the readings over all stretches that end with it.
+    """Append a reading of n parts and average the readings over all stretches that end with it.
 
-    Parameters
-    ----------
-    values, variance : ndarray, shape (n,)
-        NaN for a quantity that the window does not show.
-    common : ndarray, shape (n, n) or (n,)
-        As one item of `History.common`.
-    channels : tuple of int
-        Channels that the reading rests on; empty: all.
-    t_ns : int
-        End of the window, UTC.
+    `values` and `variance` are NaN for a part that the window does not show, `common` is as one item of `History.common`.
+    `channels` are those that the reading rests on (empty: all), `t_ns` is the UTC of the window's end.
     """
     history = _append(_of_channels(history, channels), values, variance, common, channels, t_ns)
     chain = _comparable(history, _disjoint_readings(history), common)
@@ -238,8 +225,8 @@ def average(
     return history, Averages(means, variances, shared, agrees)
 
 
-def _covariance_of(over: Averages, own: Array) -> Array:
-    """Compute the covariance of the means, shape (k, n, n): correlated as `own`, that of one reading, and what is common."""
+def _covariance_of(over: Averages, own: Annotated[Array, "n n"]) -> Annotated[Array, "k n n"]:
+    """Compute the covariance of the means: correlated as `own`, that of one reading, and what is common."""
     scale = np.sqrt(over.variances / own.diagonal())
     return np.asarray(own * scale[:, :, None] * scale[:, None, :] + over.common)
 
@@ -263,7 +250,7 @@ def _comparable(history: History, chain: list[int], common: Array) -> list[int]:
 
 
 def _diagonal(common: Array) -> Array:
-    """Return the variances of what is common, which may be kept alone, shape (n,)."""
+    """Return the variances of what is common, which may be kept alone."""
     return common if common.ndim == 1 else common.diagonal()
 
 
@@ -271,8 +258,6 @@ def _append(
     history: History, values: Array, variance: Array, common: Array, channels: tuple[int, ...], t_ns: int
 ) -> History:
     """Append a reading, and drop readings that no stretch needs any more.
-
-    Its own variance has shape (n,), its common covariance (n, n) or (n,).
 
     The smoothed standard deviation is used, because a window's own may be too small by chance.  The window's own is used where
     it is clearly larger: conditions got worse, or the window lies across the onset of a change.
@@ -313,40 +298,25 @@ def _disjoint_readings(history: History) -> list[int]:
     return chain
 
 
-def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array, Array]:
-    """Compute the z-score of each story's loss, and the standard deviation of its mean.
+def statistic(
+    means: Annotated[Array, "k n"], covariance: Annotated[Array, "k n n"], model_form: float
+) -> tuple[Annotated[Array, "k n"], Annotated[Array, "k n"]]:
+    """Compute the z-score of each part's loss, and the standard deviation of its mean over each of k stretches.
 
-    The z-score is the smaller one against two null hypotheses: that nothing changed, and that all stories changed alike.
-    The common change is estimated from the other stories, as the mean of those that agree with the smallest change.  A
-    second damaged story therefore does not mask the first.
-
-    Parameters
-    ----------
-    means : ndarray, shape (k, n)
-        Mean damage index over each of k stretches.
-    covariance : ndarray, shape (k, n, n)
-        Covariance of each mean.
-    model_form : float
-        Share of another story's change that may appear in a story (one standard deviation).
-
-    Returns
-    -------
-    z, std : ndarray, shape (k, n)
+    The z-score is the smaller one against two null hypotheses: that nothing changed, and that all parts changed alike. The
+    common change is estimated from the other parts, as the mean of those that agree with the smallest change.  A second damaged
+    part therefore does not mask the first.  `model_form` is as in `look`.
     """
     from monitor.damage.kernels import evidence_of_loss  # compiled code takes a while to load
 
     return evidence_of_loss(means, covariance, model_form, SIGNIFICANT_STDS, LOCAL_LOSS_CREDIT)
 
 
-def shared_change(loss: Array, std: Array) -> float:
-    """Return the part of a change that is common to all stories.
+def shared_change(loss: Annotated[Array, "n"], std: Annotated[Array, "n"]) -> float:
+    """Return the part of a change that is common to all parts.
 
-    It is the smallest change in magnitude where all stories changed significantly in the same direction, else 0.  Weather,
-    added mass, a slow clock and an equal loss in every story have the same effect on accelerations.
-
-    Parameters
-    ----------
-    loss, std : ndarray, shape (n,)
+    It is the smallest change in magnitude where all parts changed significantly in the same direction, else 0.  Weather, added
+    mass, a slow clock and an equal loss in every story have the same effect on accelerations.
 
     Examples
     --------
@@ -357,8 +327,8 @@ def shared_change(loss: Array, std: Array) -> float:
     return float(loss[np.abs(loss).argmin()]) if alike and loss.size else 0.0
 
 
-def shared_by_others(loss: Array, std: Array) -> Array:
-    """Return for each story the change common to all other stories (`shared_change`), shape (n,)."""
+def shared_by_others(loss: Annotated[Array, "n"], std: Annotated[Array, "n"]) -> Annotated[Array, "n"]:
+    """Return for each part the change common to all other parts (`shared_change`)."""
     n = loss.size
     if np.count_nonzero(np.abs(loss) > SIGNIFICANT_STDS * std) < n - 1:
         return np.zeros(n)

@@ -35,19 +35,10 @@ class StoryView(View):
 
 
 class StoryStiffness:
-    """Stiffness of a model's stories, and its loss since the baseline.
+    """Stiffness of a model's stories, and its loss since the baseline; `past` are the identification's reference channels.
 
-    Without a baseline, modes and stiffness are compared with the structure file's, and no alarm is announced: the structure
-    file is never exact, so a difference from it is no change.
-
-    Parameters
-    ----------
-    nominal : InstrumentedModel
-        The structure file's model.
-    past : sequence of int
-        Reference channels (0 = first) of the identification.
-    names : tuple of str
-        What people call each story.
+    Without a baseline, modes and stiffness are compared with the structure file's, and no alarm is announced: the structure file
+    is never exact, so a difference from it is no change.  `names` are what people call each story.
     """
 
     without_baseline: ClassVar[str] = "no baseline: a difference from the structure file is no change"
