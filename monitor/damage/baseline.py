@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.origin import Origin
-from monitor.damage.updating import Observation
+from monitor.damage.updating import Observation, gauge_masks
 from monitor.model import Model, Modes, StructuralPrior
 
 
@@ -54,7 +54,7 @@ class HealthyModes:
     @property
     def free(self) -> Annotated[NDArray[np.bool_], "m c"]:
         """Mask of the components of the shapes that can change, all but the gauges'."""
-        return np.asarray(np.arange(len(self.channels)) != np.array(self.gauges)[:, None])
+        return gauge_masks(len(self.channels), self.gauges)[0]
 
     def shapes_in(self, z: Array) -> Annotated[Array, "m c"]:
         """Return the shapes that a measured vector holds, 1 at their gauges."""

@@ -12,13 +12,18 @@ from monitor.core import Array, BadInputError, ModalEstimate
 from monitor.damage.baseline import Baseline, ModalBaseline
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.covariates import TEMPERATURE, Change, CovariateSettings, learn_law
-from monitor.damage.observations import mean_observation
 from monitor.damage.origin import Origin
-from monitor.damage.updating import Observation, Update, UpdatingSettings, counterparts, observe, predict, update
+from monitor.damage.updating import (
+    MODES_ALONE,
+    Observation,
+    Update,
+    UpdatingSettings,
+    counterparts,
+    observe,
+    predict,
+    update,
+)
 from monitor.model import InstrumentedModel, inverse
-
-_MODES_ALONE = UpdatingSettings()
-"""What is measured of modes alone: logarithms of eigenvalues, and shapes."""
 
 
 def learn_baseline(
@@ -62,7 +67,7 @@ def learn_baseline(
     """
     if not windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
-    mean = mean_observation(windows, updating)
+    mean = _mean_observation(windows, updating)
     fit = _fit(instrumented, mean, updating)
     baseline = Baseline(
         **_known(mean, windows, np.mean([m.frequencies_hz for m in windows], axis=0), rms, motion),
@@ -171,7 +176,7 @@ def learn_modal_baseline(
 
     All windows have the same modes and all channels.
     """
-    mean = mean_observation(windows, _MODES_ALONE)
+    mean = _mean_observation(windows, MODES_ALONE)
     m, c = len(mean.model_mode), len(channels)
 
     def law(columns: slice, settings: CovariateSettings, *, alike: bool) -> CovariateLaw | None:
@@ -181,7 +186,7 @@ def learn_modal_baseline(
             """Return a window's change: `learn_law` takes relative changes, of which it uses the logarithms."""
             return np.expm1(o.z[columns] - mean.z[columns]), o.deviations[:, columns]
 
-        changes = _changes(windows, mean, _MODES_ALONE, of, covariates, [0] * len(windows))
+        changes = _changes(windows, mean, MODES_ALONE, of, covariates, [0] * len(windows))
         return learn_law(changes, (span_ns[1] - span_ns[0]) * 1e-9, units, settings, alike=alike)
 
     return ModalBaseline(
@@ -243,3 +248,31 @@ def _of_shapes(settings: CovariateSettings) -> CovariateSettings:
     """Return how far shapes may follow covariates: as the stiffnesses change unevenly, for what all do alike moves no shape."""
     names = ("level_per_doubling", "temperature_per_k", "frost_per_k", "other")
     return settings.model_copy(update={name: settings.unevenness * getattr(settings, name) for name in names})
+
+
+def _mean_observation(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
+    """Average the observations of several windows, all with the same modes of the model in the same order.
+
+    Windows that overlap share data.  Their influences are added before squaring, so that the covariance of the mean counts
+    shared data once.  The gauges are those of the first window.
+    """
+    gauges = observe(windows[0], settings).gauges
+    observations = [observe(m, settings, gauges if settings.use_shapes else None) for m in windows]
+    influence: dict[tuple[bool, int], Array] = {}
+    for m, o in zip(windows, observations, strict=True):
+        for b, row in enumerate(o.deviations):
+            place = (m.refined, m.first + b)
+            influence[place] = influence.get(place, 0.0) + row / len(windows)
+    deviations = np.array(list(influence.values()))
+    last = observations[-1]
+    # The weights between components are those of a window; their common scale follows from the scatter of the data.
+    shape_of_weight = np.mean([o.weight for o in observations], axis=0)
+    shrink = np.mean((deviations**2).sum(axis=0) * np.diag(shape_of_weight)) if len(windows) > 1 else 1.0
+    return Observation(
+        z=np.mean([o.z for o in observations], axis=0),
+        weight=shape_of_weight / shrink,
+        deviations=deviations,
+        model_mode=last.model_mode,
+        gauges=gauges,
+        log=last.log,
+    )

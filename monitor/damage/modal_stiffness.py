@@ -5,10 +5,12 @@ The stiffness of a mode is the square of its frequency, so that the thresholds o
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, ModalEstimate, ModalReading, Skipped, Window
 from monitor.damage import alarm
@@ -18,6 +20,7 @@ from monitor.damage.covariate_law import Effect
 from monitor.damage.level import displacement_weights
 from monitor.damage.parts import ModesAndShapes
 from monitor.damage.quantities import LEAST_SHARE, UNCERTAIN, Covariates, Found, JudgeSettings, View, explained
+from monitor.damage.updating import MODES_ALONE, observe
 from monitor.identification import SelectionSettings, SubArray, identify, identify_modes, refine
 from monitor.model import Modes
 
@@ -103,51 +106,44 @@ def _reading(
 ) -> ModalReading:
     """Compare modes of all channels with the healthy ones, less what the covariates explain.
 
-    Shapes are left out (NaN) where the covariates may change them by any amount (`Skipped`).
+    Shapes are left out (NaN) where the covariates may change them by any amount (`Skipped`), at channels that are left out,
+    and as a whole where that is the gauge.
     """
     free, found = healthy.free, modes.model_mode
-    m, c = free.shape
-    loss, covariance, common = np.full(m, np.nan), np.full((m, m), np.nan), healthy.z_covariance[:m, :m].copy()
-    loss[found] = healthy.z[found] - 2.0 * np.log(2.0 * np.pi * modes.frequencies_hz)
-    influence = 2.0 * modes.deviations[:, :, 0]
+    m, place = len(free), np.zeros(free.shape, dtype=np.intp)
+    place[free] = np.arange(m, healthy.z.size)
+    rows = np.append(found, place[found][free[found]])  # of the healthy z
+    with np.errstate(
+        invalid="ignore"
+    ):  # of channels that are left out; the weights, which they would spoil, are not needed
+        seen = observe(replace(modes, weight_factor=None), MODES_ALONE, tuple(healthy.gauges[k] for k in found))
+    change, variance = np.full(healthy.z.size, np.nan), np.full(healthy.z.size, np.nan)
+    change[rows], variance[rows] = seen.z - healthy.z[rows], (seen.deviations**2).sum(axis=0)
+    covariance, common = np.full((m, m), np.nan), healthy.z_covariance[:m, :m].copy()
+    influence = seen.deviations[:, : found.size]
     covariance[np.ix_(found, found)] = influence.T @ influence
+    common_variance = healthy.z_covariance.diagonal().copy()
     if effect is not None:
-        loss += np.log1p(effect.relative)
+        change[:m] -= np.log1p(effect.relative)
         common += effect.covariance
-    shape, variance, shape_common = np.full((m, c), np.nan), np.full((m, c), np.nan), np.zeros((m, c))
-    shape_common[free] = healthy.z_covariance.diagonal()[m:]
-    if not isinstance(of_shapes, Skipped):
-        shape[found], variance[found] = _ratios(modes, [healthy.gauges[k] for k in found])
-        shape -= healthy.shapes
-        shape[~free] = variance[~free] = np.nan
-        if of_shapes is not None:
-            shape[free] -= np.log1p(of_shapes.relative)
-            shape_common[free] += of_shapes.covariance.diagonal()
+    if isinstance(of_shapes, Skipped):
+        change[m:] = variance[m:] = np.nan
+    elif of_shapes is not None:
+        change[m:] -= np.log1p(of_shapes.relative)
+        common_variance[m:] += of_shapes.covariance.diagonal()
     return ModalReading(
-        loss,
+        -change[:m],
         covariance + common,
         common,
         covariate_effect={} if effect is None else dict(effect.parts),
-        shape=shape,
-        shape_variance=variance + shape_common,
-        shape_common_variance=shape_common,
+        shape=_placed(change[m:], free, np.nan),
+        shape_variance=_placed(variance[m:] + common_variance[m:], free, np.nan),
+        shape_common_variance=_placed(common_variance[m:], free, 0.0),
     )
 
 
-def _ratios(modes: ModalEstimate, gauges: list[int]) -> tuple[Annotated[Array, "m c"], Annotated[Array, "m c"]]:
-    """Compute the real parts of the shapes over their components at the gauges, and their variances.
-
-    They are NaN at channels that are left out, and as a whole where that is the gauge.
-    """
-    m, c = modes.shapes.shape
-    seen = np.flatnonzero(np.isfinite(modes.shapes).all(axis=0))
-    rows = np.array([row for row, gauge in enumerate(gauges) if gauge in seen], dtype=np.intp)
-    at = np.array([gauges[row] for row in rows], dtype=np.intp)
-    ratio, variance = np.full((m, c), np.nan), np.full((m, c), np.nan)
-    at_gauge = modes.shapes[rows, at][:, None]
-    shown = modes.shapes[np.ix_(rows, seen)] / at_gauge
-    influence = modes.deviations[:, rows, 2 : 2 + c] + 1j * modes.deviations[:, rows, 2 + c :]
-    of_gauge = influence[:, np.arange(rows.size), at][:, :, None]
-    moved = (influence[:, :, seen] - shown * of_gauge) / at_gauge
-    ratio[np.ix_(rows, seen)], variance[np.ix_(rows, seen)] = shown.real, (moved.real**2).sum(axis=0)
-    return ratio, variance
+def _placed(values: Array, free: NDArray[np.bool_], gauge: float) -> Annotated[Array, "m c"]:
+    """Place the components that can change among those of the shapes."""
+    placed = np.full(free.shape, gauge)
+    placed[free] = values
+    return placed

@@ -56,6 +56,10 @@ class UpdatingSettings(Settings):
     """Convergence when no parameter changes by more than this fraction."""
 
 
+MODES_ALONE = UpdatingSettings()
+"""What is measured where modes alone are judged: logarithms of eigenvalues, and shapes."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Observation:
     """Measured vector z_m of eq. 27 with its weights, influences and modes."""
@@ -142,12 +146,12 @@ def _propagate(
 
 def _split_at_gauges(shapes: Array | ComplexArray, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], Any]:
     """Return the mask of the components that are in z (all but the gauges), and the values at the gauges."""
-    free, gauge = _gauge_masks(shapes.shape[1], gauges)
+    free, gauge = gauge_masks(shapes.shape[1], gauges)
     return free, shapes[gauge]
 
 
 @lru_cache(maxsize=64)
-def _gauge_masks(n_channels: int, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def gauge_masks(n_channels: int, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return the masks of the components that are not the gauge of their shape, and of those that are."""
     free = np.arange(n_channels) != np.array(gauges)[:, None]
     return free, ~free
@@ -179,7 +183,7 @@ def _rank_observation(observation: Observation, n_channels: int) -> tuple[NDArra
     by_rank[observation.z[:m].argsort(kind="stable")] = sorted(observation.model_mode)
     observed = np.ones((m, n_channels))
     if observation.gauges:
-        observed[_gauge_masks(n_channels, observation.gauges)[0]] = observation.z[m:]
+        observed[gauge_masks(n_channels, observation.gauges)[0]] = observation.z[m:]
     return by_rank, observed / np.sqrt((observed**2).sum(axis=1, keepdims=True))
 
 
