@@ -205,7 +205,7 @@ class Expected:
         """Set aside the parts that are lost themselves, and a change of all alike, and compare each part with the rest.
 
         `learned` and `total` are the covariance of the losses: as learned, and with what is of any size; `found` compares all
-        parts. Returned are the total with what else is of any size, and `weights` and `inflation` as in `Beside`.
+        parts.  Returned are the total with what else is of any size, and `weights` and `inflation` as in `Beside`.
         """
         n = loss.size
         kept, alike = tuple(range(n)), False

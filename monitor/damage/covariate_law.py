@@ -204,8 +204,8 @@ def learn(
     """Learn the slopes from healthy windows, each covariate at the lag of greatest evidence.
 
     `changes` are relative, `noise` is the covariance of one window's change, `prior` the correlation of the quantities' slopes
-    (`stories_prior`). `values` are the lagged values of each covariate, NaN where it is missing; of `lags_s`, a covariate with
-    one column tries none. `overlap` is the variance of the windows' mean over that of as many independent windows: overlapping
+    (`stories_prior`).  `values` are the lagged values of each covariate, NaN where it is missing; of `lags_s`, a covariate with
+    one column tries none.  `overlap` is the variance of the windows' mean over that of as many independent windows: overlapping
     windows do not count as many.
     """
     mixing, ratio = _separate(noise, prior)
@@ -260,24 +260,12 @@ def _filled(basis: Array) -> Array:
 
 
 def _fit(
-    y: Annotated[Array, "w n"],
-    ratio: Annotated[Array, "n"],
-    axes: Sequence[Axis],
-    values: Sequence[Annotated[Array, "w lags"]],
-    overlap: float,
-    scatter: float = 1.0,
-) -> tuple[
-    float,
-    Annotated[Array, "n k"],
-    Annotated[Array, "n k k"],
-    Annotated[Array, "w k"],
-    Annotated[Array, "w n"],
-    float,
-]:
-    """Fit the separated quantities, whose noise has the variance `scatter`.
+    y: Array, ratio: Array, axes: Sequence[Axis], values: Sequence[Array], overlap: float, scatter: float = 1.0
+) -> tuple[float, Array, Array, Array, Array, float]:
+    """Fit the separated quantities, shape (w, n), whose noise has the variance `scatter`.
 
-    Returned are the ln evidence (less a constant), mean and covariance of the slopes, the basis, what is left, and its degrees
-    of freedom.
+    Returned are the ln evidence (less a constant), mean (n, k) and covariance (n, k, k) of the slopes, the basis (w, k), what is
+    left (w, n), and its degrees of freedom.
     """
     basis = np.column_stack([a.basis(v[:, a.lag]) for a, v in zip(axes, values, strict=True)])
     x, std = _filled(basis), np.concatenate([a.slope_std for a in axes])

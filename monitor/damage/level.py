@@ -34,7 +34,7 @@ def drift_weights_of_some(
     """Compute the weights with which some of the channels (0 = first) measure the same level as all of them, s^4.
 
     Fewer channels than modes do not resolve the modes, and acceleration of a high mode, taken for a low one's, is far more
-    drift. So the modes are estimated with the powers that they had at calibration (linear least squares), and the weights are
+    drift.  So the modes are estimated with the powers that they had at calibration (linear least squares), and the weights are
     scaled to measure the motion at calibration as all channels did.  `whole` are the weights of all channels; `motion` is the
     covariance of the accelerations at calibration, (m/s^2)^2, by default that of modes of equal damping in forces of equal
     strength.

@@ -32,7 +32,7 @@ class ModalStiffness:
     """Stiffness and shapes of modes, and their change since the baseline; `past` are the identification's reference channels.
 
     The modes of windows are numbered by the baseline's or, where there is none yet, by those that calibration chose
-    (`reference`). Without either, the modes of each window are chosen by themselves.
+    (`reference`).  Without either, the modes of each window are chosen by themselves.
     """
 
     without_baseline: ClassVar[str] = "no baseline: there is nothing to compare the modes with"

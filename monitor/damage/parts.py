@@ -38,7 +38,7 @@ class Parts:
 
     def shape_changed(self, mode: int, change: float, std: float, channel: int) -> str:
         """Say how a mode's shape changed, most of all at a channel (0 = first)."""
-        raise NotImplementedError  # shapes are not judged beside stories
+        return change_words(f"the shape of mode {mode}", change, std)
 
     def alike(self, loss: float) -> tuple[str, str]:
         """Say what all parts lost alike: as an alarm, and beside others."""
@@ -71,7 +71,7 @@ class ModesAndShapes(Parts):
 
     @override
     def shape_changed(self, mode: int, change: float, std: float, channel: int) -> str:
-        words = change_words(self.name(self.n_modes + mode), change, std)
+        words = super(ModesAndShapes, self).shape_changed(mode, change, std, channel)
         return f"{words} of its largest component at {self.channels[channel]}"
 
     @override

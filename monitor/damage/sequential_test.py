@@ -303,7 +303,7 @@ def statistic(
 ) -> tuple[Annotated[Array, "k n"], Annotated[Array, "k n"]]:
     """Compute the z-score of each part's loss, and the standard deviation of its mean over each of k stretches.
 
-    The z-score is the smaller one against two null hypotheses: that nothing changed, and that all parts changed alike. The
+    The z-score is the smaller one against two null hypotheses: that nothing changed, and that all parts changed alike.  The
     common change is estimated from the other parts, as the mean of those that agree with the smallest change.  A second damaged
     part therefore does not mask the first.  `model_form` is as in `look`.
     """
