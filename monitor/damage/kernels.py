@@ -136,27 +136,13 @@ def seen_by_most(
     In a trial it is seen where it is significant at `held` looks in a row, at each over one of s stretches of windows.  Only the
     trials that need the largest losses count: of the others a bound is enough.
 
-    Parameters
-    ----------
-    total : ndarray
-        Sums of standard normal increments up to each look: of the healthy data, then after the loss; more looks may follow.
-    first : int
-        Index of the first look after the loss.
-    lengths : ndarray
-        Looks in each stretch, increasing; at most `first`.
-    factor : ndarray
-        Length of the stretch over that of its part behind the loss.
-    of_error : ndarray
-        Error of each story's mean over a stretch, as a combination of the increments' sums over it.
-    off : ndarray
-        Errors that all windows have in common.
-    of_alone, alone_off : ndarray
-        The same of each story less what the others say that all stories have in common.
-    needed : ndarray
-        Mean that is announced where nothing else changed.
-    leak, square : ndarray
-        Coefficients of the quadratic equation for the mean that is significant against a change of all stories alike; where
-        `leak`, at most 1, is not positive, no mean is.
+    `total` are sums of standard normal increments up to each look: of the healthy data, then after the loss, from look `first`
+    on; more looks may follow.  `lengths` are the looks in each stretch, increasing, at most `first`; `factor` is the length of a
+    stretch over that of its part behind the loss.  `of_error` is the error of each story's mean over a stretch as a combination
+    of the increments' sums over it, `off` the errors that all windows have in common; `of_alone` and `alone_off` are the same of
+    each story less what the others say that all stories have in common.  `needed` is the mean that is announced where nothing
+    else changed; `leak` (at most 1) and `square` are coefficients of the quadratic equation for the mean that is significant
+    against a change of all stories alike.  Where `leak` is not positive, no mean is.
     """
     trials, n = off.shape
     stretches, looks = factor.shape
