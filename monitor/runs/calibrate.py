@@ -58,14 +58,7 @@ def calibrate(
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[Baseline, Update]:
-    """Learn the healthy baseline, and the reference of later diagnoses, from recordings.
-
-    Returns
-    -------
-    Baseline
-        Healthy baseline.
-    Update
-        Result of the model updating.
+    """Learn the healthy baseline, and the reference of later diagnoses, from recordings; return it with its model updating.
 
     Raises
     ------
@@ -161,13 +154,7 @@ class _Pass:
         self._progress.require_window(self.pipeline, len(self._good) + len(self._reasons), self._paths)
 
     def kept(self, on_warning: OnWarning) -> list[WindowResult]:
-        """Select the windows that are learned from, with the modes that they have in common.
-
-        Raises
-        ------
-        BadInputError
-            If there is none, or they are too short.
-        """
+        """Select the windows that are learned from, with the modes in common to them; BadInputError if there are too few."""
         self._require_window()
         good, reasons = self._good, self._reasons
         if not good:
@@ -205,19 +192,8 @@ class _Pass:
 def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...], bool]:
     """Update a changed drawing to the healthy modes of a baseline's file, without recordings.
 
-    Parameters
-    ----------
-    path : Path
-        Baseline of the same structure, made with another drawing of it.
-
-    Returns
-    -------
-    Baseline
-        With the changed drawing's updated model.
-    tuple of str
-        What changed and what is left out.
-    bool
-        Whether the updating converged.
+    Returned are the baseline with the changed drawing's updated model, what changed and what is left out, and whether the
+    updating converged.
 
     Raises
     ------
