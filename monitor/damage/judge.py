@@ -18,7 +18,6 @@ from monitor.core import (
     ModalReading,
     Reading,
     Skipped,
-    StiffnessEstimate,
     name_stories,
 )
 from monitor.damage import alarm, slow_learning
@@ -27,7 +26,7 @@ from monitor.damage.common_change import Beside
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import beyond_words
 from monitor.damage.detectable_loss import smallest_detectable_loss
-from monitor.damage.quantities import Covariates, JudgeSettings, Quantities, View, explained
+from monitor.damage.quantities import Covariates, Found, JudgeSettings, Quantities, View, explained
 from monitor.damage.slow_learning import LearningState
 
 
@@ -40,15 +39,11 @@ class Memory:
     """The covariates' law as it was learned on in service; None before the first judged window."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Judged:
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Judged(Found):
     """What the modes of a window say of the structure."""
 
-    modes: ModalEstimate
-    """The modes that were judged."""
     alarm: Alarm
-    reading: Reading | None = None
-    stiffness: StiffnessEstimate | None = None
     detectable_loss: Array | None = None
     """As in `WindowResult`."""
 
@@ -89,7 +84,7 @@ def step(
         reading = replace(reading, channels=view.array.channels)
     if baseline is None or reading is None:
         nothing = Alarm(Level.NORMAL, (), quantities.without_baseline)
-        return memory, Judged(found.modes, nothing, reading, found.stiffness)
+        return memory, Judged(found.modes, reading, found.stiffness, alarm=nothing)
     together = None if law is None else law.together(settings.compensation.unevenness)
     beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
     reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, settings.alarm))
@@ -102,7 +97,8 @@ def step(
     if together is not None and beside is not None:
         reading, history = together.take_out(reading, beside), history.left_by_others(together, beside)
     detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
-    judged = Judged(found.modes, _named(verdict, quantities), reading, found.stiffness, detectable)
+    verdict = _named(verdict, quantities)
+    judged = Judged(found.modes, reading, found.stiffness, alarm=verdict, detectable_loss=detectable)
     return Memory(alarms, learning), judged
 
 
