@@ -29,14 +29,15 @@ from monitor.damage import (
     AnyBaseline,
     Baseline,
     CovariateLaw,
-    Judge,
     Memory,
     ModalBaseline,
-    ModalJudge,
-    StiffnessJudge,
+    ModalStiffness,
+    Quantities,
+    StoryStiffness,
     View,
     alarm,
     clock_error,
+    judge,
     level_db,
     slow_learning,
 )
@@ -134,12 +135,12 @@ class Pipeline:
         self.config = config
         self.baseline = baseline
         self.front_end = config.front_end()
-        self.judge, self.site = _judge(config, baseline, reference)
+        self.quantities, self.site = _quantities(config, baseline, reference)
         self._views: dict[tuple[int, ...], View] = {}
         self.state = PipelineState(
             alignment.start(),
             None,
-            self.judge.start(config.processing.window_s),
+            self.quantities.start(config.processing.window_s),
             {table.name: temperature.start() for table in config.covariates},
             temperature.start(),
             tracking.TrackState(),
@@ -371,18 +372,19 @@ class Pipeline:
         skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.quality)
         if skipped is not None:
             return skip(skipped)
-        modes = self.judge.identify(item, cutoff_hz, view, c)
+        modes = self.quantities.identify(item, cutoff_hz, view, c)
         if isinstance(modes, Skipped):
             return skip(modes, None, self._track_modes(None, item, view))
         memory = Memory(self.state.alarm, self.state.learning)
-        judged = self.judge.judge(memory, modes, covariates, view, item.t_end_ns, c)
+        judged = judge.step(self.quantities, memory, modes, covariates, view, item.t_end_ns, c)
         if isinstance(judged, Skipped):
             return skip(judged, modes, self._track_modes(modes, item, view))
         memory, said = judged
         self.state = replace(self.state, alarm=memory.alarm, learning=memory.learning)
         degc, detectable, rates_hz = covariates.get("temperature"), said.detectable_loss, self._rates_hz()
         if detectable is not None and self.baseline is not None:
-            detectable = detectable + clock_error(rates_hz, self.baseline.clock_ratio, modal=said.modal is not None)
+            shown = self.quantities.parts.reading.shown
+            detectable = detectable + clock_error(rates_hz, self.baseline.clock_ratio, shown)
         return WindowResult(
             item.index,
             item.t_end_ns,
@@ -418,7 +420,7 @@ class Pipeline:
         if in_use not in self._views:
             if len(self._views) == _MOST_VIEWS:
                 self._views.pop(next(iter(self._views)))
-            self._views[in_use] = self.judge.view(in_use)
+            self._views[in_use] = self.quantities.view(in_use)
         return self._views[in_use]
 
     def _track_modes(self, modes: ModalEstimate | None, item: Window, view: View) -> tuple[int, ...]:
@@ -443,7 +445,7 @@ class Pipeline:
         stated, stamped = rates_hz = self._rates_hz()
         if skipped.reason == GAP and self.state.align.is_at_odds:
             skipped = Skipped(f"{CLOCK} ({stamped:.5g} Hz and {stated:g} Hz)")
-        alarms, verdict = self.judge.hold(self.state.alarm, t_end_ns)
+        alarms, verdict = judge.hold(self.quantities, self.state.alarm, t_end_ns)
         self.state = replace(self.state, alarm=alarms)
         covariates = self._covariates(t_end_ns)
         degc = None if "temperature" not in covariates else Temperature(covariates["temperature"])
@@ -465,18 +467,20 @@ class Pipeline:
         )
 
 
-def _judge(config: Configuration, baseline: AnyBaseline | None, reference: Modes | None) -> tuple[Judge, Site]:
-    """Make the judge of a site's windows, by a model or by the modes alone, and what its events are described with."""
+def _quantities(
+    config: Configuration, baseline: AnyBaseline | None, reference: Modes | None
+) -> tuple[Quantities, Site]:
+    """Make what is judged of a site, by a model or by the modes alone, and what its events are described with."""
     past = tuple(config.channels.index(name) for name in config.identification.reference_channels)
     window_s, events = config.processing.window_s, config.events
     if config.has_model:
         assert not isinstance(baseline, ModalBaseline)
-        by_model = StiffnessJudge(config.instrumented(), baseline, past, config.story_names)
-        return by_model, Site.of(by_model.instrumented, config.story_names, window_s, events)
+        stories = StoryStiffness(config.instrumented(), baseline, past, config.story_names)
+        return stories, Site.of(stories.instrumented, config.story_names, window_s, events)
     assert not isinstance(baseline, Baseline)
-    by_modes = ModalJudge(config.channels, baseline, past, reference)
+    modes = ModalStiffness(config.channels, baseline, past, reference)
     lowest_hz = config.selection.min_frequency_hz
-    return by_modes, Site.of_channels(config.channels, by_modes.reference, lowest_hz, window_s, events)
+    return modes, Site.of_channels(config.channels, modes.reference, lowest_hz, window_s, events)
 
 
 def _convert_rate(state: WindowState, ratio: float) -> WindowState:

@@ -351,7 +351,7 @@ def test_the_reason_of_an_alarm_names_its_story(
 ) -> None:
     named = site.structure.model_copy(update={"story_names": ("roof", "middle", "foot")})
     shelved = results.alarm(reason="story 2 shelved: painters")
-    monkeypatch.setattr(alarm, "hold", lambda state, t_ns: (state, shelved))
+    monkeypatch.setattr(alarm, "hold", lambda state, t_ns, parts: (state, shelved))
     found = windows(push(Pipeline(site.model_copy(update={"structure": named})), cut(np.zeros_like(record), RATE)))
     assert found
     assert {r.alarm.reason for r in found} == {"story 2 (middle) shelved: painters"}

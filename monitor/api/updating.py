@@ -121,7 +121,7 @@ def update(modes: Modes, structure: Structure) -> Updated:
         estimate.stiffness_n_per_m,
         estimate.covariance,
         reading.ddi,
-        reading.ddi_covariance,
+        reading.covariance,
         config.story_names,
         reading.unidentified,
         estimate.misfit,

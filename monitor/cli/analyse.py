@@ -123,11 +123,11 @@ def calibrate(
 
 def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path, as_json: bool) -> None:
     """Learn the healthy modes of a structure without a model, and tell them."""
-    from monitor.damage import law_lines, save_modal_baseline
-    from monitor.runs import calibrate_modes
+    from monitor.damage import law_lines, save_baseline
+    from monitor.runs import calibrate as run
 
-    baseline = calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
-    save_modal_baseline(baseline, out)
+    baseline = run.calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+    save_baseline(baseline, out)
     lines = [f"{baseline.windows} windows"]
     rows = zip(
         baseline.frequencies_hz, baseline.frequencies_std_hz, baseline.damping_ratio, baseline.shapes, strict=True

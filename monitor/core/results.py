@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -278,71 +279,117 @@ class StiffnessEstimate:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class DamageReading:
-    """Relative stiffness loss of each story since the baseline (0.2 = 20 % lost)."""
+class Reading:
+    """What is judged of a window: relative loss of stiffness of each part since the baseline (0.2 = 20 % lost).
 
-    ddi: Annotated[Array, "n"]
-    """The direct parameter ratio, 1 - k / k_baseline."""
-    ddi_covariance: Annotated[Array, "n n"]
-    """Covariance of `ddi`, including the baseline's uncertainty."""
+    Parts are stories, or modes, whose stiffness is the square of the frequency.  What the covariates explain is taken out.
+    """
+
+    either_side: ClassVar[bool] = False
+    """Whether a rise is a change as a loss is."""
+    shown: ClassVar[float] = 1.0
+    """Size that people are told, over the loss of stiffness."""
+
+    loss: Annotated[Array, "q"]
+    """NaN for a part that the window does not show."""
+    covariance: Annotated[Array, "q q"]
+    """Of `loss`, with that of the baseline and of the covariates' law."""
+    common_covariance: Annotated[Array, "q q"] = field(default_factory=lambda: np.zeros(()))
+    """The part of it that all windows have in common; averaging does not reduce it."""
+    model_form: float = 0.0
+    """Error of any part's loss from the systematic misfit of the model, as a share of the largest loss (one standard
+    deviation).  It is contained in `covariance`, but is no evidence against a part without loss."""
+    covariate_effect: dict[str, Annotated[Array, "q"]] = field(default_factory=dict)
+    """For each known covariate: change of the logarithm of stiffness explained by it, removed from the loss."""
+    beyond: str = ""
+    """What lies beyond calibration, in words, where what is not known of the covariates would hide the loss of an `alarm`."""
+    unidentified: tuple[int, ...] = ()
+    """Parts, from 1, that the window's modes hardly determine: their loss is determined by the prior alone."""
+    channels: tuple[int, ...] = ()
+    """Channels (0 = first) that the reading rests on; empty: all."""
+    shape: Annotated[Array, "m c"] = field(default_factory=lambda: np.zeros((0, 0)))
+    """Change of the real parts of the modes' shapes, 1 at the largest component of the healthy shape, where it is NaN; without
+    rows where shapes are not judged by themselves."""
+    shape_variance: Annotated[Array, "m c"] = field(default_factory=lambda: np.zeros((0, 0)))
+    """With that of the baseline and of the covariates' law."""
+    shape_common_variance: Annotated[Array, "m c"] = field(default_factory=lambda: np.zeros((0, 0)))
+    """The part of it that windows share."""
+
+    @property
+    def own_covariance(self) -> Annotated[Array, "q q"]:
+        """Covariance of this window alone: without what windows have in common and the error of the model's form."""
+        form = (self.model_form * np.abs(self.loss).max(initial=0.0)) ** 2 if self.model_form else 0.0
+        return np.asarray(self.covariance - self.common_covariance + (1e-24 - form) * np.eye(self.loss.size))
+
+    @property
+    def ln_stiffness(self) -> Annotated[Array, "q"]:
+        """Change of the logarithm of stiffness since the baseline."""
+        return np.log1p(-np.minimum(self.loss, 1.0 - 1e-6))
+
+    def left_by_others(self, loss: Array, covariance: Array, common: Array, name: str) -> Self:
+        """Return the loss that is left beyond what the other parts let expect, which is `name` among the covariates."""
+        taken = {**self.covariate_effect, name: loss - self.loss}
+        return replace(self, loss=loss, covariance=covariance, common_covariance=common, covariate_effect=taken)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class DamageReading(Reading):
+    """Damage detection index of each story: the relative loss of its stiffness, ``1 - k / k_baseline``."""
+
     ddi_sequential: Annotated[Array, "n"]
     """Index from the difference of the stiffness matrices, in the paper's sequence."""
     loss_n_per_m: Annotated[Array, "n"]
     """Stiffness lost since the baseline."""
-    common_covariance: Annotated[Array, "n n"] = field(default_factory=lambda: np.zeros(()))
-    """The part of `ddi_covariance` common to all windows, from the baseline; averaging does not reduce it."""
-    model_form: float = 0.0
-    """Error of any story's index from the systematic misfit of the model, as a share of the largest loss (one standard
-    deviation).  It is contained in `ddi_covariance`, but is no evidence against a story without loss."""
     temperature_effect: Annotated[Array, "n"] | None = None
     """Relative change of stiffness explained by the temperature, removed from the index; None where no dependence is known."""
-    covariate_effect: dict[str, Annotated[Array, "n"]] = field(default_factory=dict)
-    """Change of the logarithm of stiffness explained by each known covariate, removed from the index."""
-    beyond: str = ""
-    """What lies beyond calibration, in words, where what is not known of the covariates would hide the loss of an `alarm`."""
-    unidentified: tuple[int, ...] = ()
-    """Stories, from 1, that the window's modes hardly determine: their index is determined by the prior alone."""
-    channels: tuple[int, ...] = ()
-    """Channels (0 = first) that the reading rests on; empty: all."""
 
     @property
-    def ddi_std(self) -> Array:
+    def ddi(self) -> Annotated[Array, "n"]:
+        """The index."""
+        return self.loss
+
+    @property
+    def ddi_std(self) -> Annotated[Array, "n"]:
         """Standard deviations of the index."""
-        return np.asarray(np.sqrt(np.diag(self.ddi_covariance)))
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    @property
-    def form_variance(self) -> float:
-        """Part of every story's variance from the error of the model's form, which is proportional to the largest loss."""
-        return float((self.model_form * np.abs(self.ddi).max(initial=0.0)) ** 2)
+    @override
+    def left_by_others(self, loss: Array, covariance: Array, common: Array, name: str) -> Self:
+        shift = self.loss - loss
+        left = super(DamageReading, self).left_by_others(loss, covariance, common, name)
+        lost = self.loss_n_per_m * (1.0 - shift / np.where(self.loss == 0.0, 1.0, self.loss))
+        return replace(left, ddi_sequential=self.ddi_sequential - shift, loss_n_per_m=lost)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class ModalReading:
-    """Change of each mode since the baseline, less what the covariates explain; NaN for what the window does not show."""
+class ModalReading(Reading):
+    """Change of each mode since the baseline; NaN for what the window does not show.
 
-    ln_frequency: Annotated[Array, "m"]
-    """Change of the logarithm of each frequency of the baseline's modes."""
-    covariance: Annotated[Array, "m m"]
-    """Covariance of `ln_frequency`, with that of the baseline and of the covariates' law."""
-    common_covariance: Annotated[Array, "m m"]
-    """The part of it that windows share; averaging does not reduce it."""
-    shape: Annotated[Array, "m c"]
-    """Change of the shapes' real parts, 1 at the largest component of the healthy shape, where it is NaN."""
-    shape_variance: Annotated[Array, "m c"]
-    """Variance of `shape`, with that of the baseline and of the covariates' law."""
-    shape_common_variance: Annotated[Array, "m c"]
-    """The part of it that windows share."""
-    covariate_effect: dict[str, Annotated[Array, "m"]] = field(default_factory=dict)
-    """Change of the logarithm of the frequency that each known covariate explains, removed from the change."""
-    beyond: str = ""
-    """What lies beyond calibration, in words, where what is not known of the covariates would hide an `alarm`."""
-    channels: tuple[int, ...] = ()
-    """Channels (0 = first) that the reading rests on; empty: all."""
+    A mode's loss is the fall of the logarithm of its stiffness, the square of the frequency.
+    """
+
+    either_side: ClassVar[bool] = True
+    shown: ClassVar[float] = 0.5
 
     @property
-    def ln_frequency_std(self) -> Array:
-        """Standard deviations of the changes of frequency."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+    @override
+    def ln_stiffness(self) -> Annotated[Array, "m"]:
+        return -self.loss
+
+    @property
+    def ln_frequency(self) -> Annotated[Array, "m"]:
+        """Change of the logarithm of each frequency."""
+        return -self.shown * self.loss
+
+    @property
+    def ln_frequency_std(self) -> Annotated[Array, "m"]:
+        """Its standard deviation."""
+        return np.asarray(self.shown * np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def ln_frequency_effect(self) -> dict[str, Annotated[Array, "m"]]:
+        """Change of the logarithm of the frequency that each known covariate explains."""
+        return {name: self.shown * part for name, part in self.covariate_effect.items()}
 
     def largest_shape_change(self) -> tuple[Annotated[Array, "m"], Annotated[Array, "m"]]:
         """Return the most significant change of each shape and its standard deviation; NaN where none is known."""

@@ -1,4 +1,4 @@
-from . import alarm, damage_index, slow_learning
+from . import alarm, damage_index, judge, slow_learning
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
 from .assessment import (
@@ -15,21 +15,21 @@ from .assessment import (
     outdated,
     unit_questions,
 )
-from .baseline import Baseline, learn_baseline, rebase_baseline
-from .baseline_file import load_baseline, save_baseline
+from .baseline import AnyBaseline, Baseline, ModalBaseline
+from .baseline_file import load_baseline, load_modal_baseline, save_baseline
+from .baseline_learning import learn_baseline, learn_modal_baseline, rebase_baseline
 from .common_change import UNMEASURED, Expected
 from .covariate_law import CovariateLaw
 from .covariates import LEVEL, CovariateSettings, LearnedRange, common_words, law_lines, learned_ranges
 from .detectable_loss import clock_error
 from .feature_change import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
-from .judge import AnyBaseline, Judge, Memory, View
+from .judge import Memory
 from .level import drift_m, level_db
-from .modal_alarm import modal_parts
-from .modal_baseline import ModalBaseline, ModalOrigin, learn_modal_baseline
-from .modal_baseline_file import load_modal_baseline, save_modal_baseline
-from .modal_judge import ModalJudge
+from .modal_stiffness import ModalStiffness
 from .origin import Origin
-from .stiffness_judge import StiffnessJudge
+from .parts import modal_parts
+from .quantities import Quantities, View
+from .story_stiffness import StoryStiffness
 from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
@@ -47,19 +47,18 @@ __all__ = [
     "FeatureJudge",
     "FeatureTable",
     "FeatureVerdict",
-    "Judge",
     "Known",
     "LearnedRange",
     "Loss",
     "Memory",
     "ModalBaseline",
-    "ModalJudge",
-    "ModalOrigin",
+    "ModalStiffness",
     "Observation",
     "Origin",
+    "Quantities",
     "State",
-    "StiffnessJudge",
     "StoryState",
+    "StoryStiffness",
     "Update",
     "UpdatingSettings",
     "View",
@@ -74,6 +73,7 @@ __all__ = [
     "follow",
     "hold",
     "is_seen",
+    "judge",
     "judge_features",
     "law_lines",
     "learn_baseline",
@@ -87,7 +87,6 @@ __all__ = [
     "outdated",
     "rebase_baseline",
     "save_baseline",
-    "save_modal_baseline",
     "second_solutions",
     "slow_learning",
     "unit_questions",

@@ -1,6 +1,7 @@
 """Alarms by significance, duration and size of a loss, in the vocabulary of IEC 62682.
 
-There is an alarm for each story and one for the structure as a whole.  An alarm becomes active when the z-score
+There is an alarm for each part (`parts`), a story or a mode and its shape, and one for the structure as a whole.  A part is
+announced for what it lost beyond what all have in common.  An alarm becomes active when the z-score
 (`sequential_test`) has exceeded the threshold for the on-delay, and returns to normal when the z-score has stayed below threshold
 minus deadband for the off-delay.  Operators acknowledge, shelve and reset alarms; this does not change what is measured.
 
@@ -11,16 +12,16 @@ IEC 62682, Management of alarm systems for the process industries; ANSI/ISA-18.2
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from pydantic import Field
 
-from monitor.core import WHOLE, Alarm, AlarmCondition, DamageReading, Level, Settings
+from monitor.core import WHOLE, Alarm, AlarmCondition, Level, Reading, Settings
 from monitor.damage import sequential_test
 from monitor.damage.common_change import Expected
+from monitor.damage.parts import STORIES, Parts
 from monitor.damage.sequential_test import History
 
 
@@ -102,78 +103,78 @@ class AlarmState:
     """History of the mode shapes, where the modes alone are judged."""
 
 
-def start(n_stories: int, window_s: float = 400.0) -> AlarmState:
-    """Return the state before the first window.
+def start(n_parts: int, window_s: float = 400.0, n_channels: int = 0) -> AlarmState:
+    """Return the state before the first window of `window_s` seconds: readings further apart share no data.
 
-    Parameters
-    ----------
-    window_s : float
-        Length of the windows, s: readings further apart share no data.
+    `n_channels` is the number of components of the parts' shapes, where these are judged too.
 
     Examples
     --------
-    >>> state, announced = hold(start(n_stories=2), t_ns=0)
+    >>> state, announced = hold(start(n_parts=2), t_ns=0)
     >>> announced.level.value, announced.reason
     ('normal', 'unchanged: the window was skipped')
     """
-    return AlarmState((StoryState(),) * (n_stories + 1), sequential_test.begin(n_stories, window_s))
+    history, n_alarms, shapes = sequential_test.begin(n_parts, window_s), n_parts, None
+    if n_channels:
+        n_alarms += n_parts
+        shapes = sequential_test.begin(n_parts * n_channels, window_s, variances_only=True)
+    return AlarmState((StoryState(),) * (n_alarms + 1), history, shapes)
 
 
 def step(
-    state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSettings, expected: Expected | None = None
+    state: AlarmState,
+    reading: Reading,
+    t_ns: int,
+    settings: AlarmSettings,
+    expected: Expected | None = None,
+    parts: Parts = STORIES,
 ) -> tuple[AlarmState, Alarm]:
-    """Update the alarms by one window's damage reading; `t_ns` is the UTC of the window's end.
+    """Update the alarms by one window's reading; `t_ns` is the UTC of the window's end.
 
-    What the stories do together without a known cause is still in the reading; `expected` takes it out, where it was learned.
+    What the parts do together without a known cause is still in the reading; `expected` takes it out, where it was learned.
 
-    A window beyond calibration (`DamageReading.beyond`) may announce a loss and ends no announcement: there a loss becomes
-    insignificant because less is known.
+    A part that the window does not show leaves its alarm as it is.  A window beyond calibration (`Reading.beyond`) may announce a
+    loss and ends no announcement: there a loss becomes insignificant because less is known.
     """
-    history, evidence = sequential_test.look(state.history, damage, t_ns, settings.model_form, expected)
-    shared = sequential_test.shared_change(evidence.loss, evidence.std)
-    *before, whole_before = state.stories
-    updated = [
-        s if j in damage.unidentified else update_alarm(s, float(loss), float(z), float(std), t_ns, settings)
-        for j, (s, loss, z, std) in enumerate(
-            zip(before, evidence.own, evidence.z, evidence.own_std, strict=True), start=1
-        )
-    ]
-    std = float(evidence.std.max())
-    whole = update_alarm(whole_before, shared, shared / std, std, t_ns, advisory_only(settings))
-    lost = {
-        j: f"story {j} lost {100 * d:.1f} ± {200 * s:.1f} % (mean of the latest windows)"
-        for j, (d, s) in enumerate(zip(evidence.own, evidence.own_std, strict=True), start=1)
-    }
-    lost[WHOLE] = f"all stories lost {100 * shared:.1f} % alike (weather, mass, clock or stiffness)"
-    alike = f"all stories changed alike, stiffness by {-100 * shared:+.1f} % (weather, mass, clock or stiffness)"
-    stories = [*updated, whole]
-    if damage.beyond:
-        stories = [unless_fallen(s, now) for s, now in zip(state.stories, stories, strict=True)]
-    state = AlarmState(tuple(end_shelving(s, t_ns) for s in stories), history)
-    announced = summarize(state.stories, lost, alike if shared else "")
-    return state, replace(announced, reason=f"{announced.reason}; {damage.beyond}") if damage.beyond else announced
+    history, evidence = sequential_test.look(state.history, reading, t_ns, settings.model_form, expected)
+    alarms, says = list(state.stories), dict[int, str]()
+
+    def update(alarm: int, loss: float, z: float, std: float, by: AlarmSettings) -> None:
+        """Update one of the alarms (0 = first)."""
+        alarms[alarm] = update_alarm(alarms[alarm], abs(loss) if reading.either_side else loss, z, std, t_ns, by)
+
+    rows = (evidence.own, evidence.z, evidence.own_std, evidence.loss)
+    for j, own, z, std, loss in zip(evidence.parts, *(row.tolist() for row in rows), strict=True):
+        says[j + 1] = parts.changed(j + 1, own, loss, std)
+        if j + 1 not in reading.unidentified:
+            update(j, own, z, std, settings)
+    shapes = state.shapes
+    if shapes is not None:
+        n, n_channels = reading.shape.shape
+        shapes, found = sequential_test.look_at_shapes(shapes, reading, t_ns)
+        for j in evidence.parts:
+            best = j * n_channels + int(found.z[j * n_channels : (j + 1) * n_channels].argmax())
+            change, z, std = float(found.loss[best]), float(found.z[best]), float(found.std[best])
+            says[n + j + 1] = parts.shape_changed(j + 1, change, std, best % n_channels)
+            update(n + j, change, z, std, _warning_only(settings))
+    shared, std = sequential_test.shared_change(evidence.loss, evidence.std), float(evidence.std.max())
+    update(-1, shared, (abs(shared) if reading.either_side else shared) / std, std, _advisory_only(settings))
+    says[WHOLE], beside = parts.alike(shared)
+    if reading.beyond:
+        alarms = [_unless_fallen(s, now) for s, now in zip(state.stories, alarms, strict=True)]
+    state = AlarmState(tuple(_end_shelving(s, t_ns) for s in alarms), history, shapes)
+    announced = _summarize(state.stories, says, beside if shared else "", parts)
+    return state, replace(announced, reason=f"{announced.reason}; {reading.beyond}") if reading.beyond else announced
 
 
-def hold(state: AlarmState, t_ns: int, names: Sequence[str] = ()) -> tuple[AlarmState, Alarm]:
-    """Keep the alarms over a skipped window; only shelving whose time is over ends.
-
-    Parameters
-    ----------
-    names : sequence of str
-        What the alarms are about; stories by default.
-    """
-    stories = tuple(end_shelving(s, t_ns) for s in state.stories)
-    return replace(state, stories=stories), summarize(stories, {}, "unchanged: the window was skipped", names)
+def hold(state: AlarmState, t_ns: int, parts: Parts = STORIES) -> tuple[AlarmState, Alarm]:
+    """Keep the alarms over a skipped window; only shelving whose time is over ends."""
+    stories = tuple(_end_shelving(s, t_ns) for s in state.stories)
+    return replace(state, stories=stories), _summarize(stories, {}, "unchanged: the window was skipped", parts)
 
 
 def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
-    """Acknowledge a story's alarm (`WHOLE`: the structure's); a later rise of its level must be acknowledged again.
-
-    Raises
-    ------
-    ValueError
-        If there is no such story.
-    """
+    """Acknowledge a story's alarm (`WHOLE`: the structure's), or raise ValueError; a later rise must be acknowledged again."""
     alarm = _find_alarm(state, story)
     if not alarm.unacknowledged:
         return state
@@ -181,13 +182,7 @@ def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
 
 
 def reset(state: AlarmState, story: int) -> AlarmState:
-    """Release a latched alarm that has returned to normal and was acknowledged; any other stays as it is.
-
-    Raises
-    ------
-    ValueError
-        If there is no such story.
-    """
+    """Release a latched alarm that has returned to normal and was acknowledged; ValueError where there is no such story."""
     alarm = _find_alarm(state, story)
     if alarm.condition is not AlarmCondition.LATCHED_ACKNOWLEDGED:
         return state
@@ -197,10 +192,7 @@ def reset(state: AlarmState, story: int) -> AlarmState:
 def shelve(state: AlarmState, story: int, until_ns: int, reason: str) -> AlarmState:
     """Suppress the announcement of a story's alarm until `until_ns` (UTC); its level is still updated meanwhile.
 
-    Raises
-    ------
-    ValueError
-        If there is no such story or no reason is given.
+    ValueError if there is no such story or no reason is given.
     """
     if not reason.strip():
         raise ValueError("shelving needs a reason")
@@ -208,13 +200,7 @@ def shelve(state: AlarmState, story: int, until_ns: int, reason: str) -> AlarmSt
 
 
 def unshelve(state: AlarmState, story: int) -> AlarmState:
-    """Announce a shelved alarm again.
-
-    Raises
-    ------
-    ValueError
-        If there is no such story.
-    """
+    """Announce a shelved alarm again; ValueError where there is no such story."""
     return _replace_alarm(state, story, replace(_find_alarm(state, story), shelved=None))
 
 
@@ -232,15 +218,21 @@ def _replace_alarm(state: AlarmState, story: int, alarm: StoryState) -> AlarmSta
     return replace(state, stories=tuple(stories))
 
 
-def end_shelving(alarm: StoryState, t_ns: int) -> StoryState:
+def _end_shelving(alarm: StoryState, t_ns: int) -> StoryState:
     """End the shelving of an alarm if its time is over."""
     return replace(alarm, shelved=None) if alarm.shelved is not None and t_ns >= alarm.shelved.until_ns else alarm
 
 
 @lru_cache(maxsize=8)
-def advisory_only(settings: AlarmSettings) -> AlarmSettings:
+def _advisory_only(settings: AlarmSettings) -> AlarmSettings:
     """Return the settings for the structure as a whole: the cause is unknown, so its level never exceeds advisory."""
     return settings.model_copy(update={"confirm_s": np.inf, "min_loss": settings.uniform_loss})
+
+
+@lru_cache(maxsize=8)
+def _warning_only(settings: AlarmSettings) -> AlarmSettings:
+    """Return the settings for shapes, whose change has no size that could be compared with a loss: never above warning."""
+    return settings.model_copy(update={"alarm_loss": np.inf})
 
 
 def update_alarm(
@@ -276,43 +268,38 @@ def update_alarm(
     return replace(alarm, level=Level.NORMAL, since_ns=None, quiet_since_ns=None)
 
 
-def unless_fallen(before: StoryState, now: StoryState) -> StoryState:
+def _unless_fallen(before: StoryState, now: StoryState) -> StoryState:
     """Return the present state of an alarm, or the one before where the alarm fell or began to fall."""
     return before if now.quiet_since_ns is not None or now.level.rank < before.level.rank else now
 
 
-def summarize(
-    stories: tuple[StoryState, ...], lost: dict[int, str], otherwise: str, names: Sequence[str] = ()
-) -> Alarm:
+def _summarize(stories: tuple[StoryState, ...], says: dict[int, str], alike: str, parts: Parts) -> Alarm:
     """Combine all alarms to the announced level with its reason.
 
-    Parameters
-    ----------
-    lost : dict
-        Words for each story's loss, by its number.
-    otherwise : str
-        Words for a common change.
-    names : sequence of str
-        What the alarms are about; stories by default.
+    `says` has words for each part's change, by its number; `alike` those for a common change, or for what else is to be said.
     """
     alarms = dict(zip([*range(1, len(stories)), WHOLE], stories, strict=True))
     active: dict[int, Level] = {j: a.announced for j, a in alarms.items() if a.announced is not Level.NORMAL}
-    conditions: dict[int, AlarmCondition] = {
-        j: a.condition for j, a in alarms.items() if a.condition is not AlarmCondition.NORMAL
-    }
+    conditions: dict[int, AlarmCondition] = {j: a.condition for j, a in alarms.items()}
     level = max(active.values(), key=lambda item: item.rank, default=Level.NORMAL)
     highest = [j for j, item in active.items() if item is level]
-    words = [lost[j] for j in highest if j in lost] or [otherwise or "no significant loss"]
-    if highest and WHOLE not in highest and otherwise and lost:
-        words.append(otherwise)
+    words = _words(level, highest, says, alike, parts)
+    shelved = {"the whole structure" if j == WHOLE else parts.name(j): a.shelved for j, a in alarms.items()}
+    words += [f"{name} shelved: {by.reason}" for name, by in shelved.items() if by is not None]
+    return Alarm(
+        level,
+        tuple(j for j in highest if j != WHOLE) if parts.are_places else (),
+        (parts.since if active and says else "") + ", ".join(words),
+        active,
+        {j: condition for j, condition in conditions.items() if condition is not AlarmCondition.NORMAL},
+    )
+
+
+def _words(level: Level, highest: list[int], says: dict[int, str], alike: str, parts: Parts) -> list[str]:
+    """Say what changed at the announced level, and what is to be known beside it."""
+    words = [says[j] for j in highest if j in says] or [alike or parts.unchanged]
+    if highest and WHOLE not in highest and alike and says:
+        words.append(alike)
     if level is Level.ADVISORY and highest != [WHOLE]:
         words.append("not confirmed yet")
-    words += [f"{_name(j, names)} shelved: {a.shelved.reason}" for j, a in alarms.items() if a.shelved is not None]
-    return Alarm(level, tuple(j for j in highest if j != WHOLE), ", ".join(words), active, conditions)
-
-
-def _name(story: int, names: Sequence[str]) -> str:
-    """Name a story, or what else alarms are about, in a message."""
-    if story == WHOLE:
-        return "the whole structure"
-    return names[story - 1] if names else f"story {story}"
+    return words

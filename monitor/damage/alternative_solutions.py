@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from scipy.stats import qmc
 
@@ -19,22 +21,13 @@ _EXACT_RESIDUAL = 1e-6
 """Largest relative residual of a solution that counts as exact. [ratio; judgement]"""
 
 
-def second_solutions(model: Model, sensors: Array, observation: Observation, settings: UpdatingSettings) -> Array:
-    """Find stiffnesses other than the model's that reproduce the observation exactly.
+def second_solutions(
+    model: Model, sensors: Annotated[Array, "c n"], observation: Observation, settings: UpdatingSettings
+) -> Annotated[Array, "solutions p"]:
+    """Find stiffnesses other than the model's, N/m, that reproduce the observation exactly, to which the model is updated.
 
-    Parameters
-    ----------
-    model : Model
-        Model updated to the observation; its own solution is left out.
-    sensors : ndarray, shape (c, n)
-        Sensor matrix: channels by floors.
-    observation : Observation
-
-    Returns
-    -------
-    ndarray, shape (n_solutions, p), N/m
-        Solutions that Gauss-Newton steps reach from evenly spread starting points, nearest first; there may be more.  Empty
-        where there are more stiffnesses than data: solutions are then not isolated, and `Update.unseen` has their directions.
+    They are those that Gauss-Newton steps reach from evenly spread starting points, nearest first; there may be more.  None is
+    given where there are more stiffnesses than data: solutions are then not isolated, and `Update.unseen` has their directions.
     """
     own = model.structure.stiffness_n_per_m
     if observation.z.size < own.size:

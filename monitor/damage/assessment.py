@@ -24,8 +24,8 @@ from monitor.core import (
     utc,
 )
 from monitor.damage.detectable_loss import WITHIN_S, clock_error
-from monitor.damage.modal_alarm import change_words
 from monitor.damage.origin import MOST_LISTED
+from monitor.damage.parts import STORIES, ModesAndShapes, Parts, change_words
 from monitor.damage.sequential_test import CHANCE_STDS
 from monitor.model import FORMS
 
@@ -82,7 +82,7 @@ class Loss:
     t_last_ns: int | None = None
     """None while the alarm lasts."""
     modal: bool = False
-    """Whether `story` is the number of a mode or of a shape (`modal_alarm.modal_parts`), and `ddi` its relative change, negative
+    """Whether `story` is the number of a mode or of a shape (`parts.modal_parts`), and `ddi` its relative change, negative
     for a fall."""
 
 
@@ -156,22 +156,6 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
-    """What is judged, as people call it."""
-
-    part: str
-    every: str
-    loss: str
-    """What is looked for, with its article left out."""
-
-
-_STORIES = Words("story", "every story", "loss")
-"""Words with a model. [words]"""
-_MODES = Words("mode", "every mode", "change of frequency")
-"""Words without a model. [words]"""
-
-
-@dataclass(frozen=True, slots=True)
 class Known:
     """What does not change from window to window."""
 
@@ -202,14 +186,14 @@ class Known:
     """Those of them that are faulty, and what is wrong with each."""
 
     @property
-    def words(self) -> Words:
+    def words(self) -> Parts:
         """What is judged, in words."""
-        return _STORIES if self.n_modes is None else _MODES
+        return STORIES if self.n_modes is None else ModesAndShapes(self.n_modes)
 
     @property
     def seen_from(self) -> float:
         """Change that must have been seen for an all-clear, as `detectable` counts it."""
-        return self.alarm_loss if self.n_modes is None else 0.5 * self.alarm_loss
+        return self.words.reading.shown * self.alarm_loss
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,14 +290,10 @@ def assess(
     clocks: Sequence[tuple[str, float, float]] = (),
     whole: bool = False,
 ) -> Assessment:
-    """Decide the state.
+    """Decide the state, with the sentence of the gravest fact as headline.
 
     Parameters
     ----------
-    course : Course
-        The windows.
-    known : Known
-        Site and baseline.
     findings : sequence of mappings
         Results of diagnoses: `verdict`, `says`, `causes`, `alternatives`, `ddi_effect`, `from_ns`, `t_ns`.
     standing : mapping, optional
@@ -324,11 +304,6 @@ def assess(
         Each sensor node whose rate the driver measures: its name, its rate over the stated one, and its standard deviation.
     whole : bool
         State of a whole recording, alarms that ended and misfits that passed included, in place of the present state.
-
-    Returns
-    -------
-    Assessment
-        With the sentence of the gravest fact as headline.
     """
     facts = [
         *_alarms(course, known, findings, whole),
@@ -352,14 +327,7 @@ def assess(
 def outdated(assessment: Assessment, why: str, t_ns: int | None = None) -> Assessment:
     """State what is left of an assessment when nothing new is known: an alarm or a doubt stands, `normal` does not.
 
-    Parameters
-    ----------
-    assessment : Assessment
-        The latest one.
-    why : str
-        Why nothing new is known.
-    t_ns : int, optional
-        Until when it was known, UTC, ns since 1970.
+    `why` says why nothing new is known since `t_ns` (UTC, ns).
     """
     known = "" if t_ns is None else f", as of {utc(t_ns)} UTC"
     latest = f"{assessment.headline.rstrip('.')}{known}"
@@ -525,7 +493,7 @@ def _levels(course: Course, known: Known, whole: bool) -> list[str]:
 def _clock(course: Course, known: Known, clocks: Sequence[tuple[str, float, float]]) -> list[str]:
     """State both rates where what a clock leaves open exceeds the smallest loss that would have been seen."""
     modal, last, judged = known.n_modes is not None, course.last, course.judged
-    widened = 0.0 if judged is None else clock_error(judged.rates_hz, known.clock_ratio, modal=modal)
+    widened = 0.0 if judged is None else clock_error(judged.rates_hz, known.clock_ratio, known.words.reading.shown)
     seen = [] if judged is None else [loss for loss in judged.detectable or () if loss is not None]
     least = max(seen) - widened if seen else known.seen_from
     if last is not None and (last.skipped or "").startswith(CLOCK):  # it lets no window be judged
@@ -536,7 +504,7 @@ def _clock(course: Course, known: Known, clocks: Sequence[tuple[str, float, floa
     says = []
     for how, ratio, std in found:
         away = max(abs(ratio / known.clock_ratio - 1.0) - 2.0 * std, 0.0)
-        error = clock_error((1.0, 1.0 + away), 1.0, modal=modal)
+        error = clock_error((1.0, 1.0 + away), 1.0, known.words.reading.shown)
         if error > least and 1.0 / _PLAYBACK < ratio < _PLAYBACK:
             says.append(
                 f"the samples come at {stated * ratio:.6g} Hz {how}, at {stated:g} Hz as the source states: all "
@@ -585,22 +553,7 @@ def _alike(course: Course, known: Known) -> list[Fact]:
 
 def _unjudged(course: Course, known: Known) -> list[Fact]:
     """State why nothing, or not enough, can be said of damage."""
-    says = []
-    if course.last is None:
-        says.append("no window of data yet")
-    elif course.judged is None or not any(judged for _, judged in course.recent):
-        reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
-        latest = course.last.skipped if course.last is not None else None
-        if latest is not None and _without_numbers(latest) == reason:
-            reason = latest
-        since = "" if course.judged is None else " for an hour"
-        says.append(f"no window could be judged{since}: {Skipped(reason).mend}")
-    elif course.last is not None:
-        silent_s = (course.last.t_end_ns - course.judged.t_end_ns) * 1e-9
-        if (course.last.skipped or "").startswith(STILL):
-            says.append(course.last.skipped or STILL)
-        elif silent_s >= course.judged.window_s > 0.0:
-            says.append(f"the last {silent_s:.0f} s could not be judged: {Skipped(course.last.skipped or '').mend}")
+    says = [] if (why := _why_unjudged(course)) is None else [why]
     if not known.has_baseline:
         says.append("no baseline to compare with; make one with 'calibrate'")
     elif not says and course.judged is not None:
@@ -609,6 +562,25 @@ def _unjudged(course: Course, known: Known) -> list[Fact]:
         if _unseen(course.judged, known) or not watched:
             says.append(_seen(course, known))
     return [(State.NOT_JUDGED, _sentence(sentence)) for sentence in says]
+
+
+def _why_unjudged(course: Course) -> str | None:
+    """Say why no window of late could be judged; None where one was."""
+    if course.last is None:
+        return "no window of data yet"
+    skipped = course.last.skipped or ""
+    if course.judged is None or not any(judged for _, judged in course.recent):
+        reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
+        if skipped and _without_numbers(skipped) == reason:
+            reason = skipped
+        since = "" if course.judged is None else " for an hour"
+        return f"no window could be judged{since}: {Skipped(reason).mend}"
+    if skipped.startswith(STILL):
+        return skipped
+    silent_s = (course.last.t_end_ns - course.judged.t_end_ns) * 1e-9
+    if silent_s >= course.judged.window_s > 0.0:
+        return f"the last {silent_s:.0f} s could not be judged: {Skipped(skipped).mend}"
+    return None
 
 
 def _unseen(window: WindowFacts, known: Known) -> list[int]:

@@ -1,11 +1,12 @@
-"""The baseline as a JSON file."""
+"""The baseline, of either kind, as a JSON file."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from monitor.core import (
     Array,
@@ -16,18 +17,24 @@ from monitor.core import (
     encode,
     write_atomically,
 )
-from monitor.damage.baseline import Baseline
+from monitor.damage.baseline import AnyBaseline, Baseline, ModalBaseline
 from monitor.damage.covariates import read_law
-from monitor.damage.origin import Origin, number_differences, sensor_differences
+from monitor.damage.origin import MODAL, Origin, number_differences, sensor_differences
 from monitor.damage.updating import UpdatingSettings
 from monitor.model import InstrumentedModel, prior_file
 
 FORMAT = 1
 """Counts changes of the file's meaning; files of another number are refused. [1; definition]"""
-BAD_CONTENT = (ValueError, KeyError, TypeError, OverflowError, RecursionError)
+_BAD_CONTENT = (ValueError, KeyError, TypeError, OverflowError, RecursionError)
 """Errors of content that is no baseline's. [definition]"""
 _OWN = ("model", "reference", "doubts")
 """Fields of a baseline that its file has in another form, or not at all. [names; definition]"""
+
+
+_REMEDY = "name this structure's own baseline, or make it with 'calibrate'"
+"""What to do where a baseline is another structure's. [words]"""
+
+Built = TypeVar("Built", Baseline, ModalBaseline)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,30 +58,93 @@ class _Drawn:
     gauges: tuple[int, ...]
 
 
-def save_baseline(baseline: Baseline, path: Path) -> None:
+def save_baseline(baseline: AnyBaseline, path: Path) -> None:
     """Write the baseline as JSON, atomically."""
-    structure = baseline.model.structure
-    model = _Model(structure.stiffness_n_per_m, structure.masses_kg, baseline.model.correction)
-    prior = prior_file.prior_content(baseline.reference)
-    write_content(path, {"format": FORMAT, **encode(model), **encode(baseline, omit=_OWN), "reference": prior})
-
-
-def write_content(path: Path, content: dict[str, Any]) -> None:
-    """Write the content of a baseline's file, of any kind, atomically."""
+    if isinstance(baseline, ModalBaseline):
+        content = {"kind": MODAL, "format": FORMAT, **encode(baseline, omit=("doubts",))}
+    else:
+        structure = baseline.model.structure
+        model = _Model(structure.stiffness_n_per_m, structure.masses_kg, baseline.model.correction)
+        prior = prior_file.prior_content(baseline.reference)
+        content = {"format": FORMAT, **encode(model), **encode(baseline, omit=_OWN), "reference": prior}
     write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def read_content(path: Path) -> dict[str, Any]:
-    """Read the JSON object that a baseline's file, of any kind, holds.
+def load_baseline(
+    path: Path, instrumented: InstrumentedModel, updating: UpdatingSettings, *, redrawn: bool = False
+) -> Baseline:
+    """Read a baseline and check that it belongs to this structure; its `doubts` say why it may not, or is not to be trusted.
+
+    Parameters
+    ----------
+    redrawn : bool
+        Accept a changed drawing of the same structure, for `rebase_baseline`.
 
     Raises
     ------
     MissingInputError, BadInputError
-        If the file cannot be read.
-    ValueError, RecursionError
-        If it holds no JSON.
-    TypeError
-        If it holds no object.
+        If the file cannot be read, or is no baseline or damaged.
+    BadConfigurationError
+        If the baseline is another structure's, or of another kind.
+    """
+
+    def build(tree: dict[str, Any]) -> Baseline:
+        """Check and build the baseline."""
+        _demand_own(path, tree, instrumented, updating, redrawn)
+        return _build(tree, instrumented)
+
+    loaded = _load(path, build, is_modal=False)
+    there, here = loaded.origin, Origin.of(instrumented)
+    doubts: tuple[str, ...] = ()
+    if there.is_named_otherwise(here):
+        doubts = (
+            f"the baseline {path.name} is of {there.name!r}, and this is {here.name!r}, drawn alike: if it is the same "
+            "structure, 'calibrate --rebase' notes the new name",
+        )
+    if not loaded.converged:
+        doubts += (
+            f"the updating of the baseline {path.name} did not converge: losses against it are not to be trusted; see what "
+            "'calibrate' says",
+        )
+    return replace(loaded, doubts=doubts)
+
+
+def load_modal_baseline(path: Path, channels: tuple[str, ...], here: Origin) -> ModalBaseline:
+    """Read the healthy modes and check that they are of these channels and samples; errors as of `load_baseline`."""
+    loaded = _load(path, _build_modal, is_modal=True)
+    there = loaded.origin
+    says = [] if loaded.channels == channels else [f"its channels are {', '.join(loaded.channels)}"]
+    _refuse(path, says + there.sampling_differences(here), _REMEDY)
+    if not there.is_named_otherwise(here):
+        return loaded
+    names = f"{there.name!r}, and this is {here.name!r}"
+    doubt = f"the baseline {path.name} is of {names}: calibrate anew if that is another structure"
+    return replace(loaded, doubts=(doubt,))
+
+
+def _load(path: Path, build: Callable[[dict[str, Any]], Built], *, is_modal: bool) -> Built:
+    """Read a file of one kind and build the baseline from its content; errors as of `load_baseline`."""
+    try:
+        tree = _read_content(path)
+        if ("kind" in tree) != is_modal or tree.get("kind", MODAL) != MODAL:
+            kinds = (
+                "of a structure with a model, and here the modes alone are monitored",
+                "of modes alone, and this structure has a model",
+            )
+            raise BadConfigurationError(
+                f"{path}: the baseline is {kinds[not is_modal]}; make one with 'calibrate' and this structure file"
+            )
+        if (written := tree["format"]) != FORMAT:
+            raise BadInputError(f"{path}: baseline format {written!r}, expected {FORMAT}; calibrate anew")
+        return build(tree)
+    except _BAD_CONTENT as error:
+        raise BadInputError(f"{path}: not a baseline file ({error}); make one with 'calibrate'") from error
+
+
+def _read_content(path: Path) -> dict[str, Any]:
+    """Read the JSON object that a baseline's file holds.
+
+    MissingInputError or BadInputError if it cannot be read; ValueError, RecursionError or TypeError if it holds no such object.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -92,63 +162,12 @@ def read_content(path: Path) -> dict[str, Any]:
     return tree
 
 
-def load_baseline(
-    path: Path, instrumented: InstrumentedModel, updating: UpdatingSettings, *, redrawn: bool = False
-) -> Baseline:
-    """Read a baseline and check that it belongs to this structure.
-
-    Parameters
-    ----------
-    redrawn : bool
-        Accept a changed drawing of the same structure, for `rebase_baseline`.
-
-    Returns
-    -------
-    Baseline
-        With the reasons in `doubts` why it may not be this structure's, or why losses against it are not to be trusted.
-
-    Raises
-    ------
-    MissingInputError
-        If the file cannot be read.
-    BadInputError
-        If the file is no baseline or damaged.
-    BadConfigurationError
-        If the baseline is another structure's.
-    """
-    try:
-        tree = read_content(path)
-        if "kind" in tree:
-            raise BadConfigurationError(
-                f"{path}: the baseline is of modes alone, and this structure has a model; make one with 'calibrate' and this "
-                "structure file"
-            )
-        if (written := tree["format"]) != FORMAT:
-            raise BadInputError(f"{path}: baseline format {written!r}, expected {FORMAT}; calibrate anew")
-        _demand_own(path, tree, instrumented, updating, redrawn)
-        loaded = _build(tree, instrumented)
-    except BAD_CONTENT as error:
-        raise BadInputError(f"{path}: not a baseline file ({error}); make one with 'calibrate'") from error
-    doubts = _doubts(path, loaded.origin, Origin.of(instrumented))
-    if not loaded.converged:
-        doubts += (
-            f"the updating of the baseline {path.name} did not converge: losses against it are not to be trusted; see what "
-            "'calibrate' says",
-        )
-    return replace(loaded, doubts=doubts)
-
-
 def _demand_own(
     path: Path, tree: dict[str, Any], instrumented: InstrumentedModel, updating: UpdatingSettings, redrawn: bool
 ) -> None:
-    """Refuse a baseline of another structure, of other sensors or of other samples.
+    """Refuse a baseline of another structure, of other sensors or of other samples (BadConfigurationError).
 
-    Raises
-    ------
-    BadConfigurationError
-        With the differences in words, and the remedy.
-    ValueError
-        If the content is damaged.
+    ValueError if the content is damaged.
     """
     told = decode(_Drawn, {f.name: tree[f.name] for f in fields(_Drawn)})
     here, there = Origin.of(instrumented), told.origin
@@ -159,35 +178,23 @@ def _demand_own(
     says += there.sampling_differences(here)
     if told.log != (updating.eigenvalue == "log") or bool(told.gauges) != updating.use_shapes:
         says.append("it was learned with another [updating] eigenvalue or use_shapes")
-    mend = "name this structure's own baseline, or make it with 'calibrate'"
+    mend = _REMEDY
     if not says and not redrawn:
         says = there.drawing_differences(here)
         mend += f"; if the structure is the same and only its drawing was changed, use 'calibrate --rebase {path}'"
-    if not says:
-        return
-    if there.is_named_otherwise(here):
+    if says and there.is_named_otherwise(here):
         says.insert(0, f"it is of {there.name!r}, this is {here.name!r}")
-    raise BadConfigurationError(f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: {mend}")
+    _refuse(path, says, mend)
 
 
-def _doubts(path: Path, there: Origin, here: Origin) -> tuple[str, ...]:
-    """Say why a baseline may not be this structure's."""
-    if there.is_named_otherwise(here):
-        return (
-            f"the baseline {path.name} is of {there.name!r}, and this is {here.name!r}, drawn alike: if it is the same "
-            "structure, 'calibrate --rebase' notes the new name",
-        )
-    return ()
+def _refuse(path: Path, says: list[str], mend: str) -> None:
+    """Refuse a baseline that differs from the structure (BadConfigurationError), with the differences in words and the remedy."""
+    if says:
+        raise BadConfigurationError(f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: {mend}")
 
 
 def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
-    """Build the baseline from a file's content.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        If the parts of the content do not fit each other or the structure.
-    """
+    """Build the baseline from a file's content; ValueError, KeyError or TypeError if its parts do not fit."""
     model, channels = instrumented.model, instrumented.channels
     n, p, m, c = model.structure.n_dofs, model.structure.n_stories, len(tree["model_mode"]), len(channels)
     model_keys = [f.name for f in fields(_Model)]
@@ -216,4 +223,14 @@ def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
         or len(built.gauges) not in (0, m)
     ):
         raise ValueError("its modes are damaged")
+    return built
+
+
+def _build_modal(tree: dict[str, Any]) -> ModalBaseline:
+    """Build the baseline from a file's content; ValueError, KeyError or TypeError if its parts do not fit each other."""
+    m, c = len(tree["frequencies_hz"]), len(tree["channels"])
+    laws = {"law": read_law(tree["law"], m), "shape_law": read_law(tree["shape_law"], m * (c - 1), "shape_law")}
+    built = decode(ModalBaseline, tree, laws | {"doubts": ()}, beside=("kind", "format"), d=m * c, m=m, c=c)
+    if not m or len(built.gauges) != m or not all(0 <= g < c for g in built.gauges):
+        raise ValueError("its gauges are damaged")
     return built

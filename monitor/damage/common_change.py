@@ -22,13 +22,14 @@ Smith, Applied regression analysis (1998), section 5.1 (variance of a prediction
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core import Array, DamageReading
-from monitor.damage.sequential_test import LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS, History
+from monitor.core import Array, Reading
+
+AnyReading = TypeVar("AnyReading", bound=Reading)
 
 EVERY_NS = 3_600_000_000_000
 """Time between two windows that are learned from: they share no data. [ns; judgement]"""
@@ -37,6 +38,11 @@ WAIT_NS = 48 * EVERY_NS
 1 percent take to be announced]"""
 UNMEASURED = "unmeasured"
 """Name, among the covariates, of what all stories do together without a known cause. [name]"""
+LOCAL_LOSS_CREDIT = 1.0
+"""A loss in one story needs this much less evidence than a uniform change, which is the rarer explanation. [standard
+deviations; judgement]"""
+SIGNIFICANT_STDS = 3.0
+"""Size from which a change counts as significant. [standard deviations; convention: three sigma]"""
 _ANY_SIZE = 1.0
 """Standard deviation of a change of all stories alike, where one is found. [relative change; rounding: any value far above the
 changes of healthy structures]"""
@@ -103,20 +109,10 @@ class CommonChange:
             return f"not learned: {self.stretches:.3g} of {self.wanted} stretches of two days"
         return f"nothing beyond the noise of the windows, in {self.stretches:.3g} stretches of two days"
 
-    def learned(self, mixing: Array, unevenness: float) -> Expected | None:
-        """Estimate the covariance of common changes, shape (n, n).
+    def learned(self, mixing: Annotated[Array, "n n"], unevenness: float) -> Expected | None:
+        """Estimate the covariance of common changes; `mixing` is `CovariateLaw.mixing`, `unevenness` as in `Expected`.
 
-        Parameters
-        ----------
-        mixing : ndarray, shape (n, n)
-            `CovariateLaw.mixing`.
-        unevenness : float
-            See `Expected`.
-
-        Returns
-        -------
-        Expected or None
-            None while too few windows are known, or noise alone explains them as well (Bayesian information criterion).
+        It is None while too few windows are known, or noise alone explains them as well (Bayesian information criterion).
         """
         n = len(self.square)
         if n < 2 or self.stretches < self.wanted:
@@ -134,15 +130,15 @@ class CommonChange:
 class Expected:
     """How far the quantities change together, as learned."""
 
-    covariance: Array
-    """Shape (n, n): of the relative changes, without the noise of windows."""
-    leading: Array
-    """Shape (n,): the direction that stands out most from the noise, of length 1.  How far it goes is taken as unknown: seasons
-    go farther than what was learned."""
+    covariance: Annotated[Array, "n n"]
+    """Of the relative changes, without the noise of windows."""
+    leading: Annotated[Array, "n"]
+    """The direction that stands out most from the noise, of length 1.  How far it goes is taken as unknown: seasons go farther
+    than what was learned."""
     stretches: float
     """Independent stretches that it was learned from."""
-    seen: Array
-    """Shape (2, n): least and greatest loss of each quantity that was learned (`CommonChange.seen`)."""
+    seen: Annotated[Array, "2 n"]
+    """Least and greatest loss of each quantity that was learned (`CommonChange.seen`)."""
     unevenness: float
     """Scatter of the quantities' shares beyond what was learned, about a common one, relative to its size."""
 
@@ -156,38 +152,22 @@ class Expected:
             self.unevenness,
         )
 
-    def beside_others(self, loss: Array, covariance: Array, *, either_side: bool = False) -> Beside:
-        """Compare the loss of each story with what those others let expect that are not lost themselves.
+    def beside_others(
+        self, loss: Annotated[Array, "n"], covariance: Annotated[Array, "n n"], *, either_side: bool = False
+    ) -> Beside:
+        """Compare the loss of each part with what those others let expect that are not lost themselves.
 
-        Stories are set aside one by one, the most significant loss first; so are, where it explains more, a change of all
-        stories alike, and its size is then taken as unknown.
-
-        Parameters
-        ----------
-        loss : ndarray, shape (n,)
-            Measured loss of each story.
-        covariance : ndarray, shape (n, n)
-            Its covariance, without what is learned here.
-        either_side : bool
-            A gain counts as a loss does.
+        Parts are set aside one by one, the most significant loss first; so are, where it explains more, a change of all parts
+        alike, and its size is then taken as unknown.  `covariance` is that of the losses, without what is learned here; with
+        `either_side` a gain counts as a loss does.
         """
         found = self.each_beside_others(loss[None], covariance[None], either_side=either_side)
         return Beside(found.loss[0], found.std[0], found.weights[0], found.inflation[0], found.beyond[0])
 
-    def each_beside_others(self, losses: Array, covariances: Array, *, either_side: bool = False) -> Beside:
-        """Compare each of k measurements of the stories, as `beside_others`.
-
-        Parameters
-        ----------
-        losses : ndarray, shape (k, n)
-        covariances : ndarray, shape (k, n, n)
-        either_side : bool
-
-        Returns
-        -------
-        Beside
-            Each of its arrays with the k measurements before the other dimensions.
-        """
+    def each_beside_others(
+        self, losses: Annotated[Array, "k n"], covariances: Annotated[Array, "k n n"], *, either_side: bool = False
+    ) -> Beside:
+        """Compare each of k measurements, as `beside_others`; the arrays of the outcome have k before their other dimensions."""
         learned, total = self._covariances(covariances)
         found = self._compare(losses, learned, total)
         weights, inflation = found.weights, found.inflation
@@ -222,19 +202,10 @@ class Expected:
     def _set_aside(
         self, loss: Array, learned: Array, total: Array, found: _Compared, *, either_side: bool
     ) -> tuple[Array, Array, Array]:
-        """Set aside the stories that are lost themselves, and a change of all alike, and compare each story with the rest.
+        """Set aside the parts that are lost themselves, and a change of all alike, and compare each part with the rest.
 
-        Parameters
-        ----------
-        learned, total : ndarray, shape (n, n)
-            Covariance of the losses: as learned, and with what is of any size.
-        found : _Compared
-            Comparison of all stories.
-
-        Returns
-        -------
-        total, weights : ndarray, shape (n, n)
-        inflation : ndarray, shape (n,)
+        `learned` and `total` are the covariance of the losses: as learned, and with what is of any size; `found` compares all
+        parts.  Returned are the total with what else is of any size, and `weights` and `inflation` as in `Beside`.
         """
         n = loss.size
         kept, alike = tuple(range(n)), False
@@ -281,61 +252,38 @@ class Expected:
         of_learned, of_total = (np.asarray(np.linalg.inv(m), dtype=float) for m in (learned, total))
         return _Compared(*beside_each_other(np.ascontiguousarray(losses), of_learned, of_total, self.stretches))
 
-    def take_out(self, reading: DamageReading, history: History, beside: Beside) -> tuple[DamageReading, History]:
-        """Take out of a window's damage index what the other stories let expect.
-
-        Parameters
-        ----------
-        history : History
-            The alarm's, after the window.
-        beside : Beside
-            Comparison of the window's losses (`beside_others`).
-
-        Returns
-        -------
-        DamageReading
-        History
-            The variances of what is left, for the smallest detectable loss; its readings are unchanged.
-        """
-        # The smallest detectable loss is of a structure without loss, and its simulation is kept for the next windows: what
-        # changes from window to window by chance stays out of it.
-        smooth, of_history = np.exp(history.ln_variance), history.common.mean(axis=0)
-        inverse = np.linalg.inv(self._covariances(np.diag(smooth) + of_history)[1])
-        intact = inverse / inverse.diagonal()[:, None]  # weights, as in `Beside`
+    def take_out(self, reading: AnyReading, beside: Beside) -> AnyReading:
+        """Take out of a window's losses what the other parts let expect (`beside_others`)."""
         own, common = beside.left_of(
-            np.stack([reading.ddi_covariance - reading.common_covariance, reading.common_covariance + self.covariance])
+            np.stack([reading.covariance - reading.common_covariance, reading.common_covariance + self.covariance])
         )
         common += np.diag(beside.beyond)
-        shift = reading.ddi - beside.loss
-        loss_n_per_m = reading.loss_n_per_m * (1.0 - shift / np.where(reading.ddi == 0.0, 1.0, reading.ddi))
-        of_history = replace(beside, weights=intact).left_of(of_history + self.covariance)
-        of_history += np.diag(beside.beyond)
-        return replace(
-            reading,
-            ddi=beside.loss,
-            ddi_covariance=own + common,
-            common_covariance=common,
-            ddi_sequential=reading.ddi_sequential - shift,
-            loss_n_per_m=loss_n_per_m,
-            covariate_effect={**reading.covariate_effect, UNMEASURED: -shift},
-        ), replace(
-            history,
-            ln_variance=np.log(intact**2 @ smooth),
-            common=of_history[None],
-        )
+        return reading.left_by_others(beside.loss, own + common, common, UNMEASURED)
+
+    def left_of_intact(self, variance: Array, common: Array, beside: Beside) -> tuple[Array, Array]:
+        """Compute the variances of windows' losses, shape (n,), and what they have in common, (n, n), once that is taken out.
+
+        It is of a structure without loss: what changes from window to window by chance stays out of it, so that the simulation of
+        the smallest detectable loss serves the next windows too.
+        """
+        inverse = np.linalg.inv(self._covariances(np.diag(variance) + common)[1])
+        intact = inverse / inverse.diagonal()[:, None]  # weights, as in `Beside`
+        left = replace(beside, weights=intact).left_of(common + self.covariance)
+        left += np.diag(beside.beyond)
+        return intact**2 @ variance, left
 
 
 class _Compared(NamedTuple):
     """Comparison of n stories, each with the others."""
 
-    z: Array
-    """Shape (..., n): z-score of each loss beyond what the others let expect."""
-    weights: Array
-    """Shape (..., n, n): that loss as a combination of the measured ones."""
-    inflation: Array
-    """Shape (..., n): factor of its variance, as in `Beside`."""
-    z_alike: Array
-    """Shape (...): size of the z-score of a change of all alike."""
+    z: Annotated[Array, "k n"]
+    """z-score of each loss beyond what the others let expect."""
+    weights: Annotated[Array, "k n n"]
+    """That loss as a combination of the measured ones."""
+    inflation: Annotated[Array, "k n"]
+    """Factor of its variance, as in `Beside`."""
+    z_alike: Annotated[Array, "k"]
+    """Size of the z-score of a change of all alike."""
 
     def of(self, k: int) -> _Compared:
         """Return the comparison of one of several measurements."""
@@ -346,24 +294,19 @@ class _Compared(NamedTuple):
 class Beside:
     """Losses of n stories beyond what the others let expect."""
 
-    loss: Array
-    """Shape (n,)."""
-    std: Array
-    """Shape (n,)."""
-    weights: Array
-    """Shape (n, n): `loss` as a combination of the measured losses."""
-    inflation: Array
-    """Shape (n,): factor of the variance, since what was learned holds the less, the further the others are from it."""
-    beyond: Array
-    """Shape (n,): variance, in `std`, that comes of others that lie beyond what was learned."""
+    loss: Annotated[Array, "n"]
+    std: Annotated[Array, "n"]
+    weights: Annotated[Array, "n n"]
+    """`loss` as a combination of the measured losses."""
+    inflation: Annotated[Array, "n"]
+    """Factor of the variance, since what was learned holds the less, the further the others are from it."""
+    beyond: Annotated[Array, "n"]
+    """Variance, in `std`, that comes of others that lie beyond what was learned."""
 
     def beyond_words(self, most_std: float) -> str:
-        """Say that the stories lie where a loss of one is hidden by what was not learned; empty where they do not.
+        """Say that the parts lie where a loss of one is hidden by what was not learned; empty where they do not.
 
-        Parameters
-        ----------
-        most_std : float
-            Standard deviation, of what was not learned, up to which nothing is hidden.
+        Up to a standard deviation of `most_std`, of what was not learned, nothing is hidden.
         """
         hidden = self.beyond.max() > most_std**2
         return "what the stories do together goes beyond anything learned" if hidden else ""
@@ -377,14 +320,7 @@ class Beside:
 def is_known(divergence: float, unknowns: int, count: float) -> bool:
     """Decide by the Bayesian information criterion if data show a covariance that differs from none.
 
-    Parameters
-    ----------
-    divergence : float
-        Twice the gain in ln likelihood of one observation.
-    unknowns : int
-        Number of values that were estimated.
-    count : float
-        Number of independent observations.
+    `divergence` is twice the gain in ln likelihood of one observation, `unknowns` the number of values that were estimated.
     """
     return bool(count * divergence > unknowns * np.log(count))
 
@@ -394,15 +330,11 @@ def nothing_learned(n: int) -> CommonChange:
     return CommonChange(np.zeros((n, n)), 0, np.zeros((2, n + 2, n)))
 
 
-def distance(changes: Array, mixing: Array) -> Array:
-    """Compute the distance of a window from the mean of those after it, shape (n,), scaled to the noise of one window.
+def distance(changes: Annotated[Array, "w n"], mixing: Annotated[Array, "n n"]) -> Annotated[Array, "n"]:
+    """Compute the distance of a window from the mean of those after it, scaled to the noise of one window.
 
-    Parameters
-    ----------
-    changes : ndarray, shape (w, n)
-        What the covariates leave of the windows' changes, w > 1; the window is the first.
-    mixing : ndarray, shape (n, n)
-        `CovariateLaw.mixing`.
+    `changes` are what the covariates leave of the windows' changes, two or more, the window first; `mixing` is
+    `CovariateLaw.mixing`.
     """
     away = (changes[0] - changes[1:].mean(axis=0)) / np.sqrt(1.0 + 1.0 / (len(changes) - 1))
     return np.asarray(np.linalg.solve(mixing, away))

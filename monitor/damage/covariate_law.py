@@ -56,8 +56,8 @@ class Axis:
     range: tuple[float, float] = (0.0, 0.0)
     """Lowest and highest value learned from."""
 
-    def basis(self, value: Array) -> Array:
-        """Compute the basis at values of the covariate, shape (w,), as shape (w, k + 2): distance, then its stretches."""
+    def basis(self, value: Annotated[Array, "w"]) -> Annotated[Array, "w k+2"]:
+        """Compute the basis at values of the covariate: distance, then its stretches."""
         edges = np.concatenate([[-np.inf], self.knots, [np.inf]])
         low, high = edges[:-1], edges[1:]
         basis = np.empty((len(value), edges.size))
@@ -76,12 +76,11 @@ class Axis:
 class Effect:
     """What the law predicts at a window's covariates."""
 
-    relative: Array
-    """Shape (n,): relative change of each quantity since the reference."""
-    covariance: Array
-    """Shape (n, n)."""
-    parts: Mapping[str, Array]
-    """Shape (n,) for each known covariate: its share of ln(1 + relative)."""
+    relative: Annotated[Array, "n"]
+    """Relative change of each quantity since the reference."""
+    covariance: Annotated[Array, "n n"]
+    parts: Mapping[str, Annotated[Array, "n"]]
+    """Share of each known covariate of ln(1 + relative)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -110,13 +109,9 @@ class CovariateLaw:
         return {a.name: slice(int(e) - a.slope_std.size, int(e)) for a, e in zip(self.axes, ends, strict=True)}
 
     def expected(self, covariates: Mapping[str, Array]) -> Effect:
-        """Predict the change of each quantity at a window's covariates.
+        """Predict the change of each quantity at a window's covariates, each with its lagged values.
 
-        Parameters
-        ----------
-        covariates : mapping
-            Lagged values of each covariate, shape (n_lags,).  A covariate that is missing is taken as distributed as it was
-            when the law was learned.
+        A covariate that is missing is taken as distributed as it was when the law was learned.
         """
         away, known = self._away(covariates)
         covariance = np.zeros((len(self.slopes),) * 2)
@@ -136,8 +131,8 @@ class CovariateLaw:
         away, known = self._away(covariates)
         return {name: float(self._covariance(away, c).diagonal().max()) for name, c in known.items()}
 
-    def _away(self, covariates: Mapping[str, Array]) -> tuple[Array, dict[str, slice]]:
-        """Compute the distance in the basis, shape (K,), and the columns of the covariates that are known."""
+    def _away(self, covariates: Mapping[str, Array]) -> tuple[Annotated[Array, "k"], dict[str, slice]]:
+        """Compute the distance in the basis, and the columns of the covariates that are known."""
         away, known = np.zeros(self.centre.size), {}
         for axis, (name, columns) in zip(self.axes, self.columns().items(), strict=True):
             values = covariates.get(name)
@@ -146,23 +141,20 @@ class CovariateLaw:
                 known[name] = columns
         return away, known
 
-    def at(self, values: Array) -> Array:
-        """Evaluate the law at known covariates, each at its lag, shape (w, n_axes), as changes of the logarithm, shape (w, n)."""
+    def at(self, values: Annotated[Array, "w axes"]) -> Annotated[Array, "w n"]:
+        """Evaluate the law at known covariates, each at its lag, as changes of the logarithm."""
         basis = [a.basis(v) for a, v in zip(self.axes, values.T, strict=True)]
         return np.asarray((np.column_stack(basis) - self.centre) @ self.slopes.T)
 
     def together(self, unevenness: float) -> Expected | None:
         """Return how far the quantities change together without a known cause; None where that is not learned.
 
-        Parameters
-        ----------
-        unevenness : float
-            Scatter of their shares beyond what was learned, about a common one, relative to its size.
+        `unevenness` is the scatter of their shares beyond what was learned, about a common one, relative to its size.
         """
         return _together(self, unevenness)
 
-    def _covariance(self, away: Array, columns: slice = slice(None)) -> Array:
-        """Compute the covariance of the change by a distance in the basis, shape (K,), along some of its columns."""
+    def _covariance(self, away: Annotated[Array, "k"], columns: slice = slice(None)) -> Annotated[Array, "n n"]:
+        """Compute the covariance of the change by a distance in the basis, along some of its columns."""
         part = away[columns]
         variance = np.einsum("k,ikl,l->i", part, self.posterior[:, columns, columns], part)
         return np.asarray((self.mixing * variance) @ self.mixing.T)
@@ -181,8 +173,8 @@ class CovariateLaw:
                 found.append((self.axes[a].name, self.axes[b].name, r))
         return tuple(found)
 
-    def over_range(self, name: str) -> tuple[Array, Array]:
-        """Compute the change between the ends of a covariate's learned range, and its standard deviation, (n,) each."""
+    def over_range(self, name: str) -> tuple[Annotated[Array, "n"], Annotated[Array, "n"]]:
+        """Compute the change between the ends of a covariate's learned range, and its standard deviation."""
         axis = next(a for a in self.axes if a.name == name)
         columns, away = self.columns()[name], np.zeros(self.centre.size)
         away[columns] = np.diff(axis.basis(np.array(axis.range)), axis=0)[0]
@@ -195,41 +187,26 @@ def _together(law: CovariateLaw, unevenness: float) -> Expected | None:
     return None if law.common is None else law.common.learned(law.mixing, unevenness)
 
 
-def stories_prior(n: int, unevenness: float) -> Array:
-    """Return B of n quantities that scatter about an unknown common one by `unevenness` times its size, shape (n, n)."""
+def stories_prior(n: int, unevenness: float) -> Annotated[Array, "n n"]:
+    """Return B of n quantities that scatter about an unknown common one by `unevenness` times its size."""
     return np.asarray((np.ones((n, n)) + unevenness**2 * np.eye(n)) / (1.0 + unevenness**2))
 
 
 def learn(
-    changes: Array,
-    noise: Array,
-    prior: Array,
+    changes: Annotated[Array, "w n"],
+    noise: Annotated[Array, "n n"],
+    prior: Annotated[Array, "n n"],
     axes: Sequence[Axis],
-    values: Sequence[Array],
+    values: Sequence[Annotated[Array, "w lags"]],
     overlap: float,
     lags_s: Sequence[float] = (0.0,),
 ) -> CovariateLaw:
     """Learn the slopes from healthy windows, each covariate at the lag of greatest evidence.
 
-    Parameters
-    ----------
-    changes : ndarray, shape (w, n)
-        Relative change of each quantity in each window.
-    noise : ndarray, shape (n, n)
-        Covariance of one window's change.
-    prior : ndarray, shape (n, n)
-        Correlation of the quantities' slopes (`stories_prior`).
-    axes : sequence of Axis
-    values : sequence of ndarray, shape (w, n_lags)
-        Lagged values of each covariate; NaN where it is missing.
-    overlap : float
-        Variance of the windows' mean over that of as many independent windows: overlapping windows do not count as many.
-    lags_s : sequence of float
-        Lags that are tried, s; a covariate with one column has none.
-
-    Returns
-    -------
-    CovariateLaw
+    `changes` are relative, `noise` is the covariance of one window's change, `prior` the correlation of the quantities' slopes
+    (`stories_prior`).  `values` are the lagged values of each covariate, NaN where it is missing; of `lags_s`, a covariate with
+    one column tries none.  `overlap` is the variance of the windows' mean over that of as many independent windows: overlapping
+    windows do not count as many.
     """
     mixing, ratio = _separate(noise, prior)
     unseen = len(noise) - int(np.linalg.matrix_rank(noise, rtol=1e-9, hermitian=True))
@@ -287,18 +264,8 @@ def _fit(
 ) -> tuple[float, Array, Array, Array, Array, float]:
     """Fit the separated quantities, shape (w, n), whose noise has the variance `scatter`.
 
-    Returns
-    -------
-    float
-        ln evidence, less a constant.
-    ndarray, shape (n, K); ndarray, shape (n, K, K)
-        Mean and covariance of the slopes.
-    ndarray, shape (w, K)
-        Basis.
-    ndarray, shape (w, n)
-        What is left.
-    float
-        Degrees of freedom of what is left.
+    Returned are the ln evidence (less a constant), mean (n, k) and covariance (n, k, k) of the slopes, the basis (w, k), what is
+    left (w, n), and its degrees of freedom.
     """
     basis = np.column_stack([a.basis(v[:, a.lag]) for a, v in zip(axes, values, strict=True)])
     x, std = _filled(basis), np.concatenate([a.slope_std for a in axes])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -62,14 +62,13 @@ class CovariateSettings(Settings):
 class Change:
     """Change of a healthy window's stiffness from the baseline's, and the covariates that it was under."""
 
-    relative: Array
-    """Shape (n,): relative change."""
-    deviations: Array
-    """Shape (n_rows, n): influences whose squares sum to the covariance of `relative`."""
+    relative: Annotated[Array, "n"]
+    deviations: Annotated[Array, "rows n"]
+    """Influences whose squares sum to the covariance of `relative`."""
     places: tuple[tuple[bool, int], ...]
     """Stretch of data of each row of `deviations`: overlapping windows share stretches."""
-    covariates: Mapping[str, Array]
-    """Lagged values of each known covariate, shape (n_lags,) each."""
+    covariates: Mapping[str, Annotated[Array, "lags"]]
+    """Lagged values of each known covariate."""
     t_ns: int = 0
     """End of the window, UTC; 0 where it is not learned what the quantities do together."""
 
@@ -92,22 +91,12 @@ def learn_law(
 ) -> CovariateLaw | None:
     """Learn the dependence of the stories, or of other quantities, on all covariates over healthy windows.
 
-    Parameters
-    ----------
-    changes : sequence of Change
-        One for each healthy window.
-    span_s : float
-        Time from the first window to the last, s; lags up to a quarter of it are tried.
-    units : mapping
-        Unit of each covariate that may be learned from, by its name.
-    alike : bool
-        Whether the quantities follow the covariates in about the same way, before anything is learned.
+    `span_s` is the time from the first window to the last: lags up to a quarter of it are tried.  `units` has every covariate
+    that may be learned from.  `alike` says whether the quantities follow the covariates in about the same way, before anything
+    is learned.
 
-    Returns
-    -------
-    CovariateLaw or None
-        None where too few windows are independent, or no covariate is known in nine tenths of them: their mean would not
-        be the baseline's.
+    It is None where too few windows are independent, or no covariate is known in nine tenths of them: their mean would not be
+    the baseline's.
     """
     names = [name for name in units if sum(name in c.covariates for c in changes) >= 0.9 * len(changes)]
     if len(changes) < _MIN_INDEPENDENT_WINDOWS:
@@ -239,13 +228,7 @@ def shown_unit(axis: Axis) -> str:
 
 
 def read_law(content: Any, n: int, place: str = "law") -> CovariateLaw | None:
-    """Read the law of n quantities from a baseline's file; None where none was learned.
-
-    Raises
-    ------
-    ValueError
-        If the content is damaged or belongs to another structure.
-    """
+    """Read the law of n quantities from a baseline's file, None where none was learned; ValueError if it is damaged."""
     if content is None:
         return None
     law = decode(CovariateLaw, content, place=place, n=n)

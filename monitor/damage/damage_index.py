@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 
@@ -22,38 +23,29 @@ def step(
     modes: ModalEstimate,
     reference: Model,
     baseline: Baseline | None,
-    sensors: Array,
+    sensors: Annotated[Array, "c n"],
     settings: UpdatingSettings,
     effect: Effect | None = None,
-    prior_std: Array | None = None,
+    prior_std: Annotated[Array, "p"] | None = None,
 ) -> tuple[StiffnessEstimate, DamageReading]:
     """Update the stiffness to a window's modes and compute its loss since the baseline.
 
     With a baseline the update starts from the baseline's model, and its target is the measured modes minus the baseline's
-    misfit.  A model with a systematic error then still gives the right change.  To first order the loss is
-    ``gain (z - z_baseline)``, and its covariance contains that of both.
+    misfit.  A model with a systematic error then still gives the right change.  To first order the loss is ``gain (z -
+    z_baseline)``, and its covariance contains that of both.
 
     Parameters
     ----------
     modes : ModalEstimate
-        Modes of the window; with a baseline, those of `baseline` in its order.
+        With a baseline, those of `baseline` in its order.
     reference : Model
         The baseline's model, or the structure file's where there is no baseline.
-    sensors : ndarray, shape (c, n)
-        Sensor matrix: channels by floors.
     effect : Effect, optional
         What the covariates explain of the window's stiffness (`CovariateLaw.expected`).  The loss refers to the healthy
         stiffness under them.
-    prior_std : ndarray, shape (p,), optional
-        Prior standard deviation of each stiffness, relative to the reference.  It determines directions that the modes do
-        not observe, and bounds their uncertainty.  By default `settings.parameter_std` for all.
-
-    Returns
-    -------
-    StiffnessEstimate
-        Stiffness in N/m, shape (p,), with covariance.
-    DamageReading
-        Relative loss of each stiffness, shape (p,), with covariance.
+    prior_std : ndarray, optional
+        Prior standard deviation of each stiffness, relative to the reference; by default `settings.parameter_std` for all.  It
+        determines directions that the modes do not observe, and bounds their uncertainty.
     """
     observation = observe(modes, settings, baseline.gauges if baseline is not None else None)
     if baseline is not None:
@@ -91,8 +83,8 @@ def step(
     form = 0.0 if baseline is None else baseline.model_form
     form_covariance = (form * np.abs(ddi).max()) ** 2 * np.eye(ddi.size)
     reading = DamageReading(
-        ddi=ddi,
-        ddi_covariance=covariance / np.outer(healthy, healthy) + effect_covariance + form_covariance,
+        loss=ddi,
+        covariance=covariance / np.outer(healthy, healthy) + effect_covariance + form_covariance,
         model_form=form,
         ddi_sequential=sequential_reading(healthy_k, now_k) if is_chain else ddi,
         loss_n_per_m=healthy - fit.parameters,
@@ -108,8 +100,8 @@ _as_built = lru_cache(maxsize=4)(Model.as_built)
 """`Model.as_built`, cached: one model object for all windows, so that updating reuses its modes."""
 
 
-def _mode_misfit(residual: Array, observation: Observation) -> Array:
-    """Compute the squared residual of each mode's frequency and shape, shape (m,), over their variances."""
+def _mode_misfit(residual: Annotated[Array, "d"], observation: Observation) -> Annotated[Array, "m"]:
+    """Compute the squared residual of each mode's frequency and shape over their variances."""
     m = len(observation.model_mode)
     square = residual**2 / np.maximum((observation.deviations**2).sum(axis=0), 1e-300)
     return np.asarray(square[:m] + square[m:].reshape(m, -1).sum(axis=1))
@@ -122,15 +114,10 @@ def _misfit_of_change(fit: Update, observation: Observation, covariance: Array) 
     return float(fit.residual @ observation.weight @ fit.residual) / max(expected, 1e-300)
 
 
-def sequential_reading(healthy: Array, now: Array) -> Array:
-    """Compute the DDI from two stiffness matrices, in the paper's sequence, shape (n,).
+def sequential_reading(healthy: Annotated[Array, "n n"], now: Annotated[Array, "n n"]) -> Annotated[Array, "n"]:
+    """Compute the DDI from two stiffness matrices of a shear frame, N/m, in the paper's sequence.
 
     Story j < n alone determines the term K[j, j+1] = -k_j; the last story follows from K[n, n] less story n - 1.
-
-    Parameters
-    ----------
-    healthy, now : ndarray, shape (n, n), N/m
-        Stiffness matrices of a shear frame.
 
     Examples
     --------

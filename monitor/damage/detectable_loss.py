@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import ceil, sqrt
+from typing import Annotated
 
 import numpy as np
 
-from monitor.core import Array, DamageReading
+from monitor.core import Array, Reading
 from monitor.damage.alarm import AlarmSettings
-from monitor.damage.sequential_test import LOCAL_LOSS_CREDIT, STRETCHES, History
+from monitor.damage.common_change import LOCAL_LOSS_CREDIT
+from monitor.damage.sequential_test import STRETCHES, History
 
 PROBABILITY = 0.9
 """Probability with which the smallest detectable loss is seen. [1; convention: a90 of inspection reliability, MIL-HDBK-1823A]"""
@@ -33,62 +35,39 @@ _CORRELATION_STEP = 0.2
 """The same for correlations. [1; cost]"""
 
 
-def clock_error(rates_hz: tuple[float, float] | None, calibration: float, *, modal: bool) -> float:
-    """Compute the relative error of a stiffness, or of a frequency (`modal`), that the source's clock leaves open.
+def clock_error(rates_hz: tuple[float, float] | None, calibration: float, shown: float = 1.0) -> float:
+    """Compute the relative error of a stiffness, or of what is `shown` for it (`Reading.shown`), from the source's clock.
 
-    Parameters
-    ----------
-    rates_hz : (float, float), optional
-        Rate that the source states, and its rate by the timestamps, Hz.
-    calibration : float
-        Rate of the healthy data by their timestamps over the stated one: an error that both have cancels.
+    `rates_hz` are the rate that the source states and its rate by the timestamps; `calibration` is the healthy data's rate by
+    their timestamps over the stated one: an error that both have cancels.
 
     Examples
     --------
-    >>> round(clock_error((100.0, 98.0), 1.0, modal=False), 6)
+    >>> round(clock_error((100.0, 98.0), 1.0), 6)
     0.04
     """
     if rates_hz is None:
         return 0.0
-    return (1.0 if modal else 2.0) * abs(rates_hz[1] / rates_hz[0] / calibration - 1.0)
+    return 2.0 * shown * abs(rates_hz[1] / rates_hz[0] / calibration - 1.0)
 
 
-def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
-    """Compute the smallest sudden loss of each story that the alarm sees with `PROBABILITY` within `WITHIN_S`.
+def smallest_detectable_loss(reading: Reading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
+    """Compute the smallest sudden loss of each part that the alarm sees with `PROBABILITY` within `WITHIN_S`, as it is shown.
 
-    Where fewer data were judged in that time, because windows were skipped or the run is young, only these count.
-
-    Parameters
-    ----------
-    reading : DamageReading
-        Of the latest window.
-    history : History
-        The alarm's, after that window.
-    hop_s : float
-        Time between windows, s.
-    settings : AlarmSettings
-        The alarm's thresholds.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Relative losses of stiffness (0.02 = 2 %); infinite where no loss can be confirmed: too few windows, or modes that say
-        next to nothing of the story.
+    Where fewer data were judged in that time, because windows were skipped or the run is young, only these count.  It is
+    infinite where no loss can be confirmed: too few windows, or modes that say next to nothing of the part.  `history` is the
+    alarm's after the window of `reading`, `hop_s` the time between windows.
     """
-    loss = detectable_change(history, hop_s, settings, reading.model_form)
-    loss[[j - 1 for j in reading.unidentified]] = np.inf
-    return loss
-
-
-def detectable_change(history: History, hop_s: float, settings: AlarmSettings, model_form: float = 0.0) -> Array:
-    """Compute the smallest sudden change of each quantity that the alarm sees, as `smallest_detectable_loss`, shape (n,)."""
+    loss = np.full(reading.loss.size, np.inf)
     if (history.t_ns.size - 1) * hop_s < settings.confirm_s:
-        return np.full(history.ddi.shape[1], np.inf)
-    common = history.common.mean(axis=0)  # of the windows' conditions since the longest stretch began
-    own_std = np.exp(0.5 * history.ln_variance)
+        return loss
+    known = np.flatnonzero(np.isfinite(reading.loss))
+    seen = history if known.size == loss.size else history.of_parts(known)
+    common = seen.common.mean(axis=0)  # of the windows' conditions since the longest stretch began
+    own_std = np.exp(0.5 * seen.ln_variance)
     window_s = history.window_ns * 1e-9
     common_std = np.sqrt(np.maximum(np.diag(common), 1e-24))
-    return _simulated(
+    loss[known] = reading.shown * _simulated(
         _steps(own_std, _LN_STEP),
         _steps(common_std, _LN_COMMON_STEP),
         _correlation(common),
@@ -97,9 +76,11 @@ def detectable_change(history: History, hop_s: float, settings: AlarmSettings, m
         int((WITHIN_S + 1e-6) // window_s),
         round(settings.confirm_s / window_s, 6),
         settings.significance,
-        max(settings.model_form, model_form),
+        max(settings.model_form, reading.model_form),
         settings.min_loss,
-    ).copy()
+    )
+    loss[[j - 1 for j in reading.unidentified]] = np.inf
+    return loss
 
 
 def _judged_s(history: History, hop_s: float) -> float:
@@ -122,8 +103,8 @@ def _correlation(covariance: Array) -> tuple[int, ...]:
     return tuple(int(v) for v in np.rint(covariance / np.outer(std, std) / _CORRELATION_STEP).ravel())
 
 
-def _nearest(correlation: tuple[int, ...], n: int) -> Array:
-    """Make the nearest correlation matrix of rounded correlations, shape (n, n)."""
+def _nearest(correlation: tuple[int, ...], n: int) -> Annotated[Array, "n n"]:
+    """Make the nearest correlation matrix of rounded correlations."""
     values, vectors = np.linalg.eigh(np.clip(np.reshape(correlation, (n, n)) * _CORRELATION_STEP, -1.0, 1.0))
     rho = (vectors * np.maximum(values, 1e-6)) @ vectors.T
     return np.asarray(rho / np.sqrt(np.outer(np.diag(rho), np.diag(rho))))
@@ -142,12 +123,12 @@ def _simulated(
     model_form: float,
     min_loss: float,
 ) -> Array:
-    """Simulate windows' errors and find the loss that is seen in a share `PROBABILITY` of trials, shape (n,).
+    """Simulate windows' errors and find the loss of each part that is seen in a share `PROBABILITY` of trials.
 
-    A window's own errors are correlated between stories as the baseline's are: both come from modes of the same structure.
+    A window's own errors are correlated between parts as the baseline's are: both come from modes of the same structure.
 
-    `hop` is the time between looks, `windows` the length of the data after the loss, `most_windows` that of a run that is
-    not young, and `confirm` the on-delay, all in window lengths.
+    `hop` is the time between looks, `windows` the length of the data after the loss, `most_windows` that of a run that is not
+    young, and `confirm` the on-delay, all in window lengths.
     """
     from monitor.damage.kernels import seen_by_most  # compiled code takes a while to load
 
@@ -186,26 +167,21 @@ def _simulated(
 
 
 @lru_cache(maxsize=4)  # sites with other numbers of stories; 4 MB each for three
-def _draws(length: int, n: int) -> tuple[Array, Array]:
-    """Draw standard normal errors of each trial: sums of increments, shape (trials, n, 1 + length), and common, (trials, n)."""
+def _draws(length: int, n: int) -> tuple[Annotated[Array, "trials n length+1"], Annotated[Array, "trials n"]]:
+    """Draw standard normal errors of each trial: sums of increments, and common ones."""
     rng = np.random.default_rng(0)
     total = np.zeros((_TRIALS, n, 1 + length))
     np.cumsum(rng.standard_normal((_TRIALS, length, n)).transpose(0, 2, 1), axis=2, out=total[:, :, 1:])
     return total, rng.standard_normal((_TRIALS, n))
 
 
-def _significant(covariance: Array, significance: float, model_form: float) -> tuple[Array, Array, Array, Array]:
-    """Compute what a loss of each story alone must reach so that the alarm's statistic is significant over each stretch.
+def _significant(
+    covariance: Annotated[Array, "s n n"], significance: float, model_form: float
+) -> tuple[Annotated[Array, "s n"], Annotated[Array, "s n n"], Annotated[Array, "s n"], Annotated[Array, "s n"]]:
+    """Compute what a loss of each part alone must reach so that the alarm's statistic is significant over each stretch.
 
-    Parameters
-    ----------
-    covariance : ndarray, shape (s, n, n)
-        Of each stretch's mean.
-
-    Returns
-    -------
-    against_none, contrast, leak, square : ndarray, shape (s, n), (s, n, n), (s, n), (s, n)
-        As `kernels.seen_by_most` takes them, but for the least loss that is announced.
+    `covariance` is that of each stretch's mean.  Returned are against_none, contrast, leak and square as `kernels.seen_by_most`
+    takes them, but for the least loss that is announced.
     """
     n, variance = covariance.shape[-1], np.diagonal(covariance, axis1=1, axis2=2)
     against_none = significance * np.sqrt(variance)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,12 +55,12 @@ _SHRINKAGE = 0.1
 class FeatureTable:
     """Features and covariates of one structure over time."""
 
-    t_ns: NDArray[np.int64]
-    """Shape (w,), UTC, increasing."""
-    features: Mapping[str, Array]
-    """Shape (w,) for each feature; NaN where it is missing."""
-    covariates: Mapping[str, Array]
-    """Shape (w,) for each covariate; NaN where it is missing."""
+    t_ns: Annotated[NDArray[np.int64], "w"]
+    """UTC, increasing."""
+    features: Mapping[str, Annotated[Array, "w"]]
+    """NaN where one is missing."""
+    covariates: Mapping[str, Annotated[Array, "w"]]
+    """NaN where one is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +94,8 @@ class FeatureModel:
     stretches: tuple[tuple[int, float, int], ...]
     """Length, scatter of the trimmed means and number of disjoint healthy stretches."""
 
-    def predict(self, values: Mapping[str, Array], w: int) -> tuple[Array, Array]:
-        """Predict the (logarithm of the) feature and the law's standard deviation, shape (w,), at lagged covariates."""
+    def predict(self, values: Mapping[str, Array], w: int) -> tuple[Annotated[Array, "w"], Annotated[Array, "w"]]:
+        """Predict the (logarithm of the) feature and the law's standard deviation at lagged covariates."""
         if self.law is None:
             return np.full(w, self.centre), np.zeros(w)
         ln, std = _at_rows(self.law, [values[axis.name] for axis in self.law.axes])
@@ -106,22 +107,14 @@ class Together:
     """How the features change together over healthy readings."""
 
     expected: Expected
-    noise: Array
-    """Shape (k, k): covariance of one reading about what changes slowly."""
+    noise: Annotated[Array, "k k"]
+    """Covariance of one reading about what changes slowly."""
 
-    def left_by_others(self, away: Array) -> tuple[Array, Array]:
+    def left_by_others(self, away: Annotated[Array, "w k"]) -> tuple[Annotated[Array, "w k"], Annotated[Array, "w k"]]:
         """Compute what the others leave of each feature, and how uncertain that is beyond the healthy scatter.
 
-        A feature that stands alone at its time is compared with nothing: NaN.
-
-        Parameters
-        ----------
-        away : ndarray, shape (w, k)
-            Distances of the features from their healthy centres; NaN where one is missing.
-
-        Returns
-        -------
-        ndarray, shape (w, k); ndarray, shape (w, k)
+        `away` are the distances of the features from their healthy centres, NaN where one is missing.  A feature that stands
+        alone at its time is compared with nothing: NaN.
         """
         left, added = np.full(away.shape, np.nan), np.zeros(away.shape)
         healthy = self.expected.beside_others(np.zeros(away.shape[1]), self.noise).std
@@ -140,8 +133,8 @@ class FeatureJudge:
     """What was learned from the healthy part: a model for each feature, and how their residuals go together."""
 
     models: tuple[FeatureModel, ...]
-    correlations: Mapping[int, tuple[Array, int]]
-    """Stretch -> correlation of the features' healthy means, shape (k, k), and its degrees of freedom."""
+    correlations: Mapping[int, tuple[Annotated[Array, "k k"], int]]
+    """Stretch -> correlation of the features' healthy means, and its degrees of freedom."""
     spacing_ns: float
     """Median time between readings."""
     together: Together | None = None
@@ -149,19 +142,7 @@ class FeatureJudge:
 
 
 def judge_features(table: FeatureTable, train_until_ns: int) -> tuple[FeatureJudge, list[FeatureVerdict]]:
-    """Learn the law of each feature from the readings up to a time, and judge the later ones.
-
-    Parameters
-    ----------
-    table : FeatureTable
-    train_until_ns : int
-        End of the healthy part, UTC.
-
-    Returns
-    -------
-    FeatureJudge
-    list of FeatureVerdict
-        One for each later row.
+    """Learn the law of each feature from the readings up to a time (UTC), and judge the later ones, one verdict for each row.
 
     Raises
     ------
@@ -186,8 +167,8 @@ def judge_features(table: FeatureTable, train_until_ns: int) -> tuple[FeatureJud
     return judge, _judge(judge, table, lagged, healthy)
 
 
-def _lagged(t_ns: NDArray[np.int64], values: Array) -> Array:
-    """Apply the first-order lags to a covariate, shape (w, n_lags); missing values stay missing."""
+def _lagged(t_ns: NDArray[np.int64], values: Annotated[Array, "w"]) -> Annotated[Array, "w lags"]:
+    """Apply the first-order lags to a covariate; missing values stay missing."""
     out = np.full((values.size, len(_LAGS_H)), np.nan)
     lags_ns = np.maximum(np.array(_LAGS_H) * 3.6e12, 1.0)
     state, before = None, int(t_ns[0]) if t_ns.size else 0
@@ -219,14 +200,10 @@ def _feature_axis(name: str, values: Array, size: float, log: bool) -> Axis | No
     return Axis(name, "degC", knots, np.where(frozen, max(_FROST_SLOPE * slope, 0.01 if log else 0.0), slope))
 
 
-def _learn_feature(name: str, values: Array, lagged: Mapping[str, Array]) -> tuple[FeatureModel, Array]:
+def _learn_feature(name: str, values: Array, lagged: Mapping[str, Array]) -> tuple[FeatureModel, Annotated[Array, "w"]]:
     """Learn a feature's law and scatter from healthy rows.
 
-    Returns
-    -------
-    FeatureModel
-    ndarray, shape (w,)
-        Residuals of predictions from the other parts of the time; NaN where none could be made.
+    Beside it are the residuals of predictions from the other parts of the time; NaN where none could be made.
     """
     rows = np.flatnonzero(np.isfinite(values))
     if rows.size < _MIN_READINGS:
@@ -269,18 +246,11 @@ def _stretches(residual: Array) -> tuple[tuple[int, float, int], ...]:
     return tuple((m, _tail_std(_trimmed(residual, m)), w // m) for m in _stretch_lengths() if w // m >= _LEAST_BLOCKS)
 
 
-def _learn_together(t_ns: NDArray[np.int64], away: Array) -> Together | None:
+def _learn_together(t_ns: NDArray[np.int64], away: Annotated[Array, "w k"]) -> Together | None:
     """Learn from healthy readings how the features change together.
 
-    Parameters
-    ----------
-    away : ndarray, shape (w, k)
-        Distances of the features from their healthy centres; NaN where one is missing.
-
-    Returns
-    -------
-    Together or None
-        None where too few days are known, or nothing is to be seen of it.
+    `away` are their distances from their healthy centres, NaN where one is missing.  It is None where too few days are known, or
+    nothing is to be seen of it.
     """
     known = np.isfinite(away).all(axis=1)
     t_ns, away = t_ns[known], away[known]
@@ -305,8 +275,10 @@ def _learn_together(t_ns: NDArray[np.int64], away: Array) -> Together | None:
     return None if learned is None else Together(learned, np.diag(noise**2))
 
 
-def _cross_validated(together: Together, t_ns: NDArray[np.int64], away: Array) -> Array:
-    """Compute what the others leave of each feature, shape (w, k), each eighth of the time by what the rest learned."""
+def _cross_validated(
+    together: Together, t_ns: NDArray[np.int64], away: Annotated[Array, "w k"]
+) -> Annotated[Array, "w k"]:
+    """Compute what the others leave of each feature, each eighth of the time by what the rest learned."""
     left = np.full(away.shape, np.nan)
     for part in np.array_split(np.arange(len(away)), _FOLDS):
         rest = np.setdiff1d(np.arange(len(away)), part)
@@ -327,8 +299,8 @@ def _beside_others(model: FeatureModel, residual: Array) -> FeatureModel:
     return replace(model, std=std, explained=explained, stretches=_stretches(good))
 
 
-def _at_rows(law: CovariateLaw, values: Sequence[Array]) -> tuple[Array, Array]:
-    """Evaluate the law of one feature at the rows of lagged covariates; return change and standard deviation, shape (w,)."""
+def _at_rows(law: CovariateLaw, values: Sequence[Array]) -> tuple[Annotated[Array, "w"], Annotated[Array, "w"]]:
+    """Evaluate the law of one feature at the rows of lagged covariates; return change and standard deviation."""
     away = np.column_stack([a.basis(v[:, a.lag]) for a, v in zip(law.axes, values, strict=True)]) - law.centre
     variance = np.zeros(len(away))
     for axis, value, columns in zip(law.axes, values, law.columns().values(), strict=True):
@@ -416,50 +388,78 @@ def _correlations(models: list[FeatureModel], left: Mapping[str, Array]) -> dict
 def _judge(judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array], first: int) -> list[FeatureVerdict]:
     """Judge the rows from `first` on, in order."""
     recent: list[list[tuple[int, float, float]]] = [[] for _ in judge.models]
-    run, quiet, level, verdicts = 0, 0, Level.NORMAL, []
+    alarm, verdicts = _Alarm(), []
     predicted = _predicted(judge, table, lagged)
     for row in range(first, table.t_ns.size):
-        t_ns, unknown = int(table.t_ns[row]), []
-        sigma: list[float | None] = []
-        for model, past, (means, law_stds) in zip(judge.models, recent, predicted, strict=True):
-            value = float(table.features[model.name][row])
-            if not np.isfinite(value + means[row]) or (model.log and value <= 0.0):
-                sigma.append(None)
-                continue
-            law_std = float(law_stds[row])
-            residual = (float(np.log(value)) if model.log else value) - float(means[row])
-            sigma.append(residual / float(np.hypot(model.std, law_std)))
-            if law_std > _UNKNOWN * model.std:
-                unknown.append(model)
-                continue
-            past.append((t_ns, residual, law_std))
-            del past[: -2 * _SHORTEST * max(STRETCHES)]
-        judged = [s is not None for s in sigma]
-        skipped = None
-        if not any(judged):
+        t_ns = int(table.t_ns[row])
+        sigma, unknown = _take_row(judge, table, predicted, recent, row)
+        known = sum(s is not None for s in sigma)
+        changed: tuple[str, ...] = ()
+        skipped, reason = None, "unchanged: the features were not judged"
+        if not known:
             skipped = Skipped("no feature at this time")
-        elif len(unknown) == sum(judged):
+        elif len(unknown) == known:
             skipped = Skipped(_beyond(unknown[0], lagged, row))
-        if skipped is None:
-            z, changed, words = _evidence(judge, recent, t_ns)
-            band = 1.0 if level is not Level.NORMAL else 0.0
-            significant = z >= _SIGNIFICANCE - band
-            run, quiet = (run + 1, 0) if significant else (0, quiet + 1)
-            if significant:
-                confirmed = level is not Level.NORMAL and (run >= _CONFIRMED or level is not Level.ADVISORY)
-                level = Level.WARNING if confirmed else Level.ADVISORY
-            elif quiet >= _CONFIRMED:
-                level = Level.NORMAL
-            reason = words if level is not Level.NORMAL else "no significant change"
         else:
-            changed, reason = (), "unchanged: the features were not judged"
-        announced = changed if level is not Level.NORMAL else ()
-        verdicts.append(FeatureVerdict(t_ns, tuple(sigma), level, announced, reason, skipped))
+            z, changed, words = _evidence(judge, recent, t_ns)
+            alarm = alarm.after(z)
+            reason = words if alarm.level is not Level.NORMAL else "no significant change"
+        announced = changed if alarm.level is not Level.NORMAL else ()
+        verdicts.append(FeatureVerdict(t_ns, sigma, alarm.level, announced, reason, skipped))
     return verdicts
 
 
+@dataclass(frozen=True, slots=True)
+class _Alarm:
+    """State of the alarm between readings."""
+
+    level: Level = Level.NORMAL
+    run: int = 0
+    """Significant readings up to now, in a row."""
+    quiet: int = 0
+    """Insignificant ones."""
+
+    def after(self, z: float) -> _Alarm:
+        """Return the state after a reading with this z-score."""
+        is_active = self.level is not Level.NORMAL
+        if z >= _SIGNIFICANCE - (1.0 if is_active else 0.0):
+            confirmed = is_active and (self.run + 1 >= _CONFIRMED or self.level is not Level.ADVISORY)
+            return _Alarm(Level.WARNING if confirmed else Level.ADVISORY, self.run + 1)
+        level = Level.NORMAL if self.quiet + 1 >= _CONFIRMED else self.level
+        return _Alarm(level, 0, self.quiet + 1)
+
+
+def _take_row(
+    judge: FeatureJudge,
+    table: FeatureTable,
+    predicted: list[tuple[Array, Array]],
+    recent: list[list[tuple[int, float, float]]],
+    row: int,
+) -> tuple[tuple[float | None, ...], list[FeatureModel]]:
+    """Add what is left of each feature to the `recent` ones.
+
+    Returned are `FeatureVerdict.residual_sigma`, and the features whose prediction is too uncertain to be judged.
+    """
+    sigma: list[float | None] = []
+    unknown = []
+    for model, past, (means, law_stds) in zip(judge.models, recent, predicted, strict=True):
+        value = float(table.features[model.name][row])
+        if not np.isfinite(value + means[row]) or (model.log and value <= 0.0):
+            sigma.append(None)
+            continue
+        law_std = float(law_stds[row])
+        residual = (float(np.log(value)) if model.log else value) - float(means[row])
+        sigma.append(residual / float(np.hypot(model.std, law_std)))
+        if law_std > _UNKNOWN * model.std:
+            unknown.append(model)
+            continue
+        past.append((int(table.t_ns[row]), residual, law_std))
+        del past[: -2 * _SHORTEST * max(STRETCHES)]
+    return tuple(sigma), unknown
+
+
 def _predicted(judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array]) -> list[tuple[Array, Array]]:
-    """Predict each feature (or its logarithm) at all rows, with the standard deviation of the law, shape (w,) each."""
+    """Predict each feature (or its logarithm) at all rows, with the standard deviation of the law."""
     predicted = [model.predict(lagged, table.t_ns.size) for model in judge.models]
     if judge.together is None:
         return predicted

@@ -1,54 +1,33 @@
-"""What a site's windows are judged by: the interface that a model's stiffness and the modes alone share."""
+"""Judging of a window: from its modes to the alarms, what is learned in service and the smallest detectable loss.
+
+It is the same whatever the parts are whose stiffness is judged (`quantities`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from monitor.core import Alarm, Array, DamageReading, ModalEstimate, ModalReading, Skipped, StiffnessEstimate, Window
+from monitor.core import (
+    Alarm,
+    Array,
+    DamageReading,
+    Level,
+    ModalEstimate,
+    ModalReading,
+    Reading,
+    Skipped,
+    name_stories,
+)
+from monitor.damage import alarm, slow_learning
 from monitor.damage.alarm import AlarmSettings, AlarmState
-from monitor.damage.baseline import Baseline
+from monitor.damage.common_change import Beside
 from monitor.damage.covariate_law import CovariateLaw, Effect
-from monitor.damage.covariates import CovariateSettings, beyond_words
-from monitor.damage.modal_baseline import ModalBaseline
+from monitor.damage.covariates import beyond_words
+from monitor.damage.detectable_loss import smallest_detectable_loss
+from monitor.damage.quantities import Covariates, Found, JudgeSettings, Quantities, View, explained
 from monitor.damage.slow_learning import LearningState
-from monitor.damage.updating import UpdatingSettings
-from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, SubArray
-from monitor.signals import ProcessingSettings
-
-LEAST_SHARE = 0.5
-"""Share of the modes looked for that must be found: without a model, of the baseline's; with a model and no baseline, of the
-lowest required ones. [ratio; judgement]"""
-_USELESS_LOSS = 0.5
-"""Loss of a story's stiffness that a window must be able to show to be judged at all. [1; judgement: near collapse]"""
-
-
-AnyBaseline = Baseline | ModalBaseline
-"""Healthy state of a structure with a model, or of modes alone."""
-
-
-class JudgeSettings(Protocol):
-    """Settings that judging needs, as a site's configuration has them."""
-
-    processing: ProcessingSettings
-    identification: SsiSettings
-    selection: SelectionSettings
-    refinement: RefinementSettings
-    updating: UpdatingSettings
-    compensation: CovariateSettings
-    alarm: AlarmSettings
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class View:
-    """The channels that a window is judged with."""
-
-    array: SubArray
-    level_weights: Array | None
-    """Shape (c, c): from the covariance of these channels' accelerations to the level of motion; None where it is not known."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,76 +39,101 @@ class Memory:
     """The covariates' law as it was learned on in service; None before the first judged window."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Judged:
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Judged(Found):
     """What the modes of a window say of the structure."""
 
-    modes: ModalEstimate
-    """The modes that were judged."""
     alarm: Alarm
-    stiffness: StiffnessEstimate | None = None
-    damage: DamageReading | None = None
-    modal: ModalReading | None = None
     detectable_loss: Array | None = None
     """As in `WindowResult`."""
 
+    @property
+    def damage(self) -> DamageReading | None:
+        """The reading of stories."""
+        return self.reading if isinstance(self.reading, DamageReading) else None
 
-class Judge(Protocol):
-    """Reference with which windows are compared, and the comparison; all results depend on its arguments alone."""
-
-    def start(self, window_s: float) -> AlarmState:
-        """Return the state of the alarms before the first window."""
-        ...
-
-    def view(self, channels: tuple[int, ...]) -> View:
-        """Return what windows of some channels (0 = first) are judged with."""
-        ...
-
-    def identify(
-        self, window: Window, cutoff_hz: float, view: View, settings: JudgeSettings
-    ) -> ModalEstimate | Skipped:
-        """Identify the modes of a window of the channels in use."""
-        ...
-
-    def judge(
-        self,
-        memory: Memory,
-        modes: ModalEstimate,
-        covariates: Mapping[str, Array],
-        view: View,
-        t_end_ns: int,
-        settings: JudgeSettings,
-    ) -> tuple[Memory, Judged] | Skipped:
-        """Compare a window's modes with the reference, and update the alarms."""
-        ...
-
-    def hold(self, state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
-        """Keep the alarms over a window that was not judged."""
-        ...
+    @property
+    def modal(self) -> ModalReading | None:
+        """The reading of modes alone."""
+        return self.reading if isinstance(self.reading, ModalReading) else None
 
 
-def explained(
-    law: CovariateLaw | None, covariates: Mapping[str, Array], alarm: AlarmSettings
-) -> Effect | Skipped | None:
-    """Predict what the covariates do to healthy stiffness.
+def step(
+    quantities: Quantities,
+    memory: Memory,
+    modes: ModalEstimate,
+    covariates: Covariates,
+    view: View,
+    t_end_ns: int,
+    settings: JudgeSettings,
+) -> tuple[Memory, Judged] | Skipped:
+    """Compare a window's modes with the baseline's, and update the alarms; `t_end_ns` is the UTC of the window's end."""
+    if why := quantities.lacking(modes, view, settings.selection):
+        return Skipped(why)
+    baseline, law = quantities.baseline, None
+    if baseline is not None:
+        law = baseline.law if memory.learning is None else memory.learning.law
+    effect = explained(law, covariates, settings.alarm)
+    if isinstance(effect, Skipped):
+        return effect
+    found = quantities.read(modes, view, effect, covariates, settings)
+    if isinstance(found, Skipped):
+        return found
+    reading = found.reading
+    if reading is not None and len(view.array.channels) < view.array.n_channels:
+        reading = replace(reading, channels=view.array.channels)
+    if baseline is None or reading is None:
+        nothing = Alarm(Level.NORMAL, (), quantities.without_baseline)
+        return memory, Judged(found.modes, reading, found.stiffness, alarm=nothing)
+    together = None if law is None else law.together(settings.compensation.unevenness)
+    beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
+    reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, settings.alarm))
+    alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, together, quantities.parts)
+    learning, history = memory.learning, alarms.history
+    if law is not None and settings.compensation.learn_in_service:
+        learning = learning or slow_learning.start(law, t_end_ns)
+        is_normal = verdict.level is Level.NORMAL
+        learning = _learn(learning, reading, covariates, t_end_ns, settings.compensation.unevenness, normal=is_normal)
+    if together is not None and beside is not None:
+        reading, history = together.take_out(reading, beside), history.left_by_others(together, beside)
+    detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
+    verdict = _named(verdict, quantities)
+    judged = Judged(found.modes, reading, found.stiffness, alarm=verdict, detectable_loss=detectable)
+    return Memory(alarms, learning), judged
 
-    Returns
-    -------
-    Effect, Skipped or None
-        `Skipped` where the law's uncertainty alone would hide the loss of half a story's stiffness; None without a law.
-    """
-    if law is None:
-        return None
-    effect = law.expected(covariates)
-    hidden = alarm.significance * float(np.sqrt(effect.covariance.diagonal().max()))
-    return Skipped(beyond_words(law, covariates)) if hidden > _USELESS_LOSS else effect
+
+def hold(quantities: Quantities, state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
+    """Keep the alarms over a window that was not judged."""
+    state, verdict = alarm.hold(state, t_ns, quantities.parts)
+    return state, _named(verdict, quantities)
 
 
-def hidden_words(
-    law: CovariateLaw | None, effect: Effect | None, covariates: Mapping[str, Array], alarm: AlarmSettings
+def _named(verdict: Alarm, quantities: Quantities) -> Alarm:
+    """Put the names of the stories into the reason."""
+    return replace(verdict, reason=name_stories(verdict.reason, quantities.names))
+
+
+def _beyond(
+    law: CovariateLaw | None,
+    effect: Effect | None,
+    beside: Beside | None,
+    covariates: Covariates,
+    settings: AlarmSettings,
 ) -> str:
-    """Say what lies beyond calibration where the law's uncertainty alone would hide the loss of an `alarm`."""
-    if effect is None or law is None:
-        return ""
-    std = float(np.sqrt(effect.covariance.diagonal().max()))
-    return beyond_words(law, covariates) if alarm.significance * std > alarm.alarm_loss else ""
+    """Say what lies beyond calibration where the uncertainty of the law, or of what parts do together, would hide an `alarm`."""
+    if law is not None and effect is not None:
+        std = float(np.sqrt(effect.covariance.diagonal().max()))
+        if settings.significance * std > settings.alarm_loss:
+            return beyond_words(law, covariates)
+    return "" if beside is None else beside.beyond_words(settings.alarm_loss / settings.significance)
+
+
+def _learn(
+    state: LearningState, reading: Reading, covariates: Covariates, t_end_ns: int, unevenness: float, *, normal: bool
+) -> LearningState:
+    """Learn the covariates' law on from healthy service; from windows that show all parts alone."""
+    # The loss has what the law explains taken out; it is put back.
+    change = reading.ln_stiffness + sum(reading.covariate_effect.values(), np.zeros(1))
+    if normal and not np.isfinite(change).all():
+        return state
+    return slow_learning.step(state, covariates, change, t_end_ns, unevenness, normal=normal)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,25 +12,17 @@ from monitor.core import Array, compiled
 
 @compiled()
 def evidence_of_loss(
-    means: Array, covariance: Array, model_form: float, significant: float, credit: float
-) -> tuple[Array, Array]:
-    """Compute the z-scores of `sequential_test.statistic`.
+    means: Annotated[Array, "k n"],
+    covariance: Annotated[Array, "k n n"],
+    model_form: float,
+    significant: float,
+    credit: float,
+) -> tuple[Annotated[Array, "k n"], Annotated[Array, "k n"]]:
+    """Compute the z-scores of `sequential_test.statistic`, and the standard deviations of the means.
 
-    Parameters
-    ----------
-    means : ndarray, shape (k, n)
-    covariance : ndarray, shape (k, n, n)
-    model_form : float
-        Share of another story's change that may show in a story (one standard deviation).
-    significant : float
-        Distance up to which two stories' changes agree, in standard deviations.
-    credit : float
-        Standard deviations added to the z-score against a uniform change.
-
-    Returns
-    -------
-    z, std : ndarray, shape (k, n)
-        z-score of the loss, and standard deviation of the mean.
+    `model_form` is the share of another part's change that may show in a part (one standard deviation), `significant` the
+    distance up to which two parts' changes agree, and `credit` what is added to the z-score against a uniform change, in
+    standard deviations.
     """
     k, n = means.shape
     z, std = np.empty((k, n)), np.empty((k, n))
@@ -83,7 +77,7 @@ def _needed_in_trial(
 ) -> float:
     """Compute the smallest loss of one story that is seen in one trial, at the looks from `begin` on; infinite where none is.
 
-    The parameters are those of `seen_by_most` for this trial and story; `wanted`, `error` and `alone`, shape (looks,), are
+    The parameters are those of `seen_by_most` for this trial and story; `wanted`, `error` and `alone`, of one value a look, are
     overwritten.
     """
     # Slices, because a loop whose index does not begin with 0 is not vectorized.
@@ -123,50 +117,32 @@ def _needed_in_trial(
 
 @compiled(error_model="numpy")
 def seen_by_most(
-    total: Array,
+    total: Annotated[Array, "trials n looks"],
     first: int,
-    lengths: NDArray[np.int64],
-    factor: Array,
-    of_error: Array,
-    off: Array,
-    of_alone: Array,
-    alone_off: Array,
-    needed: Array,
-    leak: Array,
-    square: Array,
+    lengths: Annotated[NDArray[np.int64], "s"],
+    factor: Annotated[Array, "s looks"],
+    of_error: Annotated[Array, "s n n"],
+    off: Annotated[Array, "trials n"],
+    of_alone: Annotated[Array, "s n n"],
+    alone_off: Annotated[Array, "s trials n"],
+    needed: Annotated[Array, "s n"],
+    leak: Annotated[Array, "s n"],
+    square: Annotated[Array, "s n"],
     held: int,
     unseen: int,
-) -> Array:
-    """Compute the smallest loss of each story that is seen in all trials but `unseen`, shape (n,); infinite where none is.
+) -> Annotated[Array, "n"]:
+    """Compute the smallest loss of each story that is seen in all trials but `unseen`; infinite where none is.
 
     In a trial it is seen where it is significant at `held` looks in a row, at each over one of s stretches of windows.  Only the
     trials that need the largest losses count: of the others a bound is enough.
 
-    Parameters
-    ----------
-    total : ndarray, shape (trials, n, before + looks)
-        Sums of standard normal increments up to each look: of the healthy data, then after the loss; more looks may follow.
-    first : int
-        Index of the first look after the loss.
-    lengths : ndarray of int, shape (s,)
-        Looks in each stretch, increasing; at most `first`.
-    factor : ndarray, shape (s, looks)
-        Length of the stretch over that of its part behind the loss.
-    of_error : ndarray, shape (s, n, n)
-        Error of each story's mean over a stretch, as a combination of the increments' sums over it.
-    off : ndarray, shape (trials, n)
-        Errors that all windows have in common.
-    of_alone, alone_off : ndarray, shape (s, n, n), (s, trials, n)
-        The same of each story less what the others say that all stories have in common.
-    needed : ndarray, shape (s, n)
-        Mean that is announced where nothing else changed.
-    leak, square : ndarray, shape (s, n)
-        Coefficients of the quadratic equation for the mean that is significant against a change of all stories alike; where
-        `leak`, at most 1, is not positive, no mean is.
-    held : int
-        At most the number of looks.
-    unseen : int
-        Less than the number of trials.
+    `total` are sums of standard normal increments up to each look: of the healthy data, then after the loss, from look `first`
+    on; more looks may follow.  `lengths` are the looks in each stretch, increasing, at most `first`; `factor` is the length of a
+    stretch over that of its part behind the loss.  `of_error` is the error of each story's mean over a stretch as a combination
+    of the increments' sums over it, `off` the errors that all windows have in common; `of_alone` and `alone_off` are the same of
+    each story less what the others say that all stories have in common.  `needed` is the mean that is announced where nothing
+    else changed; `leak` (at most 1) and `square` are coefficients of the quadratic equation for the mean that is significant
+    against a change of all stories alike.  Where `leak` is not positive, no mean is.
     """
     trials, n = off.shape
     stretches, looks = factor.shape
@@ -214,28 +190,15 @@ def seen_by_most(
 
 @compiled(error_model="numpy")
 def beside_each_other(
-    losses: Array, of_learned: Array, of_total: Array, stretches: float
-) -> tuple[Array, Array, Array, Array]:
+    losses: Annotated[Array, "k n"],
+    of_learned: Annotated[Array, "k n n"],
+    of_total: Annotated[Array, "k n n"],
+    stretches: float,
+) -> tuple[Annotated[Array, "k n"], Annotated[Array, "k n n"], Annotated[Array, "k n"], Annotated[Array, "k"]]:
     """Compare each of n stories with the others, in k measurements.
 
-    Parameters
-    ----------
-    losses : ndarray, shape (k, n)
-    of_learned, of_total : ndarray, shape (k, n, n)
-        Inverse covariance of the losses: as learned, and with what is of any size.
-    stretches : float
-        Independent stretches that the covariance was learned from.
-
-    Returns
-    -------
-    z : ndarray, shape (k, n)
-        z-score of each loss beyond what the others let expect.
-    weights : ndarray, shape (k, n, n)
-        That loss as a combination of the measured ones.
-    inflation : ndarray, shape (k, n)
-        Factor of its variance.
-    z_alike : ndarray, shape (k,)
-        Size of the z-score of a change of all alike.
+    `of_learned` and `of_total` are the inverse covariance of the losses: as learned, and with what is of any size; `stretches`
+    is the number of independent stretches that it was learned from.  Returned are the arrays of `common_change._Compared`.
     """
     count, n = losses.shape
     z, weights, inflation, z_alike = (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from monitor.core import Array
@@ -11,74 +13,43 @@ _LEAST_M = 1e-15
 """Drift below which a sensor that stands still is not told from another. [m; rounding]"""
 
 
-def drift_weights(model: Model, sensors: Array, cutoff_hz: float) -> Array:
-    """Compute the weights of the accelerations' covariance in the mean square drift.
+def drift_weights(model: Model, sensors: Annotated[Array, "c n"], cutoff_hz: float) -> Annotated[Array, "c c"]:
+    """Compute the weights of the accelerations' covariance in the mean square drift, mean over the stories, s^4.
 
-    The accelerations are resolved into the modes below the cutoff, as many as there are channels at most.  A mode's
-    displacement is its acceleration over ``omega^2``; modes are taken as uncorrelated.
-
-    Parameters
-    ----------
-    model : Model
-        Drawing of the structure.  Weights and level then do not depend on the baseline.
-    sensors : ndarray, shape (c, n)
-        Sensor matrix: channels by floors.
-
-    Returns
-    -------
-    ndarray, shape (c, c), s^4
-        Mean over the stories of the square drift is the sum of the products with the covariance, (m/s^2)^2.
+    The accelerations are resolved into the modes below the cutoff, as many as there are channels at most.  A mode's displacement
+    is its acceleration over ``omega^2``; modes are taken as uncorrelated.  The model is the drawing: weights and level then do
+    not depend on the baseline.
     """
     return _weights(model.modes(), model.structure.drift_matrix(), sensors, cutoff_hz)
 
 
 def drift_weights_of_some(
-    model: Model, sensors: Array, channels: tuple[int, ...], cutoff_hz: float, whole: Array, motion: Array | None
-) -> Array:
-    """Compute the weights with which some of the channels measure the same level as all of them.
+    model: Model,
+    sensors: Annotated[Array, "c n"],
+    channels: tuple[int, ...],
+    cutoff_hz: float,
+    whole: Annotated[Array, "c c"],
+    motion: Annotated[Array, "c c"] | None,
+) -> Annotated[Array, "k k"]:
+    """Compute the weights with which some of the channels (0 = first) measure the same level as all of them, s^4.
 
-    Fewer channels than modes do not resolve the modes, and acceleration of a high mode, taken for a low one's, is far more drift.
-    So the modes are estimated with the powers that they had at calibration (linear least squares), and the weights are scaled to
-    measure the motion at calibration as all channels did.
-
-    Parameters
-    ----------
-    model : Model
-        Drawing of the structure.
-    sensors : ndarray, shape (c, n)
-        Sensor matrix of all channels.
-    channels : tuple of int
-        Channels in use (0 = first), k of them.
-    whole : ndarray, shape (c, c), s^4
-        Weights of all channels (`drift_weights`).
-    motion : ndarray, shape (c, c), (m/s^2)^2, optional
-        Covariance of the accelerations at calibration.  By default that of modes of equal damping in forces of equal strength.
-
-    Returns
-    -------
-    ndarray, shape (k, k), s^4
+    Fewer channels than modes do not resolve the modes, and acceleration of a high mode, taken for a low one's, is far more
+    drift.  So the modes are estimated with the powers that they had at calibration (linear least squares), and the weights are
+    scaled to measure the motion at calibration as all channels did.  `whole` are the weights of all channels; `motion` is the
+    covariance of the accelerations at calibration, (m/s^2)^2, by default that of modes of equal damping in forces of equal
+    strength.
     """
     drifts = model.structure.drift_matrix()
     return _weights_of_some(model.modes(), drifts, sensors, channels, cutoff_hz, whole, motion)
 
 
-def displacement_weights(modes: Modes, channels: tuple[int, ...], motion: Array | None) -> Array:
-    """Compute the weights of some channels' covariance in the mean square displacement of all channels, as `drift_weights`.
+def displacement_weights(
+    modes: Modes, channels: tuple[int, ...], motion: Annotated[Array, "c c"] | None
+) -> Annotated[Array, "k k"]:
+    """Compute the weights of some channels' covariance in the mean square displacement of all channels, s^4, as `drift_weights`.
 
-    Fewer channels than there are measure the same level as all of them (`drift_weights_of_some`).
-
-    Parameters
-    ----------
-    modes : Modes
-        Modes as the channels show them.
-    channels : tuple of int
-        Channels in use (0 = first), k of them.
-    motion : ndarray, shape (c, c), (m/s^2)^2, optional
-        As of `drift_weights_of_some`.
-
-    Returns
-    -------
-    ndarray, shape (k, k), s^4
+    Fewer channels than there are measure the same level as all of them (`drift_weights_of_some`).  The modes are as the channels
+    show them.
     """
     every = np.eye(len(modes.shapes))
     whole = _weights(modes, every, every, np.inf)
@@ -87,8 +58,8 @@ def displacement_weights(modes: Modes, channels: tuple[int, ...], motion: Array 
     return _weights_of_some(modes, every, every, channels, np.inf, whole, motion)
 
 
-def _weights(modes: Modes, displayed: Array, sensors: Array, cutoff_hz: float) -> Array:
-    """Compute the weights, shape (c, c), of a mean square of motions that the rows of `displayed` make of the displacements."""
+def _weights(modes: Modes, displayed: Array, sensors: Array, cutoff_hz: float) -> Annotated[Array, "c c"]:
+    """Compute the weights of a mean square of motions that the rows of `displayed` make of the displacements."""
     used = max(1, min(len(sensors), int(np.count_nonzero(modes.frequencies_hz < cutoff_hz))))
     shapes = modes.shapes[:, :used]
     resolved = np.linalg.pinv(sensors @ shapes, rcond=1e-6)
@@ -104,8 +75,8 @@ def _weights_of_some(
     cutoff_hz: float,
     whole: Array,
     motion: Array | None,
-) -> Array:
-    """Compute the weights, shape (k, k), of the mean square in `_weights` by some of the channels (`drift_weights_of_some`)."""
+) -> Annotated[Array, "k k"]:
+    """Compute the weights of the mean square in `_weights` by some of the channels (`drift_weights_of_some`)."""
     chosen = list(channels)
     used = max(1, int(np.count_nonzero(modes.frequencies_hz < cutoff_hz)))
     shapes, eigenvalues = modes.shapes[:, :used], modes.eigenvalues[:used]
@@ -126,16 +97,8 @@ def _weights_of_some(
     return weights * (by_all / by_some)
 
 
-def level_db(weights: Array, covariance: Array) -> float:
-    """Compute the RMS drift, mean over the stories, in dB of 1 m.
-
-    Parameters
-    ----------
-    weights : ndarray, shape (c, c)
-        See `drift_weights`.
-    covariance : ndarray, shape (c, c), (m/s^2)^2
-        Covariance of a window's accelerations.
-    """
+def level_db(weights: Annotated[Array, "c c"], covariance: Annotated[Array, "c c"]) -> float:
+    """Compute the RMS drift, mean over the stories, in dB of 1 m, from the covariance of a window's accelerations, (m/s^2)^2."""
     return float(10.0 * np.log10(max(float(np.sum(weights * covariance)), _LEAST_M**2)))
 
 

@@ -14,6 +14,8 @@ from monitor.model import InstrumentedModel
 
 _DIGITS = 1e9
 """Matrices that differ by less than their largest entry over this number have one fingerprint. [ratio; rounding]"""
+MODAL = "modal"
+"""Kind of a structure without a model. [name; definition]"""
 MOST_LISTED = 3
 """Most items of one kind that a message lists. [1; judgement]"""
 
@@ -52,6 +54,11 @@ class Origin:
             rate_hz=instrumented.rate_hz,
             cutoff_hz=instrumented.cutoff_hz,
         )
+
+    @classmethod
+    def of_modes(cls, name: str, rate_hz: float, cutoff_hz: float) -> Self:
+        """Describe a structure of which nothing is drawn."""
+        return cls(name, MODAL, (), (), "", "m/s^2", rate_hz, cutoff_hz)
 
     def is_named_otherwise(self, here: Origin) -> bool:
         """Tell whether both structures have names, which differ."""

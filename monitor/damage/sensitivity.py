@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from monitor.core import Array
 from monitor.model import Modes
 
 
-def fox_kapoor(modes: Modes, d_k: Array, d_m: Array | None = None) -> tuple[Array, Array]:
+def fox_kapoor(
+    modes: Modes, d_k: Annotated[Array, "p n n"], d_m: Annotated[Array, "p n n"] | None = None
+) -> tuple[Annotated[Array, "n p"], Annotated[Array, "n n p"]]:
     """Compute the derivatives of eigenvalues (eq. 20) and of mode shapes (eq. 19, expanded in the modes).
 
-    Parameters
-    ----------
-    modes : Modes
-        All n modes, shapes of unit modal mass.
-    d_k, d_m : ndarray, shape (p, n, n)
-        Derivatives of the stiffness and mass matrices by p parameters; masses are constant without `d_m`.
-
-    Returns
-    -------
-    d_lambda : ndarray, shape (n, p)
-    d_shapes : ndarray, shape (n, n, p)
-        ``d_shapes[i]`` is the derivative of mode i, floors by parameters, at unit modal mass.
+    All n modes are needed, of unit modal mass, and so are the derivatives of the shapes, one matrix a mode.  `d_k` and `d_m` are
+    the derivatives of the stiffness and mass matrices by p parameters; masses are constant without `d_m`.
 
     References
     ----------

@@ -15,15 +15,13 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core import Array, DamageReading
-
-if TYPE_CHECKING:
-    from monitor.damage.common_change import Expected
+from monitor.core import Array, Reading
+from monitor.damage.common_change import LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS, Beside, Expected
 
 STRETCHES = (1, 2, 4, 8)
 """Lengths over which windows, or the shortest stretches of readings, are averaged. [1; judgement: powers of two]"""
@@ -33,15 +31,8 @@ few for tails of six standard deviations. [s; judgement]"""
 _STD_EXCESS = 1.2
 """A window's own standard deviation counts only beyond this many times the smoothed one. [ratio; simulation: a window's
 standard deviation scatters by 10 to 15 %]"""
-LOCAL_LOSS_CREDIT = 1.0
-"""A loss in one story needs this much less evidence than a uniform change, which is the rarer explanation. [standard
-deviations; judgement]"""
 CHANCE_STDS = 4.0
 """Deviation that several stories and windows do not give by chance. [standard deviations; judgement]"""
-SIGNIFICANT_STDS = 3.0
-"""Size from which a change counts as significant. [standard deviations; convention: three sigma]"""
-
-
 _COMPARABLE = 4.0
 """Largest ratio of the baseline's variances at which readings of other channels are averaged with the present one's. [ratio;
 judgement: twice the standard deviation]"""
@@ -52,8 +43,7 @@ class Smoothed:
     """Smoothed variance of the readings of other channels, for their return."""
 
     channels: tuple[int, ...]
-    ln_variance: Array
-    """Shape (n,)."""
+    ln_variance: Annotated[Array, "n"]
     memory_s: float
 
 
@@ -62,17 +52,17 @@ class History:
     """History of the h latest readings, as many as the longest stretch needs."""
 
     window_ns: int
-    t_ns: NDArray[np.int64]
-    """Shape (h,): ends of the windows, UTC."""
-    ddi: Array
-    """Shape (h, n): damage index, or the change of another quantity; NaN where a window does not show it."""
-    variance: Array
-    """Shape (h, n): variance of the damage index in each window, without the baseline's error."""
+    t_ns: Annotated[NDArray[np.int64], "h"]
+    """Ends of the windows, UTC."""
+    loss: Annotated[Array, "h n"]
+    """NaN where a window does not show the part."""
+    variance: Annotated[Array, "h n"]
+    """Variance of the loss in each window, without the baseline's error."""
     common: Array
-    """Shape (h, n, n): covariance that a window has in common with the others: the baseline's and the covariates' law's.  Shape
+    """Covariance that a window has in common with the others, the baseline's and the covariates' law's: shape (h, n, n), or
     (h, n) where only its variances are kept."""
-    ln_variance: Array
-    """Shape (n,): smoothed logarithm of the variance."""
+    ln_variance: Annotated[Array, "n"]
+    """Smoothed logarithm of the variance."""
     memory_s: float
     """Time over which the variance has been smoothed so far."""
     channels: tuple[tuple[int, ...], ...] = ()
@@ -84,48 +74,66 @@ class History:
         """Return the channels of one of the readings."""
         return self.channels[reading] if self.channels else ()
 
+    def of_parts(self, known: NDArray[np.intp]) -> History:
+        """Select some of the parts (0 = first)."""
+        shown = (
+            self.loss[:, known],
+            self.variance[:, known],
+            self.common[:, known][:, :, known],
+            self.ln_variance[known],
+        )
+        return replace(self, loss=shown[0], variance=shown[1], common=shown[2], ln_variance=shown[3])
+
+    def left_by_others(self, expected: Expected, beside: Beside) -> History:
+        """Take out of the latest variances what the other parts let expect; the losses stay as they were measured."""
+        variance, common = expected.left_of_intact(np.exp(self.ln_variance), self.common.mean(axis=0), beside)
+        return replace(self, ln_variance=np.log(variance), common=common[None])
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SequentialStatistic:
-    """Test statistic of each story after a window."""
+    """Test statistic of each part that a window shows."""
 
-    z: Array
-    """Shape (n,): largest z-score over the stretches, for a loss of this story beyond a change common to all stories."""
-    loss: Array
-    """Shape (n,): mean loss over the longest stretch with which the newest window agrees."""
-    std: Array
-    """Shape (n,): standard deviation of `loss`."""
-    own: Array
-    """Shape (n,): the part of `loss` beyond what all stories have in common."""
-    own_std: Array
-    """Shape (n,): standard deviation of `own`."""
+    parts: tuple[int, ...]
+    """Their numbers (0 = first)."""
+    z: Annotated[Array, "n"]
+    """Largest z-score over the stretches, for a loss of this part beyond a change common to all parts."""
+    loss: Annotated[Array, "n"]
+    """Mean loss over the longest stretch with which the newest window agrees."""
+    std: Annotated[Array, "n"]
+    """Of `loss`."""
+    own: Annotated[Array, "n"]
+    """The share of `loss` beyond what all parts have in common."""
+    own_std: Annotated[Array, "n"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Averages:
     """Means over the k stretches that end with the newest reading."""
 
-    means: Array
-    """Shape (k, n); 0 where the newest reading does not show the quantity."""
-    variances: Array
-    """Shape (k, n): their own variances, without what readings have in common."""
+    means: Annotated[Array, "k n"]
+    """0 where the newest reading does not show the part."""
+    variances: Annotated[Array, "k n"]
+    """Their own variances, without what readings have in common."""
     common: Array
     """Shape (k, n, n) or (k, n), as `History.common`: mean of what the readings have in common."""
-    agrees: NDArray[np.bool_]
-    """Shape (k, n): whether the newest reading agrees with the mean."""
+    agrees: Annotated[NDArray[np.bool_], "k n"]
+    """Whether the newest reading agrees with the mean."""
+
+    def of_parts(self, known: NDArray[np.intp]) -> Averages:
+        """Select some of the parts (0 = first)."""
+        common = self.common[:, known][:, :, known]
+        return Averages(self.means[:, known], self.variances[:, known], common, self.agrees[:, known])
 
     def longest(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the index, into (k, n), of the longest stretch of each quantity with which the newest reading agrees."""
+        """Return the index, into (k, n), of the longest stretch of each part with which the newest reading agrees."""
         return len(self.agrees) - 1 - self.agrees[::-1].argmax(axis=0), np.arange(self.agrees.shape[1])
 
 
 def begin(n_stories: int, window_s: float, *, variances_only: bool = False) -> History:
-    """Return the empty history of n stories, or other quantities, for windows of `window_s` seconds.
+    """Return the empty history of n parts for windows of `window_s` seconds.
 
-    Parameters
-    ----------
-    variances_only : bool
-        Keep of what windows have in common the variances alone.
+    With `variances_only`, of what windows have in common the variances alone are kept.
     """
     none = np.zeros((0, n_stories))
     shared = none if variances_only else np.zeros((0, n_stories, n_stories))
@@ -134,113 +142,93 @@ def begin(n_stories: int, window_s: float, *, variances_only: bool = False) -> H
 
 
 def look(
-    history: History, reading: DamageReading, t_ns: int, model_form: float, expected: Expected | None = None
+    history: History, reading: Reading, t_ns: int, model_form: float, expected: Expected | None = None
 ) -> tuple[History, SequentialStatistic]:
-    """Update the test statistic by one window's reading.
+    """Update the test statistic by one window's reading; `t_ns` is the UTC of the window's end.
 
-    Parameters
-    ----------
-    reading : DamageReading
-        Damage index of n stories.
-    t_ns : int
-        End of the window, UTC.  Missing readings are left out of the means.
-    model_form : float
-        Share of another story's loss that may appear in a story (one standard deviation).
-    expected : Expected, optional
-        What stories do together without a known cause, where it was learned.  Without it, what they have in common is a change
-        of all alike.
+    Missing readings are left out of the means.  `model_form` is the share of another part's loss that may appear in a part (one
+    standard deviation).  `expected` is what parts do together without a known cause, where it was learned; without it, what they
+    have in common is a change of all alike.
     """
-    n = reading.ddi.size
-    own = reading.ddi_covariance - reading.common_covariance + (1e-24 - reading.form_variance) * np.eye(n)
+    n, own = reading.loss.size, reading.own_covariance
     model_form = max(model_form, reading.model_form)
     common = np.broadcast_to(reading.common_covariance, (n, n))
-    history, over = average(history, reading.ddi, own.diagonal(), common, reading.channels, t_ns)
+    history, over = average(history, reading.loss, own.diagonal(), common, reading.channels, t_ns)
+    known = np.flatnonzero(np.isfinite(reading.loss))
+    if known.size < n:
+        over, own = over.of_parts(known), own[np.ix_(known, known)]
+        expected = None if expected is None else expected.of(known)
     covariance = _covariance_of(over, own)
     z, std = statistic(over.means, covariance, model_form)
+    if reading.either_side:
+        z = np.maximum(z, statistic(-over.means, covariance, model_form)[0])
     longest = over.longest()
     loss, loss_std = over.means[longest], std[longest]
     if expected is None:
         beyond, beyond_std = loss - shared_by_others(loss, loss_std), loss_std
     else:
-        z, losses, stds = _beside_others(over.means, covariance, model_form, expected)
+        z, losses, stds = _beside_others(over.means, covariance, model_form, expected, either_side=reading.either_side)
         beyond, beyond_std = losses[longest], stds[longest]
     best = np.where(over.agrees, z, -np.inf).max(axis=0)
-    return history, SequentialStatistic(best, loss, loss_std, beyond, beyond_std)
+    return history, SequentialStatistic(tuple(known.tolist()), best, loss, loss_std, beyond, beyond_std)
+
+
+def look_at_shapes(history: History, reading: Reading, t_ns: int) -> tuple[History, SequentialStatistic]:
+    """Update the test statistic of the shapes' components, each by itself and to either side."""
+    own, common = reading.shape_variance - reading.shape_common_variance, np.nan_to_num(reading.shape_common_variance)
+    history, over = average(history, reading.shape.ravel(), own.ravel(), common.ravel(), reading.channels, t_ns)
+    std = np.sqrt(over.variances + over.common)
+    z = np.where(over.agrees, np.abs(over.means) / np.maximum(std, 1e-12), -np.inf).max(axis=0)
+    longest = over.longest()
+    change, change_std = over.means[longest], std[longest]
+    return history, SequentialStatistic(tuple(range(z.size)), z, change, change_std, change, change_std)
 
 
 def _beside_others(
-    means: Array, covariance: Array, model_form: float, expected: Expected
+    means: Array, covariance: Array, model_form: float, expected: Expected, *, either_side: bool
 ) -> tuple[Array, Array, Array]:
-    """Compute the z-scores of losses beyond what the other stories let expect, the losses and their deviations, (k, n) each."""
-    found = expected.each_beside_others(means, covariance)
+    """Compute the z-scores of losses beyond what the other parts let expect, the losses and their deviations."""
+    found = expected.each_beside_others(means, covariance, either_side=either_side)
     sizes = np.abs(found.loss)
     others = np.where(np.eye(sizes.shape[1], dtype=bool), 0.0, sizes[:, None, :]).max(axis=2)
     stds = np.hypot(found.std, model_form * others)
-    return found.loss / stds, found.loss, stds
+    z = found.loss / stds
+    return np.abs(z) if either_side else z, found.loss, stds
 
 
 def average(
-    history: History, values: Array, variance: Array, common: Array, channels: tuple[int, ...], t_ns: int
+    history: History,
+    values: Annotated[Array, "n"],
+    variance: Annotated[Array, "n"],
+    common: Array,
+    channels: tuple[int, ...],
+    t_ns: int,
 ) -> tuple[History, Averages]:
-    """Append a reading of n quantities and average the readings over all stretches that end with it.
+    """Append a reading of n parts and average the readings over all stretches that end with it.
 
-    Parameters
-    ----------
-    values, variance : ndarray, shape (n,)
-        NaN for a quantity that the window does not show.
-    common : ndarray, shape (n, n) or (n,)
-        As one item of `History.common`.
-    channels : tuple of int
-        Channels that the reading rests on; empty: all.
-    t_ns : int
-        End of the window, UTC.
+    `values` and `variance` are NaN for a part that the window does not show, `common` is as one item of `History.common`.
+    `channels` are those that the reading rests on (empty: all), `t_ns` is the UTC of the window's end.
     """
     history = _append(_of_channels(history, channels), values, variance, common, channels, t_ns)
     chain = _comparable(history, _disjoint_readings(history), common)
     age = (t_ns - history.t_ns[chain]) / history.window_ns
     last = np.array([np.count_nonzero(age < stretch - 1e-6) for stretch in STRETCHES]) - 1
-    shown = np.isfinite(history.ddi[chain])
+    shown = np.isfinite(history.loss[chain])
     counts = np.maximum(np.cumsum(shown, axis=0)[last], 1)
-    means = np.cumsum(np.where(shown, history.ddi[chain], 0.0), axis=0)[last] / counts
+    means = np.cumsum(np.where(shown, history.loss[chain], 0.0), axis=0)[last] / counts
     variances = np.cumsum(np.where(shown, history.variance[chain], 0.0), axis=0)[last] / counts**2
     readings = (last + 1).reshape(-1, *[1] * common.ndim)
     shared = np.cumsum(history.common[chain], axis=0)[last] / readings
-    newest, own = np.where(shown[0], history.ddi[-1], 0.0), np.where(shown[0], history.variance[-1], 0.0)
+    newest, own = np.where(shown[0], history.loss[-1], 0.0), np.where(shown[0], history.variance[-1], 0.0)
     agrees = np.abs(newest - means) <= CHANCE_STDS * np.sqrt(own * (1.0 - 2.0 / counts) + variances)
     agrees[0] = True
     return history, Averages(means, variances, shared, agrees)
 
 
-def _covariance_of(over: Averages, own: Array) -> Array:
-    """Compute the covariance of the means, shape (k, n, n): correlated as `own`, that of one reading, and what is common."""
+def _covariance_of(over: Averages, own: Annotated[Array, "n n"]) -> Annotated[Array, "k n n"]:
+    """Compute the covariance of the means: correlated as `own`, that of one reading, and what is common."""
     scale = np.sqrt(over.variances / own.diagonal())
     return np.asarray(own * scale[:, :, None] * scale[:, None, :] + over.common)
-
-
-def change_statistic(over: Averages, own: Array, model_form: float) -> SequentialStatistic:
-    """Compute the test statistic of changes to either side, each beyond a change common to all quantities.
-
-    Parameters
-    ----------
-    own : ndarray, shape (n, n)
-        Covariance of one reading, without what readings have in common.
-    """
-    covariance = _covariance_of(over, own)
-    rise, std = statistic(over.means, covariance, model_form)
-    fall, _ = statistic(-over.means, covariance, model_form)
-    longest = over.longest()
-    z = np.where(over.agrees, np.maximum(rise, fall), -np.inf).max(axis=0)
-    loss, loss_std = over.means[longest], std[longest]
-    return SequentialStatistic(z, loss, loss_std, loss - shared_by_others(loss, loss_std), loss_std)
-
-
-def lone_statistic(over: Averages) -> SequentialStatistic:
-    """Compute the test statistic of changes to either side, each quantity by itself, where only variances are kept."""
-    std = np.sqrt(over.variances + over.common)
-    z = np.abs(over.means) / np.maximum(std, 1e-12)
-    longest = over.longest()
-    loss, loss_std = over.means[longest], std[longest]
-    return SequentialStatistic(np.where(over.agrees, z, -np.inf).max(axis=0), loss, loss_std, loss, loss_std)
 
 
 def _of_channels(history: History, channels: tuple[int, ...]) -> History:
@@ -262,7 +250,7 @@ def _comparable(history: History, chain: list[int], common: Array) -> list[int]:
 
 
 def _diagonal(common: Array) -> Array:
-    """Return the variances of what is common, which may be kept alone, shape (n,)."""
+    """Return the variances of what is common, which may be kept alone."""
     return common if common.ndim == 1 else common.diagonal()
 
 
@@ -270,8 +258,6 @@ def _append(
     history: History, values: Array, variance: Array, common: Array, channels: tuple[int, ...], t_ns: int
 ) -> History:
     """Append a reading, and drop readings that no stretch needs any more.
-
-    Its own variance has shape (n,), its common covariance (n, n) or (n,).
 
     The smoothed standard deviation is used, because a window's own may be too small by chance.  The window's own is used where
     it is clearly larger: conditions got worse, or the window lies across the onset of a change.
@@ -293,7 +279,7 @@ def _append(
     return History(
         history.window_ns,
         np.append(history.t_ns[keep], t_ns),
-        np.concatenate([history.ddi[keep], values[None]]),
+        np.concatenate([history.loss[keep], values[None]]),
         np.concatenate([history.variance[keep], np.maximum(variance / _STD_EXCESS**2, np.exp(ln_variance))[None]]),
         np.concatenate([history.common[keep], common[None]]),
         ln_variance,
@@ -312,40 +298,25 @@ def _disjoint_readings(history: History) -> list[int]:
     return chain
 
 
-def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array, Array]:
-    """Compute the z-score of each story's loss, and the standard deviation of its mean.
+def statistic(
+    means: Annotated[Array, "k n"], covariance: Annotated[Array, "k n n"], model_form: float
+) -> tuple[Annotated[Array, "k n"], Annotated[Array, "k n"]]:
+    """Compute the z-score of each part's loss, and the standard deviation of its mean over each of k stretches.
 
-    The z-score is the smaller one against two null hypotheses: that nothing changed, and that all stories changed alike.
-    The common change is estimated from the other stories, as the mean of those that agree with the smallest change.  A
-    second damaged story therefore does not mask the first.
-
-    Parameters
-    ----------
-    means : ndarray, shape (k, n)
-        Mean damage index over each of k stretches.
-    covariance : ndarray, shape (k, n, n)
-        Covariance of each mean.
-    model_form : float
-        Share of another story's change that may appear in a story (one standard deviation).
-
-    Returns
-    -------
-    z, std : ndarray, shape (k, n)
+    The z-score is the smaller one against two null hypotheses: that nothing changed, and that all parts changed alike.  The
+    common change is estimated from the other parts, as the mean of those that agree with the smallest change.  A second damaged
+    part therefore does not mask the first.  `model_form` is as in `look`.
     """
     from monitor.damage.kernels import evidence_of_loss  # compiled code takes a while to load
 
     return evidence_of_loss(means, covariance, model_form, SIGNIFICANT_STDS, LOCAL_LOSS_CREDIT)
 
 
-def shared_change(loss: Array, std: Array) -> float:
-    """Return the part of a change that is common to all stories.
+def shared_change(loss: Annotated[Array, "n"], std: Annotated[Array, "n"]) -> float:
+    """Return the part of a change that is common to all parts.
 
-    It is the smallest change in magnitude where all stories changed significantly in the same direction, else 0.  Weather,
-    added mass, a slow clock and an equal loss in every story have the same effect on accelerations.
-
-    Parameters
-    ----------
-    loss, std : ndarray, shape (n,)
+    It is the smallest change in magnitude where all parts changed significantly in the same direction, else 0.  Weather, added
+    mass, a slow clock and an equal loss in every story have the same effect on accelerations.
 
     Examples
     --------
@@ -356,8 +327,8 @@ def shared_change(loss: Array, std: Array) -> float:
     return float(loss[np.abs(loss).argmin()]) if alike and loss.size else 0.0
 
 
-def shared_by_others(loss: Array, std: Array) -> Array:
-    """Return for each story the change common to all other stories (`shared_change`), shape (n,)."""
+def shared_by_others(loss: Annotated[Array, "n"], std: Annotated[Array, "n"]) -> Annotated[Array, "n"]:
+    """Return for each part the change common to all other parts (`shared_change`)."""
     n = loss.size
     if np.count_nonzero(np.abs(loss) > SIGNIFICANT_STDS * std) < n - 1:
         return np.zeros(n)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,18 +32,18 @@ class LearningState:
     """Law as it is now, and the windows that wait."""
 
     law: CovariateLaw
-    drift: Array
-    """Shape (n,): change that is no covariate's, in the columns of `CovariateLaw.mixing`."""
-    joint: Array
-    """Shape (n, K + 1, K + 1): covariance of the slopes and the drift for each column of the mixing."""
+    drift: Annotated[Array, "n"]
+    """Change that is no covariate's, in the columns of `CovariateLaw.mixing`."""
+    joint: Annotated[Array, "n k+1 k+1"]
+    """Covariance of the slopes and the drift for each column of the mixing."""
     learned_ns: int
     """Time of the last window that was learned from, UTC."""
-    t_ns: NDArray[np.int64]
-    """Shape (w,), UTC: windows that wait."""
-    values: Array
-    """Shape (w, n_axes): their covariates, each at its lag."""
-    changes: Array
-    """Shape (w, n): their changes of the logarithm of stiffness since the baseline."""
+    t_ns: Annotated[NDArray[np.int64], "w"]
+    """Windows that wait, UTC."""
+    values: Annotated[Array, "w axes"]
+    """Their covariates, each at its lag."""
+    changes: Annotated[Array, "w n"]
+    """Their changes of the logarithm of stiffness since the baseline."""
 
 
 def start(law: CovariateLaw, t_ns: int) -> LearningState:
@@ -55,22 +56,19 @@ def start(law: CovariateLaw, t_ns: int) -> LearningState:
 
 
 def step(
-    state: LearningState, covariates: Mapping[str, Array], change: Array, t_ns: int, unevenness: float, *, normal: bool
+    state: LearningState,
+    covariates: Mapping[str, Array],
+    change: Annotated[Array, "n"],
+    t_ns: int,
+    unevenness: float,
+    *,
+    normal: bool,
 ) -> LearningState:
     """Take a window, and learn from those that have waited long enough.
 
-    Parameters
-    ----------
-    covariates : mapping
-        Lagged values of each covariate of the window, shape (n_lags,).
-    change : ndarray, shape (n,)
-        Change of the logarithm of each story's stiffness since the baseline; nothing is taken out of it.
-    t_ns : int
-        End of the window, UTC.
-    unevenness : float
-        Scatter of the stories' drift about a common one, relative to its size.
-    normal : bool
-        False if anything is announced: the windows that wait are then dropped, for it may have begun with them.
+    `change` is the change of the logarithm of each quantity since the baseline; nothing is taken out of it.  `t_ns` is the UTC
+    of the window's end, `unevenness` the scatter of the quantities' drift about a common one, relative to its size.  If anything
+    is announced (not `normal`), the windows that wait are dropped, for it may have begun with them.
     """
     if not normal:
         return replace(state, t_ns=state.t_ns[:0], values=state.values[:0], changes=state.changes[:0])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,16 +56,20 @@ class UpdatingSettings(Settings):
     """Convergence when no parameter changes by more than this fraction."""
 
 
+MODES_ALONE = UpdatingSettings()
+"""What is measured where modes alone are judged: logarithms of eigenvalues, and shapes."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Observation:
     """Measured vector z_m of eq. 27 with its weights, influences and modes."""
 
-    z: Array
-    """Shape (n_data,): eigenvalues (or logarithms), then shape components mode by mode."""
-    weight: Array
-    """Shape (n_data, n_data): W of eq. 27, the inverse of a covariance or of its diagonal."""
-    deviations: Array
-    """Shape (n_blocks, n_data): influences whose squares sum to the covariance of z."""
+    z: Annotated[Array, "d"]
+    """Eigenvalues (or logarithms), then shape components mode by mode."""
+    weight: Annotated[Array, "d d"]
+    """W of eq. 27, the inverse of a covariance or of its diagonal."""
+    deviations: Annotated[Array, "blocks d"]
+    """Influences whose squares sum to the covariance of z."""
     model_mode: tuple[int, ...]
     """Numbers of the modes in the model (0 = lowest), before an update reorders them (`counterparts`)."""
     gauges: tuple[int, ...]
@@ -78,42 +82,31 @@ class Update:
     """Outcome of the iteration; without convergence `converged` is false, and no error is raised."""
 
     model: Model
-    parameters: Array
-    """Shape (n_parameters,)."""
-    gain: Array
-    """Shape (n_parameters, n_data): d parameters / d z at the solution."""
-    sensitivity: Array
-    """Shape (n_data, n_parameters): S at the solution."""
-    residual: Array
-    """Shape (n_data,): z_m - z."""
+    parameters: Annotated[Array, "p"]
+    gain: Annotated[Array, "p d"]
+    """d parameters / d z at the solution."""
+    sensitivity: Annotated[Array, "d p"]
+    """S at the solution."""
+    residual: Annotated[Array, "d"]
+    """z_m - z."""
     converged: bool
     iterations: int
     """0 where a mode does not move at its gauge, or cannot be computed: the model is then unchanged."""
-    history: Array
-    """Shape (iterations + 1, n_parameters), the initial values first."""
-    identifiable: Array
-    """Shape (n_parameters,): share of each parameter's prior variance that the data remove, 0 to 1."""
-    unseen: Array
-    """Shape (n_unseen, n_parameters): directions of relative change, of length 1, not identified by the data (`UNSEEN`)."""
-    prior_left: Array
-    """Shape (n_parameters, n_parameters): covariance of the parameters that remains from the prior at this gain."""
+    history: Annotated[Array, "iterations+1 p"]
+    """The initial values first."""
+    identifiable: Annotated[Array, "p"]
+    """Share of each parameter's prior variance that the data remove, 0 to 1."""
+    unseen: Annotated[Array, "unseen p"]
+    """Directions of relative change, of length 1, not identified by the data (`UNSEEN`)."""
+    prior_left: Annotated[Array, "p p"]
+    """Covariance of the parameters that remains from the prior at this gain."""
 
 
 def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int, ...] | None = None) -> Observation:
     """Form the measured vector z_m, its weights and its influences from identified modes.
 
-    Parameters
-    ----------
-    modes : ModalEstimate
-        m modes of c channels, with deviations.
-    gauges : tuple of int, optional
-        Channel by which each shape is normalized; by default that of its largest component.  For a change since a baseline
-        the gauges must be the baseline's.
-
-    Returns
-    -------
-    Observation
-        n_data is m without shapes, and m c with them.
+    Each shape is normalized by its gauge; by default that is the channel of its largest component.  For a change since a
+    baseline the gauges must be the baseline's.
     """
     log = settings.eigenvalue == "log"
     omega_squared = (2.0 * np.pi * modes.frequencies_hz) ** 2
@@ -136,8 +129,10 @@ def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int,
     return Observation(np.concatenate(z), weight, deviations, model_mode, gauges, log)
 
 
-def _propagate(modes: ModalEstimate, rows: Array, scale: Array, gauges: tuple[int, ...]) -> Array:
-    """Propagate deviations of (ln f, damping, Re shape, Im shape), shape (n_rows, m, 2 + 2 c), to z, shape (n_rows, n_data)."""
+def _propagate(
+    modes: ModalEstimate, rows: Annotated[Array, "rows m 2c+2"], scale: Annotated[Array, "m"], gauges: tuple[int, ...]
+) -> Annotated[Array, "rows d"]:
+    """Propagate deviations of (ln f, damping, Re shape, Im shape) to z."""
     c = modes.shapes.shape[1]
     parts = [rows[:, :, 0] * scale]
     if gauges:
@@ -150,32 +145,22 @@ def _propagate(modes: ModalEstimate, rows: Array, scale: Array, gauges: tuple[in
 
 
 def _split_at_gauges(shapes: Array | ComplexArray, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], Any]:
-    """Return the mask of the components that are in z (all but the gauges), shape (m, c), and the values at the gauges, (m,)."""
-    free, gauge = _gauge_masks(shapes.shape[1], gauges)
+    """Return the mask of the components that are in z (all but the gauges), and the values at the gauges."""
+    free, gauge = gauge_masks(shapes.shape[1], gauges)
     return free, shapes[gauge]
 
 
 @lru_cache(maxsize=64)
-def _gauge_masks(n_channels: int, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the masks of the components that are not the gauge of their shape, and of those that are, shape (m, c)."""
+def gauge_masks(n_channels: int, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the masks of the components that are not the gauge of their shape, and of those that are."""
     free = np.arange(n_channels) != np.array(gauges)[:, None]
     return free, ~free
 
 
-def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tuple[int, ...]:
-    """Match the observed modes to a model's modes: by frequency, or by shape where a change has altered the order.
+def counterparts(modes: Modes, sensors: Annotated[Array, "c n"], observation: Observation) -> tuple[int, ...]:
+    """Match the observed modes to a model's modes (0 = lowest): by frequency, or by shape where a change has altered the order.
 
-    Parameters
-    ----------
-    modes : Modes
-        Modes of a model during updating; in its original order they are those of `observation.model_mode`, by rank.
-    sensors : ndarray, shape (c, n)
-        Sensor matrix: channels by floors.
-
-    Returns
-    -------
-    tuple of int, length m
-        Number of the model's mode (0 = lowest) for each observed mode, in the order of `observation`.
+    In its original order the modes of the model, during updating, are those of `observation.model_mode`, by rank.
     """
     by_rank, observed = _rank_observation(observation, len(sensors))
     if not observation.gauges:
@@ -192,34 +177,23 @@ def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tupl
 
 @lru_cache(maxsize=8)
 def _rank_observation(observation: Observation, n_channels: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the model's modes by rank of the observed frequencies, shape (m,), and the observed shapes of unit norm, (m, c)."""
+    """Return the model's modes by rank of the observed frequencies, and the observed shapes of unit norm."""
     m = len(observation.model_mode)
     by_rank = np.empty(m, dtype=np.intp)
     by_rank[observation.z[:m].argsort(kind="stable")] = sorted(observation.model_mode)
     observed = np.ones((m, n_channels))
     if observation.gauges:
-        observed[_gauge_masks(n_channels, observation.gauges)[0]] = observation.z[m:]
+        observed[gauge_masks(n_channels, observation.gauges)[0]] = observation.z[m:]
     return by_rank, observed / np.sqrt((observed**2).sum(axis=1, keepdims=True))
 
 
-def predict(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
+def predict(
+    model: Model, sensors: Annotated[Array, "c n"], observation: Observation, with_masses: bool
+) -> tuple[Annotated[Array, "d"], Annotated[Array, "d p"]]:
     """Predict z by the model's modes `observation.model_mode`, with the sensitivity S = dz / d theta (eqs 18-20).
 
-    Parameters
-    ----------
-    sensors : ndarray, shape (c, n)
-        Sensor matrix: channels by floors.
-
-    Returns
-    -------
-    z : ndarray, shape (n_data,)
-    sensitivity : ndarray, shape (n_data, n_parameters)
-        Parameters are the stiffnesses, then the masses if `with_masses`.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the model has no modes, or one of them does not move at its gauge.
+    The parameters are the stiffnesses, then the masses if `with_masses`.  It raises numpy.linalg.LinAlgError if the model has no
+    modes, or one of them does not move at its gauge.
     """
     return _predict_selected(_sensitive_modes(model, with_masses), sensors, observation)
 
@@ -267,29 +241,23 @@ def _predict_selected(
 
 def update(
     model: Model,
-    sensors: Array,
+    sensors: Annotated[Array, "c n"],
     observation: Observation,
     settings: UpdatingSettings,
     *,
-    prior_std: Array | None = None,
+    prior_std: Annotated[Array, "p"] | None = None,
     with_masses: bool = False,
 ) -> Update:
     """Update the model's parameters to an observation by iterating eq. 23, 27, 30 or 33 from their present values.
 
     Parameters
     ----------
-    sensors : ndarray, shape (c, n)
-        Sensor matrix: channels by floors.
-    prior_std : ndarray, shape (n_parameters,), optional
+    prior_std : ndarray, optional
         Relative standard deviations for W_theta; by default `settings.parameter_std` for all.  If they are given, penalty
         ``weighted`` is replaced by ``initial`` where the data do not identify a direction, which is otherwise undetermined.
     with_masses : bool
-        Update the floor masses too.  Only the prior determines their scale, so this requires penalty ``initial``.
-
-    Returns
-    -------
-    Update
-        Stiffnesses in N/m, then masses in kg if `with_masses`.
+        Update the floor masses, kg, too, which follow the stiffnesses, N/m.  Only the prior determines their scale, so this
+        requires penalty ``initial``.
     """
     structure = model.structure
     initial = np.concatenate([structure.stiffness_n_per_m, structure.masses_kg][: 2 if with_masses else 1])
@@ -323,14 +291,9 @@ def _iterate(
     use_prior: bool,
     with_masses: bool,
 ) -> Update:
-    """Run the iteration of `update` from the parameters `initial`.
+    """Run the iteration of `update` from the parameters `initial`; it raises numpy.linalg.LinAlgError as `predict`.
 
     With `use_prior`, directions that the data do not identify keep the prior of relative standard deviations `relative`.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        As `predict`, at the start or during the iteration.
     """
     theta, history = initial.copy(), [initial]
     w_theta = 1.0 / (relative * initial) ** 2
@@ -388,8 +351,8 @@ def _iterate(
     )
 
 
-def _information(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> Array:
-    """Compute the data's information matrix, shape (p, p), for parameters in units of their prior standard deviations.
+def _information(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> Annotated[Array, "p p"]:
+    """Compute the data's information matrix for parameters in units of their prior standard deviations.
 
     In these units the prior's information is the identity.
     """
@@ -408,8 +371,8 @@ def _identifiability(sensitivity: Array, weight: Array, initial: Array, relative
     return 1.0 - directions**2 @ share, unseen / np.linalg.norm(unseen, axis=1, keepdims=True)
 
 
-def _gain(sensitivity: Array, weight: Array, w_theta: Array, penalty: Penalty) -> Array:
-    """Compute the gain, shape (n_parameters, n_data), that turns z_m - z into a step of theta (eqs 21, 23, 27, 30, 33)."""
+def _gain(sensitivity: Array, weight: Array, w_theta: Array, penalty: Penalty) -> Annotated[Array, "p d"]:
+    """Compute the gain that turns z_m - z into a step of theta (eqs 21, 23, 27, 30, 33)."""
     if penalty in ("least_squares", "minimum_norm"):
         return np.asarray(np.linalg.pinv(sensitivity))  # eq. 23; with too few data, the shortest step (eq. 21)
     weighted = sensitivity.T @ weight
@@ -419,8 +382,8 @@ def _gain(sensitivity: Array, weight: Array, w_theta: Array, penalty: Penalty) -
     return _solve_scaled(normal, weighted)
 
 
-def _prior_pull(sensitivity: Array, weight: Array, w_theta: Array) -> Array:
-    """Compute the matrix, shape (n_parameters, n_parameters), of the prior's term in the step of eq. 33."""
+def _prior_pull(sensitivity: Array, weight: Array, w_theta: Array) -> Annotated[Array, "p p"]:
+    """Compute the matrix of the prior's term in the step of eq. 33."""
     return _solve_scaled(sensitivity.T @ weight @ sensitivity + np.diag(w_theta), np.diag(w_theta))
 
 
@@ -438,7 +401,7 @@ def _solve_scaled(normal: Array, right: Array) -> Array:
 
 
 def _matrix_derivatives(model: Model, with_masses: bool) -> tuple[Array, Array | None]:
-    """Return the derivatives of stiffness and mass matrix by the parameters, shape (n_parameters, n, n) each."""
+    """Return the derivatives of stiffness and mass matrix by the parameters."""
     d_k = model.stiffness_derivatives()
     if not with_masses:
         return d_k, None

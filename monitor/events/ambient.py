@@ -39,7 +39,7 @@ def reading_of(result: WindowResult) -> AmbientReading | None:
     loss = own = np.zeros(0)  # without a model there are no stories
     if (damage := result.damage) is not None:
         loss, common = damage.ddi, damage.common_covariance
-        own = np.diag(damage.ddi_covariance) - (np.diag(common) if common.ndim else 0.0)
+        own = np.diag(damage.covariance) - (np.diag(common) if common.ndim else 0.0)
     return AmbientReading(
         result.t_end_ns - round(result.window_s * 1e9),
         result.t_end_ns,

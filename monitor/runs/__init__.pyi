@@ -19,7 +19,6 @@ from .emulate import send_all
 from .event_page import page_of, read_event_line, read_event_page, write_event_motion, write_event_page
 from .event_recordings import EventRecordings
 from .importers import ImportedChannel, acceleration_unit, import_files
-from .modal_calibration import calibrate_modes
 from .object_storage import local_copies
 from .online_diagnosis import longest_diagnosis_s
 from .recent_blocks import RecentBlocks
@@ -39,7 +38,6 @@ __all__ = [
     "SessionState",
     "acceleration_unit",
     "calibrate",
-    "calibrate_modes",
     "compare",
     "cut_into_blocks",
     "demo",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from monitor.config import Configuration
-from monitor.damage import AnyBaseline, ModalOrigin, load_baseline, load_modal_baseline
+from monitor.damage import AnyBaseline, Origin, load_baseline, load_modal_baseline
 
 
 def load_healthy(path: Path, config: Configuration) -> AnyBaseline:
@@ -19,7 +19,7 @@ def load_healthy(path: Path, config: Configuration) -> AnyBaseline:
     return load_modal_baseline(path, config.channels, modal_origin(config))
 
 
-def modal_origin(config: Configuration) -> ModalOrigin:
+def modal_origin(config: Configuration) -> Origin:
     """Describe the structure and the samples of a structure file without a model."""
     samples = config.processing
-    return ModalOrigin(config.structure.name, "m/s^2", samples.rate_hz, samples.cutoff_hz)
+    return Origin.of_modes(config.structure.name, samples.rate_hz, samples.cutoff_hz)

@@ -1,4 +1,4 @@
-"""Learns the healthy baseline from recordings, in one pass over them."""
+"""Learns the healthy baseline from recordings: of a structure with a model in one pass over them, of modes alone in two."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,29 +17,38 @@ from monitor.core import BadInputError, WindowResult, sha256
 from monitor.damage import (
     AnyBaseline,
     Baseline,
+    ModalBaseline,
     Observation,
     Origin,
     Update,
     learn_baseline,
+    learn_modal_baseline,
     load_baseline,
     rebase_baseline,
     second_solutions,
 )
 from monitor.diagnosis import clock_drift_in_words, contradicted, correct_clock_drifts, standing_causes
+from monitor.identification import tracking
 from monitor.inference import Segments, gather
-from monitor.model import FORMS, StructuralPrior
+from monitor.model import FORMS, Modes, StructuralPrior
 from monitor.pipeline import Pipeline
 from monitor.runs import diagnose
+from monitor.runs.baselines import modal_origin
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names, push_block, read_blocks
 
 _COMMON_MODE_SHARE = 0.9
 """Share of the windows in which a mode must be identified to belong to the baseline."""
 _REQUIRED_MODE_SHARE = 0.5
 """The same for the modes of `[selection] required_modes`: windows without them are left out. [ratio; judgement]"""
+_FOUND_SHARE = 0.5
+"""Share of the looks in which a mode must be found by itself to become one that is looked for. [ratio; judgement: what is learned
+is decided by the share of the windows in which it is found then]"""
 _MAX_LEARNED_S = 40_000.0
 """Greatest length of the healthy data from which the reference of diagnoses is learned, s: 4000 segments of 20 s."""
 _SHORT_RECORDINGS_BYTES = 40_000_000
 _HOUR_NS = 3_600_000_000_000
+
+Learned = TypeVar("Learned", Baseline, ModalBaseline)
 
 
 def calibrate(
@@ -48,68 +58,25 @@ def calibrate(
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[Baseline, Update]:
-    """Learn the healthy baseline, and the reference of later diagnoses, from recordings.
-
-    Returns
-    -------
-    Baseline
-        Healthy baseline.
-    Update
-        Result of the model updating.
+    """Learn the healthy baseline, and the reference of later diagnoses, from recordings; return it with its model updating.
 
     Raises
     ------
     MissingInputError, BadInputError
         If a recording cannot be used, or no window can be identified.
     """
-    pipeline, progress = Pipeline(config), Progress(on_progress)
-    good: list[WindowResult] = []
-    reasons: list[str] = []
-
-    def pass_to_pipeline() -> Iterator[SampleBlock]:
-        """Yield the blocks after the pipeline has evaluated them."""
-        for block in read_blocks(paths, config, on_warning):
-            progress.add(block)
-            for result in push_block(pipeline, block, paths):
-                if isinstance(result, WindowResult):
-                    why = why_not_learned(result)
-                    good.extend([] if why else [result])
-                    reasons.extend([why] if why else [])
-            yield block
-
-    segments = _gather_hourly(pass_to_pipeline(), config, _learned_share(paths, config))
-    progress.require_window(pipeline, len(good) + len(reasons), paths)
-    if not good:
-        raise BadInputError(f"{file_names(paths)}: no window could be identified, the last because: {reasons[-1]}")
-    if reasons:
-        on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
-    kept = with_common_modes(good, config.selection.required_modes)
-    progress.require_periods([r.modes for r in kept if r.modes is not None], paths)
-    warn_of_missing_modes(good, kept, on_warning)
-    good = kept
-    recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
-    windows = [r.modes for r in good if r.modes is not None]
-    rms = np.array([r.rms_m_s2 for r in good])
-    assert progress.first is not None
-    span_ns = (progress.first.t_ns, pipeline.state.align.t_next_ns())
+    healthy = _Pass(paths, config, on_progress)
+    segments = _gather_hourly(healthy.blocks(on_warning), config, _learned_share(paths, config))
+    kept = healthy.kept(on_warning)
     baseline, fit = learn_baseline(
         config.instrumented(),
-        windows,
-        rms,
-        recordings,
-        span_ns,
-        [r.covariates for r in good if r.modes is not None],
-        covariate_units(config),
-        pipeline.level_weights,
+        **healthy.learned_from(kept),
+        drift_weights=healthy.pipeline.level_weights,
         updating=config.updating,
-        compensation=config.compensation,
-        t_ns=[r.t_end_ns for r in good if r.modes is not None],
-        motion=[r.motion for r in good if r.motion is not None],
+        t_ns=[r.t_end_ns for r in kept if r.modes is not None],
     )
-    baseline = replace(baseline, clock_ratio=pipeline.state.align.clock.ratio)
-    warn_of_clock(pipeline, on_warning)
-    warn_of_confounding(baseline, on_warning)
-    _warn_of_ambiguities(baseline, config, good[-1], on_warning)
+    baseline = healthy.noted(baseline, on_warning)
+    _warn_of_ambiguities(baseline, config, kept[-1], on_warning)
     if segments is None:
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
         return baseline, fit
@@ -124,27 +91,109 @@ def calibrate(
     return replace(baseline, reference=reference), fit
 
 
-def covariate_units(config: Configuration) -> dict[str, str]:
-    """Return the unit of every covariate that may be learned from, by its name."""
-    return {"level": "dB", "temperature": "degC", **{t.name: t.unit for t in config.covariates}}
+def calibrate_modes(
+    paths: list[Path],
+    config: Configuration,
+    *,
+    on_warning: OnWarning = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
+) -> ModalBaseline:
+    """Learn the healthy modes of a structure without a model from recordings.
+
+    The first pass chooses the modes of each window by themselves, and takes those that come again and again.  The second finds
+    these in each window, as every later window is evaluated, and learns from that.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+        If a recording cannot be used, or no window can be identified.
+    """
+    first = _Pass(paths, config, on_progress)
+    first.read(on_warning)
+    reference = _common_modes(first.pipeline.state.track, config.selection.max_modes)
+    if reference is None:
+        because = f", the last because: {first.skipped}" if first.skipped else "; record for longer"
+        raise BadInputError(f"{file_names(paths)}: no mode is found again and again{because}")
+    healthy = _Pass(paths, config, on_progress, reference)
+    healthy.read(lambda _: None)
+    kept = healthy.kept(on_warning)
+    baseline = learn_modal_baseline(config.channels, modal_origin(config), **healthy.learned_from(kept))
+    return healthy.noted(baseline, on_warning)
+
+
+class _Pass:
+    """A pass over healthy recordings: their windows, and what is learned from those that are kept."""
+
+    def __init__(
+        self, paths: list[Path], config: Configuration, on_progress: OnProgress, reference: Modes | None = None
+    ) -> None:
+        self.pipeline, self.skipped = Pipeline(config, reference=reference), ""
+        self._paths, self._config, self._progress = paths, config, Progress(on_progress)
+        self._good, self._reasons = list[WindowResult](), list[str]()
+
+    def blocks(self, on_warning: OnWarning) -> Iterator[SampleBlock]:
+        """Yield the blocks after the pipeline has evaluated them."""
+        for block in read_blocks(self._paths, self._config, on_warning):
+            self._progress.add(block)
+            for result in push_block(self.pipeline, block, self._paths):
+                if isinstance(result, WindowResult):
+                    self.skipped = self.skipped if result.skipped is None else result.skipped.mend
+                    why = _why_not_learned(result)
+                    self._good.extend([] if why else [result])
+                    self._reasons.extend([why] if why else [])
+            yield block
+
+    def read(self, on_warning: OnWarning) -> None:
+        """Evaluate all blocks."""
+        for _ in self.blocks(on_warning):
+            pass
+        self._require_window()
+
+    def _require_window(self) -> None:
+        """Refuse recordings without a window."""
+        self._progress.require_window(self.pipeline, len(self._good) + len(self._reasons), self._paths)
+
+    def kept(self, on_warning: OnWarning) -> list[WindowResult]:
+        """Select the windows that are learned from, with the modes in common to them; BadInputError if there are too few."""
+        self._require_window()
+        good, reasons = self._good, self._reasons
+        if not good:
+            raise BadInputError(
+                f"{file_names(self._paths)}: no window could be identified, the last because: {reasons[-1]}"
+            )
+        if reasons:
+            on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
+        kept = with_common_modes(good, self._config.selection.required_modes)
+        self._progress.require_periods([r.modes for r in kept if r.modes is not None], self._paths)
+        _warn_of_missing_modes(good, kept, on_warning)
+        return kept
+
+    def learned_from(self, kept: list[WindowResult]) -> dict[str, Any]:
+        """Collect what every baseline is learned from, as arguments."""
+        assert self._progress.first is not None
+        return {
+            "windows": [r.modes for r in kept if r.modes is not None],
+            "rms": np.array([r.rms_m_s2 for r in kept]),
+            "recordings": tuple({"file": p.name, "sha256": sha256(p)} for p in self._paths),
+            "span_ns": (self._progress.first.t_ns, self.pipeline.state.align.t_next_ns()),
+            "covariates": [r.covariates for r in kept if r.modes is not None],
+            "units": {"level": "dB", "temperature": "degC", **{t.name: t.unit for t in self._config.covariates}},
+            "compensation": self._config.compensation,
+            "motion": [r.motion for r in kept if r.motion is not None],
+        }
+
+    def noted(self, baseline: Learned, on_warning: OnWarning) -> Learned:
+        """Note the clock of the healthy data in a baseline, and warn of it and of covariates that ran together."""
+        _warn_of_clock(self.pipeline, on_warning)
+        _warn_of_confounding(baseline, on_warning)
+        return replace(baseline, clock_ratio=self.pipeline.state.align.clock.ratio)
 
 
 def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...], bool]:
     """Update a changed drawing to the healthy modes of a baseline's file, without recordings.
 
-    Parameters
-    ----------
-    path : Path
-        Baseline of the same structure, made with another drawing of it.
-
-    Returns
-    -------
-    Baseline
-        With the changed drawing's updated model.
-    tuple of str
-        What changed and what is left out.
-    bool
-        Whether the updating converged.
+    Returned are the baseline with the changed drawing's updated model, what changed and what is left out, and whether the
+    updating converged.
 
     Raises
     ------
@@ -212,7 +261,19 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
         return None
 
 
-def why_not_learned(result: WindowResult) -> str:
+def _common_modes(state: tracking.TrackState, most: int) -> Modes | None:
+    """Take the tracked modes that were found in most looks, at most `most`, by frequency; None where there are none."""
+    looks = max((t.hits + t.misses for t in state.tracks), default=0.0)
+    often = sorted((t for t in state.tracks if t.hits >= _FOUND_SHARE * looks), key=lambda t: -t.hits)[:most]
+    if not often:
+        return None
+    often.sort(key=lambda t: t.ln_f)
+    shapes = np.nan_to_num(np.array([t.shape for t in often]))
+    shapes = shapes / shapes[np.arange(len(often)), np.abs(shapes).argmax(axis=1)][:, None]
+    return Modes((2.0 * np.pi * np.exp([t.ln_f for t in often])) ** 2, shapes.real.T)
+
+
+def _why_not_learned(result: WindowResult) -> str:
     """Say why nothing is learned from a window: it was skipped, or lacks a channel; empty otherwise."""
     if result.skipped is not None:
         return result.skipped.mend
@@ -238,7 +299,7 @@ def _modes_in(windows: list[WindowResult], share: float, among: range | None = N
     return frozenset(k for k, n in seen.items() if n >= share * len(windows) and (among is None or k in among))
 
 
-def warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult], on_warning: OnWarning) -> None:
+def _warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult], on_warning: OnWarning) -> None:
     """Warn of modes of the model that the baseline lacks, and of windows left out for lack of its modes."""
     why = {mode: text for w in windows if w.modes is not None for mode, text in w.modes.missing}
     has = {int(mode) for w in kept[:1] if w.modes is not None for mode in w.modes.model_mode}
@@ -251,7 +312,7 @@ def warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult],
         )
 
 
-def warn_of_clock(pipeline: Pipeline, on_warning: OnWarning) -> None:
+def _warn_of_clock(pipeline: Pipeline, on_warning: OnWarning) -> None:
     """Warn of a rate that the timestamps contradict: what is learned is right for a source with the same error."""
     align = pipeline.state.align
     if align.is_at_odds:
@@ -261,7 +322,7 @@ def warn_of_clock(pipeline: Pipeline, on_warning: OnWarning) -> None:
         )
 
 
-def warn_of_confounding(baseline: AnyBaseline, on_warning: OnWarning) -> None:
+def _warn_of_confounding(baseline: AnyBaseline, on_warning: OnWarning) -> None:
     """Warn of covariates that ran together, so that their effects are not told apart."""
     for one, other, r in () if baseline.law is None else baseline.law.confounded():
         on_warning(

@@ -12,7 +12,6 @@ from monitor.damage import AlarmSettings, alarm, slow_learning
 from monitor.damage.common_change import EVERY_NS, UNMEASURED, Expected, learn_common, nothing_learned
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.covariates import Change, CovariateSettings, common_words, learn_law, read_law
-from monitor.damage.sequential_test import begin
 from tests.support.results import damage_reading
 
 HOUR_NS = 3_600_000_000_000
@@ -142,11 +141,8 @@ def test_the_index_and_its_deviation_are_of_what_is_left(expected: Expected) -> 
     z = []
     for degc in rng.normal(0.0, 4.0, 300):
         ddi = degc * FOLLOWS + STD * rng.standard_normal(3)
-        reading, _ = expected.take_out(
-            damage_reading(ddi, NOISE + common, 1e6, common_covariance=common),
-            replace(begin(3, 400.0), ln_variance=np.log(STD**2), common=common[None]),
-            expected.beside_others(ddi, NOISE + common),
-        )
+        measured = damage_reading(ddi, NOISE + common, 1e6, common_covariance=common)
+        reading = expected.take_out(measured, expected.beside_others(ddi, NOISE + common))
         np.testing.assert_allclose(reading.ddi - reading.covariate_effect[UNMEASURED], ddi)
         np.testing.assert_allclose(reading.loss_n_per_m, 1e6 * reading.ddi)
         z.append(reading.ddi / reading.ddi_std)

@@ -7,12 +7,12 @@ import re
 
 import numpy as np
 import pytest
+from monitor.damage.observations import mean_observation
 
 from monitor.config import Configuration
 from monitor.core import BadInputError, ModalEstimate, WindowResult
 from monitor.damage import Baseline, damage_index, load_baseline, save_baseline
 from monitor.damage.damage_index import sequential_reading
-from monitor.damage.observations import mean_observation
 from monitor.damage.updating import observe
 from monitor.model import Model, parse_effect, simulate
 from monitor.pipeline import Pipeline
@@ -171,4 +171,4 @@ def test_a_baseline_survives_its_file(tmp_path) -> None:
     modes = exact_modes(truth((0.0, 0.05, 0.0)))
     first, second = (damage_index.step(modes, b.model, b, np.eye(3), config.updating)[1] for b in (healthy, again))
     np.testing.assert_array_equal(first.ddi, second.ddi)
-    np.testing.assert_array_equal(first.ddi_covariance, second.ddi_covariance)
+    np.testing.assert_array_equal(first.covariance, second.covariance)

@@ -18,6 +18,7 @@ from tests.statistics.alarms import (
     raw_detection,
     raw_readings,
 )
+from tests.support.results import damage_reading
 
 
 def readings(hops: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -25,7 +26,7 @@ def readings(hops: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def reading(ddi: np.ndarray, variance: np.ndarray, common: np.ndarray) -> DamageReading:
-    return DamageReading(ddi, np.diag(variance + common), ddi, ddi, common_covariance=np.diag(common))
+    return damage_reading(ddi, np.diag(variance + common), common_covariance=np.diag(common))
 
 
 def end_ns(k: int) -> int:
@@ -109,7 +110,7 @@ def test_raw_records_agree_with_the_twin() -> None:
     healthy = raw_baseline(14400.0, 110)
     raw = [r.damage for r in raw_readings([(20_000.0, {})], 111, healthy) if r.damage is not None]
     ddi = np.array([d.ddi for d in raw])
-    own = np.array([np.diag(d.ddi_covariance - d.common_covariance) for d in raw])
+    own = np.array([np.diag(d.covariance - d.common_covariance) for d in raw])
     error = ddi - ddi.mean(axis=0)
     np.testing.assert_allclose(error.std(axis=0), TWIN.std, rtol=0.3)  # fifty independent windows
     np.testing.assert_allclose(np.sqrt(own.mean(axis=0)), TWIN.std, rtol=0.1)

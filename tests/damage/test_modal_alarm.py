@@ -7,10 +7,11 @@ import pytest
 
 from monitor.core import WHOLE, Alarm, Level, ModalReading
 from monitor.damage import AlarmState, modal_parts
-from monitor.damage.alarm import AlarmSettings, acknowledge
-from monitor.damage.modal_alarm import detectable, hold, start, step
+from monitor.damage.alarm import AlarmSettings, acknowledge, hold, start, step
+from monitor.damage.detectable_loss import smallest_detectable_loss
+from monitor.damage.parts import ModesAndShapes
 
-CHANNELS, WINDOW_S, SETTINGS = ("a1", "a2"), 400.0, AlarmSettings()
+PARTS, WINDOW_S, SETTINGS = ModesAndShapes(3, ("a1", "a2")), 400.0, AlarmSettings()
 STD, SHAPE_STD = 0.001, 0.002
 
 
@@ -22,14 +23,19 @@ def reading(frequencies: list[float], shape: float = 0.0, std: float = STD) -> M
     own = np.where(known[:, None] & known, std**2 * np.eye(3), np.nan)
     common = 0.5 * std**2 * np.eye(3)
     return ModalReading(
-        np.array(frequencies), own + common, common, shapes, 1.5 * variance, 0.5 * np.nan_to_num(variance)
+        -2.0 * np.array(frequencies),
+        4.0 * (own + common),
+        4.0 * common,
+        shape=shapes,
+        shape_variance=1.5 * variance,
+        shape_common_variance=0.5 * np.nan_to_num(variance),
     )
 
 
 def run(readings: list[ModalReading], state: AlarmState | None = None) -> tuple[AlarmState, list[Alarm]]:
-    state, said = state or start(3, 2, WINDOW_S), []
+    state, said = state or start(3, WINDOW_S, n_channels=2), []
     for k, one in enumerate(readings):
-        state, alarm = step(state, one, round((k + 1) * WINDOW_S * 1e9), SETTINGS, CHANNELS)
+        state, alarm = step(state, one, round((k + 1) * WINDOW_S * 1e9), SETTINGS, parts=PARTS)
         said.append(alarm)
     return state, said
 
@@ -67,10 +73,10 @@ def test_a_shape_that_changes_is_named_with_its_channel_and_is_no_alarm_whatever
 
 def test_a_mode_that_a_window_does_not_show_keeps_its_alarm() -> None:
     state, said = run([reading([0.0, -0.02, 0.0])] * 3)
-    state, gone = step(state, reading([0.0, np.nan, 0.0]), round(4 * WINDOW_S * 1e9), SETTINGS, CHANNELS)
+    state, gone = step(state, reading([0.0, np.nan, 0.0]), round(4 * WINDOW_S * 1e9), SETTINGS, parts=PARTS)
     assert gone.active == said[-1].active == {2: Level.WARNING}
     # The means over longer stretches leave the window out, and go on when the mode is there again.
-    _, again = step(state, reading([0.0, -0.02, 0.0]), round(5 * WINDOW_S * 1e9), SETTINGS, CHANNELS)
+    _, again = step(state, reading([0.0, -0.02, 0.0]), round(5 * WINDOW_S * 1e9), SETTINGS, parts=PARTS)
     assert "mode 2 fell by 2.0 ± 0.2 %" in again.reason
 
 
@@ -86,7 +92,7 @@ def test_a_small_change_is_found_by_averaging_and_the_baselines_error_does_not_a
 
 def test_how_small_a_change_would_be_seen_is_told_of_each_mode_that_is_seen() -> None:
     state, _ = run([reading([0.0, 0.0, 0.0])] * 9)
-    seen = detectable(state, reading([0.0, np.nan, 0.0]), WINDOW_S, SETTINGS)
+    seen = smallest_detectable_loss(reading([0.0, np.nan, 0.0]), state.history, WINDOW_S, SETTINGS)
     assert np.isinf(seen[1])
     assert (seen[[0, 2]] > 4.0 * STD).all()
     assert (seen[[0, 2]] < 12.0 * STD).all()
@@ -95,6 +101,6 @@ def test_how_small_a_change_would_be_seen_is_told_of_each_mode_that_is_seen() ->
 def test_operators_requests_are_of_modes() -> None:
     state, _ = run([reading([0.0, -0.02, 0.0])] * 3)
     state = acknowledge(state, 2, "A. Smith")
-    _, held = hold(state, 0)
+    _, held = hold(state, 0, PARTS)
     assert held.active == {2: Level.WARNING}
     assert held.conditions[2].value == "active, acknowledged"

@@ -20,12 +20,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from monitor.core import WHOLE, DamageReading, Level
+from monitor.core import WHOLE, Level
 from monitor.damage import AlarmSettings, CovariateLaw, CovariateSettings, alarm, slow_learning
 from monitor.damage.covariates import Change, learn_law
 from monitor.signals import LAGS_S
 from tests.statistics.lag_bound import lagged
 from tests.support.campaign import gone_on_with
+from tests.support.results import damage_reading
 
 HOUR_NS, CALIBRATION_H, YEAR_H = 3_600_000_000_000, 14 * 24, 365 * 24
 STD = np.array([0.0010, 0.0017, 0.0018])
@@ -191,7 +192,7 @@ def watch(
             if together is not None and not beyond:
                 beside = together.beside_others(ddi, own + shared)
                 beyond = beside.beyond_words(ALARM.alarm_loss / ALARM.significance)
-            reading = DamageReading(ddi, own + shared, ddi, ddi, common_covariance=shared, beyond=beyond)
+            reading = damage_reading(ddi, own + shared, common_covariance=shared, beyond=beyond)
             state, verdict = alarm.step(state, reading, t_ns + look * 400_000_000_000, ALARM, together)
             told |= {s for s, lv in verdict.active.items() if s != WHOLE and lv.rank >= Level.WARNING.rank}
             whole, normal = whole or WHOLE in verdict.active, normal and verdict.level is Level.NORMAL

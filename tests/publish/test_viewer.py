@@ -220,7 +220,7 @@ def test_a_story_is_green_only_where_a_loss_would_have_been_seen(
     with viewed(file, replace(SCENE, has_baseline=has_baseline)) as view:
         result = window(0)
         assert result.damage is not None
-        damage = replace(result.damage, ddi=np.array([0.0, 0.05, 0.0 if detectable == (0.02, 0.02, 0.02) else 0.4]))
+        damage = replace(result.damage, loss=np.array([0.0, 0.05, 0.0 if detectable == (0.02, 0.02, 0.02) else 0.4]))
         view.window(
             replace(result, damage=damage, detectable_loss=None if detectable is None else np.array(detectable)), ""
         )

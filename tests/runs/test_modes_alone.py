@@ -13,12 +13,13 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, BadInputError, Level, Samples, WindowResult
-from monitor.damage import ModalBaseline, load_baseline, load_modal_baseline, save_modal_baseline
+from monitor.damage import ModalBaseline, load_baseline, load_modal_baseline, save_baseline
 from monitor.model import simulate
 from monitor.pipeline import Pipeline
 from monitor.publish import facts_of_line, replay_text, to_json, window_line
-from monitor.runs import calibrate_modes, load_healthy
+from monitor.runs import load_healthy
 from monitor.runs.baselines import modal_origin
+from monitor.runs.calibrate import calibrate_modes
 from tests.service.checkpoint import restored
 from tests.support.samples import CHANNELS, FRAME, T0_NS, Cli, Cut
 
@@ -74,7 +75,7 @@ def write(path: Path, blocks: list[SampleBlock]) -> Path:
 def healthy(folder: Path, site: Configuration, cut: Cut) -> ModalBaseline:
     """The modes of six windows, as read back from the file."""
     recording = write(folder / "healthy.mcap", cut(motion(folder, 6 * WINDOW_S, 1), RATE_HZ, [128]))
-    save_modal_baseline(calibrate_modes([recording], site), folder / "b.json")
+    save_baseline(calibrate_modes([recording], site), folder / "b.json")
     read = load_healthy(folder / "b.json", site)
     assert isinstance(read, ModalBaseline)
     return read

@@ -17,12 +17,12 @@ import pytest
 import zenoh
 
 from drivers.zenoh_session import SessionSettings, open_session
-from monitor.core import WHOLE, DamageReading, Gap, Level
+from monitor.core import WHOLE, Gap, Level
 from monitor.damage import Assessment, State, alarm
 from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, Request, apply
 from tests.service.answering import Monitor
-from tests.support.results import T0_NS, window
+from tests.support.results import T0_NS, damage_reading, window
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router, free_port
 
@@ -195,7 +195,7 @@ def _alarmed() -> alarm.AlarmState:
     state, settings = alarm.start(3), alarm.AlarmSettings()
     loss = np.array([0.0, 0.2, 0.0])
     for k in range(3):
-        reading = DamageReading(loss, np.diag([1e-6] * 3), loss, 1000 * loss)
+        reading = damage_reading(loss, np.diag([1e-6] * 3))
         state, _ = alarm.step(state, reading, T0_NS + k * 10**10, settings)
     assert state.stories[1].unacknowledged
     return state

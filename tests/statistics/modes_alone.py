@@ -19,7 +19,7 @@ from monitor.config import Configuration
 from monitor.core import Array, Level, WindowResult
 from monitor.damage import ModalBaseline
 from monitor.pipeline import Pipeline
-from monitor.runs import calibrate_modes, cut_into_blocks
+from monitor.runs import calibrate, cut_into_blocks
 from tests.statistics.estimates import configuration
 from tests.support.campaign import words
 from tests.support.simulated import ambient, windows_of
@@ -66,7 +66,7 @@ def calibrated(seconds: float, seed: int) -> ModalBaseline:
             floors = motion(seconds, seed)
             for block in cut_into_blocks(ACCELERATION, floors, SITE.channels, RATE_HZ, T0_NS, 10_000):
                 writer.write(block)
-        return calibrate_modes([Path(folder) / "healthy.mcap"], SITE)
+        return calibrate.calibrate_modes([Path(folder) / "healthy.mcap"], SITE)
 
 
 def main() -> None:

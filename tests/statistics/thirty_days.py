@@ -101,7 +101,7 @@ def watch(readings: list[tuple[int, DamageReading]]) -> Watch:
         np.array([r.ddi_std for _, r in readings]),
         tuple(stories),
         whole,
-        np.mean([r.ddi_covariance for _, r in readings], axis=0),
+        np.mean([r.covariance for _, r in readings], axis=0),
     )
 
 
@@ -138,7 +138,7 @@ def twin(
     """Readings every 10 s from one day to another; a loss begins half way."""
     t_s = np.arange(days[0] * DAY_S + WINDOW_S, days[1] * DAY_S, HOP_S)
     mean = explained(t_s, baseline, 0.5 * DAY_S * sum(days), loss)
-    own = like.ddi_covariance - like.common_covariance
+    own = like.covariance - like.common_covariance
     per_window = WINDOW_S // HOP_S
     rng = np.random.default_rng(seed)
     white = rng.multivariate_normal(np.zeros(3), own / per_window, t_s.size + per_window)
@@ -148,7 +148,7 @@ def twin(
     added = [0.0] * t_s.size if baseline.law is None else [e.covariance for e in effects(t_s, baseline.law)]
     for t, ddi, more in zip(t_s, mean + noise, added, strict=True):
         common = like.common_covariance + more
-        made.append((round(t * 1e9), replace(like, ddi=ddi, ddi_covariance=own + common, common_covariance=common)))
+        made.append((round(t * 1e9), replace(like, loss=ddi, covariance=own + common, common_covariance=common)))
     return watch(made)
 
 
@@ -208,10 +208,8 @@ def month(
     for name in ("with the channel", "without it"):
         b = calibrated(windows[:n_calm], name == "with the channel")
         plain = [r for _, r in readings(windows[n_calm : n_calm + 48], replace(b, law=None))]
-        ddi, common = (
-            np.mean([getattr(r, of) for r in plain], axis=0) for of in ("ddi_covariance", "common_covariance")
-        )
-        like = replace(plain[0], ddi_covariance=ddi, common_covariance=common)
+        ddi, common = (np.mean([getattr(r, of) for r in plain], axis=0) for of in ("covariance", "common_covariance"))
+        like = replace(plain[0], covariance=ddi, common_covariance=common)
         seen = watch(readings(windows[n_calm:], b))
         around = onset_s / DAY_S - 0.1, onset_s / DAY_S + 0.1
         out[name] = Case(

@@ -138,8 +138,8 @@ class TwinPipeline(Pipeline):
         assert self.like.damage is not None
         reading = replace(
             self.like.damage,
-            ddi=ddi[k],
-            ddi_covariance=np.diag(variance[k] + common),
+            loss=ddi[k],
+            covariance=np.diag(variance[k] + common),
             common_covariance=np.diag(common),
         )
         alarms, verdict = alarm.step(self.state.alarm, reading, t_ns, self.config.alarm)

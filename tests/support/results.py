@@ -55,7 +55,7 @@ def stiffness_estimate(stiffness_n_per_m: Array, misfit: float = 1.0) -> Stiffne
 def damage_reading(ddi: Array, covariance: Array, stiffness_n_per_m: float = 2000.0, **fields: Any) -> DamageReading:
     """An index with its covariance; each story had this stiffness."""
     plain: dict[str, Any] = {"ddi_sequential": ddi, "loss_n_per_m": ddi * stiffness_n_per_m}
-    return DamageReading(ddi=ddi, ddi_covariance=covariance, **plain | fields)
+    return DamageReading(ddi, covariance=covariance, **plain | fields)
 
 
 def window_result(index: int = 0, **fields: Any) -> WindowResult:

@@ -120,7 +120,7 @@ def test_the_viewer_draws_in_a_browser(tmp_path: Path) -> None:
     for k in range(20):
         result = window(k, Level.ALARM)
         assert result.damage is not None
-        damage = replace(result.damage, ddi=np.array([0.0, 0.15, 0.0]))
+        damage = replace(result.damage, loss=np.array([0.0, 0.15, 0.0]))
         publisher.window(replace(result, damage=damage, detectable_loss=np.full(3, 0.02)), "")
     publisher.close(60.0)
     command = [sys.executable, "-m", "monitor", "view", str(tmp_path), "--web", "--port", "0"]

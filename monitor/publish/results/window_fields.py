@@ -207,7 +207,7 @@ FIELDS = (
           "Without a model: largest change of each mode's shape since the baseline.", shown=True),
     Field("shape_change_std", Kind.NUMBERS, _of_shape(1), "Its standard deviation.", shown=True),
     Field("frequency_effect", Kind.LISTS_BY_NAME,
-          lambda r: r.modal and {name: rounded(np.expm1(part)) for name, part in r.modal.covariate_effect.items()},
+          lambda r: r.modal and {name: rounded(np.expm1(part)) for name, part in r.modal.ln_frequency_effect.items()},
           "Without a model: relative change of each frequency that each covariate explains and that was taken out."),
     Field("alarm", Kind.ALARM, _alarm,
           "`normal`, `advisory` (significant, not confirmed), `warning` (confirmed), `alarm` (confirmed, 10 % or "

@@ -1,0 +1,278 @@
+"""Learns the healthy baseline from the windows of healthy recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, Any
+
+import numpy as np
+
+from monitor.core import Array, BadInputError, ModalEstimate
+from monitor.damage.baseline import Baseline, ModalBaseline
+from monitor.damage.covariate_law import CovariateLaw
+from monitor.damage.covariates import TEMPERATURE, Change, CovariateSettings, learn_law
+from monitor.damage.origin import Origin
+from monitor.damage.updating import (
+    MODES_ALONE,
+    Observation,
+    Update,
+    UpdatingSettings,
+    counterparts,
+    observe,
+    predict,
+    update,
+)
+from monitor.model import InstrumentedModel, inverse
+
+
+def learn_baseline(
+    instrumented: InstrumentedModel,
+    windows: list[ModalEstimate],
+    rms: Annotated[Array, "windows"],
+    recordings: tuple[dict[str, str], ...],
+    span_ns: tuple[int, int] = (0, 0),
+    covariates: Sequence[Mapping[str, Array]] = (),
+    units: Mapping[str, str] | None = None,
+    drift_weights: Annotated[Array, "c c"] | None = None,
+    *,
+    updating: UpdatingSettings,
+    compensation: CovariateSettings,
+    t_ns: Sequence[int] = (),
+    motion: Sequence[Annotated[Array, "c c"]] = (),
+) -> tuple[Baseline, Update]:
+    """Learn the baseline from the windows of healthy recordings, and return it with the updating to their mean.
+
+    Parameters
+    ----------
+    windows : list of ModalEstimate
+        Windows may overlap: the covariance of their mean counts shared data once.
+    rms : ndarray
+        Response level of each window, m/s^2.
+    covariates : sequence of mapping
+        Lagged values of each covariate that is known in each window; empty where nothing is to be learned from them.
+    units : mapping, optional
+        Unit of each covariate, by its name.
+    drift_weights : ndarray
+        How the covariate `LEVEL` was measured.
+    t_ns : sequence of int
+        End of each window, UTC.  Without them it is not learned what the stories do together.
+    motion : sequence of ndarray
+        Covariance of the accelerations of windows (`WindowResult.motion`), (m/s^2)^2.
+
+    Raises
+    ------
+    BadInputError
+        If there is no window, or the model cannot be updated to their mean.
+    """
+    if not windows:
+        raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
+    mean = _mean_observation(windows, updating)
+    fit = _fit(instrumented, mean, updating)
+    baseline = Baseline(
+        **_known(mean, windows, np.mean([m.frequencies_hz for m in windows], axis=0), rms, motion),
+        **_fitted(instrumented, mean, fit, mean.deviations.T @ mean.deviations),
+        log=mean.log,
+        channels=instrumented.channels,
+        floors=instrumented.floors,
+        recordings=recordings,
+        span_ns=span_ns,
+        drift_weights=drift_weights,
+    )
+    if not units or not covariates:
+        return baseline, fit
+    seen = replace(mean, model_mode=baseline.model_mode)
+    change = update(baseline.model, instrumented.sensor_matrix, baseline.target(seen), updating)
+    gain = change.gain / change.parameters[:, None]
+
+    def of(o: Observation) -> tuple[Array, Array]:
+        """Estimate a window's stiffness change from the baseline, as `damage_index.step` would, with its deviations."""
+        return gain @ (o.z - mean.z), o.deviations @ gain.T
+
+    law = learn_law(
+        _changes(windows, mean, updating, of, covariates, t_ns or [0] * len(windows)),
+        (span_ns[1] - span_ns[0]) * 1e-9,
+        units,
+        compensation,
+    )
+    return replace(baseline, reference_temperature_degc=_mean_temperature(covariates), law=law), fit
+
+
+def rebase_baseline(
+    baseline: Baseline, instrumented: InstrumentedModel, updating: UpdatingSettings
+) -> tuple[Baseline, Update]:
+    """Update a changed drawing of the same structure to the baseline's healthy modes.
+
+    The modes are kept, and so is the dependence on covariates: a relative change that all stories have alike is the same in
+    every drawing.  `Baseline.reference`, which was fitted to spectra with the old drawing, is left out.  The changed drawing
+    must have as many masses, stiffnesses and sensors as the old one.
+
+    Raises
+    ------
+    BadInputError
+        If the drawing cannot be updated to the healthy modes.
+    """
+    healthy = Observation(
+        z=baseline.z,
+        weight=inverse(baseline.z_covariance),
+        deviations=np.zeros((1, baseline.z.size)),
+        model_mode=baseline.model_mode,
+        gauges=baseline.gauges,
+        log=baseline.log,
+    )
+    fit = _fit(instrumented, healthy, updating)
+    fitted = _fitted(instrumented, healthy, fit, baseline.z_covariance)
+    return replace(baseline, **fitted, reference=None, doubts=()), fit
+
+
+def _fit(instrumented: InstrumentedModel, healthy: Observation, updating: UpdatingSettings) -> Update:
+    """Update the drawing's stiffnesses and masses to the healthy modes; BadInputError if that is not possible."""
+    fit = update(
+        instrumented.model,
+        instrumented.sensor_matrix,
+        healthy,
+        updating.model_copy(update={"penalty": "initial"}),
+        prior_std=instrumented.prior_std,
+        with_masses=True,
+    )
+    if fit.iterations == 0:
+        raise BadInputError(
+            "the structure file's model cannot be updated to the healthy modes: one of its modes stands still where the "
+            "healthy one moves most; check floors and directions of the channels"
+        )
+    return fit
+
+
+def _fitted(instrumented: InstrumentedModel, healthy: Observation, fit: Update, z_covariance: Array) -> dict[str, Any]:
+    """Return the fields of `Baseline` that depend on the drawing."""
+    sensors = instrumented.sensor_matrix
+    healthy = replace(healthy, model_mode=counterparts(fit.model.modes(), sensors, healthy))
+    predicted, _ = predict(fit.model, sensors, healthy, with_masses=False)
+    gain = fit.gain / fit.parameters[:, None]
+    return {
+        "model": fit.model,
+        "converged": bool(fit.converged),
+        "covariance": gain @ z_covariance @ gain.T,
+        "misfit": healthy.z - predicted,
+        "model_mode": healthy.model_mode,
+        "origin": Origin.of(instrumented),
+    }
+
+
+def learn_modal_baseline(
+    channels: tuple[str, ...],
+    origin: Origin,
+    windows: list[ModalEstimate],
+    rms: Annotated[Array, "windows"],
+    recordings: tuple[dict[str, str], ...],
+    span_ns: tuple[int, int],
+    covariates: Sequence[Mapping[str, Array]],
+    units: Mapping[str, str],
+    compensation: CovariateSettings,
+    *,
+    motion: Sequence[Annotated[Array, "c c"]] = (),
+) -> ModalBaseline:
+    """Learn the healthy modes from the windows of healthy recordings, as `learn_baseline`.
+
+    All windows have the same modes and all channels.
+    """
+    mean = _mean_observation(windows, MODES_ALONE)
+    m, c = len(mean.model_mode), len(channels)
+
+    def law(columns: slice, settings: CovariateSettings, *, alike: bool) -> CovariateLaw | None:
+        """Learn the dependence of some of the data on the covariates."""
+
+        def of(o: Observation) -> tuple[Array, Array]:
+            """Return a window's change: `learn_law` takes relative changes, of which it uses the logarithms."""
+            return np.expm1(o.z[columns] - mean.z[columns]), o.deviations[:, columns]
+
+        changes = _changes(windows, mean, MODES_ALONE, of, covariates, [0] * len(windows))
+        return learn_law(changes, (span_ns[1] - span_ns[0]) * 1e-9, units, settings, alike=alike)
+
+    return ModalBaseline(
+        **_known(mean, windows, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi), rms, motion),
+        channels=channels,
+        origin=origin,
+        reference_temperature_degc=_mean_temperature(covariates),
+        law=law(slice(0, m), compensation, alike=True),
+        shape_law=law(slice(m, None), _of_shapes(compensation), alike=False) if c > 1 else None,
+        recordings=recordings,
+        span_ns=span_ns,
+    )
+
+
+def _known(
+    mean: Observation, windows: list[ModalEstimate], frequencies_hz: Array, rms: Array, motion: Sequence[Array]
+) -> dict[str, Any]:
+    """Return the fields of a baseline that the windows alone decide."""
+    z_covariance = mean.deviations.T @ mean.deviations
+    std = np.sqrt(np.diag(z_covariance)[: frequencies_hz.size])  # of the (logarithms of the) eigenvalues
+    scale = frequencies_hz * std / 2.0 if mean.log else std / (8.0 * np.pi**2 * frequencies_hz)
+    return {
+        "z": mean.z,
+        "z_covariance": z_covariance,
+        "gauges": mean.gauges,
+        "frequencies_hz": frequencies_hz,
+        "frequencies_std_hz": scale,
+        "damping_ratio": np.mean([m.damping_ratio for m in windows], axis=0),
+        "windows": len(windows),
+        "level_range_m_s2": (float(rms.min()), float(rms.max())),
+        "motion": np.mean(motion, axis=0) if len(motion) else None,
+    }
+
+
+def _mean_temperature(covariates: Sequence[Mapping[str, Array]]) -> float | None:
+    """Average the temperature over the windows that know it."""
+    degc = [float(under[TEMPERATURE][0]) for under in covariates if TEMPERATURE in under]
+    return float(np.mean(degc)) if degc else None
+
+
+def _changes(
+    windows: list[ModalEstimate],
+    mean: Observation,
+    updating: UpdatingSettings,
+    of: Callable[[Observation], tuple[Array, Array]],
+    covariates: Sequence[Mapping[str, Array]],
+    t_ns: Sequence[int],
+) -> list[Change]:
+    """Collect each window's change from the baseline, and its deviations, which `of` makes of its observation."""
+    changes = []
+    for modes, under, end_ns in zip(windows, covariates, t_ns, strict=True):
+        o = observe(modes, updating, mean.gauges if updating.use_shapes else None)
+        places = tuple((modes.refined, modes.first + b) for b in range(len(o.deviations)))
+        changes.append(Change(*of(o), places, under, end_ns))
+    return changes
+
+
+def _of_shapes(settings: CovariateSettings) -> CovariateSettings:
+    """Return how far shapes may follow covariates: as the stiffnesses change unevenly, for what all do alike moves no shape."""
+    names = ("level_per_doubling", "temperature_per_k", "frost_per_k", "other")
+    return settings.model_copy(update={name: settings.unevenness * getattr(settings, name) for name in names})
+
+
+def _mean_observation(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
+    """Average the observations of several windows, all with the same modes of the model in the same order.
+
+    Windows that overlap share data.  Their influences are added before squaring, so that the covariance of the mean counts
+    shared data once.  The gauges are those of the first window.
+    """
+    gauges = observe(windows[0], settings).gauges
+    observations = [observe(m, settings, gauges if settings.use_shapes else None) for m in windows]
+    influence: dict[tuple[bool, int], Array] = {}
+    for m, o in zip(windows, observations, strict=True):
+        for b, row in enumerate(o.deviations):
+            place = (m.refined, m.first + b)
+            influence[place] = influence.get(place, 0.0) + row / len(windows)
+    deviations = np.array(list(influence.values()))
+    last = observations[-1]
+    # The weights between components are those of a window; their common scale follows from the scatter of the data.
+    shape_of_weight = np.mean([o.weight for o in observations], axis=0)
+    shrink = np.mean((deviations**2).sum(axis=0) * np.diag(shape_of_weight)) if len(windows) > 1 else 1.0
+    return Observation(
+        z=np.mean([o.z for o in observations], axis=0),
+        weight=shape_of_weight / shrink,
+        deviations=deviations,
+        model_mode=last.model_mode,
+        gauges=gauges,
+        log=last.log,
+    )

@@ -1,0 +1,125 @@
+"""What is judged of a structure, and what judging needs to know of it.
+
+Judging knows only the vector of losses (`core.Reading`).  What reads it from a window's modes, against those of the baseline,
+satisfies `Quantities`: the stiffness of the stories by a model (`story_stiffness`), or that of the modes (`modal_stiffness`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Protocol
+
+import numpy as np
+
+from monitor.core import Array, ModalEstimate, Reading, Skipped, StiffnessEstimate, Window
+from monitor.damage.alarm import AlarmSettings, AlarmState
+from monitor.damage.baseline import AnyBaseline
+from monitor.damage.covariate_law import CovariateLaw, Effect
+from monitor.damage.covariates import CovariateSettings, beyond_words
+from monitor.damage.parts import Parts
+from monitor.damage.updating import UpdatingSettings
+from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, SubArray
+from monitor.signals import ProcessingSettings
+
+LEAST_SHARE = 0.5
+"""Share of the modes looked for that must be found: without a model, of the baseline's; with a model and no baseline, of the
+lowest required ones. [ratio; judgement]"""
+
+_USELESS_LOSS = 0.5
+"""Loss of a story's stiffness that a window must be able to show to be judged at all. [1; judgement: near collapse]"""
+
+UNCERTAIN = "the modes' uncertainty is not asked for, so nothing is judged"
+"""Why a window of modes without uncertainty is not judged. [words]"""
+Covariates = Mapping[str, Array]
+"""Lagged values of each covariate that is known of a window."""
+
+
+class JudgeSettings(Protocol):
+    """Settings that judging needs, as a site's configuration has them."""
+
+    processing: ProcessingSettings
+    identification: SsiSettings
+    selection: SelectionSettings
+    refinement: RefinementSettings
+    updating: UpdatingSettings
+    compensation: CovariateSettings
+    alarm: AlarmSettings
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class View:
+    """The channels that a window is judged with."""
+
+    array: SubArray
+    level_weights: Annotated[Array, "c c"] | None
+    """From the covariance of these channels' accelerations to the level of motion; None where it is not known."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Found:
+    """What the modes of a window say of the quantities."""
+
+    modes: ModalEstimate
+    """The modes that were used."""
+    reading: Reading | None
+    """None where there is nothing to compare with."""
+    stiffness: StiffnessEstimate | None = None
+
+
+class Quantities(Protocol):
+    """What is judged; all that it says depends on its arguments, and those it was made with, alone."""
+
+    without_baseline: ClassVar[str]
+    """Why no alarm is announced without a baseline."""
+
+    @property
+    def baseline(self) -> AnyBaseline | None:
+        """The healthy state; without one nothing is announced."""
+        ...
+
+    @property
+    def parts(self) -> Parts:
+        """The parts of the vector, in words."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What people call each story; empty where none is named."""
+        ...
+
+    def start(self, window_s: float) -> AlarmState:
+        """Return the state of the alarms before the first window."""
+        ...
+
+    def view(self, channels: tuple[int, ...]) -> View:
+        """Return what windows of some channels (0 = first) are judged with."""
+        ...
+
+    def identify(
+        self, window: Window, cutoff_hz: float, view: View, settings: JudgeSettings
+    ) -> ModalEstimate | Skipped:
+        """Identify the modes of a window of the channels in use."""
+        ...
+
+    def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> str:
+        """Say why a window's modes are too few to be judged; empty where they are not."""
+        ...
+
+    def read(
+        self, modes: ModalEstimate, view: View, effect: Effect | None, covariates: Covariates, settings: JudgeSettings
+    ) -> Found | Skipped:
+        """Compare a window's modes with the baseline's, less the `effect` of the covariates."""
+        ...
+
+
+def explained(law: CovariateLaw | None, covariates: Covariates, alarm: AlarmSettings) -> Effect | Skipped | None:
+    """Predict what the covariates do to healthy stiffness; None without a law.
+
+    It is `Skipped` where the law's uncertainty alone would hide the loss of half a part's stiffness.
+    """
+    if law is None:
+        return None
+    effect = law.expected(covariates)
+    hidden = alarm.significance * float(np.sqrt(effect.covariance.diagonal().max()))
+    return Skipped(beyond_words(law, covariates)) if hidden > _USELESS_LOSS else effect
