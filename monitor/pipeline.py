@@ -64,8 +64,8 @@ from monitor.signals import (
     stillness,
     temperature,
     window_quality,
+    windows as window,
 )
-from monitor.signals import windows as window
 
 _SET_BACK_S = 0.25
 """Step back of the clock from which the windows' times follow the clock, s."""

@@ -11,8 +11,7 @@ from monitor.api.samples import checked
 from monitor.api.structures import Structure
 from monitor.core import Array, import_extra, single_blas_thread
 from monitor.inference import gather
-from monitor.runs import cut_into_blocks
-from monitor.runs import diagnose as job
+from monitor.runs import cut_into_blocks, diagnose as job
 
 
 @dataclass(frozen=True, slots=True)

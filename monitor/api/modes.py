@@ -18,10 +18,10 @@ from monitor.identification import (
     SsiSettings,
     SubArray,
     expected_modes,
+    identify as identify_by_model,
     identify_modes,
     refine,
 )
-from monitor.identification import identify as identify_by_model
 from monitor.model import interval
 from monitor.signals import FrontEnd, ProcessingSettings
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 from monitor.api.recording import Recording
 from monitor.api.structures import Structure
 from monitor.core import BadConfigurationError, BadInputError, single_blas_thread
-from monitor.model import Effect, ExcitationKind, parse_effect, story_damage
-from monitor.model import simulate as simulate_motion
+from monitor.model import Effect, ExcitationKind, parse_effect, simulate as simulate_motion, story_damage
 from monitor.runs import require_stable
 
 

@@ -28,8 +28,7 @@ def replay(
     """Run recordings through the monitor.  Writes results.jsonl, events.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor.config import configuration
     from monitor.publish import replay_text
-    from monitor.runs import load_healthy
-    from monitor.runs import replay as run
+    from monitor.runs import load_healthy, replay as run
 
     spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
     pace, served = parse_speed(speed), address(serve)

@@ -22,8 +22,7 @@ def diagnose(
     from monitor.config import configuration
     from monitor.damage import load_baseline
     from monitor.diagnosis import structure_text
-    from monitor.runs import diagnose as job
-    from monitor.runs import local_copies
+    from monitor.runs import diagnose as job, local_copies
 
     names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
     content, report, updated, extended, view = written = [out / name for name in names]

@@ -37,8 +37,7 @@ def fleet(
     Exit code of the last query: 0 all normal; 10 advisory, warning or alarm; 11 doubtful, not judged, or a part of a monitor
     does not work.
     """
-    from monitor.service import fleet as fleet_status
-    from monitor.service import fleet_page, text
+    from monitor.service import fleet as fleet_status, fleet_page, text
 
     if count is not None and every is None:
         raise BadParameter("--count says how often to look: needs --every")

@@ -204,8 +204,7 @@ def _send_over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
 
 def _send_by_file(out: Path, request: Request) -> tuple[bool, str]:
     """Leave a request in the daemon's folder; return whether the daemon has applied it by now, and that in words."""
-    from monitor.service import leave_request
-    from monitor.service import status as reader
+    from monitor.service import leave_request, status as reader
 
     reader.demand_state(out)
     try:

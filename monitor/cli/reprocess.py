@@ -40,8 +40,7 @@ def reprocess(
     Consecutive recordings of one folder are replayed together, with the results that 'replay' gives for them.
     """
     require_extra("archive", "reprocess")
-    from monitor.runs import WINDOWS, expand_patterns
-    from monitor.runs import reprocess as run
+    from monitor.runs import WINDOWS, expand_patterns, reprocess as run
 
     outcomes = run(
         expand_patterns(recordings),

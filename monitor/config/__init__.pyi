@@ -1,16 +1,9 @@
-from . import configuration, security_check
-from .configuration import Configuration, OutputSettings, SensorTable, read_toml
-from .recording_errors import read_by_user
-from .service_settings import LogSettings, StateSettings
-
-__all__ = [
-    "Configuration",
-    "LogSettings",
-    "OutputSettings",
-    "SensorTable",
-    "StateSettings",
-    "configuration",
-    "read_by_user",
-    "read_toml",
-    "security_check",
-]
+from . import configuration as configuration, security_check as security_check
+from .configuration import (
+    Configuration as Configuration,
+    OutputSettings as OutputSettings,
+    SensorTable as SensorTable,
+    read_toml as read_toml,
+)
+from .recording_errors import read_by_user as read_by_user
+from .service_settings import LogSettings as LogSettings, StateSettings as StateSettings

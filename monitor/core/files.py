@@ -10,8 +10,7 @@ from errno import EISDIR
 from itertools import count
 from pathlib import Path
 
-from drivers.disk import finish as finish
-from drivers.disk import partial as partial
+from drivers.disk import finish as finish, partial as partial
 from monitor.core.errors import MissingInputError, WrongUsageError
 
 

@@ -1,29 +1,9 @@
-from . import alarm, ground, stage
-from .alarm import EventAlarm
-from .event import Event, FloorMotion, Spectrum
-from .ground import GroundState
-from .limits import POSSIBLY, compared
-from .review import FirstMode, Review, review_event
-from .settings import EventSettings, LimitTable
-from .site import Site
-from .stage import EventState
-
-__all__ = [
-    "POSSIBLY",
-    "Event",
-    "EventAlarm",
-    "EventSettings",
-    "EventState",
-    "FirstMode",
-    "FloorMotion",
-    "GroundState",
-    "LimitTable",
-    "Review",
-    "Site",
-    "Spectrum",
-    "alarm",
-    "compared",
-    "ground",
-    "review_event",
-    "stage",
-]
+from . import alarm as alarm, ground as ground, stage as stage
+from .alarm import EventAlarm as EventAlarm
+from .event import Event as Event, FloorMotion as FloorMotion, Spectrum as Spectrum
+from .ground import GroundState as GroundState
+from .limits import POSSIBLY as POSSIBLY, compared as compared
+from .review import FirstMode as FirstMode, Review as Review, review_event as review_event
+from .settings import EventSettings as EventSettings, LimitTable as LimitTable
+from .site import Site as Site
+from .stage import EventState as EventState

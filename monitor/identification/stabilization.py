@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from monitor.core import Array, ComplexArray, ModalEstimate, OtherMode, Settings, Skipped, Window
-from monitor.identification.ssi import PoleTable, Realisation, SsiSettings, realise, state_space
-from monitor.identification.ssi import poles as all_poles
+from monitor.identification.ssi import PoleTable, Realisation, SsiSettings, poles as all_poles, realise, state_space
 from monitor.identification.ssi_uncertainty import mode_deviations
 from monitor.model import Modes
 

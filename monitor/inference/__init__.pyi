@@ -1,61 +1,42 @@
-from .corrected_posterior import CorrectedPosterior, correct_posterior
-from .cross_spectra import Band, extra_mode_spectra
-from .driven_posterior import DrivenPosterior
-from .exact_simulation import draw_forces, linearization_error, simulate_exact, simulate_spectra
-from .excitation_fit import ExcitationStart, fit_excitation, forces_from_quiet_segments
-from .force_levels import fit_levels, spectra_by_force
-from .forward_model import Prediction
-from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments, simulate_moments, tone_log_odds
-from .input_response import Between, Drive
-from .linearization import linearize
-from .map_estimate import MapEstimate, maximize_posterior, unfitted
-from .observed_spectra import ObservedSpectra, class_temperature, classify, information_weight
-from .parameter_layout import ParameterLayout
-from .posterior import FORCE_STD, Posterior, join_coordinates, with_coordinates
-from .segments import LeftOut, Segments, gather
-from .starting_point import FORCED, guess_levels, make_posterior
-
-__all__ = [
-    "FORCED",
-    "FORCE_STD",
-    "Band",
-    "Between",
-    "CorrectedPosterior",
-    "Drive",
-    "DrivenPosterior",
-    "ExcitationStart",
-    "LeftOut",
-    "MapEstimate",
-    "MeasuredMoments",
-    "Moments",
-    "ObservedSpectra",
-    "ParameterLayout",
-    "Posterior",
-    "Prediction",
-    "Segments",
-    "class_temperature",
-    "classify",
-    "correct_posterior",
-    "draw_forces",
-    "extra_mode_spectra",
-    "fit_excitation",
-    "fit_levels",
-    "forces_from_quiet_segments",
-    "gather",
-    "guess_levels",
-    "information_weight",
-    "join_coordinates",
-    "linearization_error",
-    "linearize",
-    "make_posterior",
-    "maximize_posterior",
-    "measure_moments",
-    "normal_moments",
-    "simulate_exact",
-    "simulate_moments",
-    "simulate_spectra",
-    "spectra_by_force",
-    "tone_log_odds",
-    "unfitted",
-    "with_coordinates",
-]
+from .corrected_posterior import CorrectedPosterior as CorrectedPosterior, correct_posterior as correct_posterior
+from .cross_spectra import Band as Band, extra_mode_spectra as extra_mode_spectra
+from .driven_posterior import DrivenPosterior as DrivenPosterior
+from .exact_simulation import (
+    draw_forces as draw_forces,
+    linearization_error as linearization_error,
+    simulate_exact as simulate_exact,
+    simulate_spectra as simulate_spectra,
+)
+from .excitation_fit import (
+    ExcitationStart as ExcitationStart,
+    fit_excitation as fit_excitation,
+    forces_from_quiet_segments as forces_from_quiet_segments,
+)
+from .force_levels import fit_levels as fit_levels, spectra_by_force as spectra_by_force
+from .forward_model import Prediction as Prediction
+from .higher_moments import (
+    MeasuredMoments as MeasuredMoments,
+    Moments as Moments,
+    measure_moments as measure_moments,
+    normal_moments as normal_moments,
+    simulate_moments as simulate_moments,
+    tone_log_odds as tone_log_odds,
+)
+from .input_response import Between as Between, Drive as Drive
+from .linearization import linearize as linearize
+from .map_estimate import MapEstimate as MapEstimate, maximize_posterior as maximize_posterior, unfitted as unfitted
+from .observed_spectra import (
+    ObservedSpectra as ObservedSpectra,
+    class_temperature as class_temperature,
+    classify as classify,
+    information_weight as information_weight,
+)
+from .parameter_layout import ParameterLayout as ParameterLayout
+from .posterior import (
+    FORCE_STD as FORCE_STD,
+    Posterior as Posterior,
+    join_coordinates as join_coordinates,
+    with_coordinates as with_coordinates,
+)
+from .segments import LeftOut as LeftOut, Segments as Segments, gather as gather
+from .starting_point import FORCED as FORCED, guess_levels as guess_levels, make_posterior as make_posterior

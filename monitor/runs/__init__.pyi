@@ -1,68 +1,39 @@
 from . import (
-    calibrate,
-    compare,
-    demo,
-    diagnose,
-    features,
-    ledger,
-    ledger_chain,
-    look,
-    paper_tables,
-    replay,
-    synthetic_recording,
+    calibrate as calibrate,
+    compare as compare,
+    demo as demo,
+    diagnose as diagnose,
+    features as features,
+    ledger as ledger,
+    ledger_chain as ledger_chain,
+    look as look,
+    paper_tables as paper_tables,
+    replay as replay,
+    synthetic_recording as synthetic_recording,
 )
-from .archive.inventory import expand_patterns
-from .archive.jobs import WINDOWS
-from .archive.reprocess import reprocess
-from .baselines import load_healthy
-from .emulate import send_all
-from .event_page import page_of, read_event_line, read_event_page, write_event_motion, write_event_page
-from .event_recordings import EventRecordings
-from .importers import ImportedChannel, acceleration_unit, import_files
-from .object_storage import local_copies
-from .online_diagnosis import longest_diagnosis_s
-from .recent_blocks import RecentBlocks
-from .recordings import Progress, duration_s
-from .session import Session, SessionState
-from .synthetic_recording import cut_into_blocks, require_stable
-from .viewer import open_viewer
-from .warming import warm_up
-
-__all__ = [
-    "WINDOWS",
-    "EventRecordings",
-    "ImportedChannel",
-    "Progress",
-    "RecentBlocks",
-    "Session",
-    "SessionState",
-    "acceleration_unit",
-    "calibrate",
-    "compare",
-    "cut_into_blocks",
-    "demo",
-    "diagnose",
-    "duration_s",
-    "expand_patterns",
-    "features",
-    "import_files",
-    "ledger",
-    "ledger_chain",
-    "load_healthy",
-    "local_copies",
-    "longest_diagnosis_s",
-    "look",
-    "open_viewer",
-    "page_of",
-    "paper_tables",
-    "read_event_line",
-    "read_event_page",
-    "replay",
-    "reprocess",
-    "require_stable",
-    "send_all",
-    "synthetic_recording",
-    "warm_up",
-    "write_event_motion",
-    "write_event_page",
-]
+from .archive.inventory import expand_patterns as expand_patterns
+from .archive.jobs import WINDOWS as WINDOWS
+from .archive.reprocess import reprocess as reprocess
+from .baselines import load_healthy as load_healthy
+from .emulate import send_all as send_all
+from .event_page import (
+    page_of as page_of,
+    read_event_line as read_event_line,
+    read_event_page as read_event_page,
+    write_event_motion as write_event_motion,
+    write_event_page as write_event_page,
+)
+from .event_recordings import EventRecordings as EventRecordings
+from .importers import (
+    ImportedChannel as ImportedChannel,
+    acceleration_unit as acceleration_unit,
+    import_files as import_files,
+)
+from .object_storage import local_copies as local_copies
+from .online_diagnosis import longest_diagnosis_s as longest_diagnosis_s
+from .recent_blocks import RecentBlocks as RecentBlocks
+from .recordings import Progress as Progress, duration_s as duration_s
+from .session import Session as Session, SessionState as SessionState
+from .synthetic_recording import cut_into_blocks as cut_into_blocks, require_stable as require_stable
+from .viewer import open_viewer as open_viewer
+from .warming import warm_up as warm_up

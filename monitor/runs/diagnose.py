@@ -31,6 +31,7 @@ from monitor.diagnosis import (
     correct_clock_drifts,
     ddi_effect,
     detectable_losses,
+    diagnose as diagnose_spectra,
     fitted_model,
     healthy_prior,
     is_significant,
@@ -43,7 +44,6 @@ from monitor.diagnosis import (
     story_laws,
     withdraw_other_structure,
 )
-from monitor.diagnosis import diagnose as diagnose_spectra
 from monitor.inference import (
     ObservedSpectra,
     ParameterLayout,

@@ -12,8 +12,7 @@ from monitor.core import Array, ModalEstimate, Skipped, Window
 from monitor.damage import Observation, Update, UpdatingSettings, observe, update
 from monitor.identification import SelectionSettings, SsiSettings, identify, with_decay_deviations
 from monitor.model import Model, ShearFrame, respond_newmark
-from monitor.signals import Conditioner, WindowGrid
-from monitor.signals import windows as window
+from monitor.signals import Conditioner, WindowGrid, windows as window
 
 MASSES_KG = np.array([0.3253, 0.3514, 0.3129])
 """Masses of the floors, kg.  Figure 2 is lost; recovered from Table 4's converged row (docs/theory.md)."""

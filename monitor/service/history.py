@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from monitor.config import StateSettings
-from monitor.core import Busy
-from monitor.core import set_aside as rename_aside
+from monitor.core import Busy, set_aside as rename_aside
 from monitor.publish import KEPT, Kind
 from monitor.service.threads import background
 

@@ -11,8 +11,7 @@ from pydantic import Field, model_validator
 
 from monitor.core import Settings
 from monitor.damage import alarm
-from monitor.events import EventAlarm
-from monitor.events import alarm as event_alarm
+from monitor.events import EventAlarm, alarm as event_alarm
 
 MAX_REQUEST_BYTES = 4096
 _BURST = 10.0

@@ -1,85 +1,41 @@
 from . import (
-    alignment,
-    beside,
-    channel_faults,
-    channel_relations,
-    channel_watch,
-    conditioned,
-    mains_hum,
-    repeats,
-    sensor_drift,
-    sensor_health,
-    stillness,
-    temperature,
-    window_quality,
-    windows,
+    alignment as alignment,
+    beside as beside,
+    channel_faults as channel_faults,
+    channel_relations as channel_relations,
+    channel_watch as channel_watch,
+    conditioned as conditioned,
+    mains_hum as mains_hum,
+    repeats as repeats,
+    sensor_drift as sensor_drift,
+    sensor_health as sensor_health,
+    stillness as stillness,
+    temperature as temperature,
+    window_quality as window_quality,
+    windows as windows,
 )
-from .beside import BesideState
-from .channel_faults import FALSE_RATE
-from .channel_watch import WatchState
-from .conditioned import FilterRun
-from .front_end import FrontEnd
-from .neighbours import NORMAL_MAD
-from .repeats import KnownBlocks
-from .resampling import Conditioner
-from .sensor_drift import Drift
-from .sensor_health import Health, HealthSettings, HealthState
-from .settings import ProcessingSettings
-from .stillness import StillState
-from .temperature import LAGS_S, TemperatureSettings
+from .beside import BesideState as BesideState
+from .channel_faults import FALSE_RATE as FALSE_RATE
+from .channel_watch import WatchState as WatchState
+from .conditioned import FilterRun as FilterRun
+from .front_end import FrontEnd as FrontEnd
+from .neighbours import NORMAL_MAD as NORMAL_MAD
+from .repeats import KnownBlocks as KnownBlocks
+from .resampling import Conditioner as Conditioner
+from .sensor_drift import Drift as Drift
+from .sensor_health import Health as Health, HealthSettings as HealthSettings, HealthState as HealthState
+from .settings import ProcessingSettings as ProcessingSettings
+from .stillness import StillState as StillState
+from .temperature import LAGS_S as LAGS_S, TemperatureSettings as TemperatureSettings
 from .welch import (
-    LEAKAGE_OFFSETS,
-    SegmentDesign,
-    bin_correlation,
-    hann_amplitude,
-    leakage,
-    overlap_correlation,
-    taper,
-    transform,
+    LEAKAGE_OFFSETS as LEAKAGE_OFFSETS,
+    SegmentDesign as SegmentDesign,
+    bin_correlation as bin_correlation,
+    hann_amplitude as hann_amplitude,
+    leakage as leakage,
+    overlap_correlation as overlap_correlation,
+    taper as taper,
+    transform as transform,
 )
-from .window_quality import QualitySettings
-from .windows import WindowGrid, WindowState
-
-__all__ = [
-    "FALSE_RATE",
-    "LAGS_S",
-    "LEAKAGE_OFFSETS",
-    "NORMAL_MAD",
-    "BesideState",
-    "Conditioner",
-    "Drift",
-    "FilterRun",
-    "FrontEnd",
-    "Health",
-    "HealthSettings",
-    "HealthState",
-    "KnownBlocks",
-    "ProcessingSettings",
-    "QualitySettings",
-    "SegmentDesign",
-    "StillState",
-    "TemperatureSettings",
-    "WatchState",
-    "WindowGrid",
-    "WindowState",
-    "alignment",
-    "beside",
-    "bin_correlation",
-    "channel_faults",
-    "channel_relations",
-    "channel_watch",
-    "conditioned",
-    "hann_amplitude",
-    "leakage",
-    "mains_hum",
-    "overlap_correlation",
-    "repeats",
-    "sensor_drift",
-    "sensor_health",
-    "stillness",
-    "taper",
-    "temperature",
-    "transform",
-    "window_quality",
-    "windows",
-]
+from .window_quality import QualitySettings as QualitySettings
+from .windows import WindowGrid as WindowGrid, WindowState as WindowState

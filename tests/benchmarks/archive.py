@@ -22,8 +22,7 @@ from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
 from monitor.config import Configuration
 from monitor.runs import WINDOWS
-from monitor.signals import Conditioner, WindowGrid, alignment
-from monitor.signals import windows as window
+from monitor.signals import Conditioner, WindowGrid, alignment, windows as window
 from tests.benchmarks.frames import baseline, configuration, write
 from tests.benchmarks.rounds import Cost, interleaved
 from tests.support.frame_text import THREE_STORIES

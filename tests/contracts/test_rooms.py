@@ -55,12 +55,8 @@ def room_of(path: Path) -> str:
 
 @cache
 def exported(room: str) -> list[str]:
-    """List a face's ``__all__`` as its stub spells it."""
-    for node in ast.parse(STUBS[room].read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-            names: list[str] = ast.literal_eval(node.value)
-            return names
-    raise AssertionError(f"{STUBS[room]} has no __all__")
+    """List the names that a face offers, as its stub spells them."""
+    return [name for _, name in imports(STUBS[room])]
 
 
 def from_elsewhere(path: Path) -> list[Import]:
@@ -98,7 +94,6 @@ def test_a_face_is_what_its_stub_says(room: str) -> None:
     names = exported(room)
     module = importlib.import_module(f"monitor.{room}")
     assert len(set(names)) == len(names)
-    assert sorted(name for _, name in imports(STUBS[room])) == sorted(names)
     assert sorted(module.__all__) == sorted(names)
     for source, name in imports(STUBS[room]):
         assert source == f"monitor.{room}" or source.startswith(f"monitor.{room}."), f"{name} is another room's"

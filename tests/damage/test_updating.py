@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from monitor.damage.alternative_solutions import second_solutions
 from monitor.damage.updating import Observation, UpdatingSettings, counterparts, predict, update

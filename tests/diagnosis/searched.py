@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
-from monitor.diagnosis import Diagnosis, DiagnosisSettings, HeldOutGain, diagnose
-from monitor.diagnosis import content as content_of
+from monitor.diagnosis import Diagnosis, DiagnosisSettings, HeldOutGain, content as content_of, diagnose
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.verdict import Cause

@@ -16,8 +16,7 @@ import can
 import numpy as np
 import pytest
 from can.interfaces.socketcan import socketcan
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from pydantic import ValidationError
 
 from drivers import frames

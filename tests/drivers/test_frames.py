@@ -5,8 +5,7 @@ from pathlib import Path
 import cantools
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from drivers import frames
 from drivers.frames import FrameError

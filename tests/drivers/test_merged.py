@@ -6,8 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from drivers.base import TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings

@@ -15,8 +15,18 @@ from monitor.config import configuration
 from monitor.core import Skipped
 from monitor.events import Event, Review, Site, review_event
 from monitor.pipeline import Pipeline
-from tests.events.shaken import MASSES, RATE, STIFFNESS, T0_NS, Array, Shaken, blocks, kanai_tajimi, shake
-from tests.events.shaken import configuration as frame
+from tests.events.shaken import (
+    MASSES,
+    RATE,
+    STIFFNESS,
+    T0_NS,
+    Array,
+    Shaken,
+    blocks,
+    configuration as frame,
+    kanai_tajimi,
+    shake,
+)
 from tests.support.short_quake import BEGIN_S, END_S, shaken
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.hidden import building_trials as trials
-from tests.hidden import frame
+from tests.hidden import building_trials as trials, frame
 from tests.hidden.artefacts import ARTEFACTS
 from tests.hidden.building import TURN, Band, X, Y, forces, motion, point_answer, with_building, with_oscillator
 

@@ -9,8 +9,7 @@ from monitor.core import ModalEstimate, Skipped, Window
 from monitor.identification.ssi import SsiSettings, continuous, gram, poles, realise, state_space
 from monitor.identification.stabilization import SelectionSettings, advice, identify
 from monitor.model import Model, ShearFrame, simulate
-from monitor.signals import Conditioner, WindowGrid
-from monitor.signals import windows as window
+from monitor.signals import Conditioner, WindowGrid, windows as window
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])

@@ -22,8 +22,8 @@ from monitor.signals import (
     overlap_correlation,
     taper,
     transform,
+    windows as window,
 )
-from monitor.signals import windows as window
 from tests.support.simulated import PAPER_FRAME
 
 FRAME = Model(PAPER_FRAME)

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from monitor.diagnosis import DiagnosisSettings, HeldOutGain, StoryLaw, diagnose, in_words
-from monitor.diagnosis import content as content_of
+from monitor.diagnosis import DiagnosisSettings, HeldOutGain, StoryLaw, content as content_of, diagnose, in_words
 from monitor.inference import classify
 from monitor.model import EFFECTS, FORMS, interval, parse_effect
 from monitor.publish.reports.charts import decades, ticks

@@ -24,8 +24,7 @@ from monitor.config import Configuration, configuration
 from monitor.core import Gap, Level, Samples, WindowResult, parse_address
 from monitor.damage import Assessment, LearnedRange, State
 from monitor.model import Model, ShearFrame, simulate
-from monitor.publish.viewer import layout, picture
-from monitor.publish.viewer import scene as rerun_scene
+from monitor.publish.viewer import layout, picture, scene as rerun_scene
 from monitor.publish.viewer.mode_shapes import expand_shape
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.publisher import RerunPublisher

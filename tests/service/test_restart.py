@@ -25,8 +25,7 @@ from drivers.mcap_file import read_recordings
 from drivers.recorder import recorded
 from monitor.config import configuration
 from monitor.core import Gap, Level
-from monitor.damage import AlarmState, StoryState, load_baseline
-from monitor.damage import alarm as alarms
+from monitor.damage import AlarmState, StoryState, alarm as alarms, load_baseline
 from monitor.events import Event
 from monitor.model import simulate
 from monitor.publish import facts_of_line
@@ -43,8 +42,18 @@ from tests.support.live_site import RATE, SIZE, LiveDaemon, save_stream
 from tests.support.quake import shaken
 from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.shaken_site import SITE as SHAKEN_SITE
-from tests.support.site import SITE as BARE_SITE
-from tests.support.site import Endless, Scripted, Told, lines, own, replayed, run_until, summary, write
+from tests.support.site import (
+    SITE as BARE_SITE,
+    Endless,
+    Scripted,
+    Told,
+    lines,
+    own,
+    replayed,
+    run_until,
+    summary,
+    write,
+)
 from tests.support.zenoh_router import free_port
 
 pytestmark = pytest.mark.system

@@ -17,8 +17,7 @@ import pytest
 
 from monitor.config import configuration
 from monitor.core import BadConfigurationError, MissingInputError
-from monitor.service import Daemon
-from monitor.service import site as site_module
+from monitor.service import Daemon, site as site_module
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.restart import lock
 from monitor.service.status import running

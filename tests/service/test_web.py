@@ -27,8 +27,7 @@ from monitor.service.web.application import make_application
 from monitor.service.web.outlet import WebPage, read_token
 from monitor.service.web.snapshots import Keep, Snapshots, latest_events, latest_windows
 from tests.support.samples import T0_NS, Cli
-from tests.support.site import SITE as BARE_SITE
-from tests.support.site import TOKEN
+from tests.support.site import SITE as BARE_SITE, TOKEN
 from tests.support.waiting import until
 
 SECOND = 1_000_000_000

@@ -7,8 +7,7 @@ from math import ceil
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from scipy.signal import sosfilt, sosfreqz
 
 from monitor.signals.kernels import filtered

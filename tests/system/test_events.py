@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.mcap_file import recording_info
-from tests.events.shaken import RATE as SHAKEN_RATE
-from tests.events.shaken import STIFFNESS, kanai_tajimi, shake, structure_text
+from tests.events.shaken import RATE as SHAKEN_RATE, STIFFNESS, kanai_tajimi, shake, structure_text
 from tests.support.faulty_disk import faulty_disk, is_possible
 from tests.support.http import fetch
 from tests.support.live_site import RATE, SIZE, LiveDaemon, save_stream

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.statistics.host_kills import Sink, outbox
-from tests.support.host_sites import Frames, alarms, results
-from tests.support.host_sites import site as site_file
+from tests.support.host_sites import Frames, alarms, results, site as site_file
 from tests.support.live_rig import Command
 from tests.support.object_storage import object_storage
 from tests.support.samples import Cli, Cut

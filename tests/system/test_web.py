@@ -19,8 +19,7 @@ from monitor.service import status
 from tests.support.browser import browser_tool
 from tests.support.debian import demand
 from tests.support.live_site import RATE, LiveDaemon, save_stream
-from tests.support.site import SITE as BARE_SITE
-from tests.support.site import TOKEN
+from tests.support.site import SITE as BARE_SITE, TOKEN
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.system

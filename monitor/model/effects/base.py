@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.parameter import Parameter as Parameter
-from monitor.model.effects.report_face import FittedSizes as FittedSizes
-from monitor.model.effects.report_face import ReportFace
+from monitor.model.effects.report_face import FittedSizes as FittedSizes, ReportFace
 from monitor.model.structures import Structure as Structure
 
 _STORY_STD = 2.0

@@ -11,8 +11,7 @@ import rerun as rr
 from monitor.core import Gap, ModalEstimate, Samples, StiffnessEstimate, WindowResult
 from monitor.damage import LEVEL, Assessment, drift_m, is_seen
 from monitor.events import Event
-from monitor.publish.results.event_lines import event_text as words_of
-from monitor.publish.results.event_lines import telling
+from monitor.publish.results.event_lines import event_text as words_of, telling
 from monitor.publish.viewer.layout import DRIFT, blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
 from monitor.publish.viewer.rows import Rows, Strips, name_line, ui_radius
