@@ -67,7 +67,7 @@ def learn_baseline(
     """
     if not windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
-    mean = _mean_observation(windows, updating)
+    mean = mean_observation(windows, updating)
     fit = _fit(instrumented, mean, updating)
     baseline = Baseline(
         **_known(mean, windows, np.mean([m.frequencies_hz for m in windows], axis=0), rms, motion),
@@ -176,7 +176,7 @@ def learn_modal_baseline(
 
     All windows have the same modes and all channels.
     """
-    mean = _mean_observation(windows, MODES_ALONE)
+    mean = mean_observation(windows, MODES_ALONE)
     m, c = len(mean.model_mode), len(channels)
 
     def law(columns: slice, settings: CovariateSettings, *, alike: bool) -> CovariateLaw | None:
@@ -250,7 +250,7 @@ def _of_shapes(settings: CovariateSettings) -> CovariateSettings:
     return settings.model_copy(update={name: settings.unevenness * getattr(settings, name) for name in names})
 
 
-def _mean_observation(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
+def mean_observation(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
     """Average the observations of several windows, all with the same modes of the model in the same order.
 
     Windows that overlap share data.  Their influences are added before squaring, so that the covariance of the mean counts

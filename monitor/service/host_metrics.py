@@ -18,7 +18,7 @@ from monitor.service.outlets.metrics import Metrics
 _ASK_S = 2.0
 """Longest wait for the metrics of a process. [s; judgement: shorter than a scrape]"""
 _STATES = ("waiting", "running", "ending", "over")
-"""What a host may do with a site. [words; monitor.service.host]"""
+"""What a host may do with a site. [words; monitor.service.schedule]"""
 
 
 class _Endpoint(Collector):

@@ -85,7 +85,7 @@ class Site(Publisher):
     The owner calls `start`; then `take` with each block of the reader's queue, and `step` now and then, until the queue is over;
     `finish` then, unless something failed; and `close` in any case.
 
-    A given source is read in place of the one that the file names; given outlets are closed after its own.  Lines of health
+    A given source is read in place of the one that the file names; given outlets are closed before its own.  Lines of health
     follow each other after `quiet_s` while no data arrive, and summaries at the earliest.  `warm` compiles what the windows of
     a configuration and its baseline need.  A `lean` site spares memory and processor for others in the process: a diagnosis
     reads its data from the recordings, where these are written, and the reader looks up less often.  Rerun viewers are served

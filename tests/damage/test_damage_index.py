@@ -7,11 +7,11 @@ import re
 
 import numpy as np
 import pytest
-from monitor.damage.observations import mean_observation
 
 from monitor.config import Configuration
 from monitor.core import BadInputError, ModalEstimate, WindowResult
 from monitor.damage import Baseline, damage_index, load_baseline, save_baseline
+from monitor.damage.baseline_learning import mean_observation
 from monitor.damage.damage_index import sequential_reading
 from monitor.damage.updating import observe
 from monitor.model import Model, parse_effect, simulate
@@ -67,7 +67,7 @@ def test_a_story_judged_by_its_frequency_alone_loses_what_the_frequency_tells_an
     healthy = baseline_of(config, [modes(0.0)])
     estimate, reading = damage_index.step(modes(0.1), healthy.model, healthy, np.eye(1), config.updating)
     np.testing.assert_allclose(reading.ddi, [0.1], atol=1e-9)
-    assert estimate.misfit == 0.0 and 0.0 < reading.ddi_covariance[0, 0] < 0.01**2
+    assert estimate.misfit == 0.0 and 0.0 < reading.covariance[0, 0] < 0.01**2
 
 
 def test_the_mean_of_one_window_is_that_window() -> None:
