@@ -50,6 +50,9 @@ def _resolution(row: NDArray[np.floating[Any]]) -> float:
 
     It is the least difference of two values, if all values lie on its multiples.
     """
+    endings = np.bincount(row.view(np.uint16)[:: row.itemsize // 2])
+    if np.count_nonzero(endings) > row.size // 2:  # so many different last bits: most samples are distinct
+        return 0.0
     ordered = np.sort(row)
     values = ordered[np.flatnonzero(np.diff(ordered, prepend=np.nan) != 0.0)].astype(float)
     if not 1 < values.size <= row.size // 2:  # most samples are distinct
@@ -140,40 +143,54 @@ def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, No
     out: list[tuple[float, float] | tuple[None, None]] = [(None, None)] * c
     if n < 2:
         return out
-    n_fft = 2 * n  # a line between two bins would not be one
-    mains, bins, begins, width = _harmonics(rate_hz, n_fft, n)
-    if not mains.size:
+    look = _harmonics(rate_hz, n)  # of 2 n points: a line between two bins would not be one
+    if not look.mains.size:
         return out
-    chance = _chance_of_line(_sine_spectra(x, bins)) * c * width
-    has = np.minimum.reduceat(chance, begins, axis=1) < FALSE_RATE_A_SPAN
-    ends = np.append(begins[1:], bins.size)
+    chance = _chance_of_line(_sine_spectra(x, look)) * c * look.width
+    has = np.minimum.reduceat(chance, look.begins, axis=1) < FALSE_RATE_A_SPAN
+    ends = np.append(look.begins[1:], look.bins.size)
     for k in np.flatnonzero((has.sum(axis=0) == 1) | has.all(axis=0)).tolist() if c > 1 else ():
         for i in np.flatnonzero(has[:, k]).tolist():
-            best = begins[k] + int(chance[i, begins[k] : ends[k]].argmin())
-            out[i] = int(bins[best]) * rate_hz / n_fft, float(mains[k])
+            best = look.begins[k] + int(chance[i, look.begins[k] : ends[k]].argmin())
+            out[i] = int(look.bins[best]) * rate_hz / (2 * n), float(look.mains[k])
     return out
 
 
-@lru_cache(maxsize=8)
-def _harmonics(
-    rate_hz: float, n_fft: int, last_bin: int
-) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """List the bins in which harmonics of the mains may lie, all in one row.
+@dataclass(frozen=True, eq=False, slots=True)
+class _Harmonics:
+    """Bins in which harmonics of the mains may lie, all in one row, in a spectrum of twice as many points as samples."""
 
-    Returns
-    -------
-    mains : ndarray, shape (n_harmonics,)
-        Mains frequency of each harmonic, Hz.
-    bins : ndarray, shape (n_bins,)
-    begins : ndarray, shape (n_harmonics,)
-        Place of each harmonic's first bin in `bins`.
-    width : ndarray, shape (n_bins,)
-        Number of bins of the harmonic that a bin belongs to.
-    """
-    found = mains_hum.harmonic_bins(rate_hz, rate_hz / n_fft, last_bin)
+    mains: Array
+    """Shape (n_harmonics,): mains frequency of each harmonic, Hz."""
+    bins: NDArray[np.intp]
+    """Shape (n_bins,)."""
+    begins: NDArray[np.intp]
+    """Shape (n_harmonics,): place of each harmonic's first bin in `bins`."""
+    width: NDArray[np.intp]
+    """Shape (n_bins,): number of bins of the harmonic that a bin belongs to."""
+    below: _Beside
+    above: _Beside
+
+
+_Beside = tuple[NDArray[np.intp], NDArray[np.bool_]]
+"""Bins beside others at the distance of every taper, shape (n_tapers, n_bins), folded into the spectrum of real samples, and
+where the spectrum there is the conjugate one: below 0 Hz and beyond the Nyquist frequency."""
+
+
+@lru_cache(maxsize=8)
+def _harmonics(rate_hz: float, n: int) -> _Harmonics:
+    """List the bins in which harmonics of the mains may lie in a spectrum of `n` samples padded to 2 n."""
+    found = mains_hum.harmonic_bins(rate_hz, rate_hz / (2 * n), n)
     counts = np.array([last + 1 - first for _, first, last in found], dtype=np.intp)
     bins = np.array([k for _, first, last in found for k in range(first, last + 1)], dtype=np.intp)
-    return np.array([mains for mains, _, _ in found]), bins, np.cumsum(counts) - counts, np.repeat(counts, counts)
+
+    def beside(k: NDArray[np.intp]) -> _Beside:
+        """Fold the bins."""
+        return np.abs((k + n) % (2 * n) - n), k % (2 * n) > n
+
+    mains, orders = np.array([mains for mains, _, _ in found]), np.arange(1, _TAPERS + 1)[:, None]
+    width = np.repeat(counts, counts)
+    return _Harmonics(mains, bins, np.cumsum(counts) - counts, width, beside(bins - orders), beside(bins + orders))
 
 
 def _chance_of_line(spectra: ComplexArray) -> Array:
@@ -186,7 +203,7 @@ def _chance_of_line(spectra: ComplexArray) -> Array:
     return np.asarray((1.0 + ratio) ** (1.0 - _TAPERS))
 
 
-def _sine_spectra(x: Array, bins: NDArray[np.intp]) -> ComplexArray:
+def _sine_spectra(x: Array, look: _Harmonics) -> ComplexArray:
     """Compute the spectra of each channel, shape (c, n), under the sine tapers, shape (n_tapers, c, n_bins).
 
     A sine is the difference of two exponentials, so the tapered spectrum is that of two bins of the plain one: one transform
@@ -198,14 +215,13 @@ def _sine_spectra(x: Array, bins: NDArray[np.intp]) -> ComplexArray:
     """
     n = x.shape[1]
     plain = np.fft.rfft(x[:, :-1] - x[:, :-1].mean(axis=1, keepdims=True), 2 * n, axis=1)
-    order = np.arange(1, _TAPERS + 1)[:, None]
-    turn = np.exp(1j * np.pi / n * order)
+    turn = np.exp(1j * np.pi / n * np.arange(1, _TAPERS + 1)[:, None])
 
-    def at(k: NDArray[np.intp]) -> ComplexArray:
-        """Return the spectrum at bins below 0 and beyond the Nyquist frequency too, shape (n_tapers, c, n_bins)."""
-        folded = np.abs((k + n) % (2 * n) - n)
+    def at(beside: _Beside) -> ComplexArray:
+        """Return the spectrum beside the bins, shape (n_tapers, c, n_bins)."""
+        folded, mirrored = beside
         values = plain[:, folded].transpose(1, 0, 2)
-        return np.where(((k % (2 * n)) > n)[:, None], values.conj(), values)
+        return np.where(mirrored[:, None], values.conj(), values) if mirrored.any() else values
 
-    difference = turn[:, None] * at(bins - order) - turn.conj()[:, None] * at(bins + order)
+    difference = turn[:, None] * at(look.below) - turn.conj()[:, None] * at(look.above)
     return np.asarray(difference * (np.sqrt(2.0 / n) / 2j))
