@@ -1,4 +1,4 @@
-"""Reads the index of a whole MCAP file: place and first log time of its chunks, without unpacking them."""
+"""Reads the index of a whole MCAP file: place, first and last log time of its chunks, without unpacking them."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Index(NamedTuple):
     """Name of the library that wrote the file."""
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
-    chunks: list[tuple[int, Segment]]
-    """Smallest log time (ns) and place of each chunk."""
+    chunks: list[tuple[int, int, Segment]]
+    """Smallest and largest log time (ns) and place of each chunk."""
 
 
 def read_index(path: Path) -> Index | None:
@@ -93,4 +93,4 @@ def _parse_summary(index: Index, summary: bytes) -> None:
         elif opcode == Opcode.CHUNK_INDEX:
             chunk = ChunkIndex.read(stream(body))
             place = Segment(chunk.chunk_start_offset, chunk.chunk_length, True)
-            index.chunks.append((chunk.message_start_time, place))
+            index.chunks.append((chunk.message_start_time, chunk.message_end_time, place))
