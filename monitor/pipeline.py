@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil, floor
+from typing import Annotated
 
 import numpy as np
 
@@ -116,13 +117,8 @@ class PipelineState:
 class Pipeline:
     """Chain of the stages from samples to alarms; all times are those of the data.
 
-    Parameters
-    ----------
-    config : Configuration
-    baseline : Baseline or ModalBaseline, optional
-        Without a baseline no alarm is announced.
-    reference : Modes, optional
-        Modes by which those of the windows are numbered, where there is neither a model nor a baseline.
+    Without a baseline no alarm is announced.  The modes of the windows are numbered by those of `reference` where there is
+    neither a model nor a baseline.
     """
 
     def __init__(
@@ -167,8 +163,8 @@ class Pipeline:
             raise
 
     @property
-    def level_weights(self) -> Array | None:
-        """How the level of motion is measured with all channels, shape (c, c) (`View.level_weights`)."""
+    def level_weights(self) -> Annotated[Array, "c c"] | None:
+        """How the level of motion is measured with all channels (`View.level_weights`)."""
         return self._view(tuple(range(len(self.config.channels)))).level_weights
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,8 @@ class SpanFaults:
     mains_hz: float | None
 
 
-def find_span_faults(x: Array, rate_hz: float) -> list[SpanFaults]:
-    """Describe the faults of each channel, a row of `x`, shape (c, n), m/s^2."""
+def find_span_faults(x: Annotated[Array, "c n"], rate_hz: float) -> list[SpanFaults]:
+    """Describe the faults of each channel, a row of `x`, m/s^2."""
     out, single = [], x.astype(np.float32)
     read: NDArray[np.floating[Any]] = (
         single if np.array_equal(single, x) else x
@@ -46,7 +46,7 @@ def find_span_faults(x: Array, rate_hz: float) -> list[SpanFaults]:
 
 
 def _resolution(row: NDArray[np.floating[Any]]) -> float:
-    """Return the step between the values of a channel, shape (n,); 0 where it is too fine to be seen.
+    """Return the step between the values of a channel; 0 where it is too fine to be seen.
 
     It is the least difference of two values, if all values lie on its multiples.
     """
@@ -65,8 +65,8 @@ def _resolution(row: NDArray[np.floating[Any]]) -> float:
     return least if off_grid.max() <= min(rounding, 0.1) else 0.0
 
 
-def _wander(x: NDArray[np.floating[Any]]) -> list[tuple[float, float]]:
-    """Compute the step of each channel's offset in a span, shape (c, n), and, where there is none, its drift over the span.
+def _wander(x: Annotated[NDArray[np.floating[Any]], "c n"]) -> list[tuple[float, float]]:
+    """Compute the step of each channel's offset in a span and, where there is none, its drift over the span.
 
     A step is an outlier among the changes of the batches' medians; those of a drift are alike.
 
@@ -132,8 +132,8 @@ def _is_rare(lengths: NDArray[np.intp], n: int) -> NDArray[np.bool_]:
     return rare
 
 
-def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, None]]:
-    """Find for each channel, shape (c, n), the hum of the mains that it has alone, or that all have: (as seen, mains), Hz.
+def _hums(x: Annotated[Array, "c n"], rate_hz: float) -> list[tuple[float, float] | tuple[None, None]]:
+    """Find for each channel the hum of the mains that it has alone, or that all have: (as seen, mains), Hz.
 
     References
     ----------
@@ -160,14 +160,13 @@ def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, No
 class _Harmonics:
     """Bins in which harmonics of the mains may lie, all in one row, in a spectrum of twice as many points as samples."""
 
-    mains: Array
-    """Shape (n_harmonics,): mains frequency of each harmonic, Hz."""
-    bins: NDArray[np.intp]
-    """Shape (n_bins,)."""
-    begins: NDArray[np.intp]
-    """Shape (n_harmonics,): place of each harmonic's first bin in `bins`."""
-    width: NDArray[np.intp]
-    """Shape (n_bins,): number of bins of the harmonic that a bin belongs to."""
+    mains: Annotated[Array, "harmonics"]
+    """Mains frequency of each harmonic, Hz."""
+    bins: Annotated[NDArray[np.intp], "bins"]
+    begins: Annotated[NDArray[np.intp], "harmonics"]
+    """Place of each harmonic's first bin in `bins`."""
+    width: Annotated[NDArray[np.intp], "bins"]
+    """Number of bins of the harmonic that a bin belongs to."""
     below: _Beside
     above: _Beside
 
@@ -193,8 +192,8 @@ def _harmonics(rate_hz: float, n: int) -> _Harmonics:
     return _Harmonics(mains, bins, np.cumsum(counts) - counts, width, beside(bins - orders), beside(bins + orders))
 
 
-def _chance_of_line(spectra: ComplexArray) -> Array:
-    """Compute the probability that noise makes such lines (Thomson's F-test), shape (n_tapers, c, n_bins) to (c, n_bins)."""
+def _chance_of_line(spectra: Annotated[ComplexArray, "tapers c bins"]) -> Annotated[Array, "c bins"]:
+    """Compute the probability that noise makes such lines (Thomson's F-test)."""
     order = np.arange(1, _TAPERS + 1)
     sums = np.where(order % 2 == 1, 1.0 / order, 0.0)  # of the sine tapers' samples, up to a common factor
     line = (sums[:, None, None] * spectra).sum(axis=0) / (sums @ sums)
@@ -203,8 +202,8 @@ def _chance_of_line(spectra: ComplexArray) -> Array:
     return np.asarray((1.0 + ratio) ** (1.0 - _TAPERS))
 
 
-def _sine_spectra(x: Array, look: _Harmonics) -> ComplexArray:
-    """Compute the spectra of each channel, shape (c, n), under the sine tapers, shape (n_tapers, c, n_bins).
+def _sine_spectra(x: Annotated[Array, "c n"], look: _Harmonics) -> Annotated[ComplexArray, "tapers c bins"]:
+    """Compute the spectra of each channel under the sine tapers.
 
     A sine is the difference of two exponentials, so the tapered spectrum is that of two bins of the plain one: one transform
     serves all tapers.  They are those of n - 1 samples, whose period is 2 n.
@@ -218,7 +217,7 @@ def _sine_spectra(x: Array, look: _Harmonics) -> ComplexArray:
     turn = np.exp(1j * np.pi / n * np.arange(1, _TAPERS + 1)[:, None])
 
     def at(beside: _Beside) -> ComplexArray:
-        """Return the spectrum beside the bins, shape (n_tapers, c, n_bins)."""
+        """Return the spectrum beside the bins."""
         folded, mirrored = beside
         values = plain[:, folded].transpose(1, 0, 2)
         return np.where(mirrored[:, None], values.conj(), values) if mirrored.any() else values
