@@ -18,6 +18,7 @@ from .beside import BesideState
 from .channel_faults import FALSE_RATE
 from .channel_watch import WatchState
 from .conditioned import FilterRun
+from .flags import runs_of
 from .front_end import FrontEnd
 from .neighbours import NORMAL_MAD
 from .repeats import KnownBlocks
@@ -74,6 +75,7 @@ __all__ = [
     "mains_hum",
     "overlap_correlation",
     "repeats",
+    "runs_of",
     "sensor_drift",
     "sensor_health",
     "stillness",

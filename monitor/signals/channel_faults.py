@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
+from monitor.signals.flags import runs_of
 from monitor.signals.neighbours import ASSUMED_NOISE, FILTER_LENGTH, MOST_PREDICTORS, NORMAL_MAD
 
 CELL = 100
@@ -85,8 +86,8 @@ class Fault:
 
 def _longest(flags: NDArray[np.bool_]) -> int:
     """Return the largest number of consecutive true values."""
-    edges = np.flatnonzero(~np.concatenate([[False], flags, [False]]))
-    return int(np.diff(edges).max() - 1)
+    first, past = runs_of(flags)
+    return int((past - first).max(initial=0))
 
 
 def find_faults(runs: Sequence[Annotated[Array, "n c"]], facts: Sequence[Sequence[RawFacts]]) -> tuple[Fault, ...]:
@@ -227,9 +228,9 @@ def _events(flags: NDArray[np.bool_], n_cells: Sequence[int], facts: Sequence[Se
         own = [flags[a:b, channel] for a, b in pairwise(starts)]
         usual = _Usual.of(channel, own, described)
         for run, flagged in enumerate(own):
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], flagged, [False]])))
-            for first, past in edges.reshape(-1, 2).tolist():
-                yield Fault(usual.kind(described[run], first + 1, past), channel, run, first + 1, past)
+            for first, past in zip(*runs_of(flagged), strict=True):
+                cells = int(first) + 1, int(past)
+                yield Fault(usual.kind(described[run], *cells), channel, run, *cells)
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,8 +73,7 @@ def find_delays(
         ]
     )
     whole = spectra.mean(axis=0)
-    power = np.einsum("kaa->ka", whole).real
-    coherence = np.abs(whole) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300)
+    coherence = _coherence(whole)
     informative = np.clip(coherence, 0.0, 1.0 - 1e-9)
     informative = np.where(coherence >= _LEAST_COHERENCE, informative / (1.0 - informative), 0.0)
     informative[0] = 0.0
@@ -99,6 +98,12 @@ def find_delays(
         if late or drifts:
             found.append(replace(delay, channel=a, against=b, drift=delay.drift if drifts else 0.0))
     return tuple(found)
+
+
+def _coherence(spectra: Annotated[ComplexArray, "bins c c"]) -> Annotated[Array, "bins c c"]:
+    """Compute the coherence of every two channels from their cross-spectra."""
+    power = np.einsum("kaa->ka", spectra).real
+    return np.asarray(np.abs(spectra) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300))
 
 
 def _delay(
@@ -131,9 +136,7 @@ def _delay(
 
 def find_copies(transforms: Annotated[ComplexArray, "segments bins c"]) -> tuple[tuple[int, int], ...]:
     """List the pairs of channels one of which is a copy of the other."""
-    spectra = np.einsum("ska,skb->kab", transforms, transforms.conj())
-    power = np.einsum("kaa->ka", spectra).real
-    coherence = np.abs(spectra) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300)
+    coherence = _coherence(np.einsum("ska,skb->kab", transforms, transforms.conj()))
     middle = np.median(1.0 - coherence[1:], axis=0)
     c = transforms.shape[2]
     return tuple(

@@ -15,13 +15,14 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from monitor.core import Array, Gap, Settings
+from monitor.core import Array, Settings
+from monitor.signals.alignment import Piece
 from monitor.signals.span_faults import BATCHES, SpanFaults, find_span_faults
 
 _MAX_SPAN_SAMPLES = 1 << 18
@@ -106,26 +107,6 @@ class Health:
     overlaps: int
     """Samples that were repeated, late or not finite in any channel, and dropped."""
     channels: tuple[ChannelHealth, ...]
-
-
-class Piece(Protocol):
-    """Consecutive samples (`alignment.Piece`)."""
-
-    @property
-    def t_ns(self) -> int:
-        """UTC of the first sample."""
-
-    @property
-    def values(self) -> Annotated[Array, "n c"]:
-        """Samples, m/s^2."""
-
-    @property
-    def gap(self) -> Gap | None:
-        """Gap before the samples, if any."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Sampling rate, Hz."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

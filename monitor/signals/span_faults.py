@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.signals import mains_hum
+from monitor.signals.flags import runs_of
 from monitor.signals.neighbours import FALSE_RATE_A_SPAN
 
 BATCHES = 20
@@ -110,10 +111,10 @@ def _held(row: Array, resolution: float) -> int:
     n, repeated = same.size, int(np.count_nonzero(same))
     if repeated in (0, n):  # wholly stuck: told by `repeated`
         return 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
-    begins, lengths = edges[::2], np.diff(edges)[::2]
+    begins, ends = runs_of(same)
+    lengths = ends - begins
     jumps = np.abs(np.concatenate([[0.0], np.diff(row), [0.0]]))
-    jump = np.maximum(jumps[begins], jumps[begins + lengths + 1])
+    jump = np.maximum(jumps[begins], jumps[ends + 1])
     inside = (row[begins] < row.max()) & (row[begins] > row.min()) & (jump > 1.5 * resolution)
     return int(lengths[inside & _is_rare(lengths, n)].sum())
 
