@@ -127,11 +127,11 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
 
     total = covariances.sum(axis=0)
     past, pairs = _places(channel, others, *total.shape[:2])
-    gram = total.ravel()[pairs]
+    gram = total.take(pairs)
     # The products that reach over a block's ends count for one of the blocks alone, which large coefficients of opposite signs
     # magnify: a prediction may not rest on less than their share of the power.
     gram.ravel()[:: len(gram) + 1] *= 1.0 + max(ASSUMED_NOISE, FILTER_LENGTH // 2 / float(counts.min()))
-    weights = np.linalg.solve(gram, total.ravel()[past])
+    weights = np.linalg.solve(gram, total.take(past))
     # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
     shown = np.bincount(past, weights, total.size)
     predicted = np.bincount(pairs.ravel(), np.outer(weights, weights).ravel(), total.size)

@@ -220,7 +220,7 @@ def _sine_spectra(x: Annotated[Array, "c n"], look: _Harmonics) -> Annotated[Com
     def at(beside: _Beside) -> ComplexArray:
         """Return the spectrum beside the bins."""
         folded, mirrored = beside
-        values = plain[:, folded].transpose(1, 0, 2)
+        values = plain.take(folded, axis=1).transpose(1, 0, 2)
         return np.where(mirrored[:, None], values.conj(), values) if mirrored.any() else values
 
     difference = turn[:, None] * at(look.below) - turn.conj()[:, None] * at(look.above)
