@@ -21,7 +21,15 @@ from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter, arrival,
 from drivers.merged import merged
 from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, split_target
 
-__all__ = ["McapWriter", "RecordingInfo", "read_metadata", "read_recordings", "recording_info", "scan_messages"]
+__all__ = [
+    "McapWriter",
+    "RecordingInfo",
+    "read_metadata",
+    "read_recordings",
+    "recorded_time",
+    "recording_info",
+    "scan_messages",
+]
 
 _Item = SampleBlock | ImuSample
 _Result = TypeVar("_Result")
@@ -104,8 +112,24 @@ def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) ->
         first.setdefault(block.topic, block)
         last[block.topic] = block
     start, end = first[ACCELERATION], last[ACCELERATION]
-    duration = (end.t_ns - start.t_ns) / 1e9 + end.length_s
-    return RecordingInfo(tuple(channels), channels, start.sample_rate_hz, duration, start.t_ns, samples[ACCELERATION])
+    duration_s = _duration_s(start, end)
+    return RecordingInfo(tuple(channels), channels, start.sample_rate_hz, duration_s, start.t_ns, samples[ACCELERATION])
+
+
+def recorded_time(path: Path, *, topic_map: Mapping[str, str] | None = None) -> tuple[int, int]:
+    """Read when a recording begins and ends, UTC in ns, as `recording_info` does, of a file with an index from its ends alone."""
+    survey = _Survey(McapFile(path), tuple(UNIT_OF), topic_map or {})
+    end = survey.last_block(ACCELERATION) if survey.use_index() else None
+    if end is None:
+        info = recording_info(path, topic_map=topic_map)
+        return info.t_start_ns, info.t_end_ns
+    start = next(block for block in _join_topics([survey], {}, 0.0) if block.topic == ACCELERATION)
+    return start.t_ns, start.t_ns + round(_duration_s(start, end) * 1e9)
+
+
+def _duration_s(start: SampleBlock, end: SampleBlock) -> float:
+    """Compute the time from a block's first sample to one sampling period after another's last, s."""
+    return (end.t_ns - start.t_ns) / 1e9 + end.length_s
 
 
 def read_metadata(path: Path, name: str) -> dict[str, str] | None:
@@ -135,6 +159,8 @@ class _Survey:
         self.file = file
         self.found_topics: set[str] = set()
         self.segments: list[tuple[int, Segment]] = []
+        self.ends: list[tuple[int, Segment]] = []
+        """The time at which each segment ends, where the file's index tells it."""
         self._topics = frozenset(topics)
         self._channels: dict[int, tuple[Channel, bool]] = {}
         self._axes = {topic: split_target(target)[1] for topic, target in topic_map.items()}
@@ -142,7 +168,7 @@ class _Survey:
     def run(self, on_warning: OnWarning) -> None:
         """Check the whole file, and find the segments with wanted messages."""
         self.file.demand()
-        if self._use_index():
+        if self.use_index():
             return
         count = 0
         for segment, messages in self.file.segments():
@@ -154,7 +180,7 @@ class _Survey:
         if self.file.cut:
             on_warning(f"{self.file.path}: {self.file.cut}; the {count} whole blocks before it are used")
 
-    def _use_index(self) -> bool:
+    def use_index(self) -> bool:
         """Take the segments from the index, which suffices for a whole file of our own writer with wanted messages."""
         chunks = None if self._axes else read_index(self.file, LIBRARY)
         if chunks is None:
@@ -166,8 +192,21 @@ class _Survey:
         except ValueError:  # reading the file through gives an error message with the place
             return False
         clock = max(clock_of(channel.metadata) for channel in channels)
-        self.segments = [(arrival(start_ns, clock), segment) for start_ns, segment in chunks]
+        self.segments = [(arrival(start_ns, clock), segment) for start_ns, _, segment in chunks]
+        self.ends = [(arrival(end_ns, clock), segment) for _, end_ns, segment in chunks]
         return True
+
+    def last_block(self, topic: str) -> SampleBlock | None:
+        """Load the last block of a topic, of a file that has an index; None if it has none."""
+        starts = {segment: start for start, segment in self.segments}
+        found: list[tuple[int, int, Segment, SampleBlock]] = []
+        for end_ns, segment in sorted(self.ends, reverse=True):
+            if found and end_ns < max(t_ns for t_ns, *_ in found):
+                break
+            for t_ns, item in self.decoded(self.file.load(segment)):
+                if isinstance(item, SampleBlock) and item.topic == topic:
+                    found.append((t_ns, starts[segment], segment, item))
+        return sorted(found, key=lambda one: one[:3])[-1][-1] if found else None
 
     def decoded(self, messages: list[Message]) -> list[tuple[int, _Item]]:
         """Decode the wanted ones of some messages, each with the time (ns) by which it is ordered."""

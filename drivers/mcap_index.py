@@ -1,4 +1,4 @@
-"""Reads the index of a whole MCAP file: place and first log time of its chunks, without unpacking them."""
+"""Reads the index of a whole MCAP file: place, first and last log time of its chunks, without unpacking them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _FOOTER = HEAD.size + 20
 _READ_BYTES = 1 << 20
 
 
-def read_index(recording: McapFile, library: str) -> list[tuple[int, Segment]] | None:
-    """Read channels and schemas of a file, and return smallest log time (ns) and place of each chunk.
+def read_index(recording: McapFile, library: str) -> list[tuple[int, int, Segment]] | None:
+    """Read channels and schemas of a file, and return smallest and largest log time (ns) and place of each chunk.
 
     None where that is not to be relied on: another `library` wrote the file, or the checksum of the data section or of the
     index is absent or wrong.  It does not mean that the file is damaged: read it through.
@@ -64,9 +64,9 @@ def _data_is_whole(file: BinaryIO, length: int) -> bool:
     return bool(opcode == Opcode.DATA_END and stated == 4 and expected == crc)
 
 
-def _chunks(recording: McapFile, summary: bytes) -> list[tuple[int, Segment]]:
+def _chunks(recording: McapFile, summary: bytes) -> list[tuple[int, int, Segment]]:
     """Keep the channels and schemas of a summary section, and list its chunks."""
-    chunks: list[tuple[int, Segment]] = []
+    chunks: list[tuple[int, int, Segment]] = []
     position = 0
     while position < len(summary):
         opcode, length = HEAD.unpack_from(summary, position)
@@ -74,7 +74,8 @@ def _chunks(recording: McapFile, summary: bytes) -> list[tuple[int, Segment]]:
         position += HEAD.size + length
         if opcode == Opcode.CHUNK_INDEX:
             chunk = ChunkIndex.read(stream(body))
-            chunks.append((chunk.message_start_time, Segment(chunk.chunk_start_offset, chunk.chunk_length, True)))
+            place = Segment(chunk.chunk_start_offset, chunk.chunk_length, True)
+            chunks.append((chunk.message_start_time, chunk.message_end_time, place))
         else:
             recording.define(opcode, body)
     return chunks

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil, floor
+from typing import Annotated
 
 import numpy as np
 
@@ -117,13 +118,8 @@ class PipelineState:
 class Pipeline:
     """Chain of the stages from samples to alarms; all times are those of the data.
 
-    Parameters
-    ----------
-    config : Configuration
-    baseline : Baseline or ModalBaseline, optional
-        Without a baseline no alarm is announced.
-    reference : Modes, optional
-        Modes by which those of the windows are numbered, where there is neither a model nor a baseline.
+    Without a baseline no alarm is announced.  The modes of the windows are numbered by those of `reference` where there is
+    neither a model nor a baseline.
     """
 
     def __init__(
@@ -168,8 +164,8 @@ class Pipeline:
             raise
 
     @property
-    def level_weights(self) -> Array | None:
-        """How the level of motion is measured with all channels, shape (c, c) (`View.level_weights`)."""
+    def level_weights(self) -> Annotated[Array, "c c"] | None:
+        """How the level of motion is measured with all channels (`View.level_weights`)."""
         return self._view(tuple(range(len(self.config.channels)))).level_weights
 
     @property
@@ -197,49 +193,50 @@ class Pipeline:
         known_blocks = {**self.state.known, block.topic: known}
         if block.topic != ACCELERATION:
             self.state = replace(self.state, known=known_blocks)
-        if block.topic == TEMPERATURE:
-            self._store_temperature(block)
-        if block.topic == GROUND and self.config.events.enabled:
-            self._keep_ground(block)
-        if block.topic != ACCELERATION:
-            self._store_covariates(block)
+            self._store_beside(block)
             return []
         align = replace(self.state.align, late=0) if repeats.overlaps(before, block) else self.state.align
         align_state, pieces = self.front_end.align(align, block, keep_partial=True)
         others = beside.step(self.state.beside, block, self.front_end.channels, self.config.health)
         self.state = replace(self.state, align=align_state, beside=others, known=known_blocks)
-        results: list[Result] = []
-        for piece in pieces:
-            run = self.state.run
-            if piece.gap is not None:
-                results.append(piece.gap)
-            if run is None or piece.gap is not None:
-                self.front_end.check_rate(piece.rate_hz)
-            filters, part = conditioned.step(None if run is None else run.filters, piece, self.front_end)
-            values, lost = part.values, part.lost
-            if run is None or part.begins:
-                run = self._begin(piece, filters, run)
-            elif piece.shift_ns:
-                run = replace(run, t0_ns=run.t0_ns + piece.shift_ns)
-            results += self._check_sensors(piece, align_state.dropped)
-            first = run.window.start + run.window.n
-            t_ns = run.t0_ns + round(first / run.grid.rate_hz * 1e9)
-            results.append(Samples(t_ns, run.grid.rate_hz, values if lost is None else np.where(lost, np.nan, values)))
-            window_state, windows = window.step(run.grid, run.window, values, run.t0_ns, lost)
-            run = replace(run, filters=filters, window=window_state)
-            self.state = replace(self.state, run=run)
-            for item in windows:
-                end_ns = item.t_end_ns if isinstance(item, Window) else item[1]
-                end = round((end_ns - run.t0_ns) * 1e-9 * run.grid.rate_hz)
-                results += self._watch(run, first, values[: max(end - first, 0)])
-                values, first = values[max(end - first, 0) :], max(end, first)
-                result = (
-                    self._assess(item, run.conditioner.cutoff_hz) if isinstance(item, Window) else self._skip(*item)
-                )
-                results.append(result)
-                results += self._remember(result)
-            results += self._watch(run, first, values)
-        return results
+        return [result for piece in pieces for result in self._take_in(piece)]
+
+    def _take_in(self, piece: alignment.Piece) -> list[Result]:
+        """Process consecutive samples of the structure: sensors, conditioned samples, events and windows, in order."""
+        results: list[Result] = [] if piece.gap is None else [piece.gap]
+        run = self.state.run
+        if run is None or piece.gap is not None:
+            self.front_end.check_rate(piece.rate_hz)
+        filters, part = conditioned.step(None if run is None else run.filters, piece, self.front_end)
+        values, lost = part.values, part.lost
+        if run is None or part.begins:
+            run = self._begin(piece, filters, run)
+        elif piece.shift_ns:
+            run = replace(run, t0_ns=run.t0_ns + piece.shift_ns)
+        results += self._check_sensors(piece, self.state.align.dropped)
+        first = run.window.start + run.window.n
+        t_ns = run.t0_ns + round(first / run.grid.rate_hz * 1e9)
+        results.append(Samples(t_ns, run.grid.rate_hz, values if lost is None else np.where(lost, np.nan, values)))
+        window_state, windows = window.step(run.grid, run.window, values, run.t0_ns, lost)
+        run = replace(run, filters=filters, window=window_state)
+        self.state = replace(self.state, run=run)
+        for item in windows:
+            end_ns = item.t_end_ns if isinstance(item, Window) else item[1]
+            end = round((end_ns - run.t0_ns) * 1e-9 * run.grid.rate_hz)
+            results += self._watch(run, first, values[: max(end - first, 0)])
+            values, first = values[max(end - first, 0) :], max(end, first)
+            result = self._assess(item, run.conditioner.cutoff_hz) if isinstance(item, Window) else self._skip(*item)
+            results.append(result)
+            results += self._remember(result)
+        return results + self._watch(run, first, values)
+
+    def _store_beside(self, block: SampleBlock) -> None:
+        """Store what is measured beside the structure's motion, for the windows and events that it may belong to."""
+        if block.topic == TEMPERATURE:
+            self._store_temperature(block)
+        if block.topic == GROUND and self.config.events.enabled:
+            self._keep_ground(block)
+        self._store_covariates(block)
 
     def _watch(self, run: Run, first: int, values: Array) -> list[Event]:
         """Look for events in conditioned samples, of which the first has grid index `first`."""

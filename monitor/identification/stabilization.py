@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import ceil, log
+from statistics import median
 from typing import Annotated, Self
 
 import numpy as np
@@ -286,7 +287,7 @@ def _moves(
     result is the mode of the reference at whose place each was found, and whether they are a ring.
     """
     known = np.log(frequencies)
-    places = {i: int(np.abs(known - np.log(np.median(pole_hz[group == j]))).argmin()) for i, j in matched.items()}
+    places = {i: int(np.abs(known - np.log(median(pole_hz[group == j].tolist()))).argmin()) for i, j in matched.items()}
     moved = {i: p for i, p in places.items() if abs(known[i] - known[p]) > 2.0 * select.stable_frequency}
     found: list[tuple[dict[int, int], bool]] = []
     for first in sorted(moved, key=lambda i: (i in moved.values(), i)):  # a chain from its beginning
@@ -311,7 +312,7 @@ def distinct(
         alike = np.abs(poles.shape[known] @ poles.shape[middle].conj()) ** 2 > select.min_model_mac
         if not (near & alike).any():
             kept.append(cluster)
-    return sorted(kept, key=lambda c: float(np.median(poles.frequency[c])))
+    return sorted(kept, key=lambda c: median(poles.frequency[c].tolist()))
 
 
 def _why_missing(

@@ -29,6 +29,7 @@ from monitor.signals import (
     channel_faults,
     conditioned,
     mains_hum,
+    runs_of,
     sensor_drift,
     taper,
     transform,
@@ -467,8 +468,9 @@ class _Floors(_Stream):
 
 def _left_out_of_drift(drift: Drift, name: str, band: Band) -> LeftOut:
     """Describe what a channel's drift means for the comparison with a model."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], drift.ruled, [False]])))
-    ranges = tuple((float(band.hz[low]), float(band.hz[past - 1])) for low, past in edges.reshape(-1, 2).tolist())
+    ranges = tuple(
+        (float(band.hz[low]), float(band.hz[past - 1])) for low, past in zip(*runs_of(drift.ruled), strict=True)
+    )
     says = f"channel {name} drifts, its power falling as f^-{drift.exponent}, which is taken for noise"
     if ranges:
         ruled_hz = band.bin_hz * int(drift.ruled.sum())

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
-from drivers.mcap_file import read_recordings, recording_info
+from drivers.mcap_file import read_recordings, recorded_time
 from monitor.config import Configuration
 from monitor.core import BadInputError, MissingInputError, ModalEstimate
 from monitor.identification import LEAST_PERIODS, LEAST_RECORD_S
@@ -73,10 +73,10 @@ def recorded_spans(paths: list[Path], config: Configuration) -> list[RecordedSpa
     spans = []
     for path in paths:
         try:
-            info = recording_info(path, topic_map=config.topics or None)
+            begin_ns, end_ns = recorded_time(path, topic_map=config.topics or None)
         except (RecordingError, KeyError):  # of other quantities alone, such as temperature
             continue
-        spans.append(RecordedSpan(path.name, info.t_start_ns, info.t_end_ns))
+        spans.append(RecordedSpan(path.name, begin_ns, end_ns))
     return sorted(spans, key=lambda span: span.t_begin_ns)
 
 

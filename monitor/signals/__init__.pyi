@@ -18,6 +18,7 @@ from .beside import BesideState as BesideState
 from .channel_faults import FALSE_RATE as FALSE_RATE
 from .channel_watch import WatchState as WatchState
 from .conditioned import FilterRun as FilterRun
+from .flags import runs_of as runs_of
 from .front_end import FrontEnd as FrontEnd
 from .neighbours import NORMAL_MAD as NORMAL_MAD
 from .repeats import KnownBlocks as KnownBlocks

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import ceil
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,18 +71,18 @@ class Piece:
     """Consecutive samples, with the gap before them, if any."""
 
     t_ns: int
-    values: Array
-    """Shape (n_samples, c), in the unit of the topic, float64."""
+    values: Annotated[Array, "n c"]
+    """In the unit of the topic."""
     gap: Gap | None
     rate_hz: float
     shift_ns: int = 0
     """Correction of the times of samples from this piece on, for the drift of the clock."""
-    lost: NDArray[np.bool_] | None = None
-    """Shape (n_samples, c): which samples are not finite; None where all are finite."""
+    lost: Annotated[NDArray[np.bool_], "n c"] | None = None
+    """Which samples are not finite; None where all are finite."""
 
 
-def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
-    """Select the structure's channels of a block, shape (n_samples, c), in the unit of its topic.
+def select(block: SampleBlock, channels: tuple[str, ...]) -> Annotated[Array, "n c"]:
+    """Select the structure's channels of a block, in the unit of its topic.
 
     Raises
     ------
@@ -113,21 +114,9 @@ def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
 def step(
     state: AlignState, block: SampleBlock, channels: tuple[str, ...], *, keep_partial: bool = False
 ) -> tuple[AlignState, list[Piece]]:
-    """Append a block to the stream and cut it at gaps and non-finite samples.
+    """Append a block to the stream and cut it at gaps and non-finite samples; there are no pieces if nothing of it is new.
 
-    Parameters
-    ----------
-    keep_partial : bool
-        Keep instants at which only some of the channels are finite (`Piece.lost`); without it they are a gap.
-
-    Returns
-    -------
-    state : AlignState
-    pieces : list of Piece
-        In order; empty if nothing of the block is new.
-
-    Notes
-    -----
+    With `keep_partial` instants at which only some of the channels are finite are kept (`Piece.lost`); without it they are a gap.
     Blocks in sequence form one run as long as the clock does not jump between two of them: a clock error of some parts in a
     million makes no gap.  Times of samples are counted from the run's first sample.  When the clock differs from that count by
     a quarter of a second, the times are corrected in one step.  A source whose times are exact is never corrected.

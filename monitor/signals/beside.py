@@ -22,13 +22,7 @@ class BesideState:
 
 
 def step(state: BesideState, block: SampleBlock, used: tuple[str, ...], settings: HealthSettings) -> BesideState:
-    """Check the channels of a block that are not among the `used` ones.
-
-    Raises
-    ------
-    BadInputError
-        As `alignment.step` raises it.
-    """
+    """Check the channels of a block that are not among the `used` ones; raises as `alignment.step`."""
     names = tuple(name for name in block.channels if name not in used)
     if names != state.names:
         state = BesideState(names)

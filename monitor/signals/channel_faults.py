@@ -16,12 +16,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import NormalDist
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array
+from monitor.signals.flags import runs_of
 from monitor.signals.neighbours import ASSUMED_NOISE, FILTER_LENGTH, MOST_PREDICTORS, NORMAL_MAD
 
 CELL = 100
@@ -40,19 +41,19 @@ FaultKind = Literal["spike", "offset step", "dropout", "noise burst"]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RawFacts:
-    """Properties of the source's samples in one cell that tell the kind of a fault, each of shape (c,)."""
+    """Properties of the source's samples in one cell that tell the kind of a fault."""
 
-    mean: Array
-    held: Array
+    mean: Annotated[Array, "c"]
+    held: Annotated[Array, "c"]
     """Largest number of consecutive steps without a change."""
-    isolated: Array
+    isolated: Annotated[Array, "c"]
     """Largest step of one sample away from both its neighbours, m/s^2."""
-    path: Array
+    path: Annotated[Array, "c"]
     """Sum of the squared steps from sample to sample, (m/s^2)^2."""
 
     @classmethod
-    def of(cls, samples: Array, before: Array) -> RawFacts:
-        """Describe a cell's samples, shape (n, c), m/s^2; `before` holds the two samples before them, if there are any."""
+    def of(cls, samples: Annotated[Array, "n c"], before: Array) -> RawFacts:
+        """Describe a cell's samples, m/s^2; `before` holds the two samples before them, if there are any."""
         step = np.diff(np.concatenate([before, samples]), axis=0)
         rise, fall = step[:-1], -step[1:]
         isolated = np.maximum(np.minimum(rise, fall), np.minimum(-rise, -fall)).max(axis=0, initial=0.0)
@@ -85,28 +86,19 @@ class Fault:
 
 def _longest(flags: NDArray[np.bool_]) -> int:
     """Return the largest number of consecutive true values."""
-    edges = np.flatnonzero(~np.concatenate([[False], flags, [False]]))
-    return int(np.diff(edges).max() - 1)
+    first, past = runs_of(flags)
+    return int((past - first).max(initial=0))
 
 
-def find_faults(runs: Sequence[Array], facts: Sequence[Sequence[RawFacts]]) -> tuple[Fault, ...]:
+def find_faults(runs: Sequence[Annotated[Array, "n c"]], facts: Sequence[Sequence[RawFacts]]) -> tuple[Fault, ...]:
     """Find the brief faults of single channels in a recording.
 
     A channel is at fault in a cell where its neighbours are predicted better without it, by more than the most that chance
     explains in the whole recording; where that is exceptional for this channel; and where its own innovation is larger than
     usual or it stands still: in a lull the sensors' noise alone makes a channel useless.
 
-    Parameters
-    ----------
-    runs : sequence of ndarray, shape (n_samples, c), m/s^2
-        Conditioned samples of every run without a gap.
-    facts : sequence of sequence of RawFacts
-        Properties of the source's samples of every cell of every run.
-
-    Returns
-    -------
-    tuple of Fault
-        In order of channel and time; none with a single channel, which has no neighbours.
+    `runs` are conditioned samples without a gap, m/s^2, `facts` those of the source's samples in every cell of each.  Faults are
+    in order of channel and time; a single channel has none, for it has no neighbours.
 
     References
     ----------
@@ -133,7 +125,7 @@ def find_faults(runs: Sequence[Array], facts: Sequence[Sequence[RawFacts]]) -> t
 
 
 def _highpassed(run: Array) -> Array:
-    """Remove offset and drift of a run, shape (n, c), by a first-order highpass."""
+    """Remove offset and drift of a run by a first-order highpass."""
     from scipy.signal import lfilter  # takes most of a second to load
 
     decay = np.exp(-2.0 * np.pi * _HIGHPASS)
@@ -154,26 +146,15 @@ def _groups(runs: Sequence[Array]) -> list[list[int]]:
 
 
 def _judge(
-    runs: Sequence[Array], n_cells: Sequence[int], still: NDArray[np.bool_], tests: int
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Judge the first of some channels in every cell by the prediction of the others.
+    runs: Sequence[Annotated[Array, "n g"]],
+    n_cells: Sequence[int],
+    still: Annotated[NDArray[np.bool_], "cells"],
+    tests: int,
+) -> tuple[Annotated[Array, "cells"], Annotated[NDArray[np.bool_], "cells"]]:
+    """Judge the first of some channels in every cell by the prediction of the others: its score, and whether it is at fault.
 
-    Parameters
-    ----------
-    runs : sequence of ndarray, shape (n_samples, g), m/s^2
-        Samples of the channel and of its neighbours, without offsets.
-    n_cells : sequence of int
-        Cells of every run, less the first one, which holds the filters' transient.
-    still : ndarray of bool, shape (n_all_cells,)
-        Whether the channel does not change in a cell.
-    tests : int
-        Number of cells of all channels that are judged.
-
-    Returns
-    -------
-    score : ndarray, shape (n_all_cells,)
-        Log likelihood ratio of the neighbours without and with the channel's past, nats.
-    at_fault : ndarray of bool, shape (n_all_cells,)
+    The score is the log likelihood ratio of the neighbours without and with the channel's past, nats.  The runs have no offsets;
+    their first cells hold the filters' transient and are not counted in `n_cells`.  `tests` counts the cells of all channels.
     """
     total, g = sum(n_cells), runs[0].shape[1]
     if g < 2:
@@ -198,8 +179,8 @@ def _judge(
     return score, at_fault
 
 
-def _regressors(runs: Sequence[Array], n_cells: Sequence[int]) -> Iterator[Array]:
-    """Yield the samples of some cells beside their past, shape (cells, CELL, g * (FILTER_LENGTH + 1)), the present ones first."""
+def _regressors(runs: Sequence[Array], n_cells: Sequence[int]) -> Iterator[Annotated[Array, "cells CELL regressors"]]:
+    """Yield the samples of some cells beside those of the FILTER_LENGTH instants before, the present ones first."""
     for run, n in zip(runs, n_cells, strict=True):
         for first in range(1, n + 1, _CHUNK):
             cells = min(_CHUNK, n + 1 - first)
@@ -208,17 +189,13 @@ def _regressors(runs: Sequence[Array], n_cells: Sequence[int]) -> Iterator[Array
             yield np.concatenate(past, axis=1).reshape(cells, CELL, -1)
 
 
-def _innovations(runs: Sequence[Array], n_cells: Sequence[int], weight: Array) -> tuple[Array, Array]:
+def _innovations(
+    runs: Sequence[Array], n_cells: Sequence[int], weight: Annotated[Array, "cells"]
+) -> tuple[Annotated[Array, "cells g"], Annotated[Array, "cells neighbours"]]:
     """Compute the power of the innovations in every cell, with and without the past of the first channel.
 
-    The predictions are those of least squares over all cells (Yule and Walker), each cell with its weight.
-
-    Returns
-    -------
-    innovations : ndarray, shape (n_all_cells, g)
-        Of all channels, by the past of all channels.
-    without : ndarray, shape (n_all_cells, g - 1)
-        Of the neighbours, by the past of the neighbours alone.
+    The former are those of all channels, the latter those of the neighbours by the neighbours' past alone.  The predictions are
+    those of least squares over all cells (Yule and Walker), each cell with its weight.
     """
     g = runs[0].shape[1]
     columns = g * (FILTER_LENGTH + 1)
@@ -251,9 +228,9 @@ def _events(flags: NDArray[np.bool_], n_cells: Sequence[int], facts: Sequence[Se
         own = [flags[a:b, channel] for a, b in pairwise(starts)]
         usual = _Usual.of(channel, own, described)
         for run, flagged in enumerate(own):
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], flagged, [False]])))
-            for first, past in edges.reshape(-1, 2).tolist():
-                yield Fault(usual.kind(described[run], first + 1, past), channel, run, first + 1, past)
+            for first, past in zip(*runs_of(flagged), strict=True):
+                cells = int(first) + 1, int(past)
+                yield Fault(usual.kind(described[run], *cells), channel, run, *cells)
 
 
 @dataclass(frozen=True, slots=True)

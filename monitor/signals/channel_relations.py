@@ -8,6 +8,7 @@ J. S. Bendat, A. G. Piersol, Random Data, 4th ed., 2010, section 9.2: variance o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -44,27 +45,20 @@ class Delay:
     drift_std: float
 
 
-def find_delays(transforms: ComplexArray, step_hz: float, rate_hz: float, stretch_s: float) -> tuple[Delay, ...]:
+def find_delays(
+    transforms: Annotated[ComplexArray, "segments bins c"], step_hz: float, rate_hz: float, stretch_s: float
+) -> tuple[Delay, ...]:
     """Find the channels whose delay against the channel most coherent with them grows, or differs from zero.
 
     Modes turn the phase between two channels by half a turn, whatever the frequency; a delay turns it in proportion to the
-    frequency.
+    frequency.  Only what is significant among all channels is told.
 
     Parameters
     ----------
-    transforms : ndarray, shape (n_segments, n_bins, c)
+    transforms
         Half-overlapping, from 0 Hz up, Hann taper.
-    step_hz : float
-        Spacing of the bins.
-    rate_hz : float
-        Sampling rate.
-    stretch_s : float
+    stretch_s
         Time that the segments span.
-
-    Returns
-    -------
-    tuple of Delay
-        Those that are significant among all channels.
     """
     from scipy.special import stdtrit  # takes a while to load
 
@@ -79,8 +73,7 @@ def find_delays(transforms: ComplexArray, step_hz: float, rate_hz: float, stretc
         ]
     )
     whole = spectra.mean(axis=0)
-    power = np.einsum("kaa->ka", whole).real
-    coherence = np.abs(whole) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300)
+    coherence = _coherence(whole)
     informative = np.clip(coherence, 0.0, 1.0 - 1e-9)
     informative = np.where(coherence >= _LEAST_COHERENCE, informative / (1.0 - informative), 0.0)
     informative[0] = 0.0
@@ -107,8 +100,20 @@ def find_delays(transforms: ComplexArray, step_hz: float, rate_hz: float, stretc
     return tuple(found)
 
 
-def _delay(cross: ComplexArray, whole: ComplexArray, omega: Array, weight: Array, stretch_s: float) -> Delay:
-    """Measure delay and drift from the cross-spectra of the stretches, shape (s, k), and of all of them, shape (k,)."""
+def _coherence(spectra: Annotated[ComplexArray, "bins c c"]) -> Annotated[Array, "bins c c"]:
+    """Compute the coherence of every two channels from their cross-spectra."""
+    power = np.einsum("kaa->ka", spectra).real
+    return np.asarray(np.abs(spectra) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300))
+
+
+def _delay(
+    cross: Annotated[ComplexArray, "stretches k"],
+    whole: Annotated[ComplexArray, "k"],
+    omega: Annotated[Array, "k"],
+    weight: Annotated[Array, "k"],
+    stretch_s: float,
+) -> Delay:
+    """Measure delay and drift from the cross-spectra of the stretches, and of all of them."""
     information = float(weight @ omega**2)
     # From one stretch to the next the phase turns by less than half a turn, unless the clocks differ by much.
     turned = np.angle(cross[1:] * cross[:-1].conj())
@@ -129,11 +134,9 @@ def _delay(cross: ComplexArray, whole: ComplexArray, omega: Array, weight: Array
     return Delay(0, 0, delay, float(np.sqrt(excess / (information * s))), drift, drift_std)
 
 
-def find_copies(transforms: ComplexArray) -> tuple[tuple[int, int], ...]:
-    """List the pairs of channels one of which is a copy of the other; shape (n_segments, n_bins, c)."""
-    spectra = np.einsum("ska,skb->kab", transforms, transforms.conj())
-    power = np.einsum("kaa->ka", spectra).real
-    coherence = np.abs(spectra) ** 2 / np.maximum(power[:, :, None] * power[:, None, :], 1e-300)
+def find_copies(transforms: Annotated[ComplexArray, "segments bins c"]) -> tuple[tuple[int, int], ...]:
+    """List the pairs of channels one of which is a copy of the other."""
+    coherence = _coherence(np.einsum("ska,skb->kab", transforms, transforms.conj()))
     middle = np.median(1.0 - coherence[1:], axis=0)
     c = transforms.shape[2]
     return tuple(
@@ -141,15 +144,15 @@ def find_copies(transforms: ComplexArray) -> tuple[tuple[int, int], ...]:
     )
 
 
-def folded_share(power: Array) -> Array:
-    """Compare the power density just below half the rate with the median of the upper half of the band, (n_bins, c) to (c,).
+def folded_share(power: Annotated[Array, "bins c"]) -> Annotated[Array, "c"]:
+    """Compare the power density just below half the rate with the median of the upper half of the band.
 
     A lowpass before the samples were taken leaves next to nothing there; about 1 means that none was at work.
     """
     return np.asarray(top_density(power) / np.maximum(np.median(power[len(power) // 2 :], axis=0), 1e-300))
 
 
-def top_density(power: Array) -> Array:
-    """Average the power density just below half the rate, (n_bins, c) to (c,)."""
+def top_density(power: Annotated[Array, "bins c"]) -> Annotated[Array, "c"]:
+    """Average the power density just below half the rate."""
     n = len(power)
     return np.asarray(power[n - max(1, round(_TOP_SHARE * n)) :].mean(axis=0))

@@ -48,21 +48,12 @@ class WatchState:
 def find_faults(
     window: Window, unhealthy: Mapping[str, str], channels: tuple[str, ...], settings: HealthSettings
 ) -> dict[int, str]:
-    """Find the channels that a window cannot use, from its own data alone.
+    """Find the channels that a window cannot use, from its own data alone: each (0 = first) with its `LeftOutChannel.reason`.
 
     Parameters
     ----------
-    window : Window
-        Data of all channels.
-    unhealthy : mapping
+    unhealthy
         Channels that are stuck or clipped, by their names, and why (`sensor_health.check`).
-    channels : tuple of str
-        Names of the channels.
-
-    Returns
-    -------
-    dict
-        What is wrong with each channel (0 = first), as in `LeftOutChannel.reason`.
     """
     found = {c: "lost samples" for c in window.lost}
     found |= {c: "does not move" for c in window_quality.still_channels(window.sums) if c not in found}
@@ -78,24 +69,12 @@ def find_faults(
 def step(
     state: WatchState, found: Mapping[int, str], channels: tuple[str, ...], t_ns: int, window_s: float
 ) -> tuple[WatchState, tuple[int, ...], tuple[LeftOutChannel, ...]]:
-    """Decide which channels a window is judged with.
+    """Decide which channels the window that ends at `t_ns` (UTC) is judged with, and which not.
 
     Parameters
     ----------
-    found : mapping
+    found
         What is wrong with each channel (0 = first) in this window (`find_faults`).
-    t_ns : int
-        UTC of the window's end.
-    window_s : float
-        Length of the window, s.
-
-    Returns
-    -------
-    state : WatchState
-    in_use : tuple of int
-        Channels that the window is judged with.
-    left_out : tuple of LeftOutChannel
-        The others.
 
     Examples
     --------

@@ -10,31 +10,18 @@ A. V. Oppenheim, R. W. Schafer, Discrete-Time Signal Processing, 3rd edition, 20
 from __future__ import annotations
 
 from math import asinh, sqrt
+from typing import Annotated
 
 import numpy as np
 
 from monitor.core import Array
 
 
-def chebyshev_lowpass(order: int, ripple_db: float, cutoff_hz: float, rate_hz: float) -> Array:
-    """Design a digital Chebyshev type I lowpass by the bilinear transform.
+def chebyshev_lowpass(order: int, ripple_db: float, cutoff_hz: float, rate_hz: float) -> Annotated[Array, "order/2 6"]:
+    """Design a digital Chebyshev type I lowpass of even order by the bilinear transform.
 
-    Parameters
-    ----------
-    order : int
-        Even.
-    ripple_db : float
-        Largest attenuation in the passband, dB.
-    cutoff_hz : float
-        End of the passband, Hz; below half of `rate_hz`.
-    rate_hz : float
-        Sampling rate, Hz.
-
-    Returns
-    -------
-    ndarray, shape (order / 2, 6)
-        Second-order sections ``b0 b1 b2 a0 a1 a2``, the one with poles nearest the unit circle last; to the last bit those
-        of ``scipy.signal.cheby1``.
+    It is to the last bit that of ``scipy.signal.cheby1``.  The sections are ``b0 b1 b2 a0 a1 a2``, the one with poles nearest
+    the unit circle last.  `ripple_db` is the largest attenuation in the passband.
 
     Examples
     --------

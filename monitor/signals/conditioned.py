@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,19 +38,14 @@ class Conditioned:
     conditioner: Conditioner
     first: int
     """Number of the run's conditioned samples before these."""
-    values: Array
-    """Shape (n_samples, c), in the unit of the topic."""
-    lost: NDArray[np.bool_] | None
-    """Shape (n_samples, c): values that are made up, as a sample was lost; None where none is."""
+    values: Annotated[Array, "n c"]
+    """In the unit of the topic."""
+    lost: Annotated[NDArray[np.bool_], "n c"] | None
+    """Values that are made up, as a sample was lost; None where none is."""
 
 
 def step(run: FilterRun | None, piece: Piece, front_end: FrontEnd) -> tuple[FilterRun, Conditioned]:
     """Condition a piece, in a new run where there is none or the piece comes after a gap.
-
-    Returns
-    -------
-    run : FilterRun
-    part : Conditioned
 
     Examples
     --------

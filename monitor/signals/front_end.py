@@ -70,13 +70,7 @@ class FrontEnd:
     def align(
         self, state: alignment.AlignState, block: SampleBlock, *, keep_partial: bool = False
     ) -> tuple[alignment.AlignState, list[alignment.Piece]]:
-        """Order the channels of a block and cut it at gaps (`alignment.step`).
-
-        Raises
-        ------
-        BadInputError
-            If a channel is missing or the unit is not that of the topic.
-        """
+        """Order the channels of a block and cut it at gaps (`alignment.step`, whose errors it raises)."""
         return alignment.step(state, block, self.channels, keep_partial=keep_partial)
 
     def conditioner(self, rate_in_hz: float) -> Conditioner:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,21 +11,12 @@ from monitor.core import Array, compiled
 
 
 @compiled()
-def filtered(sos: Array, x: Array, memory: Array) -> tuple[Array, Array]:
+def filtered(
+    sos: Annotated[Array, "sections 6"], x: Annotated[Array, "n c"], memory: Annotated[Array, "sections 2 c"]
+) -> tuple[Annotated[Array, "n c"], Annotated[Array, "sections 2 c"]]:
     """Filter by second-order sections in cascade, with the result of ``scipy.signal.sosfilt`` to the last bit.
 
-    Parameters
-    ----------
-    sos : ndarray, shape (n_sections, 6)
-    x : ndarray, shape (n_samples, c)
-    memory : ndarray, shape (n_sections, 2, c)
-        State of the sections before the first sample.
-
-    Returns
-    -------
-    out : ndarray, shape (n_samples, c)
-    memory : ndarray, shape (n_sections, 2, c)
-        State of the sections after the last sample.
+    `memory` is the state of the sections before the first sample; that after the last one is returned.
     """
     out, memory = np.empty(x.shape), memory.copy()
     for k in range(x.shape[0]):
@@ -39,20 +32,13 @@ def filtered(sos: Array, x: Array, memory: Array) -> tuple[Array, Array]:
 
 
 @compiled()
-def interpolate(x: Array, first: NDArray[np.int64], phase: NDArray[np.int64], taps: Array) -> Array:
-    """Interpolate: output k is the sum of ``taps[phase[k]]`` times the samples from ``first[k]`` on, summed in the taps' order.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n_samples, c)
-    first : ndarray of int, shape (n_output,)
-    phase : ndarray of int, shape (n_output,)
-    taps : ndarray, shape (n_phases, n_taps)
-
-    Returns
-    -------
-    ndarray, shape (n_output, c)
-    """
+def interpolate(
+    x: Annotated[Array, "n c"],
+    first: Annotated[NDArray[np.int64], "out"],
+    phase: Annotated[NDArray[np.int64], "out"],
+    taps: Annotated[Array, "phases taps"],
+) -> Annotated[Array, "out c"]:
+    """Interpolate: output k is the sum of ``taps[phase[k]]`` times the samples from ``first[k]`` on, in the taps' order."""
     c, n_taps = x.shape[1], taps.shape[1]
     out = np.empty((first.size, c))
     for k in range(first.size):
@@ -65,18 +51,12 @@ def interpolate(x: Array, first: NDArray[np.int64], phase: NDArray[np.int64], ta
 
 
 @compiled(fastmath={"reassoc", "contract"})
-def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array]:
+def lag_products(
+    x: Annotated[Array, "c columns"], n: int, n_lags: int
+) -> tuple[Annotated[Array, "lags c c"], Annotated[Array, "lags c"]]:
     """Sum ``x[:, k] x[:, k + tau]^T`` and ``x[:, k + tau]`` over k < n, for every lag tau.
 
-    The compiler may reorder the sums, so that the processor adds many numbers at once.
-
-    Parameters
-    ----------
-    x : ndarray, shape (c, at least n + n_lags - 1)
-
-    Returns
-    -------
-    ndarray, shape (n_lags, c, c); ndarray, shape (n_lags, c)
+    `x` has at least n + n_lags - 1 columns.  The compiler may reorder the sums, so that the processor adds many numbers at once.
     """
     c = x.shape[0]
     products, shifted = np.empty((n_lags, c, c)), np.empty((n_lags, c))
@@ -102,16 +82,11 @@ def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array]:
 
 
 @compiled(fastmath={"contract"})
-def flatness(lag_sum: Array, weights: Array) -> float:
+def flatness(lag_sum: Annotated[Array, "lags c c"], weights: Annotated[Array, "frequencies lags"]) -> float:
     """Compute the spectral flatness: geometric over arithmetic mean of the channels' summed spectrum.
 
     Each channel is scaled to unit variance, so that a channel of large amplitude does not mask noise in the others.
-
-    Parameters
-    ----------
-    lag_sum : ndarray, shape (n_lags, c, c)
-    weights : ndarray, shape (n_frequencies, n_lags)
-        Weight of every lag in the spectrum at every frequency.
+    `weights` are those of the lags in the spectrum.
     """
     logs, mean = 0.0, 0.0
     for f in range(weights.shape[0]):
@@ -128,23 +103,16 @@ def flatness(lag_sum: Array, weights: Array) -> float:
 
 
 @compiled(fastmath={"reassoc", "nnan", "nsz"})
-def described(x: Array, factor: float, fewest: int, ratio: int) -> tuple[Array, Array]:
+def described(
+    x: Annotated[Array, "c n"], factor: float, fewest: int, ratio: int
+) -> tuple[Annotated[Array, "c n"], Annotated[Array, "6 c"]]:
     """Remove the mean of each channel and compute the statistics of its health.
+
+    These are mean, RMS and largest magnitude about the mean, and the numbers of spikes, of nonzero steps and of piled-up samples.
+    A spike has `factor` mean steps from one sample to the next.
 
     Samples count as piled up at the channel's largest or least value if at least `fewest` lie at that value, and more than
     `ratio` times as many as at the value next to it.  Motion does not stay at an extreme; a clipped channel does.
-
-    Parameters
-    ----------
-    x : ndarray, shape (c, n)
-    factor : float
-        Size of a spike, in mean steps from one sample to the next.
-
-    Returns
-    -------
-    centred : ndarray, shape (c, n)
-    statistics : ndarray, shape (6, c)
-        Mean; RMS and largest magnitude about the mean; number of spikes, of nonzero steps, and of piled-up samples.
     """
     c, n = x.shape
     centred, statistics = np.empty((c, n)), np.zeros((6, c))
@@ -189,7 +157,7 @@ def _count_outliers(row: Array, limit: float) -> int:
 
 @compiled(part=True)
 def _count_piled(row: Array, top: float, fewest: int, ratio: int) -> int:
-    """Count the samples at the largest value `top` of a row, shape (n,); 0 if they are not piled up (see `described`)."""
+    """Count the samples at the largest value `top` of a row; 0 if they are not piled up (see `described`)."""
     count = 0
     for k in range(row.size):
         count += row[k] == top
@@ -201,20 +169,18 @@ def _count_piled(row: Array, top: float, fewest: int, ratio: int) -> int:
 
 @compiled()
 def extreme_gains(
-    shown: Array, predicted: Array, own: Array, counts: NDArray[np.int64], least: float, stds: float, normal_mad: float
+    shown: Annotated[Array, "blocks"],
+    predicted: Annotated[Array, "blocks"],
+    own: Annotated[Array, "blocks"],
+    counts: Annotated[NDArray[np.int64], "blocks"],
+    least: float,
+    stds: float,
+    normal_mad: float,
 ) -> tuple[float, float]:
     """Compute the largest and the least gain of a channel in any block, each `stds` standard deviations nearer to the other.
 
-    Parameters
-    ----------
-    shown, predicted, own : ndarray, shape (n_blocks,)
-        Product of the channel with its prediction, power of the prediction and of the channel.
-    counts : ndarray, shape (n_blocks,)
-        Samples of each block.
-    least : float
-        Power of the prediction beyond which a block counts; at least one has more.
-    normal_mad : float
-        Standard deviation of a normal variable over its median absolute deviation.
+    `shown` is the channel's product with its prediction, `predicted` the power of the prediction, `own` that of the channel.  The
+    blocks count whose prediction has more power than `least`, as at least one has.
     """
     known = np.flatnonzero(predicted > least)
     gain = shown[known] / predicted[known]
@@ -235,25 +201,16 @@ def extreme_gains(
 
 @compiled()
 def count_repetitions(
-    last: Array, x: Array, resolution: Array, counts: tuple[int, int, int, int, int, int]
-) -> tuple[Array, tuple[int, int, int, int, int, int]]:
+    last: Array,
+    x: Annotated[Array, "n c"],
+    resolution: Annotated[Array, "c"],
+    counts: tuple[int, int, int, int, int, int],
+) -> tuple[Annotated[Array, "c"], tuple[int, int, int, int, int, int]]:
     """Count samples that repeat the one before in all channels; one that is not finite says nothing.
 
-    Parameters
-    ----------
-    last : ndarray, shape (0, c) or (1, c)
-        The sample before the first.
-    x : ndarray, shape (n_samples, c)
-    resolution : ndarray, shape (c,)
-        Least change of each channel so far.
-    counts : tuple of int
-        Repetitions, those of the longest run in this stretch, those of the present run in it, the present run, the longest run
-        that steps of the resolution ended, and the longest that larger ones ended.
-
-    Returns
-    -------
-    resolution : ndarray, shape (c,)
-    counts : tuple of int
+    `last` is the sample before the first, if there was one, `resolution` the least change of each channel so far.  `counts` are
+    the repetitions, those of the longest run in this stretch, those of the present run in it, the present run, the longest run
+    that steps of the resolution ended, and the longest that larger ones ended.
     """
     resolution = resolution.copy()
     repeated, longest, here, run, rest, hold = counts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,10 @@ from monitor.signals.resampling import Conditioner, ConditionState
 class LostState:
     """State between pieces of a run."""
 
-    held: Array
-    """Shape (c,): latest finite sample of each channel, m/s^2; 0 before the first."""
-    pending: NDArray[np.bool_]
-    """Shape (c,): whether a sample since the latest conditioned one was lost."""
+    held: Annotated[Array, "c"]
+    """Latest finite sample of each channel, m/s^2; 0 before the first."""
+    pending: Annotated[NDArray[np.bool_], "c"]
+    """Whether a sample since the latest conditioned one was lost."""
 
 
 def start(n_channels: int) -> LostState:
@@ -29,21 +30,11 @@ def start(n_channels: int) -> LostState:
 
 def step(
     state: LostState, piece: Piece, conditioner: Conditioner, condition: ConditionState
-) -> tuple[LostState, Array, NDArray[np.bool_] | None]:
+) -> tuple[LostState, Annotated[Array, "n c"], Annotated[NDArray[np.bool_], "out c"] | None]:
     """Hold the latest finite sample of a channel in the place of those lost, so that its offset makes no step.
 
-    Parameters
-    ----------
-    condition : ConditionState
-        State of the filters before the piece.
-
-    Returns
-    -------
-    state : LostState
-    values : ndarray, shape (n_samples, c), m/s^2
-        The piece's samples, all finite.
-    lost : ndarray of bool, shape (n_output, c), or None
-        Which of the conditioned samples that the piece completes hold a lost one; None where none does.
+    `condition` is the filters' state before the piece.  The piece's samples, all finite, are returned with the mask of the
+    conditioned samples that it completes and that hold a lost one; None where none does.
     """
     values, lost = piece.values, piece.lost
     if lost is None and not state.pending.any():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -41,26 +42,20 @@ class Hum:
     """Upper end of them."""
 
 
-def find_hum(transforms: ComplexArray, step_hz: float, rate_hz: float) -> tuple[Hum, ...]:
+def find_hum(transforms: Annotated[ComplexArray, "segments bins c"], step_hz: float, rate_hz: float) -> tuple[Hum, ...]:
     """Find the hum of the mains in the transforms of a recording's segments.
 
     A line is hum where it lies at a harmonic of the mains or at its alias; where its power is constant over the segments, as that
     of a sinusoid is, while that of a mode's random response is exponentially distributed; and where it is in one channel alone or
-    alike in all, and not in the proportions in which the structure moves at this frequency.
+    alike in all, and not in the proportions in which the structure moves at this frequency.  A single
+    channel shows no proportions.
 
     Parameters
     ----------
-    transforms : ndarray, shape (n_segments, n_bins, c)
+    transforms
         From 0 Hz up, Hann taper.
-    step_hz : float
-        Spacing of the bins.
-    rate_hz : float
+    rate_hz
         Rate of the source.
-
-    Returns
-    -------
-    tuple of Hum
-        None with a single channel, which shows no proportions.
     """
     if transforms.shape[2] < 2:
         return ()
@@ -108,18 +103,9 @@ def _around(first: int, last: int, n_bins: int) -> Array:
 
 
 def _line(transforms: ComplexArray, k: int, tests: int) -> tuple[int | None, int] | None:
-    """Decide whether the line in bin k is hum.
+    """Tell of a hum in bin k its channel, None for all channels, and the half-width in bins of its leakage.
 
-    Parameters
-    ----------
-    tests : int
-        Number of bins and channels among which the line was looked for.
-
-    Returns
-    -------
-    tuple of int or None and int, or None
-        The channel, None for all channels; and the half-width in bins of its leakage.  None where there is no line, or where it
-        may be the structure's motion.
+    None where there is no line, or where it may be the structure's motion.  `tests` bins and channels were looked at for it.
     """
     from scipy.special import gammaincc  # takes a while to load
 
@@ -153,8 +139,8 @@ def _line(transforms: ComplexArray, k: int, tests: int) -> tuple[int | None, int
     return (None, width) if explains(alike, (own + own[i]) / n + np.abs(_GAIN_STD * alike) ** 2) else None
 
 
-def _background(transforms: ComplexArray, k: int, width: int) -> ComplexArray:
-    """Average the cross-spectra of the bins around a line beyond its leakage, shape (c, c)."""
+def _background(transforms: ComplexArray, k: int, width: int) -> Annotated[ComplexArray, "c c"]:
+    """Average the cross-spectra of the bins around a line beyond its leakage."""
     around = transforms[:, _around(k - width, k + width, transforms.shape[1])].reshape(-1, transforms.shape[2])
     return np.asarray(around.T @ around.conj() / len(around))
 
@@ -166,16 +152,11 @@ def _leakage_bins(ratio: float, n: int) -> int:
     return int(offsets[np.flatnonzero(leaked > 1.0 / np.sqrt(n))].max(initial=2)) + 1
 
 
-def constancy(power: Array, noise: float) -> float:
+def constancy(power: Annotated[Array, "segments"], noise: float) -> float:
     """Compute the log likelihood ratio of a sinusoid in noise against a random response, nats.
 
     The power of a sinusoid in noise has the distribution of Rice, that of a random response is exponential.
-
-    Parameters
-    ----------
-    power : ndarray, shape (n_segments,)
-    noise : float
-        Mean power of the background.
+    `noise` is the mean power of the background.
     """
     from scipy.special import i0e  # takes a while to load
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from statistics import NormalDist
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,24 +47,10 @@ still before an earthquake. [ratio; judgement]"""
 def silent_channels(
     sums: LagSums, channels: tuple[int, ...], min_gain: float, min_explained: float
 ) -> dict[int, tuple[float, float]]:
-    """Find the channels that do not show the motion that their neighbours say they should show.
+    """Find the channels that do not show the motion that their neighbours say they should: share explained, least gain.
 
-    Parameters
-    ----------
-    sums : LagSums
-        Lag sums of a window.
-    channels : tuple of int
-        Channels to look at (0 = first), all of which move.
-    min_gain : float
-        Least gain of a well channel in any block, over that in any other.
-    min_explained : float
-        Least share of a well channel's power that its neighbours explain.
-
-    Returns
-    -------
-    dict
-        Share of the power explained, and least gain, of each channel found.  Empty where the channels left do not confirm one
-        another: the motion is then not one that ties them together, which is no fault of a sensor.
+    Of `channels` (0 = first) all move.  None is found where the channels left do not confirm one another: the motion is then not
+    one that ties them together, which is no fault of a sensor.  The settings are those of `HealthSettings`.
     """
     covariances = _block_covariances(sums)
     found: dict[int, tuple[float, float]] = {}
@@ -97,8 +84,8 @@ def _of_the_last_two(
     return {}
 
 
-def _block_covariances(sums: LagSums) -> Array:
-    """Form the lagged products of every block about the window's mean, shape (n_blocks, FILTER_LENGTH + 1, c, c)."""
+def _block_covariances(sums: LagSums) -> Annotated[Array, "blocks lags c c"]:
+    """Form the lagged products of every block about the window's mean, at up to FILTER_LENGTH lags beside 0."""
     n = 2 * min(FILTER_LENGTH // 2, (sums.products.shape[1] - 1) // 2) + 1  # as many lags to either side
     shifted, mean = sums.shifted[:, :n], sums.mean
     moved = shifted[:, :1, :, None] * mean + mean[:, None] * shifted[:, :, None, :]
@@ -140,11 +127,11 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
 
     total = covariances.sum(axis=0)
     past, pairs = _places(channel, others, *total.shape[:2])
-    gram = total.ravel()[pairs]
+    gram = total.take(pairs)
     # The products that reach over a block's ends count for one of the blocks alone, which large coefficients of opposite signs
     # magnify: a prediction may not rest on less than their share of the power.
     gram.ravel()[:: len(gram) + 1] *= 1.0 + max(ASSUMED_NOISE, FILTER_LENGTH // 2 / float(counts.min()))
-    weights = np.linalg.solve(gram, total.ravel()[past])
+    weights = np.linalg.solve(gram, total.take(past))
     # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
     shown = np.bincount(past, weights, total.size)
     predicted = np.bincount(pairs.ravel(), np.outer(weights, weights).ravel(), total.size)
@@ -180,15 +167,10 @@ def _predictability(covariances: Array, channel: int) -> float:
 @lru_cache(maxsize=1024)
 def _places(
     channel: int, others: tuple[int, ...], n_lags: int, n_channels: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Find where lag sums of shape (n_lags, c, c), flattened, hold what the filters on the other channels need.
+) -> tuple[Annotated[NDArray[np.intp], "k"], Annotated[NDArray[np.intp], "k k"]]:
+    """Find where lag sums of shape (n_lags, c, c), flattened, hold what k coefficients of the filters on other channels need.
 
-    Returns
-    -------
-    past : ndarray, shape (n_coefficients,)
-        Products of the channel with each filtered sample.
-    gram : ndarray, shape (n_coefficients, n_coefficients)
-        Products of the filtered samples with one another.
+    These are the products of the channel with each filtered sample, and those of the filtered samples with one another.
     """
     half = n_lags // 2
     lags = np.tile(np.arange(-half, half + 1), len(others))

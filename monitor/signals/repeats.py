@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 from zlib import crc32
 
 import numpy as np
@@ -19,12 +20,12 @@ _MOST_BLOCKS = 4096
 class KnownBlocks:
     """Latest blocks of a topic, in the order in which they came."""
 
-    t_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Shape (n,), UTC of the first sample of each."""
-    checksum: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Shape (n,), of the samples of each."""
-    first: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Shape (n,), checksum of the first sample of each, by which a block that is cut otherwise is known."""
+    t_ns: Annotated[NDArray[np.int64], "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """UTC of the first sample of each."""
+    checksum: Annotated[NDArray[np.int64], "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Of the samples of each."""
+    first: Annotated[NDArray[np.int64], "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Checksum of the first sample of each, by which a block that is cut otherwise is known."""
 
 
 def step(state: KnownBlocks, block: SampleBlock) -> KnownBlocks | None:

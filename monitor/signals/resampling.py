@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from math import floor
+from typing import Annotated
 
 import numpy as np
 
@@ -44,12 +45,12 @@ class Conditioner:
     rate_hz: float
     """Rate after resampling, Hz: the wanted rate, or the source's if that is lower."""
     cutoff_hz: float
-    sos: Array
-    """Second-order sections of the lowpass, shape (n_sections, 6)."""
+    sos: Annotated[Array, "sections 6"]
+    """Second-order sections of the lowpass."""
     step: Fraction
     """Source samples per output sample, at least 1."""
-    taps: Array
-    """Shape (n_phases, n_taps): interpolation weights on the n_taps latest filtered samples, oldest first."""
+    taps: Annotated[Array, "phases taps"]
+    """Interpolation weights on the latest filtered samples, oldest first."""
 
     @classmethod
     @lru_cache(maxsize=16)  # a design is requested after every gap, and a stream may have hundreds of gaps a second
@@ -73,8 +74,8 @@ class Conditioner:
         """Time by which slow motion is late after the lowpass, s: its group delay at 0 Hz."""
         return _delay_s(self)
 
-    def response(self, hz: Array) -> ComplexArray:
-        """Compute the lowpass's frequency response without its delay, shape (n_hz,), at frequencies in Hz."""
+    def response(self, hz: Annotated[Array, "n"]) -> Annotated[ComplexArray, "n"]:
+        """Compute the lowpass's frequency response without its delay."""
         z = np.exp(-2j * np.pi * hz / self.rate_in_hz)[:, None] ** np.arange(3)
         sections = (z @ self.sos[:, :3].T) / (z @ self.sos[:, 3:].T)
         return np.asarray(sections.prod(axis=1) * np.exp(2j * np.pi * hz * self.delay_s))
@@ -88,20 +89,10 @@ class Conditioner:
             n_out=0,
         )
 
-    def step_block(self, state: ConditionState, samples: Array) -> tuple[ConditionState, Array]:
-        """Filter and resample the next samples.
-
-        Parameters
-        ----------
-        state : ConditionState
-        samples : ndarray, shape (n_samples, n_channels), m/s^2
-
-        Returns
-        -------
-        state : ConditionState
-        ndarray, shape (n_output, n_channels), m/s^2
-            Output sample k, counted from the start, lies at source sample ``k * step``.
-        """
+    def step_block(
+        self, state: ConditionState, samples: Annotated[Array, "n c"]
+    ) -> tuple[ConditionState, Annotated[Array, "out c"]]:
+        """Filter and resample the next samples: output k, counted from the start, lies at source sample ``k * step``."""
         from monitor.signals.kernels import filtered, interpolate  # compiled code takes a while to load
 
         latest, memory = filtered(self.sos, np.ascontiguousarray(samples), state.filter_memory)
@@ -132,16 +123,15 @@ def _delay_s(design: Conditioner) -> float:
 class ConditionState:
     """State of filter and resampler between blocks."""
 
-    filter_memory: Array
-    """Shape (n_sections, 2, n_channels)."""
-    history: Array
-    """Shape (n_taps - 1, n_channels): the latest filtered samples."""
+    filter_memory: Annotated[Array, "sections 2 c"]
+    history: Annotated[Array, "taps c"]
+    """The latest filtered samples, one less than the interpolator has taps."""
     n_in: int
     n_out: int
 
 
-def _interpolator(step: Fraction, passband: float) -> Array:
-    """Design the Kaiser-windowed sinc weights of the interpolator, shape (n_phases, n_taps).
+def _interpolator(step: Fraction, passband: float) -> Annotated[Array, "phases taps"]:
+    """Design the Kaiser-windowed sinc weights of the interpolator.
 
     The signal ends at the lowpass's cutoff (`passband`, cycles per source sample), and its images begin at 1 - passband.
     The transition band lies between the two.

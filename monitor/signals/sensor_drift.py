@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,29 +26,24 @@ class Drift:
     channel: int
     exponent: int
     """Exponent with which its power falls as the frequency rises; 2 for a random walk."""
-    density: Array
-    """Power density of the drift in the band's bins, shape (n_bins,), (m/s^2)^2/Hz."""
-    ruled: NDArray[np.bool_]
+    density: Annotated[Array, "bins"]
+    """Power density of the drift in the band, (m/s^2)^2/Hz."""
+    ruled: Annotated[NDArray[np.bool_], "bins"]
     """Mask of the band's bins in which the drift is more than half of the channel's power."""
 
 
-def find_drift(transforms: ComplexArray, first: int) -> tuple[Drift, ...]:
+def find_drift(transforms: Annotated[ComplexArray, "segments bins c"], first: int) -> tuple[Drift, ...]:
     """Find the channels whose drift reaches into the compared band.
 
     Below the band, the part of a channel that no other channel shares is white noise, and where the sensor drifts also a power
-    law of the frequency.  The law is fitted there and continued into the band.
+    law of the frequency.  The law is fitted there and continued into the band.  Too few bins or segments show none.
 
     Parameters
     ----------
-    transforms : ndarray, shape (n_segments, n_bins, c)
+    transforms
         From 0 Hz up to the band's end, Hann taper.
-    first : int
+    first
         First bin of the band.
-
-    Returns
-    -------
-    tuple of Drift
-        None where too few bins or segments show a law.
     """
     n, n_bins, c = transforms.shape
     if first < MAIN_LOBE_BINS + c or n <= 2 * c:
@@ -69,8 +65,8 @@ def find_drift(transforms: ComplexArray, first: int) -> tuple[Drift, ...]:
     return tuple(found)
 
 
-def density(drifts: Sequence[Drift], n_bins: int, n_channels: int) -> Array | None:
-    """Collect the power density of all channels' drift in the band, shape (n_bins, c), (m/s^2)^2/Hz; None where none drifts."""
+def density(drifts: Sequence[Drift], n_bins: int, n_channels: int) -> Annotated[Array, "bins c"] | None:
+    """Collect the power density of all channels' drift in the band, (m/s^2)^2/Hz; None where none drifts."""
     if not drifts:
         return None
     out = np.zeros((n_bins, n_channels))
@@ -100,8 +96,8 @@ def _log_likelihood(power: Array, model: Array, degrees: int) -> float:
     return float(-degrees * (np.log(model) + power / model).sum())
 
 
-def _spectra(transforms: ComplexArray) -> tuple[Array, Array]:
-    """Compute each channel's power density, and of that what is not coherent with the other channels, shapes (n_bins, c)."""
+def _spectra(transforms: ComplexArray) -> tuple[Annotated[Array, "bins c"], Annotated[Array, "bins c"]]:
+    """Compute each channel's power density, and of that what is not coherent with the other channels."""
     spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / transforms.shape[0]
     own = np.einsum("kaa->ka", spectra).real
     scale = np.sqrt(np.maximum(own, np.finfo(float).tiny))

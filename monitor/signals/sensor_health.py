@@ -15,13 +15,14 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from monitor.core import Array, Gap, Settings
+from monitor.core import Array, Settings
+from monitor.signals.alignment import Piece
 from monitor.signals.span_faults import BATCHES, SpanFaults, find_span_faults
 
 _MAX_SPAN_SAMPLES = 1 << 18
@@ -108,26 +109,6 @@ class Health:
     channels: tuple[ChannelHealth, ...]
 
 
-class Piece(Protocol):
-    """Consecutive samples (`alignment.Piece`)."""
-
-    @property
-    def t_ns(self) -> int:
-        """UTC of the first sample."""
-
-    @property
-    def values(self) -> Array:
-        """Shape (n_samples, c), m/s^2."""
-
-    @property
-    def gap(self) -> Gap | None:
-        """Gap before the samples, if any."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Sampling rate, Hz."""
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class HealthState:
     """State of the health checks: the span that is being filled, and completed spans that a window may still need."""
@@ -150,20 +131,7 @@ def step(
 ) -> tuple[HealthState, list[Health]]:
     """Add samples and report the health of every span that they complete.
 
-    Parameters
-    ----------
-    piece : Piece
-        Samples, shape (n_samples, c), m/s^2.
-    dropped : int
-        Number of samples of the stream dropped so far.
-    keep_s : float
-        Time before the samples from which on completed spans are kept for `check`, s.
-
-    Returns
-    -------
-    state : HealthState
-    list of Health
-        The completed spans, in order.
+    `dropped` samples of the stream were dropped so far.  Completed spans are kept for `check` for `keep_s` of data.
     """
     found: list[Health] = []
     rate, t_ns, values = piece.rate_hz, piece.t_ns, piece.values
@@ -195,12 +163,9 @@ def step(
 
 
 def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettings) -> dict[str, str]:
-    """Check the health of the sensors over the window from `begin_ns` to `end_ns` (UTC), by the spans wholly within it.
+    """Say what is wrong with each channel, by its name, that cannot be used in the window from `begin_ns` to `end_ns` (UTC).
 
-    Returns
-    -------
-    dict
-        What is wrong with each channel that cannot be used, by its name, as a clause whose subject is the channel.
+    The spans wholly within it tell it.  What is said is a clause whose subject is the channel.
     """
     inside = [s for s in state.spans if begin_ns <= s.t_ns and s.t_end_ns <= end_ns + 1000]  # times are rounded
     n = sum(s.samples for s in inside)
@@ -224,8 +189,8 @@ def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettin
     return found
 
 
-def saturated(state: HealthState, begin_ns: int, end_ns: int) -> NDArray[np.bool_]:
-    """Find the channels whose samples pile up at their largest or least value between two times (UTC), shape (c,).
+def saturated(state: HealthState, begin_ns: int, end_ns: int) -> Annotated[NDArray[np.bool_], "c"]:
+    """Find the channels whose samples pile up at their largest or least value between two times (UTC).
 
     The spans that overlap this time tell it, the one that is not complete among them.
     """
@@ -254,8 +219,8 @@ def _span_health(state: HealthState, dropped: int, channels: tuple[str, ...]) ->
     )
 
 
-def _channel_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
-    """Compute the health of each channel, a row of `x`, shape (c, n), m/s^2, which may hold samples that are not finite."""
+def _channel_health(x: Annotated[Array, "c n"], rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
+    """Compute the health of each channel, a row of `x`, m/s^2, which may hold samples that are not finite."""
     finite = np.isfinite(x)
     whole = finite.all(axis=1)
     if whole.all():
@@ -273,8 +238,8 @@ def _channel_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tupl
     return tuple(found)
 
 
-def _finite_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
-    """Compute the health of the first channels, each a row of `x`, shape (c, n), m/s^2, of finite samples."""
+def _finite_health(x: Annotated[Array, "c n"], rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
+    """Compute the health of the first channels, each a row of `x`, m/s^2, of finite samples."""
     from monitor.signals.kernels import described  # compiled code takes a while to load
 
     centred, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE_STEPS, _MIN_PILED_SAMPLES, _PILED_RATIO)
@@ -288,8 +253,8 @@ def _finite_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple
     )
 
 
-def _noise_floor(x: Array, rate_hz: float) -> Array:
-    """Estimate the noise floor of each row of `x`, shape (c, n) to (c,), m/s^2/sqrt(Hz), by a Hann window at mid-span."""
+def _noise_floor(x: Annotated[Array, "c n"], rate_hz: float) -> Annotated[Array, "c"]:
+    """Estimate the noise floor of each row of `x`, m/s^2/sqrt(Hz), by a Hann window at mid-span."""
     n = min(x.shape[1], _FFT_N)
     start = (x.shape[1] - n) // 2
     spectrum = np.fft.rfft(x[:, start : start + n] * _taper(n), axis=1)
@@ -299,7 +264,7 @@ def _noise_floor(x: Array, rate_hz: float) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _taper(n: int) -> Array:
-    """Return the symmetric Hann taper of unit energy, shape (n,)."""
+def _taper(n: int) -> Annotated[Array, "n"]:
+    """Return the symmetric Hann taper of unit energy."""
     taper = np.hanning(n + 2)[1:-1]
     return np.asarray(taper / np.sqrt(taper @ taper))

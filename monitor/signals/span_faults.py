@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.signals import mains_hum
+from monitor.signals.flags import runs_of
 from monitor.signals.neighbours import FALSE_RATE_A_SPAN
 
 BATCHES = 20
@@ -33,8 +34,8 @@ class SpanFaults:
     mains_hz: float | None
 
 
-def find_span_faults(x: Array, rate_hz: float) -> list[SpanFaults]:
-    """Describe the faults of each channel, a row of `x`, shape (c, n), m/s^2."""
+def find_span_faults(x: Annotated[Array, "c n"], rate_hz: float) -> list[SpanFaults]:
+    """Describe the faults of each channel, a row of `x`, m/s^2."""
     out, single = [], x.astype(np.float32)
     read: NDArray[np.floating[Any]] = (
         single if np.array_equal(single, x) else x
@@ -46,10 +47,13 @@ def find_span_faults(x: Array, rate_hz: float) -> list[SpanFaults]:
 
 
 def _resolution(row: NDArray[np.floating[Any]]) -> float:
-    """Return the step between the values of a channel, shape (n,); 0 where it is too fine to be seen.
+    """Return the step between the values of a channel; 0 where it is too fine to be seen.
 
     It is the least difference of two values, if all values lie on its multiples.
     """
+    endings = np.bincount(row.view(np.uint16)[:: row.itemsize // 2])
+    if np.count_nonzero(endings) > row.size // 2:  # so many different last bits: most samples are distinct
+        return 0.0
     ordered = np.sort(row)
     values = ordered[np.flatnonzero(np.diff(ordered, prepend=np.nan) != 0.0)].astype(float)
     if not 1 < values.size <= row.size // 2:  # most samples are distinct
@@ -62,8 +66,8 @@ def _resolution(row: NDArray[np.floating[Any]]) -> float:
     return least if off_grid.max() <= min(rounding, 0.1) else 0.0
 
 
-def _wander(x: NDArray[np.floating[Any]]) -> list[tuple[float, float]]:
-    """Compute the step of each channel's offset in a span, shape (c, n), and, where there is none, its drift over the span.
+def _wander(x: Annotated[NDArray[np.floating[Any]], "c n"]) -> list[tuple[float, float]]:
+    """Compute the step of each channel's offset in a span and, where there is none, its drift over the span.
 
     A step is an outlier among the changes of the batches' medians; those of a drift are alike.
 
@@ -107,10 +111,10 @@ def _held(row: Array, resolution: float) -> int:
     n, repeated = same.size, int(np.count_nonzero(same))
     if repeated in (0, n):  # wholly stuck: told by `repeated`
         return 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
-    begins, lengths = edges[::2], np.diff(edges)[::2]
+    begins, ends = runs_of(same)
+    lengths = ends - begins
     jumps = np.abs(np.concatenate([[0.0], np.diff(row), [0.0]]))
-    jump = np.maximum(jumps[begins], jumps[begins + lengths + 1])
+    jump = np.maximum(jumps[begins], jumps[ends + 1])
     inside = (row[begins] < row.max()) & (row[begins] > row.min()) & (jump > 1.5 * resolution)
     return int(lengths[inside & _is_rare(lengths, n)].sum())
 
@@ -129,8 +133,8 @@ def _is_rare(lengths: NDArray[np.intp], n: int) -> NDArray[np.bool_]:
     return rare
 
 
-def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, None]]:
-    """Find for each channel, shape (c, n), the hum of the mains that it has alone, or that all have: (as seen, mains), Hz.
+def _hums(x: Annotated[Array, "c n"], rate_hz: float) -> list[tuple[float, float] | tuple[None, None]]:
+    """Find for each channel the hum of the mains that it has alone, or that all have: (as seen, mains), Hz.
 
     References
     ----------
@@ -140,44 +144,57 @@ def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, No
     out: list[tuple[float, float] | tuple[None, None]] = [(None, None)] * c
     if n < 2:
         return out
-    n_fft = 2 * n  # a line between two bins would not be one
-    mains, bins, begins, width = _harmonics(rate_hz, n_fft, n)
-    if not mains.size:
+    look = _harmonics(rate_hz, n)  # of 2 n points: a line between two bins would not be one
+    if not look.mains.size:
         return out
-    chance = _chance_of_line(_sine_spectra(x, bins)) * c * width
-    has = np.minimum.reduceat(chance, begins, axis=1) < FALSE_RATE_A_SPAN
-    ends = np.append(begins[1:], bins.size)
+    chance = _chance_of_line(_sine_spectra(x, look)) * c * look.width
+    has = np.minimum.reduceat(chance, look.begins, axis=1) < FALSE_RATE_A_SPAN
+    ends = np.append(look.begins[1:], look.bins.size)
     for k in np.flatnonzero((has.sum(axis=0) == 1) | has.all(axis=0)).tolist() if c > 1 else ():
         for i in np.flatnonzero(has[:, k]).tolist():
-            best = begins[k] + int(chance[i, begins[k] : ends[k]].argmin())
-            out[i] = int(bins[best]) * rate_hz / n_fft, float(mains[k])
+            best = look.begins[k] + int(chance[i, look.begins[k] : ends[k]].argmin())
+            out[i] = int(look.bins[best]) * rate_hz / (2 * n), float(look.mains[k])
     return out
 
 
-@lru_cache(maxsize=8)
-def _harmonics(
-    rate_hz: float, n_fft: int, last_bin: int
-) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """List the bins in which harmonics of the mains may lie, all in one row.
+@dataclass(frozen=True, eq=False, slots=True)
+class _Harmonics:
+    """Bins in which harmonics of the mains may lie, all in one row, in a spectrum of twice as many points as samples."""
 
-    Returns
-    -------
-    mains : ndarray, shape (n_harmonics,)
-        Mains frequency of each harmonic, Hz.
-    bins : ndarray, shape (n_bins,)
-    begins : ndarray, shape (n_harmonics,)
-        Place of each harmonic's first bin in `bins`.
-    width : ndarray, shape (n_bins,)
-        Number of bins of the harmonic that a bin belongs to.
-    """
-    found = mains_hum.harmonic_bins(rate_hz, rate_hz / n_fft, last_bin)
+    mains: Annotated[Array, "harmonics"]
+    """Mains frequency of each harmonic, Hz."""
+    bins: Annotated[NDArray[np.intp], "bins"]
+    begins: Annotated[NDArray[np.intp], "harmonics"]
+    """Place of each harmonic's first bin in `bins`."""
+    width: Annotated[NDArray[np.intp], "bins"]
+    """Number of bins of the harmonic that a bin belongs to."""
+    below: _Beside
+    above: _Beside
+
+
+_Beside = tuple[NDArray[np.intp], NDArray[np.bool_]]
+"""Bins beside others at the distance of every taper, shape (n_tapers, n_bins), folded into the spectrum of real samples, and
+where the spectrum there is the conjugate one: below 0 Hz and beyond the Nyquist frequency."""
+
+
+@lru_cache(maxsize=8)
+def _harmonics(rate_hz: float, n: int) -> _Harmonics:
+    """List the bins in which harmonics of the mains may lie in a spectrum of `n` samples padded to 2 n."""
+    found = mains_hum.harmonic_bins(rate_hz, rate_hz / (2 * n), n)
     counts = np.array([last + 1 - first for _, first, last in found], dtype=np.intp)
     bins = np.array([k for _, first, last in found for k in range(first, last + 1)], dtype=np.intp)
-    return np.array([mains for mains, _, _ in found]), bins, np.cumsum(counts) - counts, np.repeat(counts, counts)
+
+    def beside(k: NDArray[np.intp]) -> _Beside:
+        """Fold the bins."""
+        return np.abs((k + n) % (2 * n) - n), k % (2 * n) > n
+
+    mains, orders = np.array([mains for mains, _, _ in found]), np.arange(1, _TAPERS + 1)[:, None]
+    width = np.repeat(counts, counts)
+    return _Harmonics(mains, bins, np.cumsum(counts) - counts, width, beside(bins - orders), beside(bins + orders))
 
 
-def _chance_of_line(spectra: ComplexArray) -> Array:
-    """Compute the probability that noise makes such lines (Thomson's F-test), shape (n_tapers, c, n_bins) to (c, n_bins)."""
+def _chance_of_line(spectra: Annotated[ComplexArray, "tapers c bins"]) -> Annotated[Array, "c bins"]:
+    """Compute the probability that noise makes such lines (Thomson's F-test)."""
     order = np.arange(1, _TAPERS + 1)
     sums = np.where(order % 2 == 1, 1.0 / order, 0.0)  # of the sine tapers' samples, up to a common factor
     line = (sums[:, None, None] * spectra).sum(axis=0) / (sums @ sums)
@@ -186,8 +203,8 @@ def _chance_of_line(spectra: ComplexArray) -> Array:
     return np.asarray((1.0 + ratio) ** (1.0 - _TAPERS))
 
 
-def _sine_spectra(x: Array, bins: NDArray[np.intp]) -> ComplexArray:
-    """Compute the spectra of each channel, shape (c, n), under the sine tapers, shape (n_tapers, c, n_bins).
+def _sine_spectra(x: Annotated[Array, "c n"], look: _Harmonics) -> Annotated[ComplexArray, "tapers c bins"]:
+    """Compute the spectra of each channel under the sine tapers.
 
     A sine is the difference of two exponentials, so the tapered spectrum is that of two bins of the plain one: one transform
     serves all tapers.  They are those of n - 1 samples, whose period is 2 n.
@@ -198,14 +215,13 @@ def _sine_spectra(x: Array, bins: NDArray[np.intp]) -> ComplexArray:
     """
     n = x.shape[1]
     plain = np.fft.rfft(x[:, :-1] - x[:, :-1].mean(axis=1, keepdims=True), 2 * n, axis=1)
-    order = np.arange(1, _TAPERS + 1)[:, None]
-    turn = np.exp(1j * np.pi / n * order)
+    turn = np.exp(1j * np.pi / n * np.arange(1, _TAPERS + 1)[:, None])
 
-    def at(k: NDArray[np.intp]) -> ComplexArray:
-        """Return the spectrum at bins below 0 and beyond the Nyquist frequency too, shape (n_tapers, c, n_bins)."""
-        folded = np.abs((k + n) % (2 * n) - n)
-        values = plain[:, folded].transpose(1, 0, 2)
-        return np.where(((k % (2 * n)) > n)[:, None], values.conj(), values)
+    def at(beside: _Beside) -> ComplexArray:
+        """Return the spectrum beside the bins."""
+        folded, mirrored = beside
+        values = plain.take(folded, axis=1).transpose(1, 0, 2)
+        return np.where(mirrored[:, None], values.conj(), values) if mirrored.any() else values
 
-    difference = turn[:, None] * at(bins - order) - turn.conj()[:, None] * at(bins + order)
+    difference = turn[:, None] * at(look.below) - turn.conj()[:, None] * at(look.above)
     return np.asarray(difference * (np.sqrt(2.0 / n) / 2j))

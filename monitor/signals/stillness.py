@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import isfinite, log
+from typing import Annotated
 
 import numpy as np
 
@@ -50,10 +51,10 @@ class Stretch:
 class StillState:
     """The stretch that is being filled, and those that a window may still need."""
 
-    last: Array
-    """Shape (c,): the latest sample; empty before the first."""
-    resolution: Array
-    """Shape (c,): least change of each channel so far, m/s^2."""
+    last: Annotated[Array, "rows c"]
+    """The latest sample, in a row; no row before the first."""
+    resolution: Annotated[Array, "c"]
+    """Least change of each channel so far, m/s^2."""
     origin_ns: int | None = None
     """UTC of the first sample of all."""
     rate_hz: float = 1.0
@@ -79,16 +80,14 @@ def start(n_channels: int) -> StillState:
 
 
 def step(state: StillState, piece: Piece, step_s: float, keep_s: float) -> StillState:
-    """Add samples.
+    """Add samples, of which those that are not finite say nothing.
 
     Parameters
     ----------
-    piece : Piece
-        Samples, shape (n_samples, c), m/s^2; those that are not finite say nothing.
-    step_s : float
-        Step that divides windows and hops, s: stretches end where windows end.
-    keep_s : float
-        Time before the samples from which on stretches are kept for `check`, s.
+    step_s
+        Step that divides windows and hops: stretches end where windows end.
+    keep_s
+        Length of data for which stretches are kept for `check`.
     """
     t_ns, values, rate = piece.t_ns, piece.values, piece.rate_hz
     if piece.gap is not None and state.n:
@@ -140,8 +139,8 @@ def check(state: StillState, begin_ns: int, end_ns: int) -> Skipped | None:
     return None
 
 
-def _count(state: StillState, part: Array) -> StillState:
-    """Count the repetitions in the next samples of the stretch, shape (n_samples, c)."""
+def _count(state: StillState, part: Annotated[Array, "n c"]) -> StillState:
+    """Count the repetitions in the next samples of the stretch."""
     from monitor.signals.kernels import count_repetitions  # compiled code takes a while to load
 
     before = state.repeated, state.longest, state.here, state.run, state.rest, state.hold

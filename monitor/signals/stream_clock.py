@@ -37,14 +37,8 @@ class StreamClock:
     def add(self, counted_s: float, offset_s: float, length_s: float) -> StreamClock:
         """Add a block of the present run.
 
-        Parameters
-        ----------
-        counted_s : float
-            Counted time of its first sample since the run's first, s.
-        offset_s : float
-            Its stamp minus that time, s.
-        length_s : float
-            Counted time since the block before, s.
+        `counted_s` is the counted time of its first sample since the run's first, `offset_s` its stamp minus that time,
+        `length_s` the counted time since the block before.
 
         Examples
         --------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +51,10 @@ class TemperatureSettings(Settings):
 class TemperatureState:
     """Temperature readings that later windows may need."""
 
-    t_ns: np.ndarray
-    """Shape (n,), int64, UTC in ns, increasing."""
-    lagged_degc: Array
-    """Shape (n, n_lags), degC: the readings after each thermal lag of `LAGS_S`; the first column is as measured."""
+    t_ns: Annotated[NDArray[np.int64], "n"]
+    """UTC, increasing."""
+    lagged_degc: Annotated[Array, "n lags"]
+    """The readings after each thermal lag of `LAGS_S`; the first column is as measured."""
 
 
 def start() -> TemperatureState:
@@ -65,14 +65,8 @@ def start() -> TemperatureState:
 def push(state: TemperatureState, block: SampleBlock, oldest_ns: int = 0) -> TemperatureState:
     """Add a block of readings: the mean of its channels after each thermal lag.
 
-    Rows with an implausible or missing value in any channel are left out.
-
-    Parameters
-    ----------
-    block : SampleBlock
-        Readings in degC.
-    oldest_ns : int
-        Readings before this time (UTC, ns) are dropped: no later window needs them.
+    Rows with an implausible or missing value in any channel are left out.  Readings before `oldest_ns` (UTC) are dropped: no
+    later window needs them.
 
     Raises
     ------
@@ -141,13 +135,9 @@ def reach_ns(window_s: float, settings: TemperatureSettings) -> int:
 def window_temperature(
     state: TemperatureState, t_end_ns: int, window_s: float, settings: TemperatureSettings
 ) -> Temperature | None:
-    """Average the readings that belong to the window that ends at `t_end_ns` (UTC, ns).
+    """Average the readings that belong to the window that ends at `t_end_ns` (UTC), over its stretch (see `TemperatureSettings`).
 
-    Returns
-    -------
-    Temperature or None
-        The mean over the window's stretch (see `TemperatureSettings.patience_s`).  Where a slow channel has no reading in
-        the stretch, the reading before it.  None if the newest reading is older than `TemperatureSettings.max_age_s`.
+    Where a slow channel has no reading in the stretch, the reading before it counts.  None if the newest one is too old.
     """
     if not state.t_ns.size:
         return None

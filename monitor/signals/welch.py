@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from typing import Annotated
 
 import numpy as np
 
@@ -33,8 +34,8 @@ class SegmentDesign:
 
 
 @lru_cache(maxsize=8)
-def taper(n: int) -> Array:
-    """Return the periodic Hann taper of unit energy, shape (n,).
+def taper(n: int) -> Annotated[Array, "n"]:
+    """Return the periodic Hann taper of unit energy.
 
     Examples
     --------
@@ -45,17 +46,10 @@ def taper(n: int) -> Array:
     return np.asarray(window / np.sqrt((window**2).sum()))
 
 
-def transform(design: SegmentDesign, samples: Array) -> ComplexArray:
-    """Compute the tapered Fourier transform of one segment.
+def transform(design: SegmentDesign, samples: Annotated[Array, "n c"]) -> Annotated[ComplexArray, "bins c"]:
+    """Compute the tapered Fourier transform of one segment, m/s^2 to m/s^2/sqrt(Hz).
 
-    Parameters
-    ----------
-    samples : ndarray, shape (n, c), m/s^2
-
-    Returns
-    -------
-    ndarray, shape (n_bins, c), m/s^2/sqrt(Hz)
-        Scaled so that the mean of its outer product is the two-sided cross-spectral density (unit squared per Hz).
+    The mean of its outer product is the two-sided cross-spectral density (unit squared per Hz).
     """
     spectrum = np.fft.rfft(taper(design.n)[:, None] * samples, axis=0)[: design.n_bins]
     return np.asarray(spectrum / np.sqrt(design.rate_hz))
@@ -90,8 +84,8 @@ LEAKAGE_OFFSETS = np.arange(-3, 4)
 
 
 @cache
-def leakage() -> Array:
-    """Return the weights of the true spectrum at LEAKAGE_OFFSETS in the mean of a bin, shape (7,), summing to 1.
+def leakage() -> Annotated[Array, "7"]:
+    """Return the weights of the true spectrum at LEAKAGE_OFFSETS in the mean of a bin, summing to 1.
 
     The mean of a tapered periodogram is the spectrum convolved with the taper's power transfer.  Half bins sample that
     convolution exactly, for covariances that die out within a segment.
@@ -105,7 +99,7 @@ def leakage() -> Array:
 
 
 def hann_amplitude(offset_bins: Array) -> Array:
-    """Evaluate the Fourier transform of the Hann taper over the segment's length, at offsets in bins; same shape.
+    """Evaluate the Fourier transform of the Hann taper over the segment's length, at offsets in bins.
 
     The transform is half of one line and a quarter of each neighbour, with opposite sign.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -30,23 +31,9 @@ def still(variance: Sequence[float]) -> tuple[int, ...]:
 
 
 def check(sums: LagSums, rate_hz: float, cutoff_hz: float, settings: QualitySettings) -> Skipped | None:
-    """Check that a window holds a response from which modes can be identified.
+    """Tell why a window, of channels that move, holds no response from which modes can be identified; None if it does.
 
     The spectral flatness is that of the lag window estimate (Bartlett) of the summed channels, from 1 Hz to 0.9 of the cutoff.
-
-    Parameters
-    ----------
-    sums : LagSums
-        Lagged products of the window, of channels that move.
-    rate_hz : float
-        Sampling rate, Hz.
-    cutoff_hz : float
-        Cutoff of the lowpass, Hz.
-
-    Returns
-    -------
-    Skipped or None
-        The reason why the window cannot be identified; None if it can.
     """
     from monitor.signals.kernels import flatness  # compiled code takes a while to load
 
@@ -57,8 +44,8 @@ def check(sums: LagSums, rate_hz: float, cutoff_hz: float, settings: QualitySett
 
 
 @lru_cache(maxsize=8)
-def _bartlett(n: int, rate_hz: float, cutoff_hz: float) -> Array:
-    """Compute the weights of the lags in the Bartlett spectrum, shape (n_frequencies, n); each includes the negative lag."""
+def _bartlett(n: int, rate_hz: float, cutoff_hz: float) -> Annotated[Array, "frequencies n"]:
+    """Compute the weights of the lags in the Bartlett spectrum; each includes the negative lag."""
     frequency, lag = np.arange(1.0, 0.9 * cutoff_hz, 0.5), np.arange(n)
     cosines = np.cos(2.0 * np.pi * frequency[:, None] * lag / rate_hz)
     return np.asarray(np.where(lag, 2.0, 1.0) * (1.0 - lag / n) * cosines)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import ceil, gcd
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,13 +96,13 @@ def _block_n(window_n: int, hop_n: int, n_lags: int, rate_hz: float) -> int:
 class _Block:
     """Lagged products of one block of samples."""
 
-    products: Array
-    """Shape (n_lags, c, c): sums of the products whose first factor lies in this block; in the latest block only those
+    products: Annotated[Array, "lags c c"]
+    """Sums of the products whose first factor lies in this block; in the latest block only those
     with both factors inside."""
-    shifted: Array
-    """Shape (n_lags, c): sums of the second factors of these products; at lag 0 these are the first factors as well."""
-    head: Array
-    """Shape (n_lags - 1, c): the block's first samples."""
+    shifted: Annotated[Array, "lags c"]
+    """Sums of the second factors of these products; at lag 0 these are the first factors as well."""
+    head: Annotated[Array, "head c"]
+    """The block's first samples, one less than there are lags."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,8 +114,8 @@ class WindowState:
     n: int
     """Samples in the current run."""
     next_window: int
-    samples: Array
-    """The latest samples of the run, shape (.., c): two blocks or one segment, whichever is longer."""
+    samples: Annotated[Array, "n_kept c"]
+    """The latest samples of the run: two blocks or one segment, whichever is longer."""
     blocks: tuple[_Block, ...]
     """The latest complete blocks of the run, at most one window of them."""
     segments: tuple[tuple[int, ComplexArray], ...] = ()
@@ -148,23 +149,20 @@ def _all_runs(grid: WindowGrid, state: WindowState) -> tuple[tuple[int, int, int
 
 
 def step(
-    grid: WindowGrid, state: WindowState, samples: Array, t0_ns: int, lost: NDArray[np.bool_] | None = None
+    grid: WindowGrid,
+    state: WindowState,
+    samples: Annotated[Array, "n c"],
+    t0_ns: int,
+    lost: Annotated[NDArray[np.bool_], "n c"] | None = None,
 ) -> tuple[WindowState, list[Window | tuple[int, int, float, Skipped]]]:
-    """Add samples and emit every window that they complete.
+    """Add samples, m/s^2, and emit the windows that they complete; one with a gap is ``(index, t_end_ns, data_s, Skipped)``.
 
     Parameters
     ----------
-    samples : ndarray, shape (n_samples, c), m/s^2
-    t0_ns : int
+    t0_ns
         UTC of grid index 0.
-    lost : ndarray of bool, shape (n_samples, c), optional
-        Samples whose values are made up: a window names their channels in `Window.lost`.
-
-    Returns
-    -------
-    state : WindowState
-    list
-        Windows in order; a window with a gap is ``(index, t_end_ns, data_s, Skipped)``.
+    lost
+        Mask of samples whose values are made up: a window names their channels in `Window.lost`.
     """
     results: list[Window | tuple[int, int, float, Skipped]] = []
     while samples.shape[0]:
@@ -195,14 +193,14 @@ def _next_window_with_data(grid: WindowGrid, runs: tuple[tuple[int, int, int], .
 
 
 def _append(grid: WindowGrid, state: WindowState, part: Array) -> WindowState:
-    """Append samples, shape (n_samples, c), to the current run and drop those that no block or segment needs."""
+    """Append samples to the current run and drop those that no block or segment needs."""
     keep = max(2 * grid.block_n, grid.segments.n)
     joined = np.concatenate([state.samples, part])[-keep:]
     return replace(state, n=state.n + part.shape[0], samples=joined)
 
 
 def _latest_lost(state: WindowState, lost: NDArray[np.bool_]) -> tuple[int, ...]:
-    """Find each channel's latest lost sample, with those of the next samples, shape (n_samples, c)."""
+    """Find each channel's latest lost sample, with those of the next samples."""
     before, at = state.lost or (-1,) * lost.shape[1], state.start + state.n
     return tuple(at + int(np.flatnonzero(own)[-1]) if own.any() else b for own, b in zip(lost.T, before, strict=True))
 

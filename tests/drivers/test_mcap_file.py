@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
-from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_messages
+from drivers.mcap_file import McapWriter, read_recordings, recorded_time, recording_info, scan_messages
 from drivers.mcap_index import read_index
 from drivers.mcap_records import McapFile
 from drivers.mcap_writer import LIBRARY
@@ -323,6 +323,16 @@ def test_recording_info_counts_gaps_as_duration(tmp_path: Path) -> None:
     assert info.channels[ACCELERATION] == ("a1", "a2")
     assert (info.sample_rate_hz, info.duration_s, info.n_samples) == (100.0, 8.0, 200)
     assert info.t_start_ns == block(0).t_ns
+
+
+def test_the_recorded_time_is_told_by_the_ends_of_a_file_with_an_index_as_by_all_of_it(tmp_path: Path) -> None:
+    ours = write(tmp_path / "a.mcap", block(3), block(9), block(7, n=99), block(0), block(12, GROUND), chunk_every=2)
+    for path in (ours, foreign(tmp_path / "b.mcap", CompressionType.ZSTD, chunked=True)):
+        info = recording_info(path)
+        assert recorded_time(path) == (info.t_start_ns, info.t_end_ns)
+    assert recorded_time(ours)[1] - recorded_time(ours)[0] == 10 * _S
+    with pytest.raises(RecordingError):
+        recorded_time(write(tmp_path / "c.mcap", block(0, GROUND)))
 
 
 @pytest.mark.parametrize("name", ["controlled_data_0", "uncontrolled_data_0"])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -12,6 +10,7 @@ from monitor.core import Gap, WindowResult
 from monitor.model import EFFECTS, Model
 from monitor.pipeline import Pipeline
 from monitor.signals import sensor_health
+from monitor.signals.alignment import Piece
 from monitor.signals.sensor_health import ChannelHealth, Health, HealthSettings, HealthState
 from tests.support.frames import settings_of
 from tests.support.samples import CHANNELS, Cut
@@ -22,12 +21,8 @@ SETTINGS = HealthSettings()
 FRAME = Model(PAPER_FRAME)
 
 
-@dataclass(frozen=True)
-class Piece:
-    t_ns: int
-    values: np.ndarray
-    gap: Gap | None = None
-    rate_hz: float = RATE
+def taken(t_ns: int, values: np.ndarray, gap: Gap | None = None, rate_hz: float = RATE) -> Piece:
+    return Piece(t_ns, values, gap, rate_hz)
 
 
 @pytest.fixture(scope="module")
@@ -48,25 +43,25 @@ def cut_up(values: np.ndarray, sizes: list[int]) -> list[Piece]:
     pieces, start, k = [], 0, 0
     while start < len(values):
         part = values[start : start + sizes[k % len(sizes)]]
-        pieces.append(Piece(round(start / RATE * 1e9), part))
+        pieces.append(taken(round(start / RATE * 1e9), part))
         start, k = start + len(part), k + 1
     return pieces
 
 
 def channel(values: np.ndarray, which: int = 1) -> ChannelHealth:
     """The second span of one channel."""
-    return run(Piece(0, values))[1][1].channels[which]
+    return run(taken(0, values))[1][1].channels[which]
 
 
 def verdict(values: np.ndarray) -> dict[str, str]:
-    state, _ = run(Piece(0, values))
+    state, _ = run(taken(0, values))
     return sensor_health.check(state, 0, round(len(values) / RATE * 1e9), SETTINGS)
 
 
 @given(sizes=st.lists(st.integers(1, 5000), min_size=1, max_size=6))
 @settings(deadline=None, max_examples=25)
 def test_spans_do_not_depend_on_how_the_samples_came(motion: np.ndarray, sizes: list[int]) -> None:
-    _, whole = run(Piece(0, motion))
+    _, whole = run(taken(0, motion))
     _, parts = run(*cut_up(motion, sizes))
     assert [h.channels for h in parts] == [h.channels for h in whole]
     assert [(h.samples, h.availability) for h in parts] == [(2000, 1.0)] * 6
@@ -87,7 +82,7 @@ def test_the_noise_floor_is_that_of_white_noise() -> None:
     floors = []
     for seed in range(20):
         noise = np.random.default_rng(seed).normal(scale=0.5, size=(4000, 3))
-        floors += [c.noise_floor for h in run(Piece(0, noise))[1] for c in h.channels]
+        floors += [c.noise_floor for h in run(taken(0, noise))[1] for c in h.channels]
     assert np.mean(floors) == pytest.approx(0.5 * np.sqrt(2 / RATE), rel=0.05)
 
 
@@ -95,7 +90,7 @@ def test_the_noise_floor_is_that_of_white_noise() -> None:
 def test_gaps_and_overlaps_are_told(motion: np.ndarray, lost_s: float) -> None:
     after = round((5.0 + lost_s) * 1e9)
     _, told = run(
-        Piece(0, motion[:1000]), Piece(after, motion[1000:], Gap(5 * 10**9, lost_s, "lost")), dropped=7, keep_s=1e9
+        taken(0, motion[:1000]), taken(after, motion[1000:], Gap(5 * 10**9, lost_s, "lost")), dropped=7, keep_s=1e9
     )
     assert sum(h.gaps for h in told) == 1 and sum(h.lost_s for h in told) == lost_s
     assert told[0].overlaps == 7 and told[1].overlaps == 0
@@ -105,15 +100,15 @@ def test_gaps_and_overlaps_are_told(motion: np.ndarray, lost_s: float) -> None:
 
 
 def test_another_rate_ends_the_span(motion: np.ndarray) -> None:
-    _, told = run(Piece(0, motion[:100]), Piece(10**9, motion[:4000], Gap(0, 0.0, "rate"), 2 * RATE))
+    _, told = run(taken(0, motion[:100]), taken(10**9, motion[:4000], Gap(0, 0.0, "rate"), 2 * RATE))
     assert [h.samples for h in told] == [100, 4000]
     assert [h.rate_hz for h in told] == [RATE, 2 * RATE]
 
 
 def test_memory_is_bounded_by_the_window_and_at_any_rate(motion: np.ndarray) -> None:
-    state, _ = run(*(Piece(k * 10**9, motion[:200]) for k in range(500)), keep_s=50.0)
+    state, _ = run(*(taken(k * 10**9, motion[:200]) for k in range(500)), keep_s=50.0)
     assert len(state.spans) <= 7
-    state, told = run(Piece(0, np.zeros((600_000, 3)), None, 1e6))
+    state, told = run(taken(0, np.zeros((600_000, 3)), None, 1e6))
     assert len(told) == 2 and state.n < 1 << 18
 
 
@@ -134,7 +129,7 @@ def test_steps_of_a_coarse_sensor_between_rests_are_no_spikes() -> None:
 def test_coarse_resolution_is_no_clipping(level: float) -> None:
     floors = ambient(FRAME, 20.0, RATE, 3, noise=0.05)
     coarse = np.round(floors * level / floors.std(), 3)
-    told = run(Piece(0, coarse))[1]
+    told = run(taken(0, coarse))[1]
     assert all(c.clipped == 0.0 for h in told for c in h.channels)
 
 
@@ -206,8 +201,8 @@ def test_the_pipeline_judges_without_a_stuck_channel_and_takes_it_back(frame_tex
 def test_a_channel_without_finite_samples_is_told_and_its_neighbours_figures_stay(motion: np.ndarray) -> None:
     lost = motion.copy()
     lost[2000:4000, 1] = np.nan
-    _, before = run(Piece(0, motion))
-    _, after = run(Piece(0, lost))
+    _, before = run(taken(0, motion))
+    _, after = run(taken(0, lost))
     assert after[1].channels[0] == before[1].channels[0] and after[1].channels[2] == before[1].channels[2]
     assert after[1].channels[1].lost == 1.0 and after[0].channels[1].lost == 0.0
     lost[2000:4000, 1] = motion[2000:4000, 1]
