@@ -88,8 +88,8 @@ def diagnose(
                 break
             rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
         tied = tied_candidates(candidates, settings.rival)
-        of_forces = not any(is_independent_of_direction(p.candidate.effect) for p in tied)
-        if of_forces and shows_other_direction(stage, settings):
+        directed = not any(is_independent_of_direction(p.candidate.effect) for p in tied)
+        if directed and shows_other_direction(stage, settings):
             from_elsewhere = True  # no cause would be stated
             break
         if lacks_modes(stage.posterior, stage.fit):

@@ -57,7 +57,7 @@ def describe(
     heights = np.full(site.n_stories, np.nan) if site.heights_m is None else site.heights_m
     near_hz = np.where(np.isfinite(before_hz), before_hz, site.modes_hz)
     after = np.full(site.modes_hz.size, np.nan)
-    loss = loss_std = np.full(site.n_stories, np.nan)
+    loss, loss_std = np.full((2, site.n_stories), np.nan)
     notes = [note]
     if cut_off:
         notes.append(f"{', '.join(cut_off)} reached the end of the range: peaks and drifts made of it are lower bounds")

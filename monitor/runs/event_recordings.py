@@ -10,7 +10,7 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.core import sha256
 from monitor.events import Event, EventSettings
-from monitor.runs.recent_blocks import RecentBlocks
+from monitor.runs.recent_blocks import MARGIN_S, RecentBlocks
 
 _log = logging.getLogger(__name__)
 
@@ -18,8 +18,6 @@ _GB = 1 << 30
 """One GiB. [bytes; definition]"""
 FOLDER = "events"
 """Folder of the recordings, beside results.jsonl. [name; contract of events.jsonl]"""
-_MARGIN_S = 20.0
-"""Data beyond the time before an event, since an event is recognized some seconds after it began. [s]"""
 ABOUT = "event"
 """Name of the metadata record of a recording. [name; definition]"""
 
@@ -55,7 +53,7 @@ class EventRecordings:
     def reach_s(self) -> float:
         """Length of data that an event may need."""
         s = self._settings
-        return s.pre_s + s.longest_s + s.merge_s + s.post_s + _MARGIN_S
+        return s.pre_s + s.longest_s + s.merge_s + s.post_s + MARGIN_S
 
     def push(self, block: SampleBlock, *, active: bool) -> None:
         """Keep a block; without an event that goes on, only those that the next one may need."""

@@ -10,9 +10,9 @@ from drivers.base import ACCELERATION, SampleBlock
 
 _MAX_BLOCKS = 200_000
 """Blocks kept at most, whatever their length, so that memory stays bounded with blocks of single samples."""
-_MARGIN_S = 30.0
-"""Seconds of data kept beyond the longest span that is asked for: a request arises with the block that completes its window, and
-that block may be long."""
+MARGIN_S = 30.0
+"""Seconds of data kept beyond the longest span that is asked for: a request arises with the block that completes its window, an
+event is recognized some seconds after it began, and a block may be long."""
 
 
 class RecentBlocks:
@@ -39,7 +39,7 @@ class RecentBlocks:
         """
         self.blocks.append(block)
         self._seconds += _length_s(block)
-        longest_s = self.longest_s + _MARGIN_S
+        longest_s = self.longest_s + MARGIN_S
         while drop and (self._seconds - _length_s(self.blocks[0]) > longest_s or len(self.blocks) > _MAX_BLOCKS):
             self._seconds -= _length_s(self.blocks.popleft())
 

@@ -104,12 +104,12 @@ def test_any_block_written_is_read_back(tmp_path: Path, written: SampleBlock) ->
     assert same(SampleBlock(ACCELERATION, *(getattr(read, name) for name in read.__slots__[1:])), written)
 
 
-def test_the_index_names_every_chunk_and_its_first_time(tmp_path: Path) -> None:
+def test_the_index_names_every_chunk_and_its_first_and_last_time(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", *map(block, range(9)))
-    places = [(c.message_start_time, c.chunk_start_offset, c.chunk_length) for c in chunks(path)]
+    places = [(c.message_start_time, c.message_end_time, c.chunk_start_offset, c.chunk_length) for c in chunks(path)]
     found = read_index(recording := McapFile(path), LIBRARY)
     assert found is not None and len(places) == 3
-    assert [(start_ns, segment.offset, segment.length) for start_ns, segment in found] == places
+    assert [(*times, segment.offset, segment.length) for *times, segment in found] == places
     assert [channel.topic for channel in recording.channels.values()] == [ACCELERATION]
 
 

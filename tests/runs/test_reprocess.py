@@ -197,6 +197,7 @@ def test_an_interrupted_run_leaves_nothing_in_the_dataset(
     task = jobs.Task("name", "b", (archive / "b/whole.mcap",), archive / "frame.toml", None, tmp_path)
     assert jobs.replay_run(task).error == "results: No space left on device"
     assert not list(tmp_path.rglob("*.parquet")) and not list(tmp_path.rglob("*.part"))
+    assert not (tmp_path / "runs/b").exists()
 
 
 @pytest.mark.parametrize(

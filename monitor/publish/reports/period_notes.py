@@ -167,7 +167,7 @@ def read_findings(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]
 def read_events(folder: Path) -> list[Event]:
     """Read the events of a run, each as its highest revision says, in the order of time."""
     events = []
-    with suppress(FileNotFoundError):
+    with suppress(OSError):
         for line in last_told(folder / EVENTS).values():
             with suppress(KeyError, TypeError, ValueError):
                 events.append(read_event(line))

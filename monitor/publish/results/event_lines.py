@@ -86,15 +86,15 @@ def read_event(line: Mapping[str, Any]) -> Event:
 
 def last_told(path: Path) -> dict[str, dict[str, Any]]:
     """Read the line of the highest revision of each event in events.jsonl, by its id; OSError if it cannot be read."""
-    found = dict[str, dict[str, Any]]()
+    found, latest = dict[str, dict[str, Any]](), dict[str, int]()
     for text in path.read_bytes().splitlines():
         try:
             line = parse_json(text)
             id, revision = str(line["id"]), int(line["revision"])
         except (ValueError, KeyError, TypeError):  # preliminary, or a line that a crash cut
             continue
-        if id not in found or revision >= found[id]["revision"]:
-            found[id] = line
+        if revision >= latest.get(id, 0):
+            found[id], latest[id] = line, revision
     return found
 
 

@@ -170,6 +170,7 @@ def make_scene(config: Configuration, baseline: AnyBaseline | None) -> Scene:
     if isinstance(baseline, ModalBaseline):
         return replace(scene, baseline_frequencies_hz=baseline.frequencies_hz, n_modes=baseline.frequencies_hz.size)
     if not config.has_model:
+        assert baseline is None  # a model's baseline belongs to a structure with a model
         return scene
     floors = {sensor.channel: sensor.floor for sensor in config.floor_sensors if sensor.floor is not None}
     model = config.model()

@@ -118,8 +118,7 @@ def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
 def replay_run(task: Task) -> Outcome:
     """Replay the recordings of one run, and write the files of a replay and its part of the dataset."""
     keep_freed()
-    with no_empty_folder(task.out / RUNS / task.name):
-        return _outcome(task, _replay)
+    return _outcome(task, _replay)
 
 
 def diagnose_recording(task: Task) -> Outcome:
@@ -145,17 +144,18 @@ def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
     healthy = None if task.baseline is None else load_healthy(task.baseline, settings)
     folder = task.out / RUNS / task.name
     source = with_first_block_read(read_blocks(paths, settings, on_warning))
-    folder.mkdir(parents=True, exist_ok=True)
-    kept = {"recordings": list(map(address, task.paths)), "stream": task.stream}
-    rows = WindowsFile(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
-    written = ResultFiles(folder, mcap=False)  # the dataset holds the windows for tools that read no JSON lines
-    spans = recorded_spans(paths, settings)
-    session = whole_session(settings, healthy, (rows, written), (task.structure, task.baseline), folder, spans)
-    with ending(session, rows.abandon, written.abandon):
-        factor = pass_through(session, source, paths, event_suffices=True)
-        written.close(session.content(factor) | recorded_content(session, spans) | kept, ())
-        rows.close()  # the run counts as done once this file is there, so it comes last
-    warn_of_losses(session, spans, on_warning)
+    with no_empty_folder(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        kept = {"recordings": list(map(address, task.paths)), "stream": task.stream}
+        rows = WindowsFile(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
+        written = ResultFiles(folder, mcap=False)  # the dataset holds the windows for tools that read no JSON lines
+        spans = recorded_spans(paths, settings)
+        session = whole_session(settings, healthy, (rows, written), (task.structure, task.baseline), folder, spans)
+        with ending(session, rows.abandon, written.abandon):
+            factor = pass_through(session, source, paths, event_suffices=True)
+            written.close(session.content(factor) | recorded_content(session, spans) | kept, ())
+            rows.close()  # the run counts as done once this file is there, so it comes last
+        warn_of_losses(session, spans, on_warning)
 
 
 def _diagnose(task: Task, paths: list[Path], on_warning: OnWarning) -> None:

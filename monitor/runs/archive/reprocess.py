@@ -163,7 +163,7 @@ def _survey_recordings(
             new.append((key, path))
         else:
             as_made = {"channels": tuple(known["channels"]), "path": Path(known["path"]), "version": key}
-            surveys.append(Survey(**known | as_made))
+            surveys.append(Survey(**{**known, **as_made}))
     surveyed = work(survey_recording, [(path, topics) for _, path in new])
     for (key, path), found in zip(new, surveyed, strict=True):
         if isinstance(found, str):
