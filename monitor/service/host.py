@@ -117,9 +117,9 @@ class Host:
         """The sites of this host."""
         return list(self._places.values())
 
-    def _states(self) -> dict[str, str]:
+    def _states(self) -> dict[str, State]:
         """Return what the host does with each site, by its name."""
-        return {place.name: place.state.value for place in self.places if not (place.is_over and place.is_removed)}
+        return {place.name: place.state for place in self.places if not (place.is_over and place.is_removed)}
 
     def _ask_to_stop(self) -> None:
         self._stopping, self._end_s = True, self._clock() + _END_ALL_S
