@@ -137,13 +137,13 @@ class Host:
             service.at_work(now)
             if not service.is_ready and all(self._is_told(place) for place in self.places):
                 self._name_those_away()
-                service.ready()
+                service.tell_ready()
             if self._reload_requested:
                 self._reload_requested = False
                 for place in self.places:
                     if place.state is State.RUNNING and place.site is not None:
                         place.site.ask_to_reload()
-            if self._stopping and service.stopping():
+            if self._stopping and service.tell_stopping():
                 for place in self.places:
                     self._stop(place)
             if now >= self._end_s:
