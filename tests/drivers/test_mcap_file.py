@@ -18,8 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Schema
-from mcap.records import Message as MessageRecord
+from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Message as MessageRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from drivers import codec
