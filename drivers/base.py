@@ -51,6 +51,7 @@ class SampleBlock:
     channels: tuple[str, ...]
     unit: str
     samples: Annotated[NDArray[np.float32], "samples channels"]
+    """In `unit`."""
 
     def __post_init__(self) -> None:
         if self.samples.ndim != 2 or self.samples.shape[1] != len(self.channels):

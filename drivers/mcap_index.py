@@ -65,7 +65,8 @@ def _data_is_whole(file: BinaryIO, length: int) -> bool:
 
 
 def _chunks(recording: McapFile, summary: bytes) -> list[tuple[int, int, Segment]]:
-    """Keep the channels and schemas of a summary section, and list its chunks."""
+    """List the chunks of a summary section, and give the recording its channels and schemas, unless a record is unreadable."""
+    defined = McapFile(recording.path)
     chunks: list[tuple[int, int, Segment]] = []
     position = 0
     while position < len(summary):
@@ -77,5 +78,7 @@ def _chunks(recording: McapFile, summary: bytes) -> list[tuple[int, int, Segment
             place = Segment(chunk.chunk_start_offset, chunk.chunk_length, True)
             chunks.append((chunk.message_start_time, chunk.message_end_time, place))
         else:
-            recording.define(opcode, body)
+            defined.define(opcode, body)
+    recording.channels |= defined.channels
+    recording.schemas |= defined.schemas
     return chunks

@@ -130,7 +130,10 @@ class Node:
         found = self.sequencer
         return {
             "lost_samples": found.lost * self.layout.n_samples,
-            **{name: getattr(found, name) for name in ("repeated", "late", "stray", "restarts")},
+            "repeated": found.repeated,
+            "late": found.late,
+            "stray": found.stray,
+            "restarts": found.restarts,
             "bad_times": self.bad_times,
             "untimed": self.untimed,
             "steps": self.clock.steps,

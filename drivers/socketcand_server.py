@@ -107,13 +107,17 @@ class SocketcandServer:
             if found := _SEND.fullmatch(command):
                 data, extended = bytes(int(part, 16) for part in found[3].split()), len(found[1]) > 3
                 self.send(frame_text(int(found[1], 16), extended, time.time(), data), client)
-            return
-        answers = {b"open": b"< ok >", b"rawmode": b"< ok >", b"echo": b"< echo >"}
-        client.sendall(answers.get(word, b"< error unknown command >"))
-        if word == b"rawmode":
+        elif word == b"open":
+            client.sendall(b"< ok >")
+        elif word == b"rawmode":
+            client.sendall(b"< ok >")
             with self._lock:
                 if client in self._all:
                     self._raw[client] = time.monotonic() + self._settle_s
+        elif word == b"echo":
+            client.sendall(b"< echo >")
+        else:
+            client.sendall(b"< error unknown command >")
 
 
 def frame_text(frame_id: int, extended: bool, t_s: float, data: bytes) -> bytes:

@@ -54,7 +54,10 @@ class Diagnosis:
         return "\n".join([f"{self.verdict}: {self.says}", *told])
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw how much better each tried effect explains the data than none; needs the extra ``plot``."""
+        """Draw how much better each tried effect explains the data than none, and return the axes of matplotlib.
+
+        Needs the extra ``plot``.
+        """
         axes = import_extra("matplotlib.pyplot", "plot()").gca() if axes is None else axes
         tried = sorted(self.content["tried"], key=lambda row: row["log_evidence_over_none"])
         names = [f"{row['effect']}, {row['location']}" for row in tried]

@@ -73,7 +73,7 @@ class Modes:
         return "\n".join(["frequency and damping ratio, ± two standard deviations", *lines, *self.missing])
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw the stabilisation diagram with the chosen modes; needs the extra ``plot``."""
+        """Draw the stabilisation diagram with the chosen modes; return the axes of matplotlib. Needs the extra ``plot``."""
         axes = import_extra("matplotlib.pyplot", "plot()").gca() if axes is None else axes
         stable = self.poles[:, 3] > 0
         axes.plot(self.poles[~stable, 1], self.poles[~stable, 0], "x", color="0.7", label="pole")

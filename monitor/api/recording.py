@@ -14,8 +14,7 @@ import numpy as np
 from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
 from drivers.mcap_file import read_recordings
 from drivers.mcap_records import MAGIC
-from monitor.config import read_by_user
-from monitor.core import Array, BadInputError, MissingInputError, import_extra
+from monitor.core import Array, BadInputError, MissingInputError, import_extra, read_by_user
 from monitor.runs import import_files
 
 _LEAST_FILLED = 0.1
@@ -43,7 +42,7 @@ class Recording:
         return len(self.samples) / self.rate_hz
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw the channels over time; needs the extra ``plot``."""
+        """Draw the channels over time; return the axes of matplotlib. Needs the extra ``plot``."""
         axes = import_extra("matplotlib.pyplot", "plot()").gca() if axes is None else axes
         axes.plot(np.arange(len(self.samples)) / self.rate_hz, self.samples, linewidth=0.5, label=self.channels)
         axes.set(xlabel="time, s", ylabel="acceleration, m/s$^2$")
@@ -119,8 +118,14 @@ def _gathered(path: Path, on_warning: Callable[[str], None]) -> Recording:
     first = of[ACCELERATION][0]
     samples = _laid_out(path, of[ACCELERATION], first, None)
     ground, force = (_laid_out(path, of[topic], first, len(samples)) for topic in (GROUND, FORCE))
-    measured = ground[:, 0] if ground.size else None, force if force.size else None
-    return Recording(samples, first.sample_rate_hz, first.channels, first.t_ns, *measured)
+    return Recording(
+        samples,
+        first.sample_rate_hz,
+        first.channels,
+        first.t_ns,
+        ground=ground[:, 0] if ground.size else None,
+        force=force if force.size else None,
+    )
 
 
 def _laid_out(path: Path, blocks: list[SampleBlock], first: SampleBlock, n: int | None) -> Annotated[Array, "n c"]:

@@ -54,7 +54,10 @@ class Updated:
         return "\n".join(lines if self.converged else ["the updating did not converge", *lines])
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw the loss of each story with intervals of two standard deviations; needs the extra ``plot``."""
+        """Draw the loss of each story with intervals of two standard deviations, and return the axes of matplotlib.
+
+        Needs the extra ``plot``.
+        """
         axes = import_extra("matplotlib.pyplot", "plot()").gca() if axes is None else axes
         places = np.arange(len(self.names))
         axes.errorbar(100 * self.loss, places, xerr=200 * self.loss_std, fmt="o", capsize=4)

@@ -7,7 +7,6 @@ one command, load nothing that the others need.
 from __future__ import annotations
 
 import functools
-import importlib
 import logging
 import os
 import sys
@@ -19,7 +18,23 @@ import typer
 from typer.main import get_command
 
 from monitor import __version__
+from monitor.cli.analyse import calibrate, replay
+from monitor.cli.check import check
 from monitor.cli.common import leave_unread
+from monitor.cli.compare import compare
+from monitor.cli.demo import demo, reproduce
+from monitor.cli.diagnose import accept, diagnose, evaluate
+from monitor.cli.emulate import emulate
+from monitor.cli.features import features
+from monitor.cli.fleet import fleet
+from monitor.cli.host import dataset, host
+from monitor.cli.look import look
+from monitor.cli.operate import ack, export, notify, status
+from monitor.cli.recordings import import_, simulate
+from monitor.cli.report import report
+from monitor.cli.reprocess import reprocess
+from monitor.cli.run import run, warm
+from monitor.cli.view import view
 from monitor.core import (
     BadConfigurationError,
     BadInputError,
@@ -31,25 +46,34 @@ from monitor.core import (
 )
 
 _COMMANDS = (
-    ("diagnose", "diagnose evaluate accept"),
-    ("run", "run warm"),
-    ("host", "host dataset"),
-    ("emulate", "emulate"),
-    ("report", "report"),
-    ("operate", "status ack notify export"),
-    ("reprocess", "reprocess"),
-    ("view", "view"),
-    ("fleet", "fleet"),
-    ("analyse", "replay calibrate"),
-    ("features", "features"),
-    ("recordings", "simulate"),
-    ("look", "look"),
-    ("compare", "compare"),
-    ("recordings", "import_"),
-    ("check", "check"),
-    ("demo", "reproduce demo"),
+    diagnose,
+    evaluate,
+    accept,
+    run,
+    warm,
+    host,
+    dataset,
+    emulate,
+    report,
+    status,
+    ack,
+    notify,
+    export,
+    reprocess,
+    view,
+    fleet,
+    replay,
+    calibrate,
+    features,
+    simulate,
+    look,
+    compare,
+    import_,
+    check,
+    reproduce,
+    demo,
 )
-"""Module of this package and functions of it that are commands, in the order of the help. [names]"""
+"""Functions that are commands, in the order of the help."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -59,9 +83,8 @@ app = typer.Typer(
     help="Online structural health monitor: identification, model updating, damage index, alarms. SI units, UTC.",
 )
 
-for _module, _functions in _COMMANDS:
-    for _name in _functions.split():
-        app.command(_name.removesuffix("_"))(getattr(importlib.import_module(f"monitor.cli.{_module}"), _name))
+for _command in _COMMANDS:
+    app.command(_command.__name__.removesuffix("_"))(_command)
 
 
 @app.callback(invoke_without_command=True)

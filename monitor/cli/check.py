@@ -70,7 +70,8 @@ def check(
 def _demand_recordings(file: Path, settings: Configuration) -> None:
     """Check that the recordings of a ``[source]`` exist and can be read."""
     from drivers.base import SourceContext
-    from monitor.config import configuration, read_by_user
+    from monitor.config import configuration
+    from monitor.core import read_by_user
 
     if settings.source is None or settings.source["kind"] != "mcap":  # the other sources wait for what comes
         return

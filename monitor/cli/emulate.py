@@ -31,7 +31,7 @@ def emulate(recordings: Recordings, to: To, dbc: Dbc = None, speed: Speed = None
 def send(recordings: list[Path], to: str, dbc: Path | None, speed: str | None) -> None:
     """Send recordings to a destination, and report on standard error what is sent."""
     from drivers.mcap_file import read_recordings
-    from monitor.config import read_by_user
+    from monitor.core import read_by_user
     from monitor.runs import send_all
 
     def tell(text: str) -> None:

@@ -216,7 +216,6 @@ def _send_by_file(out: Path, request: Request) -> tuple[bool, str]:
         time.sleep(0.1)
     if not place.exists():
         return True, _APPLIED
-    left = "left for the daemon, which applies it when data come and ledger.jsonl can be written: ask 'status'"
-    return False, left if reader.running(
-        out
-    ) else "the daemon does not run; it is applied with the first data of its next run"
+    if not reader.running(out):
+        return False, "the daemon does not run; it is applied with the first data of its next run"
+    return False, "left for the daemon, which applies it when data come and ledger.jsonl can be written: ask 'status'"

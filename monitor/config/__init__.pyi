@@ -5,5 +5,4 @@ from .configuration import (
     SensorTable as SensorTable,
     read_toml as read_toml,
 )
-from .recording_errors import read_by_user as read_by_user
 from .service_settings import LogSettings as LogSettings, StateSettings as StateSettings

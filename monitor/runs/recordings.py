@@ -7,10 +7,10 @@ from math import inf
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
+from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_file import read_recordings, recorded_time
 from monitor.config import Configuration
-from monitor.core import BadInputError, MissingInputError, ModalEstimate
+from monitor.core import BadInputError, ModalEstimate, read_by_user
 from monitor.identification import LEAST_PERIODS, LEAST_RECORD_S
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import recorded_stretches
@@ -48,14 +48,10 @@ def read_topics(
 
     Raises MissingInputError or BadInputError if a recording is missing or unusable.
     """
-    try:
+    with read_by_user():
         yield from read_recordings(
             list(paths), topics=topics, topic_map=topic_map or None, on_warning=on_warning, longest_s=longest_s
         )
-    except RecordingMissingError as error:
-        raise MissingInputError(str(error)) from error
-    except RecordingError as error:
-        raise BadInputError(str(error)) from error
 
 
 class RecordedSpan(NamedTuple):

@@ -63,11 +63,11 @@ class Daemon(Site):
         while not self.reader.queue.over:
             item = self.reader.queue.take(self._tick_s)
             now = self._clock()
-            if self.reader.opened and service.ready():
+            if self.reader.opened and service.tell_ready():
                 self.tell_open()
             service.at_work(now)
             if item is not None:
                 self.take(*item)
             self.step(now)
-            if self._stopping and service.stopping():
+            if self._stopping and service.tell_stopping():
                 self.stop_reading()

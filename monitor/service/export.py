@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -123,17 +124,21 @@ class _Rows:
         self._source, self._span_ns = source, span_ns
         self.time = _TIME.get(table, "t_ns")
         self._from = f"FROM {table} WHERE {self.time} >= ? AND {self.time} < ? ORDER BY {self.time}, id"
-        self._listed = _LISTS_OF.get(table, ())
-        self.columns: list[tuple[str, str, str, int]] = []
+        self._table, self._channels, self._listed = table, channels, _LISTS_OF.get(table, ())
+
+    @cached_property
+    def columns(self) -> list[tuple[str, str, str, int]]:
         """Of each column: name, declared type, name in the database, and index in the list or -1."""
-        for _, name, declared, *_ in source.execute(f"PRAGMA table_info({table})").fetchall():
+        columns: list[tuple[str, str, str, int]] = []
+        for _, name, declared, *_ in self._source.execute(f"PRAGMA table_info({self._table})").fetchall():
             if name in self._listed:
                 (most,) = self._ask(f"max(json_array_length({name}))").fetchone()
                 for k in range(most or 0):
-                    label = channels[k] if name in _SHAPES and k < len(channels) else str(k + 1)
-                    self.columns.append((f"{name}_{label}", "REAL", name, k))
+                    label = self._channels[k] if name in _SHAPES and k < len(self._channels) else str(k + 1)
+                    columns.append((f"{name}_{label}", "REAL", name, k))
             elif name != "id":
-                self.columns.append((name, declared, name, -1))
+                columns.append((name, declared, name, -1))
+        return columns
 
     def _ask(self, what: str) -> sqlite3.Cursor:
         return self._source.execute(f"SELECT {what} {self._from}", self._span_ns)

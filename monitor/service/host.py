@@ -117,9 +117,9 @@ class Host:
         """The sites of this host."""
         return list(self._places.values())
 
-    def _states(self) -> dict[str, str]:
+    def _states(self) -> dict[str, State]:
         """Return what the host does with each site, by its name."""
-        return {place.name: place.state.value for place in self.places if not (place.is_over and place.is_removed)}
+        return {place.name: place.state for place in self.places if not (place.is_over and place.is_removed)}
 
     def _ask_to_stop(self) -> None:
         self._stopping, self._end_s = True, self._clock() + _END_ALL_S
@@ -137,13 +137,13 @@ class Host:
             service.at_work(now)
             if not service.is_ready and all(self._is_told(place) for place in self.places):
                 self._name_those_away()
-                service.ready()
+                service.tell_ready()
             if self._reload_requested:
                 self._reload_requested = False
                 for place in self.places:
                     if place.state is State.RUNNING and place.site is not None:
                         place.site.ask_to_reload()
-            if self._stopping and service.stopping():
+            if self._stopping and service.tell_stopping():
                 for place in self.places:
                     self._stop(place)
             if now >= self._end_s:

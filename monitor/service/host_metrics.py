@@ -14,11 +14,10 @@ from prometheus_client.registry import Collector
 from monitor.core import MissingInputError
 from monitor.service.outlets.http_server import HttpServer, wsgi
 from monitor.service.outlets.metrics import Metrics
+from monitor.service.schedule import State
 
 _ASK_S = 2.0
 """Longest wait for the metrics of a process. [s; judgement: shorter than a scrape]"""
-_STATES = ("waiting", "running", "ending", "over")
-"""What a host may do with a site. [words; monitor.service.schedule]"""
 
 
 class _Endpoint(Collector):
@@ -41,7 +40,7 @@ class _Endpoint(Collector):
 class HostMetrics(_Endpoint):
     """Metrics of the sites of this process; `states` returns what the host does with each site, by its name."""
 
-    def __init__(self, address: tuple[str, int], states: Callable[[], Mapping[str, str]]) -> None:
+    def __init__(self, address: tuple[str, int], states: Callable[[], Mapping[str, State]]) -> None:
         self._states = states
         self._sites: dict[str, Metrics] = {}
         self._lock = threading.Lock()
@@ -68,8 +67,8 @@ class HostMetrics(_Endpoint):
             _add(families, outlet.collect(), {"site": name})
         states = GaugeMetricFamily("shm_host_site", "What the host does with a site.", labels=("site", "is"))
         for name, present in self._states().items():
-            for state in _STATES:
-                states.add_metric((name, state), float(state == present))
+            for state in State:
+                states.add_metric((name, state.value), float(state is present))
         yield states
         yield from families.values()
 

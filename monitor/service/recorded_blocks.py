@@ -34,7 +34,10 @@ class RecordedBlocks:
         """Keep nothing: the recorder has the block."""
 
     def between(self, from_ns: int, to_ns: int) -> Iterator[SampleBlock]:
-        """Return the samples taken from `from_ns` to `to_ns` (UTC, ns), read when they are asked for; this may raise OSError."""
+        """Return the samples taken from `from_ns` to `to_ns` (UTC, ns), read when they are asked for.
+
+        Reading raises OSError where the recorder does not answer.
+        """
         written: SimpleQueue[int] = SimpleQueue()
         return self._read(written, from_ns, to_ns, self._recording.then(written.put))
 

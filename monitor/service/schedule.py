@@ -186,7 +186,7 @@ class Schedule:
     def turn(self) -> float:
         """Do the jobs that wait, evaluate the block that is due first, look after some sites, and return the time, s.
 
-        Where nothing is to be done, something is waited for, for a moment.
+        If nothing waits, it waits up to `TICK_S` for a block or a job.
         """
         if not (self._line or self._is_step_due(self._clock())):
             self._wake.wait(TICK_S)

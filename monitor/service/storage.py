@@ -178,6 +178,6 @@ class Storage:
         total = 0
         for path in self._out.rglob("*"):
             with suppress(FileNotFoundError):  # removed meanwhile
-                if path.is_file() and (self._out / "recordings") not in path.parents:
+                if (self._out / "recordings") not in path.parents and path.is_file():
                     total += path.stat().st_size
         return total

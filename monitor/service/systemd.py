@@ -65,7 +65,7 @@ class Service:
             self._told_s = now
             notify("WATCHDOG=1")
 
-    def ready(self) -> bool:
+    def tell_ready(self) -> bool:
         """Say that the service is ready, if that was not said; return whether it was said now."""
         if self.is_ready:
             return False
@@ -74,7 +74,7 @@ class Service:
         notify("READY=1")
         return True
 
-    def stopping(self) -> bool:
+    def tell_stopping(self) -> bool:
         """Say that the service is stopping, if that was not said; return whether it was said now."""
         if self.is_stopping:
             return False

@@ -8,21 +8,24 @@ import random
 import resource
 import struct
 import tarfile
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import ChunkIndex
+from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Message as MessageRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings, recorded_time, recording_info, scan_messages
 from drivers.mcap_index import read_index
-from drivers.mcap_records import McapFile
+from drivers.mcap_records import HEAD, MAGIC, McapFile
 from drivers.mcap_writer import LIBRARY
 from tests.support.any_block import blocks, same
 
@@ -111,6 +114,35 @@ def test_the_index_names_every_chunk_and_its_first_and_last_time(tmp_path: Path)
     assert found is not None and len(places) == 3
     assert [(*times, segment.offset, segment.length) for *times, segment in found] == places
     assert [channel.topic for channel in recording.channels.values()] == [ACCELERATION]
+
+
+def records(*written: Header | Schema | Channel | MessageRecord | DataEnd | Footer) -> bytes:
+    builder = RecordBuilder()
+    for one in written:
+        one.write(builder)
+    return bytes(builder.end())
+
+
+def test_an_index_with_an_unreadable_record_defines_nothing(tmp_path: Path) -> None:
+    sent = block(0)
+    message = MessageRecord(
+        channel_id=1, log_time=sent.t_ns, data=codec.encode(sent), publish_time=sent.t_ns, sequence=0
+    )
+    data = MAGIC + records(Header(profile="", library=LIBRARY), message)
+    data += records(DataEnd(data_section_crc=zlib.crc32(data)))
+    summary = records(
+        Schema(id=1, name=codec.SCHEMA_NAME, encoding="protobuf", data=codec.SCHEMA_BYTES),
+        Channel(id=1, topic=ACCELERATION, message_encoding="protobuf", metadata={}, schema_id=1),
+    )
+    summary += HEAD.pack(Opcode.CHUNK_INDEX, 4) + bytes(4)
+    footer = records(Footer(summary_start=len(data), summary_offset_start=0, summary_crc=0))[:-4]
+    crc = zlib.crc32(footer, zlib.crc32(summary))
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data + summary + footer + crc.to_bytes(4, "little") + MAGIC)
+    assert read_index(recording := McapFile(path), LIBRARY) is None
+    assert not recording.channels and not recording.schemas
+    with pytest.raises(RecordingError, match="a message of channel 1, which the file does not define"):
+        read_recordings([path])
 
 
 def test_the_same_blocks_give_the_same_bytes(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ import pytest
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.service import logs
 from monitor.service.host import Host
-from monitor.service.schedule import Line, Place, named_in_the_log
+from monitor.service.host_metrics import HostMetrics
+from monitor.service.schedule import Line, Place, State, named_in_the_log
 from monitor.service.site import Site
 from monitor.service.threads import BlockQueue
 from tests.support.samples import Cut
@@ -79,6 +80,18 @@ def test_the_log_names_a_site_only_while_its_work_is_done() -> None:
     with pytest.raises(OSError, match="no disk"):
         work(None, place("tower"))  # type: ignore[arg-type]
     assert seen == ["tower"] and logs.site_name.get() is None
+
+
+@pytest.mark.parametrize("present", State)
+def test_the_metrics_say_of_every_state_whether_a_site_is_in_it(present: State) -> None:
+    metrics = HostMetrics(("127.0.0.1", 0), lambda: {"tower": present})
+    try:
+        (family,) = metrics.collect()
+    finally:
+        metrics.close(1.0)
+    assert {sample.labels["is"]: sample.value for sample in family.samples} == {
+        state.value: float(state is present) for state in State
+    }
 
 
 def test_a_site_that_cannot_begin_to_read_is_started_again_and_the_others_run_on(

@@ -36,9 +36,9 @@ class Messages(Outlet, Generic[S]):
     """Publish results as JSON texts under the names results, alarm, state, event, gap, health and finding.
 
     The names begin with the settings' prefix, by default that of the site.  No method but `close` waits, and none raises.  A
-    class of one network says how texts are sent (`_publish`); a thread, which is started last, does so.  While the network
-    fails, `failed` gives the reason, which is logged once; joining is tried again without end.  Beyond `queue_size` waiting
-    messages the oldest are discarded and counted in `dropped`.
+    class of one network says how texts are sent (`_publish`), and starts `_thread`, which sends them, as the last thing that
+    its constructor does.  While the network fails, `failed` gives the reason, which is logged once; joining is tried again
+    without end.  Beyond `queue_size` waiting messages the oldest are discarded and counted in `dropped`.
     """
 
     network: ClassVar[str]
@@ -55,7 +55,6 @@ class Messages(Outlet, Generic[S]):
         self._failure: str | None = None
         self._busy = Busy()
         self._thread = background(self._run, f"{self.network.lower()}-out")
-        self._thread.start()
 
     @abstractmethod
     def _publish(self) -> None:

@@ -7,6 +7,7 @@ by a full queue.  Requests of operators are not taken here: a broker does not te
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import ClassVar
 
 from drivers.base import SourceError
@@ -30,7 +31,11 @@ class MqttOut(Messages[MqttOutSettings]):
     """Publish results over MQTT."""
 
     network: ClassVar[str] = "MQTT"
-    _connection: Connection | None = None
+
+    def __init__(self, site: str, settings: MqttOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
+        super().__init__(site, settings, folder, queue_size=queue_size)
+        self._connection: Connection | None = None
+        self._thread.start()
 
     @property
     def failed(self) -> str | None:

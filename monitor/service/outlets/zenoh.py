@@ -47,6 +47,7 @@ class ZenohOut(Messages[ZenohOutSettings]):
     network: ClassVar[str] = "Zenoh"
 
     def __init__(self, site: str, settings: ZenohOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
+        super().__init__(site, settings, folder, queue_size=queue_size)
         self._requests: deque[tuple[Request, zenoh.Query]] = deque()
         self._taken: list[zenoh.Query] = []
         self._answers: deque[tuple[zenoh.Query, str | None]] = deque()
@@ -54,7 +55,7 @@ class ZenohOut(Messages[ZenohOutSettings]):
         self._latest: dict[str, str] = {}
         self._heard_s: float | None = None
         """When the latest line of health came, by a clock that nobody sets."""
-        super().__init__(site, settings, folder, queue_size=queue_size)
+        self._thread.start()
 
     def known_event(self, line: str) -> None:
         """Answer queries of the state with an event of an earlier run, until there is another."""

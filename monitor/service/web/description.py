@@ -70,11 +70,9 @@ def _range_parameters() -> list[_Schema]:
 def _schemas() -> _Schema:
     window = {field.key: _said(field.kind.schema, field.meaning) for field in SHOWN}
     window |= {"level": _TEXT, "stories": _list({"type": "integer"}), "changed": _list({"type": "string"})}
-    text, texts, maybe_window = (
-        {"type": "string"},
-        _list({"type": "string"}),
-        {"anyOf": [_ref("Window"), {"type": "null"}]},
-    )
+    text = {"type": "string"}
+    texts = _list(text)
+    maybe_window = {"anyOf": [_ref("Window"), {"type": "null"}]}
     status: _Schema = {
         "site": _said(text, "Name of the site."),
         "version": _said(text, "Version of shm-monitor."),

@@ -120,10 +120,11 @@ class WebPage(Outlet):
 
     def _read_past(self) -> None:
         """Read what earlier runs left (in a thread that may wait for the disk)."""
+        content = None
         with suppress(OSError, ValueError), (self._out / "summary.json").open("rb") as file:
             content = parse_json(file.read(_MOST_SUMMARY_BYTES))
-            if isinstance(content, dict):
-                self._snapshots.summary(content)
+        if isinstance(content, dict):
+            self._snapshots.summary(content)
         self._snapshots.windows_before(latest_windows(self._out))
         for line in latest_events(self._out):
             self._snapshots.event(line)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from drivers.base import RecordingError, RecordingMissingError
-from monitor.core import BadInputError, MissingInputError
+from monitor.core.errors import BadInputError, MissingInputError
 
 
 @contextmanager
