@@ -9,17 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from monitor.core import WrongUsageError, demand_place, finish, parse_json, partial, require_extra
-from monitor.publish import KEPT, Kind
+from monitor.publish import KEPT
 from monitor.service import line_protocol, universal_file
+from monitor.service.history import ITEMS
 from monitor.service.run_tables import MODES, open_table
 
 _BATCH = 20_000
 _TIME = {"windows": "t_end_ns", "alarms": "t_first_ns", MODES: "t_end_ns"}
 """Table -> column of the time by which its rows are ordered; other tables use `t_ns`."""
-_LISTS = tuple(field.key for field in KEPT if field.kind is Kind.NUMBERS)
-_SHAPES = ("shape_re", "shape_im")
+_LISTS = {field.key: ITEMS[field.kind] for field in KEPT if field.kind in ITEMS}
+_SHAPES = dict.fromkeys(("shape_re", "shape_im"), "REAL")
 _LISTS_OF = {"windows": _LISTS, MODES: _SHAPES}
-"""Table -> columns that hold lists."""
+"""Table -> columns that hold lists, with the type of their items."""
 _FORM_OF = {".csv": "csv", ".parquet": "parquet", ".uff": "uff", ".unv": "uff", ".lp": "influx"}
 """Suffix of a file -> form that it has where none is named."""
 FORMS = ("csv", "parquet", "uff", "influx")
@@ -123,7 +124,7 @@ class _Rows:
         self._source, self._span_ns = source, span_ns
         self.time = _TIME.get(table, "t_ns")
         self._from = f"FROM {table} WHERE {self.time} >= ? AND {self.time} < ? ORDER BY {self.time}, id"
-        self._listed = _LISTS_OF.get(table, ())
+        self._listed = _LISTS_OF.get(table, {})
         self.columns: list[tuple[str, str, str, int]] = []
         """Of each column: name, declared type, name in the database, and index in the list or -1."""
         for _, name, declared, *_ in source.execute(f"PRAGMA table_info({table})").fetchall():
@@ -131,7 +132,7 @@ class _Rows:
                 (most,) = self._ask(f"max(json_array_length({name}))").fetchone()
                 for k in range(most or 0):
                     label = channels[k] if name in _SHAPES and k < len(channels) else str(k + 1)
-                    self.columns.append((f"{name}_{label}", "REAL", name, k))
+                    self.columns.append((f"{name}_{label}", self._listed[name], name, k))
             elif name != "id":
                 self.columns.append((name, declared, name, -1))
 
