@@ -28,7 +28,8 @@ VERSION = 1
 """Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES` when anything but the
 columns of `windows` changes: those follow from `KEPT`, and `make_tables` adds the ones that a table lacks."""
 UPGRADES: Mapping[int, str] = {}
-"""Version -> SQL that upgrades a database of that version to the next version."""
+"""Version -> SQL that upgrades a database of that version to the next version; a new database begins as `_SCHEMA`, version 1, and
+is upgraded by the same."""
 _SQL = {
     Kind.NEVER_NULL_INTEGER: "INTEGER",
     Kind.NEVER_NULL_NUMBER: "REAL",
