@@ -324,7 +324,7 @@ class Reading:
 
     @property
     def ln_stiffness(self) -> Annotated[Array, "q"]:
-        """Change since the baseline of the logarithm of what is judged (stiffness of stories and modes): what the law predicts."""
+        """Change since the baseline of the logarithm of what is judged, as stiffness: what the covariates' law predicts."""
         return np.log1p(-np.minimum(self.loss, 1.0 - 1e-6))
 
     def left_by_others(self, loss: Array, covariance: Array, common: Array, name: str) -> Self:
