@@ -6,30 +6,22 @@ import ast
 import inspect
 import textwrap
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
-from drivers.can_open import CanSettings
-from drivers.mcap_source import McapSettings
-from drivers.mqtt import MqttSettings
-from drivers.mqtt_session import MqttTls
-from drivers.zenoh_bus import ZenohSettings
-from drivers.zenoh_session import TlsSettings
-from monitor.config.configuration import Configuration, CovariateTable, EffectTable, InputTable, SensorTable
-from monitor.model.structures.drawing import LineTable, NodeTable
-from monitor.model.structures.tables import MatricesTable, ShearFrameTable
+from drivers.registry import SOURCES, source_type
+from monitor.config.configuration import Configuration
 from monitor.service.fleet import FleetSettings
-from monitor.service.outlets.metrics import MetricsSettings
-from monitor.service.outlets.mqtt import MqttOutSettings
+from monitor.service.outlets import outlet_of
 from monitor.service.outlets.notify import NotifySettings
-from monitor.service.outlets.zenoh import ZenohOutSettings
 
 PAGE = Path(__file__).with_suffix(".md")
 _HEAD = """# Settings
 
-Every key of a structure file, a site file and a fleet file. A dash: it must be given where its table is. A key's name ends in
-its unit; the bounds of its value stand in brackets. `shm-monitor check FILE` refuses unknown keys and says which are wrong.
+Every key of a structure file, a site file and a fleet file; tables with the same keys stand together. A dash: it must be given
+where its table is. A key's name ends in its unit; the bounds of its value stand in brackets. `shm-monitor check FILE` refuses
+unknown keys and says which are wrong.
 What to change, and when: [choosing](choosing.md).
 `[topics]` names what it likes: ROS 2 Imu topic = channel, as `"/imu/top" = "a1.x"` ([connect](connect.md)).
 
@@ -37,32 +29,42 @@ What to change, and when: [choosing](choosing.md).
 """
 
 
-def tables() -> dict[str, type[BaseModel]]:
-    """Heading -> class, the structure first."""
-    own = {name: f.annotation for name, f in Configuration.model_fields.items()}
-    plain = {f"`[{n}]`": t for n, t in own.items() if isinstance(t, type) and issubclass(t, BaseModel)}
-    return {
-        '`[structure]`, `kind = "shear_frame"`': ShearFrameTable,
-        '`[structure]`, `kind = "matrices"`': MatricesTable,
-        "`[[sensors]]`": SensorTable,
-        "`[[inputs]]`": InputTable,
-        "`[[covariates]]`": CovariateTable,
-        "`[[effects]]`": EffectTable,
-        "`[[nodes]]`": NodeTable,
-        "`[[lines]]`": LineTable,
-        **plain,
-        '`[source]`, `kind = "mcap"`': McapSettings,
-        '`[source]`, `kind = "can"`': CanSettings,
-        '`[source]`, `kind = "zenoh"`': ZenohSettings,
-        '`[source]`, `kind = "mqtt"`': MqttSettings,
-        "`[output.zenoh]`": ZenohOutSettings,
-        "`[output.mqtt]`": MqttOutSettings,
-        "`[output.metrics]`": MetricsSettings,
-        "`[notify]`": NotifySettings,
-        "`tls` of a Zenoh table": TlsSettings,
-        "`tls` of an MQTT table": MqttTls,
-        "`[fleet]` of a fleet file": FleetSettings,
-    }
+def tables() -> dict[type[BaseModel], list[str]]:
+    """Class -> what its tables are called: all that a configuration may hold, and the table of a fleet file."""
+    found: dict[type[BaseModel], list[str]] = {}
+
+    def add(path: str, annotation: Any, of_kind: str = "") -> None:
+        is_free = not of_kind and dict[str, Any] in (annotation, *get_args(annotation))
+        for cls in _free(path) if is_free else _classes(annotation):
+            kind = "".join(get_args(cls.model_fields["kind"].annotation)) if "kind" in cls.model_fields else ""
+            told = f', `kind = "{kind}"`' if kind else of_kind
+            name = f"[[{path}]]" if get_origin(annotation) is tuple else f"[{path}]"
+            found.setdefault(cls, []).append(f"`{name}`{told}")
+            for key, field in cls.model_fields.items():
+                add(f"{path}.{key}", field.annotation, told)
+
+    for key, field in Configuration.model_fields.items():
+        add(key, field.annotation)
+    add("fleet", FleetSettings)
+    found[FleetSettings][0] += " of a fleet file"
+    return found
+
+
+def _classes(annotation: Any) -> list[type[BaseModel]]:
+    """The classes of a field's type."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [cls for part in get_args(annotation) for cls in _classes(part)]
+
+
+def _free(path: str) -> list[type[BaseModel]]:
+    """Those who read a table that the configuration leaves to them."""
+    if path == "source":
+        return [source_type(kind).Settings for kind in SOURCES]
+    if path == "notify":
+        return [NotifySettings]
+    assert path.startswith("output."), f"whose is the table {path}?"
+    return [outlet_of(path.removeprefix("output."))[1]]
 
 
 def says(cls: type[BaseModel]) -> dict[str, str]:
@@ -115,7 +117,7 @@ def bounds(schema: Any) -> list[str]:
 def page() -> str:
     """The whole of it."""
     parts = [_HEAD]
-    for title, cls in tables().items():
+    for cls, names in tables().items():
         words, rows, schemas = says(cls), [], cls.model_json_schema()["properties"]
         for name, field in cls.model_fields.items():
             if name == "kind" or isinstance(field.default, BaseModel):
@@ -126,7 +128,7 @@ def page() -> str:
             choice = ", ".join(choices or dict.fromkeys(bounds(schemas[name])))
             text = words.get(name, "").replace("``", "`").replace("|", "\\|")
             rows.append(f"| `{name}` | {default} | {' '.join(filter(None, [text, choice and f'({choice})']))} |")
-        parts.append(f"## {title}\n| key | default | |\n|---|---|---|\n" + "\n".join(rows) + "\n")
+        parts.append(f"## {'; '.join(names)}\n| key | default | |\n|---|---|---|\n" + "\n".join(rows) + "\n")
     return "\n".join(parts)
 
 

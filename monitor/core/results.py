@@ -280,15 +280,16 @@ class StiffnessEstimate:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Reading:
-    """What is judged of a window: relative loss of stiffness of each part since the baseline (0.2 = 20 % lost).
+    """What is judged of a window: relative loss of each part since the baseline (0.2 = 20 % lost), of whatever is judged of it.
 
-    Parts are stories, or modes, whose stiffness is the square of the frequency.  What the covariates explain is taken out.
+    It is the loss of stiffness for stories and for modes, whose stiffness is the square of the frequency; another kind of
+    quantity has a reading of its own, of its own loss.  What the covariates explain is taken out.
     """
 
     either_side: ClassVar[bool] = False
     """Whether a rise is a change as a loss is."""
     shown: ClassVar[float] = 1.0
-    """Size that people are told, over the loss of stiffness."""
+    """Size that people are told, over `loss`."""
 
     loss: Annotated[Array, "q"]
     """NaN for a part that the window does not show."""
@@ -300,7 +301,7 @@ class Reading:
     """Error of any part's loss from the systematic misfit of the model, as a share of the largest loss (one standard
     deviation).  It is contained in `covariance`, but is no evidence against a part without loss."""
     covariate_effect: dict[str, Annotated[Array, "q"]] = field(default_factory=dict)
-    """For each known covariate: change of the logarithm of stiffness explained by it, removed from the loss."""
+    """For each known covariate: change explained by it, as `ln_stiffness`, removed from the loss."""
     beyond: str = ""
     """What lies beyond calibration, in words, where what is not known of the covariates would hide the loss of an `alarm`."""
     unidentified: tuple[int, ...] = ()
@@ -323,7 +324,7 @@ class Reading:
 
     @property
     def ln_stiffness(self) -> Annotated[Array, "q"]:
-        """Change of the logarithm of stiffness since the baseline."""
+        """Change since the baseline of the logarithm of what is judged, as stiffness: what the covariates' law predicts."""
         return np.log1p(-np.minimum(self.loss, 1.0 - 1e-6))
 
     def left_by_others(self, loss: Array, covariance: Array, common: Array, name: str) -> Self:

@@ -75,7 +75,7 @@ class Quantities(Protocol):
 
     @property
     def baseline(self) -> AnyBaseline | None:
-        """The healthy state; without one nothing is announced."""
+        """The healthy state; without one nothing is announced.  Its `law` is that of this vector: the judge learns it on."""
         ...
 
     @property

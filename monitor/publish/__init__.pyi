@@ -43,6 +43,7 @@ from .results.window_fields import (
     KEPT as KEPT,
     LINE_SCHEMA as LINE_SCHEMA,
     SHOWN as SHOWN,
+    Field as Field,
     Kind as Kind,
     window_line as window_line,
 )

@@ -10,17 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from monitor.core import WrongUsageError, demand_place, finish, parse_json, partial, require_extra
-from monitor.publish import KEPT, Kind
+from monitor.publish import KEPT
 from monitor.service import line_protocol, universal_file
+from monitor.service.history import ITEMS
 from monitor.service.run_tables import MODES, open_table
 
 _BATCH = 20_000
 _TIME = {"windows": "t_end_ns", "alarms": "t_first_ns", MODES: "t_end_ns"}
 """Table -> column of the time by which its rows are ordered; other tables use `t_ns`."""
-_LISTS = tuple(field.key for field in KEPT if field.kind is Kind.NUMBERS)
-_SHAPES = ("shape_re", "shape_im")
+_LISTS = {field.key: ITEMS[field.kind] for field in KEPT if field.kind in ITEMS}
+_SHAPES = dict.fromkeys(("shape_re", "shape_im"), "REAL")
 _LISTS_OF = {"windows": _LISTS, MODES: _SHAPES}
-"""Table -> columns that hold lists."""
+"""Table -> columns that hold lists, with the type of their items."""
 _FORM_OF = {".csv": "csv", ".parquet": "parquet", ".uff": "uff", ".unv": "uff", ".lp": "influx"}
 """Suffix of a file -> form that it has where none is named."""
 FORMS = ("csv", "parquet", "uff", "influx")
@@ -124,7 +125,7 @@ class _Rows:
         self._source, self._span_ns = source, span_ns
         self.time = _TIME.get(table, "t_ns")
         self._from = f"FROM {table} WHERE {self.time} >= ? AND {self.time} < ? ORDER BY {self.time}, id"
-        self._table, self._channels, self._listed = table, channels, _LISTS_OF.get(table, ())
+        self._table, self._channels, self._listed = table, channels, _LISTS_OF.get(table, {})
 
     @cached_property
     def columns(self) -> list[tuple[str, str, str, int]]:
@@ -135,7 +136,7 @@ class _Rows:
                 (most,) = self._ask(f"max(json_array_length({name}))").fetchone()
                 for k in range(most or 0):
                     label = self._channels[k] if name in _SHAPES and k < len(self._channels) else str(k + 1)
-                    columns.append((f"{name}_{label}", "REAL", name, k))
+                    columns.append((f"{name}_{label}", self._listed[name], name, k))
             elif name != "id":
                 columns.append((name, declared, name, -1))
         return columns

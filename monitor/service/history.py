@@ -19,17 +19,35 @@ from typing import Any
 
 from monitor.config import StateSettings
 from monitor.core import Busy, set_aside as rename_aside
-from monitor.publish import KEPT, Kind
+from monitor.publish import KEPT, Field, Kind
 from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
 VERSION = 1
-"""Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES`."""
+"""Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES` when anything but the
+columns of `windows` changes: those follow from `KEPT`, and `make_tables` adds the ones that a table lacks."""
 UPGRADES: Mapping[int, str] = {}
-"""Version -> SQL that upgrades a database of that version to the next version."""
-_SQL = {Kind.INTEGER: "INTEGER NOT NULL", Kind.LENGTH: "REAL", Kind.NUMBER: "REAL"}
-"""Kind of a window's field -> type of its column; all else is text, lists as JSON. [none; definition]"""
+"""Version -> SQL that upgrades a database of that version to the next version; a new database begins as `_SCHEMA`, version 1, and
+is upgraded by the same."""
+_SQL = {
+    Kind.NEVER_NULL_INTEGER: "INTEGER",
+    Kind.NEVER_NULL_NUMBER: "REAL",
+    Kind.INTEGER: "INTEGER",
+    Kind.NUMBER: "REAL",
+    Kind.FLAG: "INTEGER",
+    Kind.TEXT: "TEXT",
+}
+"""Kind of a window's field -> type of its column; all else is JSON in a column of text. [none; definition]"""
+ITEMS = {Kind.NUMBERS: "REAL", Kind.INTEGERS: "INTEGER", Kind.TEXTS: "TEXT"}
+"""Kind of a list -> type of a column of its items, as `export` writes them. [none; definition]"""
+
+
+def _column(field: Field) -> str:
+    """Declare the column of a window's field."""
+    return f"{field.key} {_SQL.get(field.kind, 'TEXT')}"
+
+
 _SCHEMA = """
 CREATE TABLE windows (id INTEGER PRIMARY KEY, {windows}, level TEXT, state TEXT, UNIQUE (t_end_ns, window));
 CREATE TABLE alarms (
@@ -46,7 +64,7 @@ CREATE TABLE health (
     id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL UNIQUE, rate_hz REAL, samples INTEGER, availability REAL, gaps INTEGER,
     lost_s REAL, overlaps INTEGER, channels TEXT);
 CREATE TABLE thinned (name TEXT PRIMARY KEY, id INTEGER NOT NULL);
-""".format(windows=", ".join(f"{field.key} {_SQL.get(field.kind, 'TEXT')}" for field in KEPT))
+""".format(windows=", ".join(map(_column, KEPT)))
 TABLES = ("windows", "alarms", "requests", "findings", "gaps", "health")
 _UPDATED = {"alarms": "(story, t_first_ns)", "findings": "(t_ns, from_ns)"}
 """Table whose rows are updated -> columns that identify a row; rows of the other tables never change."""
@@ -238,7 +256,11 @@ def open_database(
 
 
 def make_tables(database: sqlite3.Connection, version: int = VERSION, upgrades: Mapping[int, str] = UPGRADES) -> None:
-    """Create the tables of an empty database, or upgrade older ones; raise sqlite3.Error where a newer program wrote them."""
+    """Create the tables of an empty database, or upgrade older ones; raise sqlite3.Error where a newer program wrote them.
+
+    `upgrades` change the tables of an older version.  Columns of ``windows`` need none: those of `KEPT` that the table lacks are
+    added, empty in the rows of before.
+    """
     (written,) = database.execute("PRAGMA user_version").fetchone()
     if written > version:
         raise sqlite3.DatabaseError(f"written by a newer program (version {written}, this one knows {version})")
@@ -247,11 +269,15 @@ def make_tables(database: sqlite3.Connection, version: int = VERSION, upgrades: 
         if script is None:
             raise sqlite3.DatabaseError(f"of version {before}, which cannot be upgraded")
         database.executescript(f"BEGIN; {script} PRAGMA user_version = {before + 1}; COMMIT;")
+    present = {name for _, name, *_ in database.execute("PRAGMA table_info(windows)")}
+    for field in KEPT:
+        if field.key not in present:
+            database.execute(f"ALTER TABLE windows ADD COLUMN {_column(field)}")
 
 
 def window_row(line: Mapping[str, Any]) -> Row:
     """Return the row of a window, given as its line of results.jsonl, and with `state` the structure's."""
-    row = {f.key: _text(line.get(f.key)) if f.kind is Kind.NUMBERS else line.get(f.key) for f in KEPT}
+    row = {f.key: line.get(f.key) if f.kind in _SQL else _text(line.get(f.key)) for f in KEPT}
     return row | {"level": line["alarm"]["level"], "state": line.get("state")}
 
 
@@ -331,5 +357,5 @@ def _statement(table: str, names: tuple[str, ...]) -> str:
 
 
 def _text(value: Any) -> str | None:
-    """Encode a list as compact JSON; None stays None."""
+    """Encode a list, or values by name, as compact JSON; None stays None."""
     return None if value is None else json.dumps(value, separators=(",", ":"))

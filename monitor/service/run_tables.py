@@ -40,15 +40,16 @@ def open_table(folder: Path, table: str) -> Iterator[sqlite3.Connection]:
         raise WrongUsageError(
             f"--table {table}: only a daemon keeps it, in {stored}; {folder} has {', '.join(_FROM_FILES)}"
         )
+    source = stored if kept else folder / "results.jsonl"
     try:
         address = f"{stored.resolve().as_uri()}?mode=ro"
         database = sqlite3.connect(address, uri=True, timeout=10.0) if kept else _made(folder)
     except sqlite3.Error as error:
-        raise BadInputError(f"{stored}: cannot be read: {error}") from error
+        raise BadInputError(f"{source}: cannot be read: {error}") from error
     try:
         yield database
     except sqlite3.Error as error:
-        raise BadInputError(f"{stored}: cannot be read: {error}") from error
+        raise BadInputError(f"{source}: cannot be read: {error}") from error
     finally:
         database.close()
 

@@ -17,5 +17,7 @@ def test_the_page_of_settings_is_that_of_the_classes() -> None:
         "| `latching` | `false` |",
         "| `max_payload_bytes` | `1048576` |",
         "(at least 4, at most 200) |",
+        '## `[structure]`, `kind = "modal"`',
+        "## `[[events.limits]]`",
     ):
         assert key in made

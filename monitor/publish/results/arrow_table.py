@@ -22,10 +22,10 @@ _OTHER_MODE = pa.struct(
 )
 
 _TYPES = {
-    Kind.INTEGER: pa.int64(),
-    Kind.LENGTH: pa.float64(),
+    Kind.NEVER_NULL_INTEGER: pa.int64(),
+    Kind.NEVER_NULL_NUMBER: pa.float64(),
     Kind.NUMBER: pa.float64(),
-    Kind.COUNT: pa.int64(),
+    Kind.INTEGER: pa.int64(),
     Kind.FLAG: pa.bool_(),
     Kind.TEXT: pa.string(),
     Kind.NUMBERS: _MANY,

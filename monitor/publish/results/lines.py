@@ -114,7 +114,10 @@ def _is_of(value: Any, kind: str) -> bool:
 
 
 def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
-    """Collect what the state needs of a window from its line; KeyError, TypeError or ValueError if the line is damaged."""
+    """Collect what the state needs of a window from its line; KeyError, TypeError or ValueError if the line is damaged.
+
+    Changes of frequencies tell that modes are judged: the parts are the modes, then as many shapes.  Else they are stories.
+    """
     is_modal = line.get("frequency_change") is not None
     detectable, (stated, stamped) = line.get("detectable_loss"), line.get("rates_hz") or (None, None)
     Level(line["alarm"]["level"])  # a damaged line may have none
@@ -139,7 +142,10 @@ def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
 
 
 def _sizes(line: Mapping[str, Any], *, is_modal: bool) -> list[tuple[Any, Any, Any]]:
-    """List each story's loss, its deviation and the stiffness lost; of modes alone each frequency's change, then each shape's."""
+    """List each story's loss, its deviation and the stiffness lost; of modes alone each frequency's change, then each shape's.
+
+    What the window does not show is None; of a change no stiffness lost is told.
+    """
     if is_modal:
         changes = [*line["frequency_change"], *line["shape_change"]]
         stds = [*line["frequency_change_std"], *line["shape_change_std"]]
@@ -151,7 +157,7 @@ def _sizes(line: Mapping[str, Any], *, is_modal: bool) -> list[tuple[Any, Any, A
 def _reading(
     sizes: Sequence[tuple[Any, Any, Any]], part: int, *, is_modal: bool
 ) -> tuple[float, float, float | None] | None:
-    """Return what an alarm says of a part; `WHOLE`: of what changed least; None where it was not seen."""
+    """Return what an alarm says of a part; `WHOLE`: of the story or mode that changed least; None where it was not seen."""
     among = sizes[: len(sizes) // 2] if is_modal else sizes
     known = [one for one in (among if part == WHOLE else sizes[part - 1 : part]) if one[0] is not None]
     return min(known, key=lambda one: abs(one[0]) if is_modal else one[0], default=None)

@@ -34,13 +34,16 @@ _SHAPES = {"type": "array", "items": {"type": ["array", "null"]}}
 
 
 class Kind(Enum):
-    """Kind of a field's values, with their JSON schema."""
+    """Kind of a field's values, with their JSON schema.
+
+    A new field is of a kind that may be null: lines of before have no value of it.
+    """
 
     schema: dict[str, Any]
-    INTEGER = "an integer", {"type": "integer"}
-    LENGTH = "a number", {"type": "number"}
+    NEVER_NULL_INTEGER = "an integer", {"type": "integer"}
+    NEVER_NULL_NUMBER = "a number", {"type": "number"}
+    INTEGER = "an integer or null", {"type": ["integer", "null"]}
     NUMBER = "a number or null", _NUMBER
-    COUNT = "an integer or null", {"type": ["integer", "null"]}
     FLAG = "true, false or null", {"type": ["boolean", "null"]}
     TEXT = "text or null", {"type": ["string", "null"]}
     NUMBERS = "numbers", _NUMBERS
@@ -146,9 +149,11 @@ def _changed(modal: ModalReading, alarm: Alarm) -> list[str]:
 
 # fmt: off
 FIELDS = (
-    Field("window", Kind.INTEGER, lambda r: r.index, "Number of the window since the stream began.", kept=True),
-    Field("t_end_ns", Kind.INTEGER, lambda r: r.t_end_ns, "End of the window, UTC, ns since 1970.", kept=True, shown=True),
-    Field("window_s", Kind.LENGTH, _numbers("window_s"), "Length of the data in the window, s.", kept=True, shown=True),
+    Field("window", Kind.NEVER_NULL_INTEGER, lambda r: r.index, "Number of the window since the stream began.", kept=True),
+    Field("t_end_ns", Kind.NEVER_NULL_INTEGER, lambda r: r.t_end_ns,
+          "End of the window, UTC, ns since 1970.", kept=True, shown=True),
+    Field("window_s", Kind.NEVER_NULL_NUMBER, _numbers("window_s"),
+          "Length of the data in the window, s.", kept=True, shown=True),
     Field("frequencies_hz", Kind.NUMBERS, _numbers("modes", "frequencies_hz"),
           "Natural frequencies, Hz.", kept=True, shown=True),
     Field("frequencies_std_hz", Kind.NUMBERS, _numbers("modes", "frequencies_std_hz"),
@@ -158,7 +163,7 @@ FIELDS = (
           "Their standard deviations.", kept=True, shown=True),
     Field("mode_shapes", Kind.SHAPES, lambda r: r.modes and [_shape(shape) for shape in r.modes.shapes],
           "Mode shapes: a pair of real and imaginary part for each channel, null for one that is left out."),
-    Field("order", Kind.COUNT, lambda r: r.modes and r.modes.order, "Order of the state space from which the modes are."),
+    Field("order", Kind.INTEGER, lambda r: r.modes and r.modes.order, "Order of the state space from which the modes are."),
     Field("refined", Kind.FLAG, lambda r: r.modes and r.modes.refined, "Whether the modes were refined by maximum likelihood."),
     Field("stiffness_n_per_m", Kind.NUMBERS, _numbers("stiffness", "stiffness_n_per_m"),
           "Stiffness of each story of the updated model, N/m; story 1 is the top one; null without a model.", shown=True),

@@ -134,7 +134,7 @@ def _maker(table: str, config: Configuration, folder: Path, problems: list[str])
     if (content := getattr(config.output, table)) is None:
         return None
     try:
-        kind, settings_type = _load(table)
+        kind, settings_type = outlet_of(table)
         settings = read_settings(settings_type, content)
         password = getattr(settings, "password_file", None)
         if password is not None and not (folder / password).is_file():
@@ -148,7 +148,7 @@ def _maker(table: str, config: Configuration, folder: Path, problems: list[str])
     return None
 
 
-def _load(table: str) -> tuple[Callable[..., Outlet], type[BaseModel]]:
+def outlet_of(table: str) -> tuple[Callable[..., Outlet], type[BaseModel]]:
     """Import the outlet of a table of ``[output]``, and the class of its settings."""
     if table == "zenoh":
         from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
