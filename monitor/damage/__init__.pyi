@@ -22,6 +22,7 @@ from .baseline_file import (
     save_baseline as save_baseline,
 )
 from .baseline_learning import (
+    HealthyData as HealthyData,
     learn_baseline as learn_baseline,
     learn_modal_baseline as learn_modal_baseline,
     rebase_baseline as rebase_baseline,
