@@ -380,8 +380,8 @@ class Pipeline:
         self.state = replace(self.state, alarm=memory.alarm, learning=memory.learning)
         degc, detectable, rates_hz = covariates.get("temperature"), said.detectable_loss, self._rates_hz()
         if detectable is not None and self.baseline is not None:
-            shown = self.quantities.parts.reading.shown
-            detectable = detectable + clock_error(rates_hz, self.baseline.clock_ratio, shown)
+            shown_per_loss = self.quantities.parts.shown_per_loss
+            detectable = detectable + clock_error(rates_hz, self.baseline.clock_ratio, shown_per_loss)
         return WindowResult(
             item.index,
             item.t_end_ns,

@@ -2,7 +2,8 @@
 
 The class is the schema.  The shape of an array stands in its type: ``Annotated[Array, "n k"]`` has n rows of k.  A letter is one
 length throughout a value and the values in it; ``j+2`` is two more than j.  A number after the shape, or after a number's type,
-is exceeded by every value.
+is exceeded by every value.  Only files are read by shapes: of values that no file holds they are for readers alone, and may be
+any expression, as ``2c+2``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Results of the stages: frozen values that stages pass on and publishers publish.
 
-Every field's doc gives its unit and shape, for ``m`` modes, ``n`` stories and ``c`` channels.  Every estimate has its covariance.
-A window without an estimate is a value too (`Skipped`).
+The type of a field gives its shape, its doc the unit.  Every estimate has its covariance.  A window without an estimate is a
+value too (`Skipped`).
 """
 
 from __future__ import annotations
@@ -288,8 +288,8 @@ class Reading:
 
     either_side: ClassVar[bool] = False
     """Whether a rise is a change as a loss is."""
-    shown: ClassVar[float] = 1.0
-    """Size that people are told, over `loss`."""
+    shown_per_loss: ClassVar[float] = 1.0
+    """Size that people are told, over `loss`: of a mode, the change of its frequency."""
 
     loss: Annotated[Array, "q"]
     """NaN for a part that the window does not show."""
@@ -357,6 +357,7 @@ class DamageReading(Reading):
     @override
     def left_by_others(self, loss: Array, covariance: Array, common: Array, name: str) -> Self:
         shift = self.loss - loss
+        # Plain super() fails in the copy of the class that `slots=True` makes.
         left = super(DamageReading, self).left_by_others(loss, covariance, common, name)
         lost = self.loss_n_per_m * (1.0 - shift / np.where(self.loss == 0.0, 1.0, self.loss))
         return replace(left, ddi_sequential=self.ddi_sequential - shift, loss_n_per_m=lost)
@@ -370,7 +371,7 @@ class ModalReading(Reading):
     """
 
     either_side: ClassVar[bool] = True
-    shown: ClassVar[float] = 0.5
+    shown_per_loss: ClassVar[float] = 0.5
 
     @property
     @override
@@ -380,17 +381,17 @@ class ModalReading(Reading):
     @property
     def ln_frequency(self) -> Annotated[Array, "m"]:
         """Change of the logarithm of each frequency."""
-        return -self.shown * self.loss
+        return -self.shown_per_loss * self.loss
 
     @property
     def ln_frequency_std(self) -> Annotated[Array, "m"]:
         """Its standard deviation."""
-        return np.asarray(self.shown * np.sqrt(np.diag(self.covariance)))
+        return np.asarray(self.shown_per_loss * np.sqrt(np.diag(self.covariance)))
 
     @property
     def ln_frequency_effect(self) -> dict[str, Annotated[Array, "m"]]:
         """Change of the logarithm of the frequency that each known covariate explains."""
-        return {name: self.shown * part for name, part in self.covariate_effect.items()}
+        return {name: self.shown_per_loss * part for name, part in self.covariate_effect.items()}
 
     def largest_shape_change(self) -> tuple[Annotated[Array, "m"], Annotated[Array, "m"]]:
         """Return the most significant change of each shape and its standard deviation; NaN where none is known."""
@@ -442,7 +443,7 @@ class WindowResult:
     """Number of the track of each mode, then of each of `modes.others`, from 0; -1 for a mode not observed often enough yet."""
     detectable_loss: Annotated[Array, "n"] | None = None
     """Smallest sudden loss of each story that would be seen (`damage.detectable_loss`), and what the source's clock leaves open;
-    infinite where none would be seen; None without a baseline."""
+    by modes alone it is the change of each frequency; infinite where none would be seen; None without a baseline."""
     covariates: dict[str, Array] = field(default_factory=dict)
     """Mean of each known covariate over the window after each thermal lag of `temperature.LAGS_S`, in its unit; the level of
     motion has one value, in dB of 1 m of RMS drift."""

@@ -22,6 +22,7 @@ from .baseline_file import (
     save_baseline as save_baseline,
 )
 from .baseline_learning import (
+    HealthyData as HealthyData,
     learn_baseline as learn_baseline,
     learn_modal_baseline as learn_modal_baseline,
     rebase_baseline as rebase_baseline,
@@ -47,7 +48,7 @@ from .judge import Memory as Memory
 from .level import drift_m as drift_m, level_db as level_db
 from .modal_stiffness import ModalStiffness as ModalStiffness
 from .origin import Origin as Origin
-from .parts import modal_parts as modal_parts
+from .parts import Parts as Parts, modal_parts as modal_parts
 from .quantities import Quantities as Quantities, View as View
 from .story_stiffness import StoryStiffness as StoryStiffness
 from .updating import (

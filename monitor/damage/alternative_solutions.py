@@ -26,8 +26,9 @@ def second_solutions(
 ) -> Annotated[Array, "solutions p"]:
     """Find stiffnesses other than the model's, N/m, that reproduce the observation exactly, to which the model is updated.
 
-    They are those that Gauss-Newton steps reach from evenly spread starting points, nearest first; there may be more.  None is
-    given where there are more stiffnesses than data: solutions are then not isolated, and `Update.unseen` has their directions.
+    `sensors` is the sensor matrix, channels by floors.  The solutions are those that Gauss-Newton steps reach from evenly
+    spread starting points, nearest first; there may be more.  None is given where there are more stiffnesses than data:
+    solutions are then not isolated, and `Update.unseen` has their directions.
     """
     own = model.structure.stiffness_n_per_m
     if observation.z.size < own.size:

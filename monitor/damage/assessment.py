@@ -186,14 +186,14 @@ class Known:
     """Those of them that are faulty, and what is wrong with each."""
 
     @property
-    def words(self) -> Parts:
-        """What is judged, in words."""
+    def parts(self) -> Parts:
+        """What is judged."""
         return STORIES if self.n_modes is None else ModesAndShapes(self.n_modes)
 
     @property
     def seen_from(self) -> float:
         """Change that must have been seen for an all-clear, as `detectable` counts it."""
-        return self.words.reading.shown * self.alarm_loss
+        return self.parts.shown_per_loss * self.alarm_loss
 
 
 @dataclass(frozen=True, slots=True)
@@ -493,7 +493,7 @@ def _levels(course: Course, known: Known, whole: bool) -> list[str]:
 def _clock(course: Course, known: Known, clocks: Sequence[tuple[str, float, float]]) -> list[str]:
     """State both rates where what a clock leaves open exceeds the smallest loss that would have been seen."""
     modal, last, judged = known.n_modes is not None, course.last, course.judged
-    widened = 0.0 if judged is None else clock_error(judged.rates_hz, known.clock_ratio, known.words.reading.shown)
+    widened = 0.0 if judged is None else clock_error(judged.rates_hz, known.clock_ratio, known.parts.shown_per_loss)
     seen = [] if judged is None else [loss for loss in judged.detectable or () if loss is not None]
     least = max(seen) - widened if seen else known.seen_from
     if last is not None and (last.skipped or "").startswith(CLOCK):  # it lets no window be judged
@@ -504,7 +504,7 @@ def _clock(course: Course, known: Known, clocks: Sequence[tuple[str, float, floa
     says = []
     for how, ratio, std in found:
         away = max(abs(ratio / known.clock_ratio - 1.0) - 2.0 * std, 0.0)
-        error = clock_error((1.0, 1.0 + away), 1.0, known.words.reading.shown)
+        error = clock_error((1.0, 1.0 + away), 1.0, known.parts.shown_per_loss)
         if error > least and 1.0 / _PLAYBACK < ratio < _PLAYBACK:
             says.append(
                 f"the samples come at {stated * ratio:.6g} Hz {how}, at {stated:g} Hz as the source states: all "
@@ -546,7 +546,7 @@ def _alike(course: Course, known: Known) -> list[Fact]:
     seen = [loss for loss in window.detectable or () if loss is not None]
     if not seen or least < max(max(seen), CHANCE_STDS * std):
         return []
-    what = f"{known.words.every} {'changed by' if window.modal else 'lost'} {100 * least:.1f} % alike"
+    what = f"{known.parts.every} {'changed by' if window.modal else 'lost'} {100 * least:.1f} % alike"
     says = f"{what}, too little for an alarm (weather, mass, clock or stiffness)"
     return [(State.NOT_JUDGED, _sentence(says))]
 
@@ -601,17 +601,17 @@ def _seen(course: Course, known: Known) -> str:
     """State the smallest loss that would have been seen, and the stories in which none would."""
     window = course.judged
     if window is None or window.detectable is None:
-        return f"how small a {known.words.loss} would have been seen is not recorded in these results"
+        return f"how small a {known.parts.loss} would have been seen is not recorded in these results"
     unseen = _unseen(window, known)
     blind = sorted({*unseen, *known.unwatched})
     losses = [loss for j, loss in enumerate(window.detectable, start=1) if j not in blind and loss is not None]
     if all(loss is None for loss in window.detectable):
-        return f"no {known.words.loss} could have been confirmed in any {known.words.part}"
+        return f"no {known.parts.loss} could have been confirmed in any {known.parts.part}"
     notes = [_why_unseen(j, window, known) for j in blind]
     if not losses:
-        return f"no {known.words.loss} would have been seen: " + "; ".join(notes)
-    where = f"any {known.words.part}" if not blind else f"any other {known.words.part}"
-    loss = f"no {known.words.loss} above {100 * max(losses):.2g} % in {where}"
+        return f"no {known.parts.loss} would have been seen: " + "; ".join(notes)
+    where = f"any {known.parts.part}" if not blind else f"any other {known.parts.part}"
+    loss = f"no {known.parts.loss} above {100 * max(losses):.2g} % in {where}"
     if unseen:
         return f"{'; '.join(notes)}; {loss}"
     return "; ".join([loss, *notes])
@@ -622,14 +622,14 @@ def _why_unseen(story: int, window: WindowFacts, known: Known) -> str:
     name = _name(story, known)
     loss = None if window.detectable is None else window.detectable[story - 1]
     if WHOLE in window.shelved:
-        return f"the alarm of {known.words.every} alike is shelved, so nothing is said of {name}"
+        return f"the alarm of {known.parts.every} alike is shelved, so nothing is said of {name}"
     if story in window.shelved:
         return f"the alarm of {name} is shelved"
     if story in known.unwatched:
         return f"{name} is not watched"
     if loss is None or loss >= 1.0:
         return f"{name} is not seen"
-    return f"in {name} only a {known.words.loss} above {100 * loss:.2g} % would be seen"
+    return f"in {name} only a {known.parts.loss} above {100 * loss:.2g} % would be seen"
 
 
 def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
@@ -666,7 +666,7 @@ def _aside(known: Known) -> list[str]:
 
 def _name(story: int, known: Known) -> str:
     if story == WHOLE:
-        return known.words.every
+        return known.parts.every
     return known.names[story - 1] if story <= len(known.names) else f"story {story}"
 
 

@@ -88,7 +88,7 @@ class Baseline(HealthyModes):
 
     model: Model
     """Model updated to the healthy modes."""
-    covariance: Annotated[Array, "q q"]
+    covariance: Annotated[Array, "theta theta"]
     """Covariance of stiffnesses, then masses, relative to their values."""
     misfit: Annotated[Array, "d"]
     """z minus the updated model's: the systematic model error, which cancels from every change."""

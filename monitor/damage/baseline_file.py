@@ -34,6 +34,11 @@ _OWN = ("model", "reference", "doubts")
 _REMEDY = "name this structure's own baseline, or make it with 'calibrate'"
 """What to do where a baseline is another structure's. [words]"""
 
+_OF_A_MODEL = "of a structure with a model, and here the modes alone are monitored"
+"""Why a baseline is none of modes alone. [words]"""
+_OF_MODES_ALONE = "of modes alone, and this structure has a model"
+"""Why a baseline is none of a structure with a model. [words]"""
+
 Built = TypeVar("Built", Baseline, ModalBaseline)
 
 
@@ -127,12 +132,9 @@ def _load(path: Path, build: Callable[[dict[str, Any]], Built], *, is_modal: boo
     try:
         tree = _read_content(path)
         if ("kind" in tree) != is_modal or tree.get("kind", MODAL) != MODAL:
-            kinds = (
-                "of a structure with a model, and here the modes alone are monitored",
-                "of modes alone, and this structure has a model",
-            )
+            of_other = _OF_A_MODEL if is_modal else _OF_MODES_ALONE
             raise BadConfigurationError(
-                f"{path}: the baseline is {kinds[not is_modal]}; make one with 'calibrate' and this structure file"
+                f"{path}: the baseline is {of_other}; make one with 'calibrate' and this structure file"
             )
         if (written := tree["format"]) != FORMAT:
             raise BadInputError(f"{path}: baseline format {written!r}, expected {FORMAT}; calibrate anew")
@@ -210,7 +212,7 @@ def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
             "doubts": (),
         },
         beside=("format", *model_keys),
-        q=p + n,
+        theta=p + n,
         d=m + len(tree["gauges"]) * (c - 1),
         m=m,
         c=c,
@@ -233,4 +235,6 @@ def _build_modal(tree: dict[str, Any]) -> ModalBaseline:
     built = decode(ModalBaseline, tree, laws | {"doubts": ()}, beside=("kind", "format"), d=m * c, m=m, c=c)
     if not m or len(built.gauges) != m or not all(0 <= g < c for g in built.gauges):
         raise ValueError("its gauges are damaged")
+    if any(law is not None and law.common is not None for law in laws.values()):
+        raise ValueError("what modes do together is not judged")
     return built

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -26,60 +26,66 @@ from monitor.damage.updating import (
 from monitor.model import InstrumentedModel, inverse
 
 
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class HealthyData:
+    """Windows of healthy recordings, from which a baseline is learned."""
+
+    windows: Sequence[ModalEstimate]
+    """Modes of each window.  Windows may overlap: the covariance of their mean counts shared data once."""
+    rms_m_s2: Annotated[Array, "windows"]
+    """Response level of each window, mean over channels."""
+    recordings: tuple[dict[str, str], ...] = ()
+    """Name and sha256 of every recording."""
+    span_ns: tuple[int, int] = (0, 0)
+    """UTC of the first sample and of the end."""
+    covariates: Sequence[Mapping[str, Array]] = ()
+    """Lagged values of each covariate that is known in each window; empty where nothing is to be learned from them."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Unit of each covariate, by its name."""
+    t_ns: Sequence[int] = ()
+    """End of each window, UTC.  Without them it is not learned what stories do together; of modes alone it never is."""
+    motion: Sequence[Annotated[Array, "c c"]] = ()
+    """Covariance of the accelerations of windows (`WindowResult.motion`), (m/s^2)^2."""
+
+    @property
+    def span_s(self) -> float:
+        """Length of the data, s."""
+        return (self.span_ns[1] - self.span_ns[0]) * 1e-9
+
+
 def learn_baseline(
     instrumented: InstrumentedModel,
-    windows: list[ModalEstimate],
-    rms: Annotated[Array, "windows"],
-    recordings: tuple[dict[str, str], ...],
-    span_ns: tuple[int, int] = (0, 0),
-    covariates: Sequence[Mapping[str, Array]] = (),
-    units: Mapping[str, str] | None = None,
-    drift_weights: Annotated[Array, "c c"] | None = None,
+    healthy: HealthyData,
     *,
     updating: UpdatingSettings,
     compensation: CovariateSettings,
-    t_ns: Sequence[int] = (),
-    motion: Sequence[Annotated[Array, "c c"]] = (),
+    drift_weights: Annotated[Array, "c c"] | None = None,
 ) -> tuple[Baseline, Update]:
     """Learn the baseline from the windows of healthy recordings, and return it with the updating to their mean.
 
     Parameters
     ----------
-    windows : list of ModalEstimate
-        Windows may overlap: the covariance of their mean counts shared data once.
-    rms : ndarray
-        Response level of each window, m/s^2.
-    covariates : sequence of mapping
-        Lagged values of each covariate that is known in each window; empty where nothing is to be learned from them.
-    units : mapping, optional
-        Unit of each covariate, by its name.
     drift_weights : ndarray
         How the covariate `LEVEL` was measured.
-    t_ns : sequence of int
-        End of each window, UTC.  Without them it is not learned what the stories do together.
-    motion : sequence of ndarray
-        Covariance of the accelerations of windows (`WindowResult.motion`), (m/s^2)^2.
 
     Raises
     ------
     BadInputError
         If there is no window, or the model cannot be updated to their mean.
     """
-    if not windows:
+    if not healthy.windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
-    mean = mean_observation(windows, updating)
+    mean = mean_observation(healthy.windows, updating)
     fit = _fit(instrumented, mean, updating)
     baseline = Baseline(
-        **_known(mean, windows, np.mean([m.frequencies_hz for m in windows], axis=0), rms, motion),
+        **_known(mean, healthy, np.mean([m.frequencies_hz for m in healthy.windows], axis=0)),
         **_fitted(instrumented, mean, fit, mean.deviations.T @ mean.deviations),
         log=mean.log,
         channels=instrumented.channels,
         floors=instrumented.floors,
-        recordings=recordings,
-        span_ns=span_ns,
         drift_weights=drift_weights,
     )
-    if not units or not covariates:
+    if not healthy.units or not healthy.covariates:
         return baseline, fit
     seen = replace(mean, model_mode=baseline.model_mode)
     change = update(baseline.model, instrumented.sensor_matrix, baseline.target(seen), updating)
@@ -89,13 +95,9 @@ def learn_baseline(
         """Estimate a window's stiffness change from the baseline, as `damage_index.step` would, with its deviations."""
         return gain @ (o.z - mean.z), o.deviations @ gain.T
 
-    law = learn_law(
-        _changes(windows, mean, updating, of, covariates, t_ns or [0] * len(windows)),
-        (span_ns[1] - span_ns[0]) * 1e-9,
-        units,
-        compensation,
-    )
-    return replace(baseline, reference_temperature_degc=_mean_temperature(covariates), law=law), fit
+    changes = _changes(healthy, mean, updating, of, healthy.t_ns)
+    law = learn_law(changes, healthy.span_s, healthy.units, compensation)
+    return replace(baseline, reference_temperature_degc=_mean_temperature(healthy.covariates), law=law), fit
 
 
 def rebase_baseline(
@@ -162,21 +164,15 @@ def _fitted(instrumented: InstrumentedModel, healthy: Observation, fit: Update, 
 def learn_modal_baseline(
     channels: tuple[str, ...],
     origin: Origin,
-    windows: list[ModalEstimate],
-    rms: Annotated[Array, "windows"],
-    recordings: tuple[dict[str, str], ...],
-    span_ns: tuple[int, int],
-    covariates: Sequence[Mapping[str, Array]],
-    units: Mapping[str, str],
-    compensation: CovariateSettings,
+    healthy: HealthyData,
     *,
-    motion: Sequence[Annotated[Array, "c c"]] = (),
+    compensation: CovariateSettings,
 ) -> ModalBaseline:
     """Learn the healthy modes from the windows of healthy recordings, as `learn_baseline`.
 
     All windows have the same modes and all channels.
     """
-    mean = mean_observation(windows, MODES_ALONE)
+    mean = mean_observation(healthy.windows, MODES_ALONE)
     m, c = len(mean.model_mode), len(channels)
 
     def law(columns: slice, settings: CovariateSettings, *, alike: bool) -> CovariateLaw | None:
@@ -186,24 +182,20 @@ def learn_modal_baseline(
             """Return a window's change: `learn_law` takes relative changes, of which it uses the logarithms."""
             return np.expm1(o.z[columns] - mean.z[columns]), o.deviations[:, columns]
 
-        changes = _changes(windows, mean, MODES_ALONE, of, covariates, [0] * len(windows))
-        return learn_law(changes, (span_ns[1] - span_ns[0]) * 1e-9, units, settings, alike=alike)
+        changes = _changes(healthy, mean, MODES_ALONE, of)
+        return learn_law(changes, healthy.span_s, healthy.units, settings, alike=alike)
 
     return ModalBaseline(
-        **_known(mean, windows, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi), rms, motion),
+        **_known(mean, healthy, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi)),
         channels=channels,
         origin=origin,
-        reference_temperature_degc=_mean_temperature(covariates),
+        reference_temperature_degc=_mean_temperature(healthy.covariates),
         law=law(slice(0, m), compensation, alike=True),
         shape_law=law(slice(m, None), _of_shapes(compensation), alike=False) if c > 1 else None,
-        recordings=recordings,
-        span_ns=span_ns,
     )
 
 
-def _known(
-    mean: Observation, windows: list[ModalEstimate], frequencies_hz: Array, rms: Array, motion: Sequence[Array]
-) -> dict[str, Any]:
+def _known(mean: Observation, healthy: HealthyData, frequencies_hz: Array) -> dict[str, Any]:
     """Return the fields of a baseline that the windows alone decide."""
     z_covariance = mean.deviations.T @ mean.deviations
     std = np.sqrt(np.diag(z_covariance)[: frequencies_hz.size])  # of the (logarithms of the) eigenvalues
@@ -214,10 +206,12 @@ def _known(
         "gauges": mean.gauges,
         "frequencies_hz": frequencies_hz,
         "frequencies_std_hz": scale,
-        "damping_ratio": np.mean([m.damping_ratio for m in windows], axis=0),
-        "windows": len(windows),
-        "level_range_m_s2": (float(rms.min()), float(rms.max())),
-        "motion": np.mean(motion, axis=0) if len(motion) else None,
+        "damping_ratio": np.mean([m.damping_ratio for m in healthy.windows], axis=0),
+        "windows": len(healthy.windows),
+        "level_range_m_s2": (float(healthy.rms_m_s2.min()), float(healthy.rms_m_s2.max())),
+        "recordings": healthy.recordings,
+        "span_ns": healthy.span_ns,
+        "motion": np.mean(healthy.motion, axis=0) if len(healthy.motion) else None,
     }
 
 
@@ -228,16 +222,16 @@ def _mean_temperature(covariates: Sequence[Mapping[str, Array]]) -> float | None
 
 
 def _changes(
-    windows: list[ModalEstimate],
+    healthy: HealthyData,
     mean: Observation,
     updating: UpdatingSettings,
     of: Callable[[Observation], tuple[Array, Array]],
-    covariates: Sequence[Mapping[str, Array]],
-    t_ns: Sequence[int],
+    t_ns: Sequence[int] = (),
 ) -> list[Change]:
     """Collect each window's change from the baseline, and its deviations, which `of` makes of its observation."""
     changes = []
-    for modes, under, end_ns in zip(windows, covariates, t_ns, strict=True):
+    ends_ns = t_ns or [0] * len(healthy.windows)
+    for modes, under, end_ns in zip(healthy.windows, healthy.covariates, ends_ns, strict=True):
         o = observe(modes, updating, mean.gauges if updating.use_shapes else None)
         places = tuple((modes.refined, modes.first + b) for b in range(len(o.deviations)))
         changes.append(Change(*of(o), places, under, end_ns))
@@ -250,7 +244,7 @@ def _of_shapes(settings: CovariateSettings) -> CovariateSettings:
     return settings.model_copy(update={name: settings.unevenness * getattr(settings, name) for name in names})
 
 
-def mean_observation(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
+def mean_observation(windows: Sequence[ModalEstimate], settings: UpdatingSettings) -> Observation:
     """Average the observations of several windows, all with the same modes of the model in the same order.
 
     Windows that overlap share data.  Their influences are added before squaring, so that the covariance of the mean counts

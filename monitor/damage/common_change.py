@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, Reading
 
-AnyReading = TypeVar("AnyReading", bound=Reading)
+JudgedReading = TypeVar("JudgedReading", bound=Reading)
 
 EVERY_NS = 3_600_000_000_000
 """Time between two windows that are learned from: they share no data. [ns; judgement]"""
@@ -252,7 +252,7 @@ class Expected:
         of_learned, of_total = (np.asarray(np.linalg.inv(m), dtype=float) for m in (learned, total))
         return _Compared(*beside_each_other(np.ascontiguousarray(losses), of_learned, of_total, self.stretches))
 
-    def take_out(self, reading: AnyReading, beside: Beside) -> AnyReading:
+    def take_out(self, reading: JudgedReading, beside: Beside) -> JudgedReading:
         """Take out of a window's losses what the other parts let expect (`beside_others`)."""
         own, common = beside.left_of(
             np.stack([reading.covariance - reading.common_covariance, reading.common_covariance + self.covariance])

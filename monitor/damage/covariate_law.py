@@ -56,7 +56,7 @@ class Axis:
     range: tuple[float, float] = (0.0, 0.0)
     """Lowest and highest value learned from."""
 
-    def basis(self, value: Annotated[Array, "w"]) -> Annotated[Array, "w k+2"]:
+    def basis(self, value: Annotated[Array, "w"]) -> Annotated[Array, "w j+2"]:
         """Compute the basis at values of the covariate: distance, then its stretches."""
         edges = np.concatenate([[-np.inf], self.knots, [np.inf]])
         low, high = edges[:-1], edges[1:]

@@ -40,6 +40,8 @@ def step(
         With a baseline, those of `baseline` in its order.
     reference : Model
         The baseline's model, or the structure file's where there is no baseline.
+    sensors : ndarray
+        Sensor matrix: channels by floors.
     effect : Effect, optional
         What the covariates explain of the window's stiffness (`CovariateLaw.expected`).  The loss refers to the healthy
         stiffness under them.

@@ -35,8 +35,8 @@ _CORRELATION_STEP = 0.2
 """The same for correlations. [1; cost]"""
 
 
-def clock_error(rates_hz: tuple[float, float] | None, calibration: float, shown: float = 1.0) -> float:
-    """Compute the relative error of a stiffness, or of what is `shown` for it (`Reading.shown`), from the source's clock.
+def clock_error(rates_hz: tuple[float, float] | None, calibration: float, shown_per_loss: float = 1.0) -> float:
+    """Compute the relative error of a stiffness, or of what is shown for it (`Reading.shown_per_loss`), from the source's clock.
 
     `rates_hz` are the rate that the source states and its rate by the timestamps; `calibration` is the healthy data's rate by
     their timestamps over the stated one: an error that both have cancels.
@@ -48,7 +48,7 @@ def clock_error(rates_hz: tuple[float, float] | None, calibration: float, shown:
     """
     if rates_hz is None:
         return 0.0
-    return 2.0 * shown * abs(rates_hz[1] / rates_hz[0] / calibration - 1.0)
+    return 2.0 * shown_per_loss * abs(rates_hz[1] / rates_hz[0] / calibration - 1.0)
 
 
 def smallest_detectable_loss(reading: Reading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
@@ -67,7 +67,7 @@ def smallest_detectable_loss(reading: Reading, history: History, hop_s: float, s
     own_std = np.exp(0.5 * seen.ln_variance)
     window_s = history.window_ns * 1e-9
     common_std = np.sqrt(np.maximum(np.diag(common), 1e-24))
-    loss[known] = reading.shown * _simulated(
+    loss[known] = reading.shown_per_loss * _simulated(
         _steps(own_std, _LN_STEP),
         _steps(common_std, _LN_COMMON_STEP),
         _correlation(common),

@@ -68,8 +68,8 @@ def step(
     settings: JudgeSettings,
 ) -> tuple[Memory, Judged] | Skipped:
     """Compare a window's modes with the baseline's, and update the alarms; `t_end_ns` is the UTC of the window's end."""
-    if why := quantities.lacking(modes, view, settings.selection):
-        return Skipped(why)
+    if (lacking := quantities.lacking(modes, view, settings.selection)) is not None:
+        return lacking
     baseline, law = quantities.baseline, None
     if baseline is not None:
         law = baseline.law if memory.learning is None else memory.learning.law

@@ -117,7 +117,7 @@ def _needed_in_trial(
 
 @compiled(error_model="numpy")
 def seen_by_most(
-    total: Annotated[Array, "trials n looks"],
+    total: Annotated[Array, "trials n first+looks"],
     first: int,
     lengths: Annotated[NDArray[np.int64], "s"],
     factor: Annotated[Array, "s looks"],
@@ -133,8 +133,9 @@ def seen_by_most(
 ) -> Annotated[Array, "n"]:
     """Compute the smallest loss of each story that is seen in all trials but `unseen`; infinite where none is.
 
-    In a trial it is seen where it is significant at `held` looks in a row, at each over one of s stretches of windows.  Only the
-    trials that need the largest losses count: of the others a bound is enough.
+    In a trial it is seen where it is significant at `held` looks in a row (no more than there are), at each over one of s
+    stretches of windows.  Only the trials that need the largest losses count: of the others a bound is enough.  `unseen` is less
+    than the number of trials.
 
     `total` are sums of standard normal increments up to each look: of the healthy data, then after the loss, from look `first`
     on; more looks may follow.  `lengths` are the looks in each stretch, increasing, at most `first`; `factor` is the length of a

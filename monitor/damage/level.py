@@ -18,7 +18,7 @@ def drift_weights(model: Model, sensors: Annotated[Array, "c n"], cutoff_hz: flo
 
     The accelerations are resolved into the modes below the cutoff, as many as there are channels at most.  A mode's displacement
     is its acceleration over ``omega^2``; modes are taken as uncorrelated.  The model is the drawing: weights and level then do
-    not depend on the baseline.
+    not depend on the baseline.  `sensors` is the sensor matrix, channels by floors.
     """
     return _weights(model.modes(), model.structure.drift_matrix(), sensors, cutoff_hz)
 

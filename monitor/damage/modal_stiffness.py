@@ -84,12 +84,12 @@ class ModalStiffness:
             measured=True,
         )
 
-    def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> str:
-        """Say why a window's modes are too few to be judged; empty where they are not."""
+    def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:
+        """Say why a window's modes are not enough to be judged; None where they are."""
         m = self.parts.n_modes
         if modes.model_mode.size < max(LEAST_SHARE * m, min(_LEAST_MODES, m)):
-            return "; ".join(why for _, why in modes.missing)
-        return "" if self.baseline is None or len(modes.deviations) else UNCERTAIN
+            return Skipped("; ".join(why for _, why in modes.missing))
+        return None if self.baseline is None or len(modes.deviations) else UNCERTAIN
 
     def read(
         self, modes: ModalEstimate, view: View, effect: Effect | None, covariates: Covariates, settings: JudgeSettings
@@ -113,9 +113,8 @@ def _reading(
     m, place = len(free), np.zeros(free.shape, dtype=np.intp)
     place[free] = np.arange(m, healthy.z.size)
     rows = np.append(found, place[found][free[found]])  # of the healthy z
-    with np.errstate(
-        invalid="ignore"
-    ):  # of channels that are left out; the weights, which they would spoil, are not needed
+    # Channels that are left out are NaN; the weights, which they would spoil, are not needed.
+    with np.errstate(invalid="ignore"):
         seen = observe(replace(modes, weight_factor=None), MODES_ALONE, tuple(healthy.gauges[k] for k in found))
     change, variance = np.full(healthy.z.size, np.nan), np.full(healthy.z.size, np.nan)
     change[rows], variance[rows] = seen.z - healthy.z[rows], (seen.deviations**2).sum(axis=0)

@@ -17,7 +17,7 @@ _CAUSES = "(weather, mass, clock or stiffness)"
 class Parts:
     """What alarms are about, by their numbers from 1, and how a change of it is told: the stories of a structure with a model."""
 
-    reading: ClassVar[type[Reading]] = Reading
+    shown_per_loss: ClassVar[float] = Reading.shown_per_loss
     part: ClassVar[str] = "story"
     every: ClassVar[str] = "every story"
     loss: ClassVar[str] = "loss"
@@ -53,7 +53,7 @@ class ModesAndShapes(Parts):
     n_modes: int
     channels: tuple[str, ...] = ()
 
-    reading: ClassVar[type[Reading]] = ModalReading
+    shown_per_loss: ClassVar[float] = ModalReading.shown_per_loss
     part: ClassVar[str] = "mode"
     every: ClassVar[str] = "every mode"
     loss: ClassVar[str] = "change of frequency"
@@ -67,17 +67,18 @@ class ModesAndShapes(Parts):
 
     @override
     def changed(self, part: int, alone: float, loss: float, std: float) -> str:
-        return change_words(self.name(part), -self.reading.shown * loss, self.reading.shown * std)
+        return change_words(self.name(part), -self.shown_per_loss * loss, self.shown_per_loss * std)
 
     @override
     def shape_changed(self, mode: int, change: float, std: float, channel: int) -> str:
+        # Plain super() fails in the copy of the class that `slots=True` makes.
         words = super(ModesAndShapes, self).shape_changed(mode, change, std, channel)
         return f"{words} of its largest component at {self.channels[channel]}"
 
     @override
     def alike(self, loss: float) -> tuple[str, str]:
         verb = "fell" if loss > 0.0 else "rose"
-        says = f"all modes {verb} by {100 * self.reading.shown * abs(loss):.1f} % alike {_CAUSES}"
+        says = f"all modes {verb} by {100 * self.shown_per_loss * abs(loss):.1f} % alike {_CAUSES}"
         return says, says
 
 

@@ -29,7 +29,7 @@ lowest required ones. [ratio; judgement]"""
 _USELESS_LOSS = 0.5
 """Loss of a story's stiffness that a window must be able to show to be judged at all. [1; judgement: near collapse]"""
 
-UNCERTAIN = "the modes' uncertainty is not asked for, so nothing is judged"
+UNCERTAIN = Skipped("the modes' uncertainty is not asked for, so nothing is judged")
 """Why a window of modes without uncertainty is not judged. [words]"""
 Covariates = Mapping[str, Array]
 """Lagged values of each covariate that is known of a window."""
@@ -102,8 +102,8 @@ class Quantities(Protocol):
         """Identify the modes of a window of the channels in use."""
         ...
 
-    def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> str:
-        """Say why a window's modes are too few to be judged; empty where they are not."""
+    def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:
+        """Say why a window's modes are not enough to be judged; None where they are."""
         ...
 
     def read(

@@ -15,8 +15,9 @@ def fox_kapoor(
 ) -> tuple[Annotated[Array, "n p"], Annotated[Array, "n n p"]]:
     """Compute the derivatives of eigenvalues (eq. 20) and of mode shapes (eq. 19, expanded in the modes).
 
-    All n modes are needed, of unit modal mass, and so are the derivatives of the shapes, one matrix a mode.  `d_k` and `d_m` are
-    the derivatives of the stiffness and mass matrices by p parameters; masses are constant without `d_m`.
+    All n modes are needed, of unit modal mass.  `d_shapes[i]` is the derivative of mode i, floors by parameters, at unit modal
+    mass.  `d_k` and `d_m` are the derivatives of the stiffness and mass matrices by p parameters; masses are constant without
+    `d_m`.
 
     References
     ----------

@@ -66,7 +66,7 @@ class History:
     memory_s: float
     """Time over which the variance has been smoothed so far."""
     channels: tuple[tuple[int, ...], ...] = ()
-    """Channels of each of the h readings, as in `DamageReading.channels`; of all where none is stated."""
+    """Channels of each of the h readings, as in `Reading.channels`; of all where none is stated."""
     before: Smoothed | None = None
     """Variance of the readings before the channels in use changed."""
 
@@ -146,9 +146,10 @@ def look(
 ) -> tuple[History, SequentialStatistic]:
     """Update the test statistic by one window's reading; `t_ns` is the UTC of the window's end.
 
-    Missing readings are left out of the means.  `model_form` is the share of another part's loss that may appear in a part (one
-    standard deviation).  `expected` is what parts do together without a known cause, where it was learned; without it, what they
-    have in common is a change of all alike.
+    Missing readings are left out of the means.  `model_form` is the share of another part's loss that may appear in a part
+    (one standard deviation).  `expected` is what parts do together without a known cause, where it was learned, which is of
+    stories alone: a window shows them all, and a rise is no loss.  Without it, what they have in common is a change of all
+    alike.
     """
     n, own = reading.loss.size, reading.own_covariance
     model_form = max(model_form, reading.model_form)
@@ -157,7 +158,6 @@ def look(
     known = np.flatnonzero(np.isfinite(reading.loss))
     if known.size < n:
         over, own = over.of_parts(known), own[np.ix_(known, known)]
-        expected = None if expected is None else expected.of(known)
     covariance = _covariance_of(over, own)
     z, std = statistic(over.means, covariance, model_form)
     if reading.either_side:
@@ -167,7 +167,7 @@ def look(
     if expected is None:
         beyond, beyond_std = loss - shared_by_others(loss, loss_std), loss_std
     else:
-        z, losses, stds = _beside_others(over.means, covariance, model_form, expected, either_side=reading.either_side)
+        z, losses, stds = _beside_others(over.means, covariance, model_form, expected)
         beyond, beyond_std = losses[longest], stds[longest]
     best = np.where(over.agrees, z, -np.inf).max(axis=0)
     return history, SequentialStatistic(tuple(known.tolist()), best, loss, loss_std, beyond, beyond_std)
@@ -185,15 +185,14 @@ def look_at_shapes(history: History, reading: Reading, t_ns: int) -> tuple[Histo
 
 
 def _beside_others(
-    means: Array, covariance: Array, model_form: float, expected: Expected, *, either_side: bool
+    means: Array, covariance: Array, model_form: float, expected: Expected
 ) -> tuple[Array, Array, Array]:
     """Compute the z-scores of losses beyond what the other parts let expect, the losses and their deviations."""
-    found = expected.each_beside_others(means, covariance, either_side=either_side)
+    found = expected.each_beside_others(means, covariance)
     sizes = np.abs(found.loss)
     others = np.where(np.eye(sizes.shape[1], dtype=bool), 0.0, sizes[:, None, :]).max(axis=2)
     stds = np.hypot(found.std, model_form * others)
-    z = found.loss / stds
-    return np.abs(z) if either_side else z, found.loss, stds
+    return found.loss / stds, found.loss, stds
 
 
 def average(

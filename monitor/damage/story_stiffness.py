@@ -102,18 +102,22 @@ class StoryStiffness:
         )
         return modes if isinstance(modes, Skipped) else view.array.correct(modes)
 
-    def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> str:
-        """Say why a window's modes are too few to be judged; empty where they are not.
+    def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:
+        """Say why a window's modes are not enough to be judged; None where they are.
 
         With a baseline, a mode that is missing may be the change itself.
         """
-        missing = self._missing(modes, select)
-        if not missing:
-            return "" if len(modes.deviations) else UNCERTAIN
         required = () if self.baseline is None else self.baseline.model_mode
-        fewer = min(required.index(mode) for mode in missing) if required else 0
-        mend = f"set [selection] required_modes = {fewer}, or calibrate anew" if fewer else ""
-        return f"{'; '.join(missing.values())}; {mend or self._elsewhere(modes, view, select) or _CHECK}"
+        if missing := self._missing(modes, select):
+            fewer = min(required.index(mode) for mode in missing) if required else 0
+            mend = f"set [selection] required_modes = {fewer}, or calibrate anew" if fewer else ""
+            return Skipped(f"{'; '.join(missing.values())}; {mend or self._elsewhere(modes, view, select) or _CHECK}")
+        if not len(modes.deviations):
+            return UNCERTAIN
+        identified = modes.model_mode.tolist()
+        if required and [mode for mode in required if mode in identified] != identified:
+            return Skipped("modes are not the baseline's")
+        return None
 
     def read(
         self, modes: ModalEstimate, view: View, effect: Effect | None, covariates: Covariates, settings: JudgeSettings
@@ -124,10 +128,7 @@ class StoryStiffness:
         the modes that the model can follow are enough.
         """
         assert isinstance(view, StoryView)
-        identified = tuple(int(k) for k in modes.model_mode)
-        healthy = None if view.baseline is None else view.baseline.only(identified)
-        if healthy is not None and healthy.model_mode != identified:
-            return Skipped("modes are not the baseline's")
+        healthy = None if view.baseline is None else view.baseline.only(tuple(modes.model_mode.tolist()))
 
         def step(modes: ModalEstimate) -> tuple[StiffnessEstimate, DamageReading]:
             """Update the stiffness to modes."""

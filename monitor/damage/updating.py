@@ -105,8 +105,8 @@ class Update:
 def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int, ...] | None = None) -> Observation:
     """Form the measured vector z_m, its weights and its influences from identified modes.
 
-    Each shape is normalized by its gauge; by default that is the channel of its largest component.  For a change since a
-    baseline the gauges must be the baseline's.
+    Of m modes at c channels there are m data without shapes, and m c with them.  Each shape is normalized by its gauge; by
+    default that is the channel of its largest component.  For a change since a baseline the gauges must be the baseline's.
     """
     log = settings.eigenvalue == "log"
     omega_squared = (2.0 * np.pi * modes.frequencies_hz) ** 2
@@ -160,7 +160,8 @@ def gauge_masks(n_channels: int, gauges: tuple[int, ...]) -> tuple[NDArray[np.bo
 def counterparts(modes: Modes, sensors: Annotated[Array, "c n"], observation: Observation) -> tuple[int, ...]:
     """Match the observed modes to a model's modes (0 = lowest): by frequency, or by shape where a change has altered the order.
 
-    In its original order the modes of the model, during updating, are those of `observation.model_mode`, by rank.
+    `sensors` is the sensor matrix, channels by floors.  In its original order the modes of the model, during updating, are
+    those of `observation.model_mode`, by rank.
     """
     by_rank, observed = _rank_observation(observation, len(sensors))
     if not observation.gauges:
@@ -252,6 +253,8 @@ def update(
 
     Parameters
     ----------
+    sensors : ndarray
+        Sensor matrix: channels by floors.
     prior_std : ndarray, optional
         Relative standard deviations for W_theta; by default `settings.parameter_std` for all.  If they are given, penalty
         ``weighted`` is replaced by ``initial`` where the data do not identify a direction, which is otherwise undetermined.

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from monitor.core import BadInputError, WindowResult, sha256
 from monitor.damage import (
     AnyBaseline,
     Baseline,
+    HealthyData,
     ModalBaseline,
     Observation,
     Origin,
@@ -70,12 +71,12 @@ def calibrate(
     kept = healthy.kept(on_warning)
     baseline, fit = learn_baseline(
         config.instrumented(),
-        **healthy.learned_from(kept),
-        drift_weights=healthy.pipeline.level_weights,
+        healthy.data_of(kept),
         updating=config.updating,
-        t_ns=[r.t_end_ns for r in kept if r.modes is not None],
+        compensation=config.compensation,
+        drift_weights=healthy.pipeline.level_weights,
     )
-    baseline = healthy.noted(baseline, on_warning)
+    baseline = healthy.with_clock(baseline, on_warning)
     _warn_of_ambiguities(baseline, config, kept[-1], on_warning)
     if segments is None:
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
@@ -110,6 +111,7 @@ def calibrate_modes(
     """
     first = _Pass(paths, config, on_progress)
     first.read(on_warning)
+    first.require_window()
     reference = _common_modes(first.pipeline.state.track, config.selection.max_modes)
     if reference is None:
         because = f", the last because: {first.skipped}" if first.skipped else "; record for longer"
@@ -117,8 +119,10 @@ def calibrate_modes(
     healthy = _Pass(paths, config, on_progress, reference)
     healthy.read(lambda _: None)
     kept = healthy.kept(on_warning)
-    baseline = learn_modal_baseline(config.channels, modal_origin(config), **healthy.learned_from(kept))
-    return healthy.noted(baseline, on_warning)
+    baseline = learn_modal_baseline(
+        config.channels, modal_origin(config), healthy.data_of(kept), compensation=config.compensation
+    )
+    return healthy.with_clock(baseline, on_warning)
 
 
 class _Pass:
@@ -147,15 +151,14 @@ class _Pass:
         """Evaluate all blocks."""
         for _ in self.blocks(on_warning):
             pass
-        self._require_window()
 
-    def _require_window(self) -> None:
-        """Refuse recordings without a window."""
+    def require_window(self) -> None:
+        """Refuse recordings without a window (BadInputError)."""
         self._progress.require_window(self.pipeline, len(self._good) + len(self._reasons), self._paths)
 
     def kept(self, on_warning: OnWarning) -> list[WindowResult]:
         """Select the windows that are learned from, with the modes in common to them; BadInputError if there are too few."""
-        self._require_window()
+        self.require_window()
         good, reasons = self._good, self._reasons
         if not good:
             raise BadInputError(
@@ -168,21 +171,21 @@ class _Pass:
         _warn_of_missing_modes(good, kept, on_warning)
         return kept
 
-    def learned_from(self, kept: list[WindowResult]) -> dict[str, Any]:
-        """Collect what every baseline is learned from, as arguments."""
+    def data_of(self, kept: list[WindowResult]) -> HealthyData:
+        """Collect what a baseline is learned from."""
         assert self._progress.first is not None
-        return {
-            "windows": [r.modes for r in kept if r.modes is not None],
-            "rms": np.array([r.rms_m_s2 for r in kept]),
-            "recordings": tuple({"file": p.name, "sha256": sha256(p)} for p in self._paths),
-            "span_ns": (self._progress.first.t_ns, self.pipeline.state.align.t_next_ns()),
-            "covariates": [r.covariates for r in kept if r.modes is not None],
-            "units": {"level": "dB", "temperature": "degC", **{t.name: t.unit for t in self._config.covariates}},
-            "compensation": self._config.compensation,
-            "motion": [r.motion for r in kept if r.motion is not None],
-        }
+        return HealthyData(
+            windows=[r.modes for r in kept if r.modes is not None],
+            rms_m_s2=np.array([r.rms_m_s2 for r in kept]),
+            recordings=tuple({"file": p.name, "sha256": sha256(p)} for p in self._paths),
+            span_ns=(self._progress.first.t_ns, self.pipeline.state.align.t_next_ns()),
+            covariates=[r.covariates for r in kept if r.modes is not None],
+            units={"level": "dB", "temperature": "degC", **{t.name: t.unit for t in self._config.covariates}},
+            t_ns=[r.t_end_ns for r in kept if r.modes is not None],
+            motion=[r.motion for r in kept if r.motion is not None],
+        )
 
-    def noted(self, baseline: Learned, on_warning: OnWarning) -> Learned:
+    def with_clock(self, baseline: Learned, on_warning: OnWarning) -> Learned:
         """Note the clock of the healthy data in a baseline, and warn of it and of covariates that ran together."""
         _warn_of_clock(self.pipeline, on_warning)
         _warn_of_confounding(baseline, on_warning)

@@ -498,7 +498,8 @@ class Site(Publisher):
         content = self.session.content(seconds / max(self._summary_s - self._begun_s, 1e-9))
         v = self._vitals
         content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
-        content["alarm"] = current_alarm_line(self.session.pipeline.state.alarm)
+        pipeline = self.session.pipeline
+        content["alarm"] = current_alarm_line(pipeline.state.alarm, pipeline.quantities.parts)
         content |= self._present.content
         self._told_episodes, content = self._episodes(), plain(content)
         self._chores.write(self.out / "summary.json", to_json(content) + "\n")

@@ -36,6 +36,7 @@ KINDS = {
 
 def worker(kind: str, samples: Path) -> None:
     """Push the block whose number comes on standard input, and write the CPU time of its hop, s; 0 where none was judged."""
+    import monitor.damage
     from drivers.base import ACCELERATION
     from monitor.core import WindowResult
     from monitor.damage import learn_baseline
@@ -49,11 +50,22 @@ def worker(kind: str, samples: Path) -> None:
     pipeline = Pipeline(config)
     results = [r for b in blocks[:n_healthy] for r in pipeline.push(b) if isinstance(r, WindowResult)]
     good = [r for r in results if r.modes is not None]
-    known = config.instrumented(), [r.modes for r in good], np.array([r.rms_m_s2 for r in good]), ()
-    if "compensation" in inspect.signature(learn_baseline).parameters:
+    windows, rms, span_ns = [r.modes for r in good], np.array([r.rms_m_s2 for r in good]), (0, HOUR_S * 10**9)
+    known = config.instrumented(), windows, rms, ()
+    if hasattr(monitor.damage, "HealthyData"):
+        healthy = monitor.damage.HealthyData(
+            windows=windows,
+            rms_m_s2=rms,
+            span_ns=span_ns,
+            covariates=[r.covariates for r in good],
+            units={"level": "dB"},
+        )
+        more = {"updating": config.updating, "compensation": config.compensation}
+        baseline = learn_baseline(config.instrumented(), healthy, drift_weights=pipeline.level_weights, **more)[0]
+    elif "compensation" in inspect.signature(learn_baseline).parameters:
         seen = [r.covariates for r in good], {"level": "dB"}, pipeline.level_weights
         more = {"updating": config.updating, "compensation": config.compensation}
-        baseline = learn_baseline(*known, (0, HOUR_S * 10**9), *seen, **more)[0]
+        baseline = learn_baseline(*known, span_ns, *seen, **more)[0]
     else:  # before there was one law of all covariates
         baseline = learn_baseline(*known, updating=config.updating, temperature=config.temperature)[0]
     if kind == "none" and hasattr(baseline, "law"):

@@ -11,7 +11,7 @@ import pytest
 from drivers.base import SampleBlock
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, BadInputError, WindowResult
-from monitor.damage import Baseline, learn_baseline, load_baseline, save_baseline
+from monitor.damage import Baseline, HealthyData, learn_baseline, load_baseline, save_baseline
 from monitor.damage.common_change import UNMEASURED, CommonChange
 from monitor.damage.covariate_law import Axis, learn, stories_prior
 from monitor.damage.level import drift_m, drift_weights, drift_weights_of_some, level_db
@@ -59,15 +59,16 @@ def healthy(site: Configuration, cut: Cut, tmp_path_factory: pytest.TempPathFact
     good = [r for r in windows(pipeline, cut, 1.0, 200, 3) if r.modes is not None]
     learned, _ = learn_baseline(
         site.instrumented(),
-        [r.modes for r in good if r.modes is not None],
-        np.array([r.rms_m_s2 for r in good]),
-        (),
-        (T0_NS, T0_NS + 200 * 10**9),
-        [r.covariates for r in good],
-        {"level": "dB", "wind": "m/s"},
-        pipeline.level_weights,
+        HealthyData(
+            windows=[r.modes for r in good if r.modes is not None],
+            rms_m_s2=np.array([r.rms_m_s2 for r in good]),
+            span_ns=(T0_NS, T0_NS + 200 * 10**9),
+            covariates=[r.covariates for r in good],
+            units={"level": "dB", "wind": "m/s"},
+        ),
         updating=site.updating,
         compensation=site.compensation,
+        drift_weights=pipeline.level_weights,
     )
     path = tmp_path_factory.mktemp("baseline") / "b.json"
     save_baseline(learned, path)

@@ -51,8 +51,8 @@ class SpringStiffness:
     def identify(self, *_: object) -> ModalEstimate:
         raise NotImplementedError
 
-    def lacking(self, modes: ModalEstimate, *_: object) -> str:
-        return "" if modes.model_mode.size > 1 else "one mode alone"
+    def lacking(self, modes: ModalEstimate, *_: object) -> Skipped | None:
+        return None if modes.model_mode.size > 1 else Skipped("one mode alone")
 
     def read(self, modes: ModalEstimate, *_: object) -> Found:
         loss = np.full(HEALTHY_HZ.size, np.nan)

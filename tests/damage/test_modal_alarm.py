@@ -10,6 +10,7 @@ from monitor.damage import AlarmState, modal_parts
 from monitor.damage.alarm import AlarmSettings, acknowledge, hold, start, step
 from monitor.damage.detectable_loss import smallest_detectable_loss
 from monitor.damage.parts import ModesAndShapes
+from monitor.publish import current_alarm_line
 
 PARTS, WINDOW_S, SETTINGS = ModesAndShapes(3, ("a1", "a2")), 400.0, AlarmSettings()
 STD, SHAPE_STD = 0.001, 0.002
@@ -104,3 +105,5 @@ def test_operators_requests_are_of_modes() -> None:
     _, held = hold(state, 0, PARTS)
     assert held.active == {2: Level.WARNING}
     assert held.conditions[2].value == "active, acknowledged"
+    line = current_alarm_line(state, PARTS)
+    assert (line["active"], line["stories"]) == ({"2": "warning"}, []), "a mode is no story"

@@ -262,7 +262,15 @@ def test_a_baseline_of_another_kind_or_other_channels_is_refused(
     (folder / "model.json").write_text(json.dumps({k: v for k, v in tree.items() if k != "kind"}))
     with pytest.raises(BadConfigurationError, match="with a model"):
         load_modal_baseline(folder / "model.json", CHANNELS, modal_origin(site))
-    for damage in ({"shapes": [[1.0]]}, {"gauges": [9, 9, 9]}, {"frequencies_hz": []}, {"law": {"axes": []}}):
+    together = {"square": np.eye(3).tolist(), "windows": 9, "lowest": np.zeros((2, 5, 3)).tolist()}
+    damages = (
+        {"shapes": [[1.0]]},
+        {"gauges": [9, 9, 9]},
+        {"frequencies_hz": []},
+        {"law": {"axes": []}},
+        {"law": tree["law"] | {"common": together}},
+    )
+    for damage in damages:
         (folder / "damaged.json").write_text(json.dumps(tree | damage))
         with pytest.raises(BadInputError, match="not a baseline file"):
             load_modal_baseline(folder / "damaged.json", CHANNELS, modal_origin(site))

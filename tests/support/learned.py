@@ -8,7 +8,7 @@ import numpy as np
 
 from monitor.config import Configuration
 from monitor.core import ModalEstimate, WindowResult
-from monitor.damage import Baseline, learn_baseline
+from monitor.damage import Baseline, HealthyData, learn_baseline
 from monitor.model import Model, simulate
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, cut_into_blocks
@@ -35,9 +35,11 @@ def baseline_of(
     found = [w for w in windows if isinstance(w, ModalEstimate) or w.modes is not None]
     return learn_baseline(
         settings.instrumented(),
-        [w if isinstance(w, ModalEstimate) else w.modes for w in found],
-        np.array([1.0 if isinstance(w, ModalEstimate) else w.rms_m_s2 for w in found]),
-        tuple(recordings),
+        HealthyData(
+            windows=[w if isinstance(w, ModalEstimate) else w.modes for w in found],
+            rms_m_s2=np.array([1.0 if isinstance(w, ModalEstimate) else w.rms_m_s2 for w in found]),
+            recordings=tuple(recordings),
+        ),
         updating=settings.updating,
         compensation=settings.compensation,
     )[0]

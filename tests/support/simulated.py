@@ -10,7 +10,7 @@ import numpy as np
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.core import Array, Window, WindowResult
-from monitor.damage import Baseline, learn_baseline
+from monitor.damage import Baseline, HealthyData, learn_baseline
 from monitor.model import ExcitationKind, Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline
 from monitor.runs import cut_into_blocks
@@ -52,16 +52,25 @@ def learned(
 ) -> Baseline:  # fmt: skip
     """Learn the baseline of windows, with a law of the covariates in `units`, or of the level that a pipeline saw."""
     good = [r for r in windows if r.modes is not None]
-    how: dict[str, Any] = {"updating": config.updating, "compensation": config.compensation}
     rms, weights, units = np.ones(1), None, units or {}
     if level_of is not None:
         rms, weights = np.array([r.rms_m_s2 for r in good], dtype=float), level_of.level_weights
         units = {"level": "dB"}
-    if motion:
-        how["motion"] = [r.motion for r in good if r.motion is not None]
-    felt = [{name: r.covariates[name] for name in units} for r in good] if units else []
-    modes = [r.modes for r in good if r.modes is not None]
-    return learn_baseline(config.instrumented(), modes, rms, (), span_ns, felt, units, weights, **how)[0]
+    healthy = HealthyData(
+        windows=[r.modes for r in good if r.modes is not None],
+        rms_m_s2=rms,
+        span_ns=span_ns,
+        covariates=[{name: r.covariates[name] for name in units} for r in good] if units else [],
+        units=units,
+        motion=[r.motion for r in good if r.motion is not None] if motion else [],
+    )
+    return learn_baseline(
+        config.instrumented(),
+        healthy,
+        updating=config.updating,
+        compensation=config.compensation,
+        drift_weights=weights,
+    )[0]
 
 
 def segments_of(samples: Array, rate_hz: float, n: int, n_bins: int) -> tuple[Array, float]:

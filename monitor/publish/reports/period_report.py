@@ -148,7 +148,7 @@ def _span(period: Period) -> str:
 
 def _story(story: int, period: Period) -> str:
     if story == WHOLE:
-        return period.known.words.every
+        return period.known.parts.every
     return period.known.names[story - 1] if story <= len(period.known.names) else f"story {story}"
 
 

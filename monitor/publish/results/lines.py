@@ -11,7 +11,7 @@ from types import NoneType
 from typing import Any
 
 from monitor.core import WHOLE, Alarm, Level, finish, parse_json, partial
-from monitor.damage import AlarmState, State, WindowFacts, hold
+from monitor.damage import AlarmState, Parts, State, WindowFacts, hold
 from monitor.publish.results.window_fields import LINE_SCHEMA, announced
 
 _KINDS: dict[str, type] = {
@@ -33,9 +33,9 @@ def alarm_line(alarm: Alarm) -> dict[str, Any]:
     }
 
 
-def current_alarm_line(state: AlarmState) -> dict[str, Any]:
+def current_alarm_line(state: AlarmState, parts: Parts) -> dict[str, Any]:
     """Collect the values of the present alarm, operators' requests since the latest window included."""
-    _, present = hold(state, 0)
+    _, present = hold(state, 0, parts)
     return {key: value for key, value in alarm_line(present).items() if key != "reason"}
 
 
