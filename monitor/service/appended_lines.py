@@ -29,6 +29,8 @@ class AppendedLines:
     `dropped`.  An incomplete last line, as a power cut leaves it, is removed when the file is opened.  A file larger than
     `most_bytes` replaces NAME.1.  `run` calls the function that it is given, which writes the lines that wait: at once, or in
     another thread, so that `write` waits for no disk.  `size` is that of the file when all lines so far are written.
+    The file is looked up by its name whenever lines are written: one that was removed, moved or replaced meanwhile is told, and
+    the lines go into the file of that name in the same folder; where that folder was removed, they wait.
     """
 
     def __init__(
@@ -48,7 +50,13 @@ class AppendedLines:
         self._busy, self._syncing = Busy(), Busy()
         self.dropped, self._losing = 0, False
         self._failure = ""
-        self._open()
+        self._folder = os.open(path.parent, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
+        """Folder of the file, which stays the same one where another is made under its path."""
+        try:
+            self._open()
+        except OSError:
+            os.close(self._folder)
+            raise
 
     @property
     def failed(self) -> str:
@@ -61,9 +69,9 @@ class AppendedLines:
         return self.size
 
     def lines_after(self, position: int, most_bytes: int) -> Iterator[bytes]:
-        """Read the lines after a position, at most `most_bytes`."""
+        """Read the lines after a position, at most `most_bytes`; all of a file that is shorter, as one begun anew since."""
         with self._path.open("rb") as file:
-            file.seek(position)
+            file.seek(position if position <= os.fstat(file.fileno()).st_size else 0)
             yield from file.read(most_bytes).split(b"\n")
 
     def write(self, line: str) -> None:
@@ -85,6 +93,7 @@ class AppendedLines:
         """Write the lines that wait, as far as the disk takes them."""
         with self._writing, self._busy:
             try:
+                self._follow()
                 while data := self._pending:
                     n_written = os.write(self._handle, data)
                     with self._lock:
@@ -111,6 +120,7 @@ class AppendedLines:
 
     def roll(self, place: Path) -> None:
         """Rename the file to `place` and begin a new one; raise OSError where the disk does not allow it."""
+        self._follow()
         path, place = destination(self._path), destination(place)
         os.replace(path, place)
         before = self._handle
@@ -135,11 +145,28 @@ class AppendedLines:
         self.sync()
         with self._writing:
             os.close(self._handle)
+            os.close(self._folder)
+
+    def _follow(self) -> None:
+        """Open the file of this name where it is no longer the one that is open."""
+        try:
+            is_there = os.path.samestat(os.stat(self._path.name, dir_fd=self._folder), os.fstat(self._handle))
+        except FileNotFoundError:
+            is_there = False
+        if not is_there:
+            before = self._handle
+            self._open()
+            os.close(before)
+            _log.warning("%s: was removed or moved away while it was written; begun anew", self._path)
 
     def _open(self) -> None:
         """Open the file and remove an incomplete last line."""
         destination(self._path)  # refuses what is no regular file
-        self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
+        try:
+            self._handle = os.open(self._path.name, flags, 0o644, dir_fd=self._folder)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self._path)) from error
         size = end = os.fstat(self._handle).st_size
         while end > 0:
             begin = max(0, end - _PIECE_BYTES)

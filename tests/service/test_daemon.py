@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -247,6 +248,44 @@ def test_lines_roll_over_to_one_older_file(tmp_path: Path) -> None:
     file.close()
     kept = [int(t) for name in ("lines.1", "lines") for t in (tmp_path / name).read_text().splitlines()]
     assert kept == list(range(100 - len(kept), 100)) and 10 <= len(kept) < 30
+
+
+@pytest.mark.parametrize("way", ["removed", "moved", "replaced"])
+def test_lines_after_the_file_is_gone_are_in_a_file_that_exists(
+    tmp_path: Path, way: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    place, moved = tmp_path / "lines", tmp_path / "lines-old"
+    file = AppendedLines(place)
+    file.write("one")
+    position = file.position
+    place.unlink() if way == "removed" else place.rename(moved)
+    if way == "replaced":
+        place.write_text("made\n")
+    file.write("two")
+    file.write("three")
+    assert file.failed == "" and file.position == place.stat().st_size
+    assert place.read_text().splitlines() == [*(["made"] if way == "replaced" else []), "two", "three"]
+    assert way == "removed" or moved.read_text() == "one\n"
+    place.write_text("")
+    file.write("4")
+    assert list(file.lines_after(position, 100)) == [b"4", b""], "what was begun anew is read from its beginning"
+    file.close()
+    assert len([r for r in caplog.records if f"{place}: was removed or moved away" in r.getMessage()]) == 1
+
+
+def test_lines_of_a_folder_that_was_removed_enter_no_other_one(tmp_path: Path) -> None:
+    place = tmp_path / "out" / "lines"
+    place.parent.mkdir()
+    file = AppendedLines(place)
+    file.write("one")
+    shutil.rmtree(place.parent)
+    file.write("two")
+    assert "No such file" in file.failed
+    place.parent.mkdir()
+    place.write_text("another's\n")
+    file.write("three")
+    file.close()
+    assert place.read_text() == "another's\n" and str(place) in file.failed
 
 
 def test_a_restart_appends_after_removing_half_a_line(site: Path, record: np.ndarray, cut: Cut) -> None:
