@@ -8,8 +8,9 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from drivers.disk import destination
 from monitor.cli.common import Json, address, say
-from monitor.core import BadConfigurationError, MissingInputError, UserError, WrongUsageError
+from monitor.core import BadConfigurationError, MissingInputError, UserError, WrongUsageError, os_errors_of
 
 
 def host(
@@ -58,6 +59,8 @@ def _demand_places(places: list[Path]) -> None:
     for place in places:
         if not place.exists():
             raise MissingInputError(f"{place}: there is no such file or folder")
+        with os_errors_of(place):
+            destination(place)  # reading a pipe would wait for ever
 
 
 def _share(text: str, *, standby: bool) -> tuple[int, int]:

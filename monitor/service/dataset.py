@@ -12,8 +12,17 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from drivers.disk import destination
 from monitor.config import configuration
-from monitor.core import BadConfigurationError, MissingInputError, UserError, finish, partial, require_extra
+from monitor.core import (
+    BadConfigurationError,
+    MissingInputError,
+    UserError,
+    finish,
+    os_errors_of,
+    partial,
+    require_extra,
+)
 from monitor.publish import closed_files, read_line, read_lines
 
 _log = logging.getLogger(__name__)
@@ -36,6 +45,8 @@ def site_folders(places: Sequence[Path]) -> dict[str, Path]:
     for place in places:
         for path in sorted(place.glob("*.toml")) if place.is_dir() else [place]:
             try:
+                with os_errors_of(path):
+                    destination(path)  # reading a pipe would wait for ever
                 settings = configuration.load(path)
             except UserError as error:
                 if not place.is_dir():

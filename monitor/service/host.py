@@ -17,6 +17,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+from drivers.disk import destination
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, InUseError, UserError
 from monitor.damage import AnyBaseline
@@ -88,6 +89,8 @@ class Host:
         self._files = [path for path in places if not path.is_dir()]
         self._folders = [path for path in places if path.is_dir()]
         self._places: dict[Path, Place] = {}
+        self._odd: set[Path] = set()
+        """Files that were told to be left out, for they are no regular files."""
         self._schedule = Schedule(clock, self._ended, self._fail)
         self._stopping = False
         self._end_s = float("inf")
@@ -174,7 +177,10 @@ class Host:
 
     def _fail(self, place: Place, error: Exception) -> None:
         """End a site that failed, without a checkpoint of what it had reached; it is started again after a pause."""
-        _log.error("%s failed", place.name, exc_info=error)
+        if isinstance(error, UserError):  # as the loss of its folder
+            _log.error("%s failed: %s", place.name, error)
+        else:
+            _log.error("%s failed", place.name, exc_info=error)
         place.failure = f"{type(error).__name__}: {error}"
         place.queue, place.state = None, State.ENDING
         self._enders.submit(self._end, place, False)
@@ -375,6 +381,15 @@ class Host:
         found = dict.fromkeys(self._files)
         for folder in self._folders:
             found |= dict.fromkeys(path for path in sorted(folder.glob("*.toml")) if self._mine(path))
+        for path in [*found]:
+            try:
+                destination(path)
+                self._odd.discard(path)
+            except OSError as error:  # reading a pipe would wait for ever
+                del found[path]
+                if path not in self._odd:
+                    self._odd.add(path)
+                    _log.error("%s is left out: it %s", path, error.strerror)
         for path in found:
             stamp = _stamp(path)
             place = self._places.get(path)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 import time
 from pathlib import Path
 
@@ -10,12 +13,13 @@ import pytest
 
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.service import logs
+from monitor.service.dataset import site_folders
 from monitor.service.host import Host
 from monitor.service.host_metrics import HostMetrics
 from monitor.service.schedule import Line, Place, State, named_in_the_log
 from monitor.service.site import Site
 from monitor.service.threads import BlockQueue
-from tests.support.samples import Cut
+from tests.support.samples import Cli, Cut
 from tests.support.site import SITE, lines, write
 
 
@@ -117,3 +121,33 @@ def test_a_site_that_cannot_begin_to_read_is_started_again_and_the_others_run_on
     assert failed and [(one.is_over, one.failure) for one in host.places] == [(True, "")] * 2
     assert [len(lines(path.parent / "out")) for path in paths] == [1, 1]
     assert not hurried, "where data end, their last diagnosis is waited for"
+
+
+def test_a_pipe_among_the_site_files_is_left_out_and_told(
+    tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder, said = tmp_path / "sites", list[str]()
+    folder.mkdir()
+    (folder / "good.toml").write_text(SITE + frame_text)
+    write(folder / "rec.mcap", cut(record[:2600], 128.0))
+    os.mkfifo(folder / "a-pipe.toml")
+
+    def say(word: str) -> None:
+        said.append(word)
+        if len(said) == 1:  # a second signal ends the process at once
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    late = threading.Timer(20.0, say, ["late"])
+    late.start()
+    Host([folder], say=say).run()
+    late.cancel()
+    assert said[0] == "READY" and (folder / "out" / "results.jsonl").exists()
+    told = [r.getMessage() for r in caplog.records if "a-pipe" in r.getMessage()]
+    assert told == [f"{folder / 'a-pipe.toml'} is left out: it is no regular file; name another place"]
+    assert site_folders([folder]) == {"bench": folder / "out"}
+
+
+def test_a_pipe_that_is_named_as_site_file_is_one_message(tmp_path: Path, main: Cli) -> None:
+    os.mkfifo(tmp_path / "site.toml")
+    done = main("host", tmp_path / "site.toml")
+    assert done.returncode == 66 and done.stderr.count("\n") == 1 and "site.toml: is no regular file" in done.stderr
