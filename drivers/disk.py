@@ -7,6 +7,9 @@ import stat
 from errno import EINVAL
 from pathlib import Path
 
+PRIVATE_FOLDER = 0o700
+"""Mode of a folder that its owner alone may enter. [mode; definition]"""
+
 
 def destination(path: Path) -> Path:
     """Return the file that is written where `path` is named: what a link leads to, so that the link stays.
@@ -40,6 +43,17 @@ def partial(path: Path) -> Path:
 def finish(path: Path) -> None:
     """Rename the partial file of `path` to its final name."""
     os.replace(partial(path), destination(path))
+
+
+def private(path: str, flags: int) -> int:
+    """Open a file that its owner alone may read and write, whatever the umask: an opener for `open`."""
+    handle = os.open(path, flags, 0o600)
+    try:
+        os.fchmod(handle, 0o600)  # one that was there may have another mode
+    except OSError:
+        os.close(handle)
+        raise
+    return handle
 
 
 def sync_folder(folder: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from errno import EISDIR
 from itertools import count
@@ -55,11 +55,11 @@ def set_aside(path: Path) -> Path:
     return place
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Write a small text file that gets its final name only when it is complete."""
+def write_atomically(path: Path, text: str, opener: Callable[[str, int], int] | None = None) -> None:
+    """Write a small text file that gets its final name only when it is complete; `opener` as of `open`."""
     temporary = partial(path)
     try:
-        with temporary.open("w", encoding="utf-8") as file:
+        with open(temporary, "w", encoding="utf-8", opener=opener) as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

@@ -244,6 +244,8 @@ def open_database(
     path: Path, version: int = VERSION, upgrades: Mapping[int, str] = UPGRADES, wait_s: float = 2.0
 ) -> sqlite3.Connection:
     """Open the database; create it, or upgrade its schema, if necessary; raise sqlite3.Error as `make_tables`."""
+    with contextlib.suppress(OSError):  # the files that SQLite keeps beside it get its mode
+        path.touch(0o600, exist_ok=False)
     database = sqlite3.connect(path, timeout=wait_s, check_same_thread=False)
     try:
         database.execute("PRAGMA journal_mode = WAL")

@@ -15,9 +15,20 @@ from pathlib import Path
 from typing import Any
 
 from drivers.base import ACCELERATION, SampleBlock
+from drivers.disk import PRIVATE_FOLDER, private
 from drivers.recorder import recorded
 from monitor.config import Configuration
-from monitor.core import BadInputError, InUseError, MissingInputError, parse_json, set_aside, sha256, write_atomically
+from monitor.core import (
+    BadConfigurationError,
+    BadInputError,
+    InUseError,
+    MissingInputError,
+    os_errors_of,
+    parse_json,
+    set_aside,
+    sha256,
+    write_atomically,
+)
 from monitor.damage import StoryState, WindowFacts
 from monitor.events import EventAlarm
 from monitor.pipeline import PipelineState
@@ -246,6 +257,24 @@ def lock(path: Path, out: Path) -> int:
             return handle
 
 
+def demand_lock(handle: int, path: Path, out: Path) -> None:
+    """Check that the file at `path` is the one that `lock` has locked for the output folder `out`; it may wait for the disk.
+
+    MissingInputError tells that it was removed, as with the folder; InUseError that another one stands there.  A disk that does
+    not answer tells neither.
+    """
+    try:
+        is_own = os.path.samestat(os.stat(path), os.fstat(handle))
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise MissingInputError(f"{out}: was removed while a daemon wrote here, which ends; start it again") from error
+    except OSError:
+        return
+    if not is_own:
+        raise InUseError(
+            f"{out}: was removed and made anew while a daemon wrote here, which ends; another may write here now"
+        )
+
+
 def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
     """Record in the ledger that the baseline differs from that of the previous run."""
     place = out / "state" / "baseline.json"
@@ -262,4 +291,36 @@ def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
     if previous is not None:
         finding = {"says": "monitoring goes on from another baseline", "causes": []}
         ledger.append_entry(out / "results.jsonl", finding, {"site": site, "baseline": healthy}, None)
-    write_atomically(place, json.dumps(present) + "\n")
+    write_atomically(place, json.dumps(present) + "\n", private)
+
+
+def make_private(folder: Path, out: Path) -> None:
+    """Make the folder of the state of the output folder `out`, which its owner alone may enter, whatever the umask.
+
+    One that is there keeps its mode.  MissingInputError tells that it cannot be made.
+    """
+    with os_errors_of(out, "cannot be written: "):
+        folder.mkdir(PRIVATE_FOLDER, parents=True, exist_ok=True)
+
+
+def note_site(state: Path, settings: Configuration) -> None:
+    """Note in the folder `state` the name of the site whose it is; one that cannot be read is replaced.
+
+    BadConfigurationError tells that another site writes there, unless the settings say that this one was named so (`formerly`).
+    """
+    name, place, found = settings.site.name or settings.structure.name, state / "site.json", ""
+    try:
+        found = str(parse_json(place.read_bytes())["site"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        if not isinstance(error, FileNotFoundError):
+            _log.warning("%s: %s; the folder is taken for this site's", place, error)
+    if name and found and found not in {name, settings.site.formerly}:
+        raise BadConfigurationError(
+            f"{state.parent}: the site {found!r} writes here; name another dir under [output], or, where {name!r} is the "
+            f"same site, formerly = {json.dumps(found)} under [site]"
+        )
+    if name and found != name:
+        try:
+            write_atomically(place, json.dumps({"site": name}) + "\n", private)
+        except OSError as error:
+            _log.warning("%s: not written: %s", place, error.strerror)

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from drivers.disk import destination, sync_folder
+from drivers.disk import destination, private, sync_folder
 from monitor.core import finish, from_plain, partial, to_plain
 
 _log = logging.getLogger(__name__)
@@ -53,7 +53,7 @@ def save(path: Path, key: str, value: object) -> int:
     data, path = to_bytes(key, value), destination(path)
     temporary = partial(path)
     try:
-        with temporary.open("wb") as file:
+        with open(temporary, "wb", opener=private) as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())

@@ -70,7 +70,8 @@ _DURABLE_S = 0.5
 _TIDY_S = 60.0
 """Interval at which closed months are packed and the budget of the folder is looked after. [s; judgement]"""
 _CHECK_S = 1.0
-"""Interval at which the outputs are asked whether they fail, so that a line of health tells a failure soon. [s; judgement]"""
+"""Interval at which the outputs are asked whether they fail, so that a line of health tells a failure soon, and at which the lock
+is looked at. [s; judgement]"""
 _LATE_S = 30.0
 """Shortest delay of data by the wall clock from which the state is no present one. [s; judgement]"""
 _LATEST = 50
@@ -122,7 +123,7 @@ class Site(Publisher):
         make_outlets(path, settings, dry=True)
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
-        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._checked_s = self._clock()
+        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._checked_s = self._held_s = self._clock()
         self._tidied_s = float("-inf")
         self._failed: set[str] = set()
         self._said: Assessment | None = None
@@ -131,12 +132,16 @@ class Site(Publisher):
         self._path, self._stopping, self._end_s = path, False, float("inf")
         self._reload_requested = self._rereading = False
         self._reloaded: Reloaded | None = None
+        self._lost: UserError | None = None
         self._alarm: object = None
         self._told_episodes: list[tuple[int, Level, bool]] = []
         with ExitStack() as undo:
             # Before anything of this daemon can be seen from outside.
-            self._lock = restart.lock(self.out / "state" / "lock", self.out)
+            restart.make_private(self.out / "state", self.out)
+            self._lock_file = self.out / "state" / "lock"
+            self._lock = restart.lock(self._lock_file, self.out)
             undo.callback(os.close, self._lock)
+            restart.note_site(self.out / "state", settings)
             self._store = store_of(settings, self.out, clock) if store is None else store
             if self._store is not None:
                 self._store.open(wait=not lean)
@@ -257,13 +262,28 @@ class Site(Publisher):
         if now - self._sync_s >= self.settings.recorder.flush_s:
             self._sync_s = now
             self._chores.do("sync", self._lines.sync)
+        if now - self._held_s >= _CHECK_S:
+            self._held_s = now
+            self._chores.do("lock", self._holds)
         if now - self._tidied_s >= _TIDY_S:
             self._tidied_s = now
             self._chores.do("storage", self._storage.tidy)
         if now - self._summary_s >= self._quiet_s or self._told_episodes != self._episodes():
             self._write_summary()
+        if self._lost is not None:
+            raise self._lost
         if self._store is not None and self._store.is_lost:
             raise InUseError(self._store.failed)
+
+    def _holds(self) -> bool:
+        """Look whether the output folder is still this site's, and note its loss (in a thread that may wait for the disk)."""
+        try:
+            restart.demand_lock(self._lock, self._lock_file, self.out)
+        except UserError as error:
+            self._lost = error
+            if self._store is not None:
+                self._store.is_lost = True  # the copy keeps what the folder had
+        return self._lost is None
 
     def ask_to_stop(self) -> None:
         """Set the deadlines by which the site ends; a signal handler may call this."""
@@ -279,6 +299,10 @@ class Site(Publisher):
 
     def finish(self) -> None:
         """Keep what the next run goes on from; after the end of the data, wait for the last findings instead."""
+        self._chores.do("lock", self._holds)
+        self._chores.settle(_DURABLE_S)
+        if self._lost is not None:
+            return
         self._requests.finish(self.session, _DURABLE_S)
         if self.reader.ended:
             self._write_summary()  # a diagnosis may take minutes
@@ -294,7 +318,13 @@ class Site(Publisher):
         return self._stopping
 
     def raise_failure(self) -> None:
-        """Raise the error that ended reading for good, if one did: MissingInputError or BadInputError of the source's files."""
+        """Raise the loss of the output folder, or the error that ended reading for good, if there is one.
+
+        InUseError or MissingInputError tell that another daemon may have the folder, or that it was removed; MissingInputError
+        and BadInputError are those of the source's files.
+        """
+        if self._lost is not None:
+            raise self._lost
         if isinstance(self.reader.failure, RecordingMissingError):
             raise MissingInputError(str(self.reader.failure)) from self.reader.failure
         if isinstance(self.reader.failure, RecordingError):
@@ -502,7 +532,7 @@ class Site(Publisher):
         content["alarm"] = current_alarm_line(pipeline.state.alarm, pipeline.quantities.parts)
         content |= self._present.content
         self._told_episodes, content = self._episodes(), plain(content)
-        self._chores.write(self.out / "summary.json", to_json(content) + "\n")
+        self._chores.write(self.out / "summary.json", to_json(content) + "\n", self._holds)
         for outlet in self._outlets:
             outlet.summary(content)
 

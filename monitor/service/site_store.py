@@ -28,7 +28,7 @@ from uuid import uuid4
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from drivers.disk import destination, sync_folder
+from drivers.disk import destination, private, sync_folder
 from monitor.config import Configuration
 from monitor.core import Busy, InUseError, MissingInputError, import_extra, write_atomically
 from monitor.service.boot import boot_time
@@ -385,7 +385,7 @@ class SiteStore:
         place = self._out / _NOTE
         place.parent.mkdir(parents=True, exist_ok=True)
         names = dict.fromkeys((*owners, self._owner))
-        write_atomically(place, _Note(owners=tuple(names), generation=generation).model_dump_json())
+        write_atomically(place, _Note(owners=tuple(names), generation=generation).model_dump_json(), private)
         sync_folder(place.parent)
 
     # The storage.  All of it raises OSError where it does not answer.
@@ -527,7 +527,7 @@ class SiteStore:
                 continue
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary = path.with_name(path.name + _FETCHED)
-            with temporary.open("wb") as target:
+            with open(temporary, "wb", opener=private if _is_state(name) else None) as target:
                 self._write(name, file, target)
             if path.exists() and not _begins_with(temporary, path):
                 _put_aside(path, name, aside)

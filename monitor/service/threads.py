@@ -318,7 +318,7 @@ class Chores:
     dropped = 0  # the latest job of a name stands for those before
 
     def __init__(self, name: str = "chores") -> None:
-        self._jobs: dict[str, Callable[[], None]] = {}
+        self._jobs: dict[str, Callable[[], object]] = {}
         self._errors: dict[Path, str] = {}
         self._changed = threading.Condition()
         self._closed = False
@@ -326,15 +326,15 @@ class Chores:
         self._thread = background(self._work, name)
         self._thread.start()
 
-    def do(self, name: str, job: Callable[[], None]) -> None:
+    def do(self, name: str, job: Callable[[], object]) -> None:
         """Queue a job, which must not raise."""
         with self._changed:
             self._jobs[name] = job
             self._changed.notify_all()
 
-    def write(self, path: Path, text: str) -> None:
-        """Queue the writing of a small file; a failure shows in `failed` until the file is written."""
-        self.do(str(path), partial(self._write, path, text))
+    def write(self, path: Path, text: str, is_allowed: Callable[[], bool] = lambda: True) -> None:
+        """Queue the writing of a small file, if it is allowed then; a failure shows in `failed` until the file is written."""
+        self.do(str(path), partial(self._write, path, text, is_allowed))
 
     @property
     def failed(self) -> str | None:
@@ -367,7 +367,9 @@ class Chores:
                 except Exception:  # noqa: BLE001 - the jobs after it, the ledger's among them, are done all the same
                     _log.exception("%s: a job failed", self._thread.name)
 
-    def _write(self, path: Path, text: str) -> None:
+    def _write(self, path: Path, text: str, is_allowed: Callable[[], bool]) -> None:
+        if not is_allowed():
+            return
         try:
             write_atomically(path, text)
             self._errors.pop(path, None)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import stat
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,8 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.base import SampleBlock
 from monitor.config import configuration
-from monitor.core import BadConfigurationError, MissingInputError
+from monitor.core import BadConfigurationError, InUseError, MissingInputError
 from monitor.service import Daemon, site as site_module
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.restart import lock
@@ -24,7 +27,7 @@ from monitor.service.status import running
 from tests.support.live_rig import Command
 from tests.support.live_site import RATE
 from tests.support.samples import Cut
-from tests.support.site import SITE, write
+from tests.support.site import SITE, Scripted, run_until, write
 from tests.support.strangers import as_a_stranger
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
@@ -146,6 +149,83 @@ def test_a_stranger_who_may_read_the_folder_cannot_hold_its_lock() -> None:
                     os.open(path, os.O_RDONLY)
     finally:
         os.umask(before)
+
+
+def remove(out: Path) -> None:
+    """A folder under the daemon that fills it, once its first checkpoint is written."""
+    until((out / "state" / "checkpoint").exists, "the first checkpoint")
+    shutil.rmtree(out.rename(out.with_name("gone")), ignore_errors=True)
+
+
+@pytest.mark.parametrize("is_over", [True, False])
+def test_a_folder_that_another_daemon_began_anew_is_left_alone(
+    site: Path, record: np.ndarray, cut: Cut, is_over: bool
+) -> None:
+    """The first daemon ends, while data may still come and where they have ended."""
+    out, handles = site.parent / "out", list[int]()
+
+    def script() -> Iterator[SampleBlock]:
+        yield from cut(record[:2600], RATE)
+        remove(out)
+        handles.append(lock(out / "state" / "lock", out))
+        (out / "summary.json").write_text("another's")
+
+    source = Scripted(script(), hold=None if is_over else threading.Event())
+    with pytest.raises(InUseError, match=f"{out}: was removed and made anew"):
+        Daemon(site, source, clock=lambda: 10.0 * time.monotonic()).run()
+    os.close(handles[0])
+    assert (out / "summary.json").read_text() == "another's"
+    assert not [name for name in ("results.jsonl", "health.jsonl", "state/checkpoint") if (out / name).exists()]
+
+
+def test_a_daemon_whose_folder_is_removed_ends_and_says_so(site: Path, record: np.ndarray, cut: Cut) -> None:
+    out = site.parent / "out"
+
+    def script() -> Iterator[SampleBlock]:
+        yield from cut(record[:2600], RATE)
+        remove(out)
+
+    with pytest.raises(MissingInputError, match=f"{out}: was removed while a daemon wrote here"):
+        Daemon(site, Scripted(script(), threading.Event()), clock=lambda: 10.0 * time.monotonic()).run()
+    assert not (out / "summary.json").exists()
+
+
+def test_another_site_is_refused_in_a_site_s_folder_unless_it_is_told_to_be_the_same(
+    site: Path, record: np.ndarray, cut: Cut
+) -> None:
+    out, blocks = site.parent / "out", cut(record[:2600], RATE)
+    Daemon(site, Scripted(blocks)).run()
+    before = {name: (out / name).read_bytes() for name in ("results.jsonl", "health.jsonl")}
+    text = site.read_text()
+    other = site.with_name("other.toml")
+    other.write_text(text.replace('name = "bench"', 'name = "tower"'))
+    with pytest.raises(BadConfigurationError, match=f"{out}: the site 'bench' writes here") as raised:
+        Daemon(other, Scripted(blocks))
+    assert raised.value.exit_code == 78 and 'formerly = "bench"' in str(raised.value)
+    assert before == {name: (out / name).read_bytes() for name in before}
+    Daemon(site, Scripted([])).run()
+    other.write_text(text.replace('name = "bench"', 'name = "tower"\nformerly = "bench"'))
+    Daemon(other, Scripted([])).run()
+    with pytest.raises(BadConfigurationError, match="the site 'tower' writes here"):
+        Daemon(site, Scripted(blocks))
+
+
+def test_state_and_requests_are_their_owner_s_whatever_the_umask(site: Path, record: np.ndarray, cut: Cut) -> None:
+    state, before = site.parent / "out" / "state", os.umask(0)
+    try:
+        run_until(site, cut(record[:2600], RATE), 1)
+    finally:
+        os.umask(before)
+    modes = {p.relative_to(state.parent).as_posix(): stat.S_IMODE(p.stat().st_mode) for p in (state, *state.rglob("*"))}
+    assert modes.pop("state") == modes.pop("state/requests") == 0o700
+    assert {
+        "state/checkpoint",
+        "state/alarms",
+        "state/history.db",
+        "state/baseline.json",
+        "state/site.json",
+    } <= modes.keys()
+    assert {name: mode for name, mode in modes.items() if mode != 0o600} == {}
 
 
 def test_a_look_at_the_status_keeps_no_daemon_from_starting(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from drivers.disk import PRIVATE_FOLDER
 from monitor.core import finish, partial, settings_problems
 from monitor.service.outlets.base import Outlet
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Request
@@ -49,7 +50,7 @@ class Inbox(Outlet):
         self._done: deque[Path] = deque()
         self._stuck: set[Path] = set()
         with contextlib.suppress(OSError):  # created here, so that the daemon's user owns it, whoever asks first
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(PRIVATE_FOLDER, parents=True, exist_ok=True)
 
     @property
     def failed(self) -> str | None:
@@ -126,7 +127,7 @@ def leave_request(folder: Path, request: Request) -> Path:
         The file cannot be written.
     """
     if not folder.is_dir():
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(PRIVATE_FOLDER, parents=True, exist_ok=True)
         _set_owner(folder, folder.parent)
     place = folder / f"{time.time_ns()}-{secrets.token_hex(4)}.json"  # names sort in the order of the requests
     temporary = partial(place)

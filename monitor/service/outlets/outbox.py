@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from drivers.disk import private
 from monitor.core import Level, write_atomically
 from monitor.service.outlets.notices import Notice, Told
 
@@ -137,7 +138,7 @@ class Outbox:
             head = {"version": VERSION, "next_id": self._next_id, "told": told}
             lines = [json.dumps(head), *(json.dumps(asdict(m)) for m in self._messages)]
         try:
-            write_atomically(self._path, "\n".join(lines) + "\n")
+            write_atomically(self._path, "\n".join(lines) + "\n", private)
             self.failed = None
         except OSError as error:
             self.failed = f"{self._path}: {error.strerror or error}"
