@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from drivers.base import SourceError
 from drivers.settings import Settings
@@ -70,6 +70,14 @@ class BrokerSettings(Settings):
     """File whose first line is the password, relative to the site file; read anew at each start."""
     connect_timeout_s: float = Field(default=5.0, gt=0)
     """Time after which a broker that does not answer is reported; it is tried again."""
+
+    @field_validator("host")
+    @classmethod
+    def _is_host(cls, host: str) -> str:
+        if not re.fullmatch(r"[\w.-]+|[0-9A-Fa-f:.]+(%[\w.-]+)?", host):
+            parts = "the port belongs to `port`, user and password to `user` and `password_file`"
+            raise ValueError(f"must be a name or an address alone: {parts}")  # what it is may hold a password
+        return host
 
     @model_validator(mode="after")
     def _has_user(self) -> BrokerSettings:
