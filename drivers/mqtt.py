@@ -171,7 +171,7 @@ class MqttSource:
             losses += _losses(connection)
         counts = dict(self._arrivals.counts) | {name: losses[name] for name in ("links_lost", "sessions_lost")}
         problem = f"not connected with {where}" if connection is None else connection.problem
-        trouble = "" if connection is None else self._arrivals.recent.latest
+        trouble = "" if connection is None else connection.recent.latest or self._arrivals.recent.latest
         return SourceHealth(problem is None, counts, (), problem or f"connected with {where}", trouble)
 
     def close(self) -> None:
