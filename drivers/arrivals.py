@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from drivers import codec
 from drivers.base import SampleBlock
 from drivers.limits import BlockLimits, within_limits
+from drivers.recent import Recent
 from drivers.reorder import Reorder
 
 _EVENTS = ("blocks", "samples", "lost_samples", "gaps", "repeated", "reordered", "late", "restarts", "undecodable",
@@ -15,7 +16,10 @@ _EVENTS = ("blocks", "samples", "lost_samples", "gaps", "repeated", "reordered",
 
 
 class Arrivals:
-    """Blocks of some topics that arrived, and their counts, to which a transport adds its own `events`."""
+    """Blocks of some topics that arrived, and their counts, to which a transport adds its own `events`.
+
+    What is refused is told with its reason by `recent`.
+    """
 
     def __init__(
         self,
@@ -24,7 +28,9 @@ class Arrivals:
         hold: int,
         events: Iterable[str],
         decode: Callable[[bytes, str], SampleBlock] = codec.decode,
+        recent: Recent | None = None,
     ) -> None:
+        self.recent = Recent() if recent is None else recent
         self.counts: Counter[str] = Counter(dict.fromkeys((*_EVENTS, *events), 0))
         self._limits, self._hold, self._decode = limits, hold, decode
         self._orders = {topic: Reorder(self.counts, hold) for topic in topics}
@@ -44,10 +50,20 @@ class Arrivals:
         """Decode a payload, and release the blocks that can be."""
         try:
             block = within_limits(self._decode(data, topic), self._limits)
-        except ValueError:
-            self.counts["undecodable"] += 1
+        except ValueError as error:
+            self._refuse("undecodable", topic, str(error))
         else:
             self._ready.extend(self._orders[topic].push(block))
+
+    def refuse_oversized(self, topic: str, n_bytes: int) -> None:
+        """Count a message that is too large to be decoded."""
+        self._refuse("oversized", topic, f"{n_bytes} bytes, where max_payload_bytes = {self._limits.max_payload_bytes}")
+
+    def _refuse(self, event: str, topic: str, reason: str) -> None:
+        """Count a refused block or message, and tell why."""
+        self.counts[event] += 1
+        n = self.counts["undecodable"] + self.counts["oversized"]
+        self.recent.tell(f"a block of {topic} is refused, {n} so far: {reason}")
 
     def take(self) -> SampleBlock:
         """Remove and return the first block that is ready."""

@@ -105,6 +105,8 @@ class SourceHealth:
     clocks: tuple[ClockHealth, ...] = ()
     detail: str = ""
     """One sentence on the present state."""
+    trouble: str = ""
+    """What went wrong within the last minute though it is connected, as a refused block; empty if nothing did."""
 
 
 @dataclass(frozen=True, slots=True)

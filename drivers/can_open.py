@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from drivers.base import SourceError
 from drivers.live import LiveSettings
-from drivers.socketcand_client import SocketcandBus
+from drivers.socketcand_client import ANSWER_S, SocketcandBus
 
 PARSE_ERRORS = (
     OSError,
@@ -85,7 +85,7 @@ def open_bus(settings: CanSettings, ids: tuple[tuple[int, bool], ...]) -> can.Bu
     options: dict[str, Any] = {**({"fd": True} if settings.fd else {}), **settings.options}
     try:
         if settings.interface == "socketcand":
-            bus: can.BusABC = SocketcandBus(channel=str(settings.channel), **options)  # type: ignore[no-untyped-call]
+            bus: can.BusABC = SocketcandBus(str(settings.channel), **options)
         else:
             bus = can.Bus(interface=settings.interface, channel=settings.channel, **options)
         # Filters in python-can itself would save nothing and would suppress error frames.
@@ -108,7 +108,7 @@ def _require_server(host: object, port: object) -> None:
     # python-can also warns of every malformed message.
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.CRITICAL)
     try:
-        with socket.create_connection((host, port), timeout=2.0) as probe:
+        with socket.create_connection((host, port), timeout=ANSWER_S) as probe:
             if not probe.recv(64).startswith(b"< hi"):
                 raise SourceError(f"{host}:{port} is no socketcand server")
     except OSError as error:

@@ -5,7 +5,7 @@ The index of a frame depends only on the frames before it, not on how the frames
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.base import Floats, Ints
 
+Contents = NDArray[np.bytes_]
 REORDER = 32
 """Greatest delay, in frames, at which a late frame is still put in its place."""
 TOLERANCE_S = 2.0
@@ -23,7 +24,10 @@ _SILENCE_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _UnconfirmedJump:
-    """Jump of the counter that later frames must confirm: one frame if it goes forwards, a second of frames if backwards."""
+    """Jump of the counter that later frames must confirm: one frame if it goes forwards, a second of frames if backwards.
+
+    A jump back among the latest frames, to a counter under which another frame came, is confirmed by the frame that follows it.
+    """
 
     first: int
     """Counter of the first frame after the jump."""
@@ -37,6 +41,8 @@ class _UnconfirmedJump:
     """Frames that must still follow."""
     frames: int = 1
     """Frames since the jump."""
+    greatest: int | None = None
+    """Greatest index before a jump back among the latest frames; None for any other jump."""
 
 
 @dataclass(slots=True)
@@ -66,15 +72,47 @@ class Sequencer:
     """Number of new frames so far."""
     _recent: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     """Recent indices that a repeated frame could have."""
+    _contents: Contents = field(default_factory=lambda: np.empty(0, dtype="S1"))
+    """Contents of the frames of these indices."""
 
     def number(
-        self, counters: Annotated[Ints, "n"], times_s: Annotated[Floats, "n"], rate_hz: float, *, real_time: bool
+        self,
+        counters: Annotated[Ints, "n"],
+        times_s: Annotated[Floats, "n"],
+        rate_hz: float,
+        *,
+        real_time: bool,
+        contents: Annotated[Contents, "n"] | None = None,
     ) -> tuple[Annotated[Ints, "n"], Annotated[NDArray[np.bool_], "n"]]:
         """Unwrap the counters of frames in order of arrival, and mark those that have an index and are neither repeated nor late.
 
         An index is 0 after a jump of the counter that is not confirmed.  A timestamp is NaN where unknown; in `real_time`
-        timestamps may decide how often the counter, which grows at `rate_hz`, wrapped.
+        timestamps may decide how often the counter, which grows at `rate_hz`, wrapped.  The `contents` of frames, bytes, tell
+        a frame that comes again from another one under the same counter, which is one of a counter that was set back.
         """
+        if contents is None:
+            contents = np.zeros(len(counters), dtype="S1")
+        before = replace(self)
+        indices, new, contradicts = self._number(counters, times_s, rate_hz, real_time, contents)
+        if not contradicts:
+            return indices, new
+        for f in fields(self):
+            setattr(self, f.name, getattr(before, f.name))
+        if len(counters) == 1:
+            self.stray += self._unconfirmed.frames if self._unconfirmed else 0
+            value, t_s = int(counters[0]), float(times_s[0])
+            self._unconfirmed = _UnconfirmedJump(value, t_s, value, 0, 1, greatest=self._greatest)
+            return np.zeros(1, dtype=np.int64), np.zeros(1, dtype=bool)
+        cuts = [slice(k, k + 1) for k in range(len(counters))]
+        singles = [
+            self.number(counters[k], times_s[k], rate_hz, real_time=real_time, contents=contents[k]) for k in cuts
+        ]
+        return np.concatenate([one[0] for one in singles]), np.concatenate([one[1] for one in singles])
+
+    def _number(
+        self, counters: Ints, times_s: Floats, rate_hz: float, real_time: bool, contents: Contents
+    ) -> tuple[Ints, NDArray[np.bool_], bool]:
+        """Number frames as `number`, and say whether one has the index of an earlier one of other contents."""
         if self._last is None and len(counters):
             self._last = (int(counters[0]) - self.stride, int(counters[0]) - self.stride, float(times_s[0]))
             self._greatest, self._first = self._last[1], int(counters[0])
@@ -86,12 +124,21 @@ class Sequencer:
         where = np.flatnonzero(on_time)
         first[where[np.unique(indices[where], return_index=True)[1]]] = True
         new = first & ~np.isin(indices, self._recent)
-        self.repeated += int(np.count_nonzero(on_time & ~new))
+        again = on_time & ~new
+        self.repeated += int(np.count_nonzero(again))
         self._greatest = int(greatest[-1])
         self._accepted += int(np.count_nonzero(new))
-        recent = np.concatenate((self._recent, indices[new]))
-        self._recent = recent[recent > self._greatest - REORDER * self.stride]
-        return indices, new
+        recent, came = np.concatenate((self._recent, indices[new])), np.concatenate((self._contents, contents[new]))
+        contradicts = False
+        if again.any():
+            known = dict(zip(recent.tolist(), came.tolist(), strict=True))
+            contradicts = any(
+                known[k] != content
+                for k, content in zip(indices[again].tolist(), contents[again].tolist(), strict=True)
+            )
+        kept = recent > self._greatest - REORDER * self.stride
+        self._recent, self._contents = recent[kept], came[kept]
+        return indices, new, contradicts
 
     @property
     def horizon(self) -> int:
@@ -135,7 +182,16 @@ class Sequencer:
         is_silent = t_s - last_s > self._silence_limit_s(rate_hz)
         unconfirmed = self._unconfirmed
         is_consecutive = self.bits and delta == self.stride and unconfirmed is None
-        if self._is_small_change(delta) and (is_consecutive or not is_silent):
+        if (
+            unconfirmed is not None
+            and unconfirmed.greatest is not None
+            and self._delta(value - unconfirmed.last) == self.stride
+            and not is_silent
+        ):
+            self._unconfirmed = None
+            self.restarts += 1
+            index = unconfirmed.greatest + (REORDER + 1) * self.stride  # as after any counter that began anew
+        elif self._is_small_change(delta) and (is_consecutive or not is_silent):
             if unconfirmed is not None:
                 self.stray += unconfirmed.frames
                 self._unconfirmed = None

@@ -32,13 +32,18 @@ def absurdity(block: SampleBlock, max_rate_hz: float = 1e7) -> str | None:
 
 
 def within_limits(block: SampleBlock, limits: BlockLimits) -> SampleBlock:
-    """Return a block; raises `ValueError` if it exceeds the limits, repeats a channel, is empty or has not its topic's unit."""
-    if not (
-        0 < len(block.channels) <= limits.max_channels
-        and len(set(block.channels)) == len(block.channels)
-        and block.n_samples > 0
-        and absurdity(block, limits.max_rate_hz) is None
-        and block.unit == UNIT_OF.get(block.topic, block.unit)
-    ):
-        raise ValueError(f"{block.topic}: a block beyond the limits of the settings")
+    """Return a block; raises `ValueError`, saying why, if it is empty, beyond a limit, of a wrong unit or repeats a channel."""
+    n, unit = len(block.channels), UNIT_OF.get(block.topic, block.unit)
+    reason = absurdity(block, limits.max_rate_hz)
+    if not 0 < n <= limits.max_channels:
+        reason = f"{n} channels, where max_channels = {limits.max_channels}"
+    elif len(set(block.channels)) < n:
+        twice = next(name for name in block.channels if block.channels.count(name) > 1)
+        reason = f"channel {twice!r} stands twice"
+    elif block.n_samples == 0:
+        reason = "no samples"
+    elif block.unit != unit:
+        reason = f"its unit is {block.unit!r}, not {unit!r}"
+    if reason is not None:
+        raise ValueError(reason)
     return block

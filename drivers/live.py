@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 
@@ -11,14 +10,10 @@ from pydantic import Field
 from drivers.base import SampleBlock
 from drivers.settings import Settings
 
-_log = logging.getLogger(__name__)
-
 _BURST_S = 600.0
 """Length of data that may come at once, as from a sensor's cache after a broken link. [s; judgement]"""
 _SANE_NS = 1_735_689_600_000_000_000
 """2025-01-01: a clock of this machine before it was never set. [ns; judgement]"""
-_SAY_EVERY_S = 60.0
-"""Shortest time between two lines of the log about refused blocks. [s; judgement]"""
 
 
 class LiveSettings(Settings):
@@ -47,15 +42,10 @@ class LiveBounds:
         self._settings, self._clock, self._utc_ns = settings, clock, utc_ns
         self._streams: dict[str, tuple[int, float, float]] = {}
         """Topic -> end of the latest block accepted, ns; allowance left then, s; and when that was, s."""
-        self._said_s = float("-inf")
 
     def refusal(self, block: SampleBlock) -> str | None:
         """Return the reason why a block is refused, or None and draw on the allowance of its topic."""
-        reason = self._ahead(block) or self._too_fast(block)
-        if reason is not None and self._clock() - self._said_s >= _SAY_EVERY_S:
-            self._said_s = self._clock()
-            _log.warning("a block is refused: %s", reason)
-        return reason
+        return self._ahead(block) or self._too_fast(block)
 
     def _ahead(self, block: SampleBlock) -> str | None:
         most_s, now_ns = self._settings.max_ahead_s, self._utc_ns()

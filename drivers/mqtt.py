@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers import codec
 from drivers.arrivals import Arrivals
@@ -128,7 +128,7 @@ class MqttSource:
             self._arrivals.counts["retained"] += 1
             topic, payload = None, b""
         elif len(payload) > self._settings.max_payload_bytes:
-            self._arrivals.counts["oversized"] += 1
+            self._arrivals.refuse_oversized(topic, len(payload))
             topic, payload = None, b""
         self._inbox.put(_Delivery(topic, connection.generation, message.mid if message.qos else 0), payload)
 
@@ -171,7 +171,8 @@ class MqttSource:
             losses += _losses(connection)
         counts = dict(self._arrivals.counts) | {name: losses[name] for name in ("links_lost", "sessions_lost")}
         problem = f"not connected with {where}" if connection is None else connection.problem
-        return SourceHealth(problem is None, counts, (), problem or f"connected with {where}")
+        trouble = "" if connection is None else connection.recent.latest or self._arrivals.recent.latest
+        return SourceHealth(problem is None, counts, (), problem or f"connected with {where}", trouble)
 
     def close(self) -> None:
         """Leave the broker; see `drivers.base.Source.close`."""
@@ -195,9 +196,9 @@ def _losses(connection: Connection) -> Counter[str]:
 
 
 class _Message(BaseModel):
-    """Block as JSON; other keys are ignored."""
+    """Block as JSON, also with the NaN and Infinity that some writers put for a missing sample; other keys are ignored."""
 
-    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(strict=True)
 
     t_ns: int
     sequence: int
@@ -218,7 +219,12 @@ def decode(data: bytes, topic: str, form: Format) -> SampleBlock:
     """
     if form == "protobuf":
         return codec.decode(data, topic)
-    message = _Message.model_validate_json(data)
+    try:
+        message = _Message.model_validate_json(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ValueError(f"Message is no block: {where}{': ' if where else ''}{first['msg']}") from error
     columns = len(message.channels)
     if any(len(row) != columns for row in message.samples):
         raise ValueError(f"a row of samples has not {columns} numbers")

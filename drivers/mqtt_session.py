@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import logging
 import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from drivers.base import SourceError
+from drivers.recent import Recent
 from drivers.settings import Settings
 
 try:
@@ -24,8 +24,6 @@ try:
 except ImportError as absent:
     raise ImportError("needs the extra mqtt: pip install 'shm-monitor[mqtt]'") from absent
 
-_log = logging.getLogger(__name__)
-
 Message = MQTTMessage
 """Message as the broker sends it, with `topic`, `payload`, `qos`, `retain` and the identifier `mid`."""
 Topic = Annotated[str, Field(pattern=r"^[^#+$\x00][^#+\x00]*$", max_length=256)]
@@ -34,6 +32,10 @@ _RETRY_S = (1, 30)
 """Shortest and longest pause before a lost connection is tried again; each pause is twice the one before. [s; judgement]"""
 _KEEPALIVE_S = 30
 """Time after which a silent connection is tested; half as long again and it counts as lost. [s; judgement]"""
+_TAKEN_OVER = 0x8E
+"""Reason for which a broker ends a connection: another client came by the same name. [none; definition]"""
+_NO_REASON = 0x80
+"""Reason that stands for none: the connection just ended. [none; definition]"""
 _HEADER_BYTES = 1 << 17
 """Room of a packet for its topic and properties. [bytes; definition: each is at most 64 KiB]"""
 
@@ -70,6 +72,14 @@ class BrokerSettings(Settings):
     """File whose first line is the password, relative to the site file; read anew at each start."""
     connect_timeout_s: float = Field(default=5.0, gt=0)
     """Time after which a broker that does not answer is reported; it is tried again."""
+
+    @field_validator("host")
+    @classmethod
+    def _is_host(cls, host: str) -> str:
+        if not re.fullmatch(r"[\w.-]+|[0-9A-Fa-f:.]+(%[\w.-]+)?", host):
+            parts = "the port belongs to `port`, user and password to `user` and `password_file`"
+            raise ValueError(f"must be a name or an address alone: {parts}")  # what it is may hold a password
+        return host
 
     @model_validator(mode="after")
     def _has_user(self) -> BrokerSettings:
@@ -147,8 +157,11 @@ class Connection:
         self._settings, self._folder, self._subscriptions, self._retained = settings, folder, subscriptions, retained
         self.generation = self.lost = self.sessions_lost = 0
         """How often the connection was established and lost, and was restored without its session and what waited in it."""
+        self.recent = Recent()
+        """Teller of lost connections."""
         self.refused: str | None = None
         """Reason for which the broker took the latest message and gave it to nobody, such as a missing permission."""
+        self._client_id = client_id
         self._answered = threading.Event()
         self._changed = threading.Condition()
         self._published: set[int] = set()
@@ -269,8 +282,14 @@ class Connection:
     def _on_disconnect(self, _client: Client, _data: Any, _flags: DisconnectFlags, reason: ReasonCode, *_: Any) -> None:
         if self._problem is None:
             self.lost += 1
-            self._problem = f"the connection with the broker at {self._settings.where} is lost: {reason}"
-            _log.warning("%s; it is tried again", self._problem)
+            other = f"another client came by the same client_id {self._client_id!r}"
+            why = str(reason)
+            if reason.value == _TAKEN_OVER:
+                why = f"{other}; each needs its own"
+            elif reason.value == _NO_REASON:  # mosquitto 2.0 ends it so
+                why = f"it ended without a reason, as where {other} or the broker stopped"
+            self._problem = f"the connection with the broker at {self._settings.where} is lost: {why}"
+            self.recent.tell(f"{self._problem} ({self.lost} times so far); it is tried again")
 
     def _on_connect_fail(self, _client: Client, _data: Any) -> None:
         if self._problem is None:

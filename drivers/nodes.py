@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drivers import clock
 from drivers.base import ClockHealth, Ints, SourceError
 from drivers.clock import ClockState, Timeline
-from drivers.counter import Sequencer
+from drivers.counter import Contents, Sequencer
 from drivers.frames import Layout
 
 Samples = NDArray[np.float32]
@@ -64,7 +64,8 @@ class Node:
             frames, times = b"".join(self.frames), np.array(self.times, dtype=np.float64)
             self.frames, self.times = [], []
             samples, counters = self.layout.decode(frames)
-            self._add(samples.reshape(len(times), self.layout.n_samples, -1), counters, times)
+            contents = np.frombuffer(frames, dtype=f"S{self.layout.n_bytes}")
+            self._add(samples.reshape(len(times), self.layout.n_samples, -1), counters, times, contents)
         self.sequencer.ended |= everything
         return self._release(everything)
 
@@ -73,6 +74,7 @@ class Node:
         samples: Annotated[Samples, "frames n_samples channels"],
         counters: Annotated[Ints, "frames"],
         times: Annotated[NDArray[np.float64], "frames"],
+        contents: Annotated[Contents, "frames"],
     ) -> None:
         """Number the frames and keep the new ones."""
         timed = (times >= 0) & (times < _MAX_T_S)  # false for NaN
@@ -82,10 +84,11 @@ class Node:
             first = int(np.argmax(timed)) if timed.any() else len(timed)
             self.untimed += first
             samples, counters, times, timed = samples[first:], counters[first:], times[first:], timed[first:]
+            contents = contents[first:]
             if not len(times):
                 return
         rate = self.rate_hz / self._factor
-        indices, new = self.sequencer.number(counters, times, rate, real_time=self.clock.real_time)
+        indices, new = self.sequencer.number(counters, times, rate, real_time=self.clock.real_time, contents=contents)
         rows = indices * self._factor
         if self.line is None:
             self.line = Timeline(int(rows[0]), self._anchor(float(times[0])), self.rate_hz)

@@ -114,7 +114,8 @@ class ZenohSource:
             if sample.kind != zenoh.SampleKind.PUT:
                 return
             if len(sample.payload) > self._settings.max_payload_bytes:
-                self._count("oversized")
+                with self._lock:
+                    self._arrivals.refuse_oversized(topic, len(sample.payload))
             else:
                 self._inbox.put(topic, sample.payload.to_bytes())
 
@@ -152,7 +153,7 @@ class ZenohSource:
         place = where(self._settings)
         link = f"connected by {place}" if connected else f"no router or peer at {place}"
         detail = f"{link}; alive: {', '.join(alive) or 'no sensor says so'}"
-        return SourceHealth(connected, dict(self._arrivals.counts), detail=detail)
+        return SourceHealth(connected, dict(self._arrivals.counts), detail=detail, trouble=self._arrivals.recent.latest)
 
     def close(self) -> None:
         """Leave the network; see `drivers.base.Source.close`."""

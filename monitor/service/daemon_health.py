@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from drivers.base import ACCELERATION, SampleBlock, SourceHealth
+from drivers.recent import Recent
 from drivers.recorder import RecorderHealth
 from monitor.service.boot import boot_time
 from monitor.service.threads import Reader
@@ -50,6 +51,7 @@ class Vitals:
         self.refused = 0
         """Number of blocks that neither the recorder nor the pipeline could accept."""
         self.refusal = ""
+        self._recent = Recent()
         self.unprocessed = 0
         """Number of blocks for which shutting down left no time."""
         self._bins = [0] * (len(LATENCY_MS) + 1)
@@ -65,9 +67,10 @@ class Vitals:
             self._free_bytes = None
 
     def refuse(self, reason: str) -> None:
-        """Count a refused block."""
+        """Count a refused block, and tell why."""
         self.refused += 1
         self.refusal = reason[:_MOST_TEXT]
+        self._recent.tell(f"a block is refused, {self.refused} so far: {reason}")
 
     def received(self, block: SampleBlock) -> None:
         """Note the delay of a block that was taken from the queue: wall clock less the time of its last sample."""
@@ -114,9 +117,10 @@ class Vitals:
                 "source": {
                     "connected": source.connected,
                     "detail": source.detail,
+                    "trouble": source.trouble or self._recent.latest,
                     "counts": dict(source.counts),
                     "clocks": source.clocks,
-                    "lost": 0 if reader is None else reader.lost,
+                    "lost": 0 if reader is None else reader.lost + source.counts.get("links_lost", 0),
                     "error": "the monitor is starting" if reader is None else reader.error,
                     "ended": reader is not None and reader.ended,
                 },

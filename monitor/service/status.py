@@ -183,9 +183,11 @@ def _monitor(status: dict[str, Any], health: dict[str, Any]) -> str:
 
 
 def _source(source: dict[str, Any], health: dict[str, Any], silent_s: float | None) -> str:
-    connected = "connected" if source.get("connected") else f"NOT connected {source.get('error', '')}".rstrip()
+    why = source.get("error") or source.get("detail") or ""
+    connected = "connected" if source.get("connected") else f"NOT connected {why}".rstrip()
     at_work = "read to its end" if source.get("ended") else connected
-    return f"{at_work}, lost {source.get('lost', 0)} times; {_delay(health, silent_s)}"
+    trouble = f"{source['trouble']}; " if source.get("connected") and source.get("trouble") else ""
+    return f"{at_work}, lost {source.get('lost', 0)} times; {trouble}{_delay(health, silent_s)}"
 
 
 def _reference(result: dict[str, Any]) -> tuple[str, str]:
@@ -266,7 +268,7 @@ def troubles_of(health: Mapping[str, Any] | None) -> list[str]:
         return []
     source, recorder = health.get("source") or {}, health.get("recorder")
     at_work = source.get("connected") or source.get("ended")
-    troubles = {} if at_work else {"source": source.get("error") or "not connected"}
+    troubles = {} if at_work else {"source": source.get("error") or source.get("detail") or "not connected"}
     troubles |= {} if recorder is None or recorder.get("recording") else {"recorder": recorder.get("detail")}
     return [f"{name}: {why}" for name, why in (troubles | (health.get("failed") or {})).items()]
 

@@ -132,7 +132,13 @@ class Reader:
 
     dropped = 0  # the source waits while the queue is full
 
-    def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None, poll_s: float = _POLL_S) -> None:
+    def __init__(
+        self,
+        source: Source,
+        queue: BlockQueue[SampleBlock] | None = None,
+        poll_s: float = _POLL_S,
+        busy: Busy | None = None,
+    ) -> None:
         self.source, self._poll_s = source, poll_s
         self.queue: BlockQueue[SampleBlock] = BlockQueue() if queue is None else queue
         self.opened = self.ended = False
@@ -140,7 +146,7 @@ class Reader:
         self.lost = 0
         self.error = ""
         self._received = 0
-        self._busy = Busy()
+        self._busy = Busy() if busy is None else busy
         self._stop = threading.Event()
         self._thread = background(self._work, "reader")
 
@@ -197,7 +203,8 @@ class Reader:
 
     def _read(self) -> None:
         """Open the source and queue its blocks until it raises or reading is stopped."""
-        self.source.open()
+        with self._busy:
+            self.source.open()
         self.opened = True
         self.error = ""
         while not self._stop.is_set():

@@ -114,3 +114,17 @@ def test_a_host_begins_where_a_file_cannot_be_read_yet(
     early.write_text('[structure]\nkind = "matrices"\nmass_matrix = "m.mtx"\nstiffness_matrix = "k.mtx"\n')
     assert main("check", early).returncode == 66, "its matrices come later"
     assert main("host", bad, early).returncode == 0 and begun == [[bad, early]]
+
+
+@pytest.mark.parametrize("host", ["mqtt://u:PASS@broker", "u:PASS@broker", "broker/PASS", "broker PASS"])
+@pytest.mark.parametrize("table", ["source", "output.mqtt"])
+def test_a_password_in_the_address_of_a_broker_is_refused_and_never_repeated(
+    table: str, host: str, tmp_path: Path, frame_text: str, main: Cli
+) -> None:
+    kind = 'kind = "mqtt"\ntopic = "shm/a/b"\n' if table == "source" else ""
+    path = tmp_path / "s.toml"
+    path.write_text(f'[{table}]\n{kind}host = "{host}"\n{frame_text}')
+    done = main("check", path)
+    assert done.returncode == 78, done.stderr
+    assert f"s.toml: {table}.host: must be a name or an address alone" in done.stderr
+    assert "PASS" not in done.stdout + done.stderr

@@ -163,6 +163,9 @@ GOOD: dict[type, dict[str, Any]] = {
         (MqttSettings, {"tls": {"certificate": "c.pem"}}, "go together"),
         (MqttSettings, {"in_flight": 1000}, "in_flight"),
         (MqttSettings, {"password": "p"}, "password"),
+        (MqttSettings, {"host": "mqtt://gateway"}, "name or an address alone"),
+        (MqttSettings, {"host": "u:p@gateway"}, "name or an address alone"),
+        (MqttSettings, {"host": "gateway:1883"}, "name or an address alone"),
     ],
 )
 def test_bad_settings_are_refused(kind: Any, wrong: dict[str, object], says: str) -> None:

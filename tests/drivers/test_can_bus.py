@@ -259,6 +259,68 @@ def test_malformed_messages_of_a_socketcand_server_are_counted_and_close_nothing
     assert counted(reader, "undecodable", "bus_off", "error_frames") == [384, 0, 1]
 
 
+def test_a_socketcand_server_that_does_not_answer_is_told_and_tried_again_and_frames_beside_its_answer_are_read() -> (
+    None
+):
+    """The server greets and is silent; when it is tried again it sends the first frames in one packet with its answer."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        options = {"host": "127.0.0.1", "port": server.getsockname()[1], "answer_s": 0.05}
+        reader = source(interface="socketcand", channel="can0", options=options)
+        frames_at_once = b"".join(frame_text(256, False, m.timestamp, m.data) for m in accel(np.arange(384)))
+
+        def serve() -> None:
+            for answers in ((), (b"< ok >", b"< ok >" + frames_at_once[:-7])):
+                with server.accept()[0] as probe:
+                    probe.sendall(b"< hi >")
+                with server.accept()[0] as peer:
+                    peer.settimeout(10.0)
+                    peer.sendall(b"< hi >")
+                    for answer in answers:
+                        peer.recv(100)
+                        peer.sendall(answer)
+                    if answers:
+                        peer.sendall(frames_at_once[-7:])
+                    while peer.recv(100):
+                        continue
+
+        serving = threading.Thread(target=serve)
+        serving.start()
+        with pytest.raises(SourceError, match=r"the server does not answer: no '< ok >' within 0\.05 s"):
+            reader.open()
+        assert not reader.health().connected
+        reader.open()
+        assert indices(take(reader, 384)) == list(range(384)) and counted(reader, "undecodable") == [0]
+        reader.close()
+        serving.join()
+
+
+@pytest.mark.parametrize("by", [1, 2, 5, 31, 32])
+@pytest.mark.parametrize("size", [7, 128])
+def test_a_counter_that_is_set_back_by_a_few_counts_leaves_a_gap(by: int, size: int) -> None:
+    after = np.arange(500, 1000)
+    bus = SilentBus([*accel(np.arange(500)), *accel(after - by, row_values(after), T0 + by / RATE)])
+    reader = opened(bus, block_samples=size)
+    blocks = heard(bus, reader)
+    true = np.concatenate([np.rint(1000 * b.samples[:, 0] + 1e6 * b.samples[:, 1]).astype(int) for b in blocks])
+    assert true.tolist() == [*range(500), *range(501, len(true) + 1)] and len(true) > 950
+    found = np.array(indices(blocks))
+    assert np.flatnonzero(np.diff(found) != 1).tolist() == [499]  # one gap, there
+    assert counted(reader, "restarts", "repeated", "stray") == [1, 0, 0]
+
+
+def test_frames_that_come_again_in_a_burst_are_repeated_and_one_with_another_content_is_stray() -> None:
+    good = accel(np.arange(2000))
+    bus = SilentBus([*good[:1000], *good[968:1000], *good[1000:]])
+    reader = opened(bus)
+    assert indices(heard(bus, reader))[:1900] == list(range(1900))
+    assert counted(reader, "restarts", "repeated", "stray") == [0, 32, 0]
+    (forged,) = accel(np.array([990]), row_values(np.array([5])))
+    bus = SilentBus([*good[:1000], forged, *good[1000:]])
+    reader = opened(bus)
+    assert indices(heard(bus, reader))[:1900] == list(range(1900))
+    assert counted(reader, "restarts", "repeated", "stray") == [0, 0, 1]
+
+
 @pytest.mark.parametrize(
     ("interface", "error", "told"),
     [

@@ -21,6 +21,7 @@ from tests.support.brokers import OverMqtt
 from tests.support.certificates import certify
 from tests.support.mosquitto import Broker
 from tests.support.numbered import CHANNELS, block, take
+from tests.support.waiting import until
 
 TOPIC = "shm/test-frame/acceleration"
 broker_test = pytest.mark.system
@@ -165,6 +166,45 @@ def test_what_speaks_no_mqtt_is_an_error_and_no_traceback(answer: bytes) -> None
                 pass
         source.close()
         thread.join()
+
+
+@pytest.mark.parametrize(
+    ("farewell", "says"),
+    [
+        (b"\xe0\x01\x8e", "another client came by the same client_id 'reader'; each needs its own"),
+        (
+            b"",
+            "it ended without a reason, as where another client came by the same client_id 'reader' or the broker stopped",
+        ),
+    ],
+)
+def test_a_client_of_the_same_name_is_told_as_the_reason_of_a_lost_connection(farewell: bytes, says: str) -> None:
+    """A broker says that the session is taken over, as MQTT 5 has it, or just ends the connection, as mosquitto 2.0.11."""
+    opened = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            with server.accept()[0] as peer:
+                peer.recv(1000)
+                peer.sendall(b"\x20\x03\x00\x00\x00")  # it accepts
+                asked = peer.recv(1000)
+                peer.sendall(b"\x90\x04" + asked[2:4] + b"\x00\x01")  # and takes the subscription
+                opened.wait(10.0)
+                peer.sendall(farewell)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        at = {"host": "127.0.0.1", "port": server.getsockname()[1], "topic": TOPIC, "client_id": "reader"}
+        source = MqttSource(MqttSettings.model_validate(at), SourceContext(CHANNELS))
+        source.open()
+        opened.set()
+        until(lambda: source.read(0.0) is None and not source.health().connected, "the loss is noticed")
+        health = source.health()
+        source.close()
+        thread.join()
+    assert health.counts["links_lost"] == 1
+    for words in (health.detail, health.trouble):
+        assert says in words
 
 
 GOOD = {"t_ns": 5, "sequence": 0, "sample_rate_hz": 100, "channels": ["a1"], "unit": "m/s^2", "samples": [[1], [2.5]]}

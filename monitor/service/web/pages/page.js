@@ -376,6 +376,7 @@ async function showSensors() {
   const { channels, stream, source, refused, quality } = await ask("sensors");
   const parts = [];
   if (source) parts.push(source.connected ? "Source connected" : source.ended ? "Source read to its end" : `Source not connected${source.error ? `: ${source.error}` : ""}`);
+  if (source?.trouble) parts.push(source.trouble);
   if (stream) parts.push(`${number(stream.rate_hz, 5)} Hz`, `${(100 * stream.availability).toFixed(1)} % of the latest span came`);
   if (quality && known(quality.availability)) parts.push(`${(100 * quality.availability).toFixed(2)} % since the start, ${quality.gaps} gaps`);
   if (refused && refused.blocks) parts.push(`${refused.blocks} blocks refused`);
