@@ -141,6 +141,21 @@ def test_a_channel_that_loses_samples_is_left_out_of_their_windows_alone(
         np.testing.assert_allclose(line["frequencies_hz"], window_line(whole[k])["frequencies_hz"], rtol=5e-3)
 
 
+@pytest.mark.parametrize("stands", [3e38, -3e38, 9.96921e36, 1e20])
+def test_a_number_that_no_sensor_gives_is_a_lost_sample_of_its_channel_alone(
+    site: Configuration, record: np.ndarray, cut: Cut, stands: float
+) -> None:
+    """As loggers write in the place of a reading: it had been taken for strong motion of all floors."""
+    absurd, lost = record.copy(), record.copy()
+    places = [700, 2600, 3900]
+    absurd[places, 1], lost[places, 1] = stands, np.nan
+    found = push(Pipeline(site), cut(absurd, RATE))
+    assert told(found) == told(push(Pipeline(site), cut(lost, RATE)))
+    for window in windows(found):
+        assert window.skipped is None
+        assert [(gone.channel, gone.reason) for gone in window.left_out] == [("a2", "lost samples")]
+
+
 def test_what_stands_in_place_of_lost_samples_reaches_no_other_channel(
     site: Configuration, record: np.ndarray, partly_lost: np.ndarray, cut: Cut
 ) -> None:
@@ -495,6 +510,27 @@ def test_a_baseline_keeps_what_half_of_its_windows_show_of_the_lowest_modes_and_
     assert [w.modes.model_mode.tolist() for w in kept if w.modes is not None] == [[0, 1]] * 3
     seldom = calibrate.with_common_modes([window(0, 1), window(0), window(0)], required=2)
     assert [w.modes.model_mode.tolist() for w in seldom if w.modes is not None] == [[0]] * 3
+
+
+def test_where_a_channel_is_left_out_a_missing_mode_is_told_in_a_line_without_advice_on_the_settings() -> None:
+    """Without the channels of floors 1 to 4 no mode's shape is told, and neither a setting nor a calibration mends that."""
+    site = planar((1, 2, 3, 4, 5))
+    drawn = site.model().modes()
+    shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
+    judged = by_modes(drawn.frequencies_hz.tolist(), shapes, site, 2)
+    healthy = baseline_of(site, judged)
+    without = shapes.copy()
+    without[:, 2] = TWIST
+    motion = [*drawn.frequencies_hz[:2], 5.3, *drawn.frequencies_hz[3:]]
+    squares = np.diag((2.0 * np.pi * np.array(motion)) ** 2)
+    truth = Model(MatrixStructure.create(np.eye(5), squares, squares[None], np.ones(1), 0.005))
+    values = simulate(truth, duration_s=190.0, rate_hz=100.0, noise=0.01, seed=3).floors @ without.T
+    values[:, 4] = 0.0
+    for window in windows(
+        push(Pipeline(site, healthy), cut_into_blocks(ACCELERATION, values, site.channels, 100.0, 10**18, 1000))
+    ):
+        assert window.skipped is not None
+        assert window.skipped.reason == "the channels in use do not show mode 3; left out: a5"
 
 
 def test_where_updating_fails_the_mode_that_the_model_cannot_follow_is_set_aside() -> None:

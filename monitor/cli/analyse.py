@@ -44,7 +44,7 @@ def replay(
             serve=served,
             files=(structure, baseline),
             on_warning=warn,
-            on_progress=progress("replay"),
+            on_progress=progress("replay", recordings, is_all=True),
         )
     summary_text = replay_text(summary)
     look = f"; look at them with: shm-monitor view {out}" if (out / "live.rrd").exists() else ""
@@ -90,7 +90,9 @@ def calibrate(
         lines = [f"{rebase} with the drawing of {structure}:", *says]
         content: dict[str, Any] = {"rebased": str(rebase), "says": list(says), "converged": converged}
     else:
-        baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+        baseline, fit = run.calibrate(
+            recordings, settings, on_warning=warn, on_progress=progress("calibrate", recordings)
+        )
         converged = bool(fit.converged)
         lines = [f"{baseline.windows} windows; the updating {'converged' if converged else 'did NOT converge'}"]
         content = {"converged": converged}
@@ -125,7 +127,7 @@ def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path,
     from monitor.damage import law_lines, save_baseline
     from monitor.runs import calibrate as run
 
-    baseline = run.calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+    baseline = run.calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate", recordings))
     save_baseline(baseline, out)
     lines = [f"{baseline.windows} windows"]
     rows = zip(

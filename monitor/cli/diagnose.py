@@ -35,7 +35,9 @@ def diagnose(
         for path in written:
             demand_place(path)
         with local_copies(recordings) as (copies, named):
-            found = job.diagnose(copies, settings, healthy, lambda text: warn(named(text)), progress("diagnose"))
+            found = job.diagnose(
+                copies, settings, healthy, lambda text: warn(named(text)), progress("diagnose", copies)
+            )
     for doubt in found.content["doubts"]:
         warn(doubt)
     text = structure.read_text(encoding="utf-8")
@@ -81,7 +83,7 @@ def evaluate(recordings: Recordings, structure: Structure) -> None:
     from monitor.config import configuration
     from monitor.runs import diagnose as job
 
-    score = job.evaluate(recordings, configuration.load_with_model(structure), warn, progress("evaluate"))
+    score = job.evaluate(recordings, configuration.load_with_model(structure), warn, progress("evaluate", recordings))
     content = {
         "log_score_per_sample": score.log_score_per_sample,
         "csd_error": score.csd_error,

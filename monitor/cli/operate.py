@@ -204,7 +204,7 @@ def _send_over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
 
 def _send_by_file(out: Path, request: Request) -> tuple[bool, str]:
     """Leave a request in the daemon's folder; return whether the daemon has applied it by now, and that in words."""
-    from monitor.service import leave_request, status as reader
+    from monitor.service import leave_request, status as reader, take_refusal
 
     reader.demand_state(out)
     try:
@@ -215,6 +215,9 @@ def _send_by_file(out: Path, request: Request) -> tuple[bool, str]:
     while place.exists() and reader.running(out) and time.monotonic() < deadline:
         time.sleep(0.1)
     if not place.exists():
+        refusal = take_refusal(place)
+        if refusal is not None:
+            raise WrongUsageError(f"refused: {refusal}")
         return True, _APPLIED
     if not reader.running(out):
         return False, "the daemon does not run; it is applied with the first data of its next run"

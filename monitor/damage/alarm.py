@@ -204,6 +204,31 @@ def unshelve(state: AlarmState, story: int) -> AlarmState:
     return _replace_alarm(state, story, replace(_find_alarm(state, story), shelved=None))
 
 
+def carry_over(state: AlarmState, before: tuple[StoryState, ...], *, alike: bool = True) -> AlarmState:
+    """Take over the alarms of a run `before`, whose parts may be more or fewer, or of another kind where they are not `alike`.
+
+    A part keeps the alarm of its number.  The gravest alarm of those whose part is gone stands on as that of the structure as a
+    whole, shelved no longer.
+
+    Examples
+    --------
+    >>> raised = StoryState(Level.WARNING, since_ns=0, unacknowledged=True)
+    >>> [s.level.value for s in carry_over(start(n_parts=2), (StoryState(), StoryState(), raised, StoryState())).stories]
+    ['normal', 'normal', 'warning']
+    """
+    (*old, whole), now = before, list(state.stories)
+    kinds = 1 if state.shapes is None else 2  # modes, then their shapes
+    n_old, n_new = len(old) // kinds, (len(now) - 1) // kinds
+    for k, alarm in enumerate(old):
+        kind, part = divmod(k, max(n_old, 1))
+        if alike and kind < kinds and part < n_new:
+            now[kind * n_new + part] = alarm
+        else:
+            whole = max(whole, replace(alarm, shelved=None), key=lambda a: (a.announced.rank, a.unacknowledged))
+    now[-1] = whole
+    return replace(state, stories=tuple(now))
+
+
 def _find_alarm(state: AlarmState, story: int) -> StoryState:
     """Return the alarm of a story, or of the whole structure for `WHOLE`."""
     if not 0 <= story < len(state.stories):

@@ -288,6 +288,7 @@ def assess(
     standing: Mapping[int, Level] | None = None,
     exceeded: Sequence[str] = (),
     clocks: Sequence[tuple[str, float, float]] = (),
+    first: tuple[float, int | None] | None = None,
     whole: bool = False,
 ) -> Assessment:
     """Decide the state, with the sentence of the gravest fact as headline.
@@ -302,6 +303,8 @@ def assess(
         What alarms of events say that nobody has acknowledged, oldest first.
     clocks : sequence of (str, float, float)
         Each sensor node whose rate the driver measures: its name, its rate over the stated one, and its standard deviation.
+    first : (float, int or None), optional
+        Length of a window, s, and UTC of the first one's end, None before the first sample: told until it has come.
     whole : bool
         State of a whole recording, alarms that ended and misfits that passed included, in place of the present state.
     """
@@ -312,7 +315,7 @@ def assess(
         *_doubts(course, known, findings, clocks, whole),
         *_silent(course, known),
         *_alike(course, known),
-        *_unjudged(course, known),
+        *_unjudged(course, known, first),
     ]
     remarks, aside = _remarks(course, known, whole), _aside(known)
     if not facts:
@@ -551,9 +554,9 @@ def _alike(course: Course, known: Known) -> list[Fact]:
     return [(State.NOT_JUDGED, _sentence(says))]
 
 
-def _unjudged(course: Course, known: Known) -> list[Fact]:
+def _unjudged(course: Course, known: Known, first: tuple[float, int | None] | None) -> list[Fact]:
     """State why nothing, or not enough, can be said of damage."""
-    says = [] if (why := _why_unjudged(course)) is None else [why]
+    says = [] if (why := _why_unjudged(course, first)) is None else [why]
     if not known.has_baseline:
         says.append("no baseline to compare with; make one with 'calibrate'")
     elif not says and course.judged is not None:
@@ -564,10 +567,13 @@ def _unjudged(course: Course, known: Known) -> list[Fact]:
     return [(State.NOT_JUDGED, _sentence(sentence)) for sentence in says]
 
 
-def _why_unjudged(course: Course) -> str | None:
+def _why_unjudged(course: Course, first: tuple[float, int | None] | None) -> str | None:
     """Say why no window of late could be judged; None where one was."""
     if course.last is None:
-        return "no window of data yet"
+        window_s, t_end_ns = first or (0.0, None)
+        takes = f"; the first takes {window_s:g} s of data" if window_s else ""
+        ends = "" if t_end_ns is None else f" and ends {utc(t_end_ns, seconds=True)} UTC"
+        return f"no window of data yet{takes}{ends}"
     skipped = course.last.skipped or ""
     if course.judged is None or not any(judged for _, judged in course.recent):
         reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")

@@ -109,6 +109,10 @@ class StoryStiffness:
         """
         required = () if self.baseline is None else self.baseline.model_mode
         if missing := self._missing(modes, select):
+            if len(view.array.channels) < len(self._sensors):  # the remedy is to mend those
+                which = ", ".join(str(mode + 1) for mode in missing)
+                says = f"the channels in use do not show mode{'s' * (len(missing) > 1)} {which}"
+                return Skipped("; ".join(filter(None, (says, self._elsewhere(modes, view, select)))))
             fewer = min(required.index(mode) for mode in missing) if required else 0
             mend = f"set [selection] required_modes = {fewer}, or calibrate anew" if fewer else ""
             return Skipped(f"{'; '.join(missing.values())}; {mend or self._elsewhere(modes, view, select) or _CHECK}")

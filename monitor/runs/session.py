@@ -230,6 +230,8 @@ class Session:
     def _assess(self, whole: bool) -> Assessment:
         _, present = hold(self.pipeline.state.alarm, 0)
         findings = self.online_diagnosis.findings
+        run, window_s = self.pipeline.state.run, self.config.processing.window_s
+        first_ns = None if run is None else run.t0_ns + round(window_s * 1e9)
         exceeded = [a.says for a in self.pipeline.state.events.alarms if a.unacknowledged]
         return assess(
             self._summary.course,
@@ -238,6 +240,7 @@ class Session:
             standing=present.active,
             exceeded=exceeded,
             clocks=self.clocks,
+            first=(window_s, first_ns),
             whole=whole,
         )
 

@@ -43,7 +43,19 @@ class LineFormatter(logging.Formatter):
             fields["exception"] = self.formatException(record.exc_info)[-_MOST_TEXT:]
         if self._json:
             return json.dumps(fields)
-        return " ".join(f"{k}={v if _PLAIN.fullmatch(v) else json.dumps(v)}" for k, v in fields.items())
+        return " ".join(f"{k}={v if _PLAIN.fullmatch(v) else _quoted(v)}" for k, v in fields.items())
+
+
+def _quoted(text: str) -> str:
+    """Write a text in quotes, with all escaped that cannot be printed.
+
+    Examples
+    --------
+    >>> print(_quoted("1.2 \u00b1 0.1 %\u2028"))
+    "1.2 ± 0.1 %\\u2028"
+    """
+    quoted = json.dumps(text, ensure_ascii=False)
+    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in quoted)
 
 
 def begin(settings: LogSettings, site: str) -> None:

@@ -52,6 +52,8 @@ class Request(Settings):
             raise ValueError("the alarm of an event can only be acknowledged: the motion is over")
         if self.action == "shelve" and not (self.note.strip() and self.seconds > 0):
             raise ValueError("shelving needs a note and seconds")
+        if len(self.model_dump_json().encode()) > MAX_REQUEST_BYTES:
+            raise ValueError(f"a request has {MAX_REQUEST_BYTES} bytes at most: shorten the note")
         return self
 
 

@@ -9,7 +9,7 @@ import logging
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from monitor.core import (
     sha256,
     write_atomically,
 )
-from monitor.damage import StoryState, WindowFacts
+from monitor.damage import StoryState, WindowFacts, alarm
 from monitor.events import EventAlarm
 from monitor.pipeline import PipelineState
 from monitor.publish import facts_of_line, read_line
@@ -124,10 +124,9 @@ class Checkpointer:
         """
         saved = serialization.load(self._place, self.key, Saved) if self._config.state.checkpoint_s else None
         session = begin()
-        # Alarms are identified by their stories, so their states fit any configuration with the same number of stories.
-        stories = {"stories": len(session.pipeline.state.alarm.stories) - 1}
-        kind = {} if self._config.has_model else {"kind": "modal"}
-        self._alarm_key = serialization.fingerprint(stories | kind)
+        # Alarms are identified by the numbers of their stories, or of their modes: they outlast any change of the configuration.
+        kinds = [serialization.fingerprint({"alarms of": kind}) for kind in ("stories", "modes")]
+        self._alarm_key, other_key = kinds if self._config.has_model else kinds[::-1]
         if saved is not None:
             for line, facts in self._lines_since(saved.results_bytes):
                 self.written[line["window"]] = facts
@@ -145,8 +144,12 @@ class Checkpointer:
             finally:
                 self.resuming = False
         kept = serialization.load(self._alarms, self._alarm_key, KeptAlarms)
+        alike = kept is not None
+        if kept is None and self._alarms.exists():
+            kept = serialization.load(self._alarms, other_key, KeptAlarms)
         if kept is not None:
-            session.alter_alarm(lambda state: replace(state, stories=kept.stories))
+            stories = kept.stories
+            session.alter_alarm(lambda state: alarm.carry_over(state, stories, alike=alike))
             session.alter_events(lambda _: kept.events)
         self.save(session)  # so that a run that ends before its first regular checkpoint is resumed too
         return 0

@@ -151,13 +151,13 @@ def tell(status: dict[str, Any]) -> str:
         "state": lambda: f"{State(status['state']).words.upper()}: {status['headline']}",
         "doubts": lambda: " ".join(status["doubts"]),
         "monitor": lambda: _monitor(status, health),
-        "source": lambda: _source(source, health, status["silent_s"]),
+        "source": lambda: _source(source, health, status),
         "quality": lambda: _quality(quality, health),
         "windows": lambda: f"{summary.get('windows', 0)}, {summary.get('skipped', 0)} skipped; {_latest(result)}",
         "modes": lambda: _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0),
         **_changes(summary, result),
         "alarm": lambda: name_stories(_alarm(summary.get("alarm"), result), _names(summary)) + _reference(result)[1],
-        "recorder": lambda: _recorder(recorder, health),
+        "recorder": lambda: _recorder(recorder, health, status),
         "findings": lambda: _findings(summary.get("findings") or []),
         "event": lambda: (last_event(status["event"]) or "none") + _to_acknowledge(summary.get("event_alarms") or []),
         "web": lambda: str(status["web"]),
@@ -182,12 +182,12 @@ def _monitor(status: dict[str, Any], health: dict[str, Any]) -> str:
     return f"{status['monitor']}{up}, {last_line}; blocked: {'; '.join(status['troubles']) or 'nothing'}{lost}"
 
 
-def _source(source: dict[str, Any], health: dict[str, Any], silent_s: float | None) -> str:
+def _source(source: dict[str, Any], health: dict[str, Any], status: dict[str, Any]) -> str:
     why = source.get("error") or source.get("detail") or ""
     connected = "connected" if source.get("connected") else f"NOT connected {why}".rstrip()
-    at_work = "read to its end" if source.get("ended") else connected
+    at_work = "read to its end" if source.get("ended") else connected if status["running"] else "not read"
     trouble = f"{source['trouble']}; " if source.get("connected") and source.get("trouble") else ""
-    return f"{at_work}, lost {source.get('lost', 0)} times; {trouble}{_delay(health, silent_s)}"
+    return f"{at_work}, lost {source.get('lost', 0)} times; {trouble}{_delay(health, status['silent_s'])}"
 
 
 def _reference(result: dict[str, Any]) -> tuple[str, str]:
@@ -315,10 +315,11 @@ def _alarm(alarm: dict[str, Any] | None, result: dict[str, Any]) -> str:
     return "; ".join([str(alarm["level"]), *parts])
 
 
-def _recorder(recorder: dict[str, Any], health: dict[str, Any]) -> str:
+def _recorder(recorder: dict[str, Any], health: dict[str, Any], status: dict[str, Any]) -> str:
     if not recorder:
         return "off"
     state = "recording" if recorder["recording"] else f"PAUSED: {recorder['detail']}"
+    state = state if status["running"] else "not recording"
     free = health.get("disk_free_bytes")
     return f"{state}, {recorder['lost_blocks']} blocks lost, {'?' if free is None else f'{free / 2**30:.1f}'} GiB free"
 

@@ -26,6 +26,9 @@ _MAX_CHANNELS = 1024
 """Most channels of a block. [channels; cost]"""
 _MAX_RATE_HZ = 1e6
 """Highest rate of a block. [Hz; cost]"""
+_MAX_READING = 2.0**31
+"""Largest magnitude of a reading; what exceeds it in some channels alone is lost. [unit of the topic; definition: a converter of
+32 bits counts no further]"""
 _MAX_INT = 1 << 62
 """Largest time and count that are accepted. [1; definition: half of the largest 64-bit integer]"""
 
@@ -78,7 +81,7 @@ class Piece:
     shift_ns: int = 0
     """Correction of the times of samples from this piece on, for the drift of the clock."""
     lost: Annotated[NDArray[np.bool_], "n c"] | None = None
-    """Which samples are not finite; None where all are finite."""
+    """Which samples are not finite (`step`); None where all are finite."""
 
 
 def select(block: SampleBlock, channels: tuple[str, ...]) -> Annotated[Array, "n c"]:
@@ -117,11 +120,16 @@ def step(
     """Append a block to the stream and cut it at gaps and non-finite samples; there are no pieces if nothing of it is new.
 
     With `keep_partial` instants at which only some of the channels are finite are kept (`Piece.lost`); without it they are a gap.
+    Numbers that no sensor gives, as loggers write in the place of a reading, are then not finite either.
     Blocks in sequence form one run as long as the clock does not jump between two of them: a clock error of some parts in a
     million makes no gap.  Times of samples are counted from the run's first sample.  When the clock differs from that count by
     a quarter of a second, the times are corrected in one step.  A source whose times are exact is never corrected.
     """
     values = select(block, channels)
+    if keep_partial:
+        absurd = np.abs(values) > _MAX_READING
+        if absurd.any():
+            values = np.where(absurd & ~absurd.all(axis=1, keepdims=True), np.nan, values)
     if np.isfinite(values).all():
         return _place(state, block, values, 0)
     finite = np.isfinite(values)

@@ -103,7 +103,7 @@ def test_progress_is_for_terminals_only(site: Path, main: Cli) -> None:
     long = ("simulate", "--structure", "s.toml", "--out", "long.mcap", "--duration", 70, "--rate", 200)
     assert main(*long, cwd=site).returncode == 0
     arguments = ["replay", "long.mcap", "--structure", "s.toml", "--out", "long"]
-    assert b"min of data" in on_a_terminal([*MODULE, *arguments], site)
+    assert re.search(rb"replay: 1 of 1 min of data, \d+ s left\r", on_a_terminal([*MODULE, *arguments], site))
     quiet = main(*arguments, cwd=site)
     assert (quiet.stderr, "\x1b" in quiet.stdout) == ("", False)
 

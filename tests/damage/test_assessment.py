@@ -88,6 +88,14 @@ def test_a_windows_length_without_a_judged_window_is_not_judged() -> None:
     assert assess(Course(), KNOWN) == Assessment(State.NOT_JUDGED, "No window of data yet.")
 
 
+def test_before_the_first_window_the_headline_says_when_it_comes() -> None:
+    before = assess(Course(), KNOWN, first=(400.0, None)).headline
+    assert before == "No window of data yet; the first takes 400 s of data."
+    begun = assess(Course(), KNOWN, first=(400.0, T0 + 400 * 10**9)).headline
+    assert begun == "No window of data yet; the first takes 400 s of data and ends 2027-01-15 08:06:40 UTC."
+    assert assess(course(*[WELL] * 5), KNOWN, first=(400.0, T0)) == said(*[WELL] * 5)
+
+
 def test_a_dead_logger_is_not_judged_at_once_and_an_alarm_stands_above_it() -> None:
     dead = replace(WELL, skipped="no reading changes: the logger is dead (since 2026-01-01 08:00 UTC)", detectable=None)
     told = said(*[WELL] * 5, dead)

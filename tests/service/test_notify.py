@@ -25,6 +25,7 @@ from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_fin
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.service.outlets.outbox import Outbox
 from tests.support.hooks import Drip, Hook
+from tests.support.results import damage_reading
 from tests.support.samples import Cli
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
@@ -64,6 +65,14 @@ def test_alarms_are_told_when_they_rise_and_when_they_are_over_and_never_twice()
     assert titles(rising + sinking) == ["advisory: story 2", "warning: story 2", "cleared: story 2"]
     both = [window(0, s0=Level.ADVISORY, s1=Level.ALARM)]
     assert titles(both) == ["advisory: the whole structure", "alarm: story 1"]
+
+
+def test_an_alarm_whose_story_is_gone_is_told_as_the_whole_structure_s_and_not_as_cleared() -> None:
+    """After the site file has fewer stories, or modes alone: `damage.alarm.carry_over`."""
+    reading, told = damage_reading(np.zeros(2), np.eye(2)), Told({3: Level.ALARM, 2: Level.WARNING})
+    course = [replace(window(0, s0=Level.ALARM, s2=Level.WARNING), damage=reading), replace(window(10), damage=reading)]
+    titles_of = [notice.title for notice in told_of([(result, WELL) for result in course], told)[1]]
+    assert titles_of == ["alarm: the whole structure", "cleared: the whole structure", "cleared: story 2"]
 
 
 def test_only_levels_that_are_asked_for() -> None:

@@ -136,6 +136,13 @@ def test_a_request_is_applied_and_noted(running: Running, main: Cli) -> None:
         assert done.returncode == 2 and done.stderr.startswith("error"), done.stderr
 
 
+def test_a_request_that_the_daemon_refuses_is_not_called_applied(running: Running, main: Cli) -> None:
+    done = main("ack", running.site, "--event", "20260101T000000Z", "--who", "ann", "--json")
+    assert done.returncode == 2 and not done.stdout, done.stdout + done.stderr
+    assert "refused: event 20260101T000000Z has no alarm; to be acknowledged: none" in done.stderr
+    assert not list((running.site.parent / "out" / "state" / "requests").iterdir())
+
+
 def test_metrics_are_there_and_few(running: Running) -> None:
     def scrape() -> dict[str, float]:
         with urllib.request.urlopen(f"http://127.0.0.1:{running.port}/metrics", timeout=10.0) as answer:
@@ -197,6 +204,8 @@ def test_the_end_is_told(running: Running, main: Cli) -> None:
     done = main("status", running.site)
     assert done.returncode == 12 and "not running" in done.stdout
     assert done.stdout.startswith("state     NOT JUDGED: The monitor does not run since 20")
+    rows = dict(row.split(maxsplit=1) for row in done.stdout.splitlines())
+    assert rows["recorder"].startswith("not recording, 0 blocks lost") and rows["source"].startswith("not read, lost 0")
     assert main("status", running.site.parent / "nothing").returncode == 66
     with pytest.raises(MissingInputError, match="no daemon has written"):
         look(running.site.parent)
@@ -376,6 +385,9 @@ def test_an_event_is_one_line_whatever_it_holds(style: str) -> None:
     record = logging.LogRecord("a.b", logging.WARNING, "", 0, "%s", (text,), None)
     row = formatter.format(record)
     assert row.isprintable() and len(row) < 6000
+    record.msg, record.args = "lost 12.4 ± 0.7 m/s² in Übergeschoß", ()
+    told = formatter.format(record)
+    assert record.msg in (told if style == "text" else json.loads(told)["message"])
     assert "site=bench" in row if style == "text" else json.loads(row)["message"].startswith("two\nlines")
 
 

@@ -163,9 +163,37 @@ def test_a_flood_of_files_waits_and_the_other_asker_does_not(tmp_path: Path) -> 
     taken = box.take_requests()
     assert [r.who for r in taken] == [*["Ada"] * 10, "Bob"]
     box.answer_requests([*[Answer()] * 9, Answer("the disk is full", again=True), Answer("no story 9")])
-    assert len(os.listdir(tmp_path / "requests")) == 31 - 9 - 1
+    left = os.listdir(tmp_path / "requests")
+    assert sum(name.endswith(".json") for name in left) == 31 - 9 - 1
+    (refused,) = [name for name in left if not name.endswith(".json")]
+    assert inbox.take_refusal(tmp_path / "requests" / refused.replace(".refused", ".json")) == "no story 9"
     now[0] = 6.5
     assert len(box.take_requests()) == 1
+
+
+def test_a_note_that_no_daemon_would_read_is_refused_where_it_is_written() -> None:
+    with pytest.raises(ValueError, match=r"4096 bytes at most: shorten the note"):
+        Request(
+            action="acknowledge", story=1, who="\N{BUILDING CONSTRUCTION}" * 9, note="\N{BUILDING CONSTRUCTION}" * 1000
+        )
+    assert Request(action="acknowledge", story=1, who="Ada", note="ü" * 1000).note
+
+
+def test_refusals_that_nobody_takes_do_not_pile_up_and_a_taken_one_is_gone(tmp_path: Path) -> None:
+    folder = tmp_path / "requests"
+    asked = [
+        inbox.leave_request(folder, Request(action="acknowledge", event="never", who=f"asker {k % 8}"))
+        for k in range(70)
+    ]
+    now = [0.0]
+    box = Inbox(folder, lambda: now[0], every_s=0.0)
+    while any(place.exists() for place in asked):
+        now[0] += 60.0
+        box.answer_requests([Answer(f"refused at {now[0]:g} s")] * len(box.take_requests()))
+    assert len(os.listdir(folder)) == 64
+    says = [inbox.take_refusal(place) for place in asked]
+    assert says[:6] == [None] * 6 and all(text is not None and text.startswith("refused at") for text in says[6:])
+    assert not os.listdir(folder) and inbox.take_refusal(asked[-1]) is None
 
 
 def test_status_shows_the_head_and_checks_the_chain(tmp_path: Path, asked: Path, main: Cli) -> None:

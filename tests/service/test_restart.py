@@ -36,7 +36,7 @@ from monitor.service.daemon_health import plain
 from monitor.service.restart import Checkpointer, Saved
 from monitor.service.threads import Recording
 from tests.events.shaken import blocks
-from tests.support.frames import settings_of
+from tests.support.frames import settings_of, shear_frame_text
 from tests.support.live_rig import Command
 from tests.support.live_site import RATE, SIZE, LiveDaemon, save_stream
 from tests.support.quake import shaken
@@ -454,3 +454,54 @@ def test_an_acknowledged_alarm_stays_so_with_and_without_checkpoints(
     assert alarm_of_story_2(lambda state: alarms.acknowledge(state, 2, "ann")) == raised
     assert alarm_of_story_2(None) == replace(raised, unacknowledged=False, acknowledged_by="ann")
     assert (out / "state" / "checkpoint").exists() == bool(checkpoint_s)
+
+
+@pytest.mark.parametrize(
+    ("then", "found"),
+    [
+        ("shear_frame", (Level.NORMAL, Level.WARNING, Level.ALARM)),
+        ("four stories", (Level.NORMAL, Level.WARNING, Level.ALARM, Level.NORMAL, Level.NORMAL)),
+        ("modal", (Level.ALARM,)),
+    ],
+)
+def test_alarms_that_stand_outlast_another_number_of_stories(
+    tmp_path: Path, frame_text: str, then: str, found: tuple[Level, ...]
+) -> None:
+    """Of three stories, the third of which is then gone, or is one of four, or of a site that judges modes alone."""
+    out = tmp_path / "out"
+    (out / "state").mkdir(parents=True)
+    texts = {
+        "shear_frame": shear_frame_text([1.0] * 2, [1e4] * 2),
+        "four stories": shear_frame_text([1.0] * 4, [1e4] * 4),
+        "modal": '[structure]\nkind = "modal"\n[[sensors]]\nchannel = "a1"\n',
+    }
+
+    def alarms_of(text: str, change: Callable[[AlarmState], AlarmState]) -> AlarmState:
+        """As a new process finds them; then they are changed."""
+        path = tmp_path / "site.toml"
+        path.write_text(f"[recorder]\nenabled = false\n{text}")
+        settings = configuration.load(path)
+        recording, results = Recording(out / "recordings", settings.recorder), AppendedLines(out / "results.jsonl")
+        keeper = Checkpointer(out, settings, None, recording, results)
+        session = Session(settings, None, (), None, tmp_path)
+        keeper.resume(lambda: session, lambda _: None)
+        recording.flush(10.0)
+        state = session.pipeline.state.alarm
+        session.alter_alarm(change)
+        keeper.save(session)
+        recording.close(10.0)
+        results.close()
+        return state
+
+    def raise_two(state: AlarmState) -> AlarmState:
+        first, _, _, whole = state.stories
+        warning, alarm = (
+            StoryState(level, since_ns=T0_NS, unacknowledged=True) for level in (Level.WARNING, Level.ALARM)
+        )
+        return replace(state, stories=(first, warning, alarm, whole))
+
+    alarms_of(frame_text, raise_two)
+    state = alarms_of(texts[then], lambda state: state)
+    assert tuple(s.level for s in state.stories) == found
+    assert any(s.level is Level.ALARM and s.unacknowledged for s in state.stories)
+    assert alarms_of(texts[then], lambda state: state).stories == state.stories

@@ -157,4 +157,5 @@ def test_an_alarm_that_a_restart_kept_stands_before_the_first_window(tmp_path: P
     assert site.present.state is State.NOT_JUDGED
     kept(Level.ALARM)
     assert site.present.state is State.ALARM and "alarm of middle storey stands from before" in site.present.headline
-    assert "No window of data yet." in site.present.doubts
+    window_s = site.config.processing.window_s
+    assert f"No window of data yet; the first takes {window_s:g} s of data." in site.present.doubts

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from monitor.core import Level
-from monitor.publish import RerunPublisher, read_period, write_period, write_report
+from monitor.publish import EventPage, RerunPublisher, read_period, write_event, write_period, write_report
 from tests.diagnosis.searched import LOSS, searched
 from tests.publish import event_pages
 from tests.publish.viewer_results import SCENE, window
@@ -88,6 +88,36 @@ def test_a_report_is_read_on_a_telephone_without_scrolling_sideways(
         assert page.value("document.querySelectorAll('figure > svg').length") >= 5
         assert page.value(overlaps) == 0, width
     assert page.errors == []
+
+
+def test_an_unbroken_name_of_a_hundred_letters_widens_no_page(tmp_path: Path, page: Any) -> None:
+    """The site's, a story's, a channel's: at 390 px and 1280 px nothing reaches beyond the edge."""
+    name = "n" * 100
+    event, site, seen = event_pages.told()
+    event = replace(event, floors=tuple(replace(floor, channel=name) for floor in event.floors))
+    site = replace(site, names=(name,) * len(site.names), channels=(name,) * len(site.channels))
+    seen = replace(seen, channels=(name,) * len(seen.channels))
+    write_event(tmp_path / "event.html", EventPage(name, event, f"{name}.mcap", "ab" * 32, site, seen))
+    folder = tmp_path / name
+    folder.mkdir()
+    lines = [line_of(k) for k in range(9_900, 10_150)]
+    json_lines(folder / "results.jsonl", lines)
+    channel = {"rms_m_s2": 3.0, "spikes": 0, "stuck_s": 0.0, "clipped_samples": 0}
+    quality = {"availability": 1.0, "gaps": 1, "lost_s": 0.2, "overlaps": 0, "channels": {name: channel}}
+    known = {"names": [name] * 3, "has_baseline": True, "alarm_loss": 0.1, "misfit": 5.0, "channels": [name]}
+    (folder / "summary.json").write_text(json.dumps({"alarms": [], "quality": quality, "known": known}))
+    write_period(tmp_path / "period.html", read_period(folder, None, None))
+    for width in (390, 1280):
+        size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
+        page.call("Emulation.setDeviceMetricsOverride", **size)
+        for file in ("event.html", "period.html"):
+            page.call("Page.navigate", url=(tmp_path / file).as_uri())
+            for _ in range(300):
+                page.wait(0.1)
+                if page.value("document.readyState") == "complete":
+                    break
+            assert page.value("document.body.textContent.includes('nnnnnnnnnn')")
+            assert page.value("document.documentElement.scrollWidth") <= width, (file, width)
 
 
 def test_the_period_report_draws(tmp_path: Path) -> None:

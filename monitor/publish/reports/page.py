@@ -24,6 +24,8 @@ table { border-collapse: collapse; font-size: .9rem; margin: .5rem 0; }
 td, th { text-align: left; padding: .2rem 1rem .2rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
 td.n, th.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
 td.t { white-space: nowrap; }
+td:not(.n, .t) { min-width: 5rem; } td:not(.n, .t), p, li, figcaption, span, b, .figures div {
+  overflow-wrap: anywhere; }
 .verdict { display: inline-block; padding: .1rem .7rem; border-radius: 1rem; color: #fff; font-weight: 600;
   background: #68717d; text-transform: uppercase; letter-spacing: .03em; }
 .verdict.normal { background: #2c7d46; } .verdict.named { background: #1668b8; }

@@ -15,20 +15,22 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from drivers.disk import PRIVATE_FOLDER
-from monitor.core import finish, partial, settings_problems
+from monitor.core import finish, partial, settings_problems, write_atomically
 from monitor.service.outlets.base import Outlet
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Request
 from monitor.service.threads import Chores
 
 _log = logging.getLogger(__name__)
 _MOST = 64
+_REFUSED = ".refused"
 
 
 class Inbox(Outlet):
     """Read the operators' requests from a folder, by default at most twice a second.
 
     A file is removed only after its request was applied, so that a request interrupted by a power cut is applied again.
-    Applying a request twice has the same effect as once, because every request states the wanted result.  A request that
+    Applying a request twice has the same effect as once, because every request states the wanted result.  Why one was refused
+    stands in a file of the same name, which who asked takes away (`take_refusal`).  A request that
     cannot be applied yet, or exceeds the rate of its asker, waits.  One whose file cannot be removed is applied once in a run.
     Files are read and removed in the thread of `worker`, so that `take_requests` waits for no disk; without one they are at once.
     """
@@ -47,7 +49,8 @@ class Inbox(Outlet):
         self._found: list[tuple[Path, Request]] = []
         """Requests that were read and wait to be taken."""
         self._taken: list[Path] = []
-        self._done: deque[Path] = deque()
+        self._done: deque[tuple[Path, str | None]] = deque()
+        """Files of answered requests, and why each was refused."""
         self._stuck: set[Path] = set()
         with contextlib.suppress(OSError):  # created here, so that the daemon's user owns it, whoever asks first
             folder.mkdir(PRIVATE_FOLDER, parents=True, exist_ok=True)
@@ -70,8 +73,9 @@ class Inbox(Outlet):
         return [request for _, request in found]
 
     def answer_requests(self, answers: Sequence[Answer]) -> None:
-        """Remove the files of the requests, but for those that may be applied later."""
-        self._done += [path for path, answer in zip(self._taken, answers, strict=True) if not answer.again]
+        """Remove the files of the requests, but for those that may be applied later; a refusal is left in the place of one."""
+        answered = zip(self._taken, answers, strict=True)
+        self._done += [(path, answer.refusal) for path, answer in answered if not answer.again]
         self._taken = []
         if self._done:
             self._run("remove", self._remove_done)
@@ -105,9 +109,14 @@ class Inbox(Outlet):
             self._looking = False
 
     def _remove_done(self) -> None:
-        """Remove the files of answered requests."""
+        """Remove the files of answered requests; of the refusals that nobody took the latest are kept."""
         while self._done:
-            self._remove(self._done.popleft())
+            path, refusal = self._done.popleft()
+            if refusal is not None:
+                _leave_refusal(path, refusal)
+                for old in sorted(self._folder.glob(f"*{_REFUSED}"))[:-_MOST]:
+                    self._remove(old)
+            self._remove(path)
 
     def _remove(self, path: Path) -> None:
         """Remove a file; one that stays is not read again."""
@@ -136,6 +145,37 @@ def leave_request(folder: Path, request: Request) -> Path:
     _set_owner(temporary, folder)
     finish(place)
     return place
+
+
+def _leave_refusal(request: Path, refusal: str) -> None:
+    """Tell, beside the file of a request, why it was refused; on a full disk that it was."""
+    place = _refusal_of(request)
+    try:
+        write_atomically(place, refusal)
+        place.chmod(0o644)  # access is controlled by the folder's permissions
+    except OSError as error:
+        _log.warning("%s: cannot be written: %s", place, error.strerror or error)
+        with contextlib.suppress(OSError):
+            os.replace(request, place)
+
+
+def take_refusal(request: Path) -> str | None:
+    """Take the reason for which the request of a file that is gone was refused; None if it was not."""
+    place = _refusal_of(request)
+    try:
+        refusal = place.read_text(encoding="utf-8")
+        with contextlib.suppress(OSError):  # the daemon removes it in time
+            place.unlink()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        return f"{place}, which says why, cannot be read: {error.strerror or error}"
+    return refusal
+
+
+def _refusal_of(request: Path) -> Path:
+    """Return the file in which the refusal of a request is told."""
+    return request.with_suffix(_REFUSED)
 
 
 def _set_owner(path: Path, like: Path) -> None:

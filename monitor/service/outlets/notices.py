@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Any
 
 from pydantic import Field
@@ -142,6 +143,7 @@ def _alarms(told: Told, result: WindowResult, present: Assessment, settings: Not
     active = result.alarm.active
     if result.modal is not None and active:  # one change moves several modes and shapes: it is told once
         active = {WHOLE: result.alarm.level}
+    n_stories = len(result.damage.loss) if result.damage is not None else 0 if result.modal is not None else inf
     notices, levels, least = [], dict(told.levels), max(settings.level.rank, Level.ADVISORY.rank)
     for story in sorted(levels.keys() | active.keys()):
         if result.alarm.conditions.get(story) is AlarmCondition.SHELVED:
@@ -153,6 +155,8 @@ def _alarms(told: Told, result: WindowResult, present: Assessment, settings: Not
             notices.append(Notice("alarm", False, f"{now.value}: {place}", _text(present), place))
         elif now is Level.NORMAL and before is not Level.NORMAL:
             del levels[story]
+            if story > n_stories:
+                continue  # the structure has it no longer: its alarm is now that of the whole (`damage.alarm.carry_over`)
             notices.append(Notice("alarm", True, f"cleared: {place}", f"was {before.value}; {_text(present)}", place))
     return replace(told, levels=levels), notices
 
