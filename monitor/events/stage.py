@@ -105,6 +105,12 @@ class EventState:
         return 0.0 if self.conditioner is None else self.conditioner.rate_hz
 
     @property
+    def may_be_strong(self) -> bool:
+        """Whether the motion of an event goes on, or the latest frames may be the beginning of one."""
+        going = bool(self.strong) and not self.strong[-1].closed
+        return going or (self.recognition is not None and self.recognition.raised > 0)
+
+    @property
     def end(self) -> int:
         """Grid index past the latest sample."""
         return self.first + sum(map(len, self.kept))
