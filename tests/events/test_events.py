@@ -102,7 +102,7 @@ def whole(data: Sequence[SampleBlock]) -> list[Event]:
 
 
 @pytest.mark.parametrize("length_s", [50.0, 110.0])  # shorter than the minute that the average takes, and longer
-@pytest.mark.parametrize("into_s", [6.0, 3.0, -1.0, -5.0])
+@pytest.mark.parametrize("into_s", [6.0, 3.0, -1.0, -4.0])
 def test_a_quake_amid_which_or_just_before_which_the_recording_begins_is_told(into_s: float, length_s: float) -> None:
     motion = shake(ground(200.0, (80.0, 1.0, 3)), np.random.default_rng(4))[0]
     first, last = (round((80.0 + into_s + s) * RATE) for s in (0.0, length_s))
@@ -111,8 +111,8 @@ def test_a_quake_amid_which_or_just_before_which_the_recording_begins_is_told(in
     (told,) = whole(blocks(cut, n=40))
     assert told.revision == 0 and "it began before the recording" in told.note
     assert (told.begin_ns - T0_NS) * 1e-9 < 6.0 and 8.0 < (told.end_ns - T0_NS) * 1e-9 + into_s < 25.0
-    peak = np.abs(floors[round(4.5 * RATE) :]).max(axis=0)  # after the filters have settled
-    assert [f.peak_m_s2 for f in told.floors] == pytest.approx(peak, rel=0.2)
+    peak = np.abs(floors[round(4.0 * RATE) :]).max(axis=0)  # after the filters have settled
+    assert [f.peak_m_s2 for f in told.floors] == pytest.approx(peak, rel=0.05)
     (large,) = whole(blocks(cut, n=4000))
     assert to_json(event_line(large)) == to_json(event_line(told))
 
