@@ -144,8 +144,9 @@ def open_log(path: Path) -> tuple[IO[Any], Iterator[can.Message]]:
 
 def bus_name(message: can.Message, log: str) -> str:
     """Return the bus of a frame as its log names it: python-can counts those of .blf and .asc from 0, the files from 1."""
-    from_zero = isinstance(message.channel, int) and Path(log).suffix.lower() in (".blf", ".asc")
-    return str(message.channel + 1 if from_zero else message.channel)
+    if isinstance(message.channel, int) and Path(log).suffix.lower() in (".blf", ".asc"):
+        return str(message.channel + 1)
+    return str(message.channel)
 
 
 def is_malformed(error: Exception, interface: str) -> bool:

@@ -178,7 +178,8 @@ def step(
         count = min((end - state.judged) // n, recognition.unsettled(state.recognition) or _TOGETHER_STEPS)
         state, new = _judge(state, count, conditioner.cutoff_hz, site, saturated)
         told += new
-        if state.opening is not None and not recognition.unsettled(state.recognition):
+        settled = state.recognition is not None and not recognition.unsettled(state.recognition)
+        if state.opening is not None and settled:
             state = _opened(state, site)
     return _forget(_with_alarms(state, told, site), site), told
 
