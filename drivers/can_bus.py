@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers import frames
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceContext, SourceError, SourceHealth
-from drivers.can_open import PARSE_ERRORS, CanSettings, is_malformed, open_bus, open_log
+from drivers.can_open import PARSE_ERRORS, CanSettings, bus_name, is_malformed, open_bus, open_log
 from drivers.nodes import Joiner, Node, Rows
 
 _BUS_OFF = 0x40
@@ -52,6 +52,9 @@ class CanSource:
         """Longest wait for a whole block."""
         self._bus: can.BusABC | None = None
         self._log: Iterator[can.Message] | None = None
+        self.buses: set[str] = set()
+        """Buses of the log on which the DBC's identifiers came."""
+        self._bus_of: dict[tuple[int, bool], str] = {}
         self._file: IO[Any] | None = None
         self._failed = ""
         self._ended = False
@@ -169,6 +172,8 @@ class CanSource:
                     self._ended = True
                     break
                 self._accept_frame(message)
+        except SourceError as error:
+            self._failed, self._ended = str(error), True
         except PARSE_ERRORS as error:
             self._counts["undecodable"] += 1
             self._joiner.detail = f"the log is damaged: {error or type(error).__name__}"
@@ -187,7 +192,7 @@ class CanSource:
             return
         self._off_since = None
         node = self._by_id.get((kind, bool(message.is_extended_id)))
-        if node is None:
+        if node is None or (self._log is not None and not self._is_of_bus(node, message)):
             self._counts["foreign"] += 1
             return
         n, data = node.layout.n_bytes, message.data
@@ -201,6 +206,17 @@ class CanSource:
         self._counts["frames"] += 1
         node.frames.append(bytes(data[:n]))
         node.times.append(message.timestamp)
+
+    def _is_of_bus(self, node: Node, message: can.Message) -> bool:
+        """Test whether a log's frame is of the chosen bus; SourceError where none is chosen and two carry an identifier."""
+        key, name = (node.layout.frame_id, node.layout.extended), bus_name(message, str(self._settings.channel))
+        self.buses.add(name)
+        if self._settings.bus is not None:
+            return name == self._settings.bus
+        if (first := self._bus_of.setdefault(key, name)) != name:
+            what = f"{node.layout.name} ({key[0]:#x}) comes on the buses {first} and {name} of the log"
+            raise SourceError(f"{what}: choose one, as --bus {name}, or bus = {name!r} under [source]")
+        return True
 
     def _accept_error_frame(self, kind: int, data: bytearray) -> None:
         """Count an error frame; `kind` are the bits of Linux, which socketcan, socketcand and gs_usb carry."""

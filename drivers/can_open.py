@@ -66,11 +66,15 @@ class CanSettings(LiveSettings):
     """Unit in which the signal `counter` counts, for frames of several samples."""
     realign: bool = False
     """Shift nodes whose counters differ, by whole samples, instead of refusing them."""
+    bus: str | None = None
+    """Bus of a log of several, as the log names it: ``can0``, or ``1``; the frames of the others are left out."""
 
     @model_validator(mode="after")
     def _is_live(self) -> Self:
         if self.interface == "log" and (self.max_pace is not None or self.max_ahead_s is not None):
             raise ValueError("max_pace and max_ahead_s bound a live bus; leave them out for a log")
+        if self.interface != "log" and self.bus is not None:
+            raise ValueError("bus chooses among those of a log; channel names a live bus")
         return self
 
 
@@ -136,6 +140,13 @@ def open_log(path: Path) -> tuple[IO[Any], Iterator[can.Message]]:
     except PARSE_ERRORS as error:
         file.close()
         raise SourceError(f"{path}: is no CAN log: {error or type(error).__name__}") from error
+
+
+def bus_name(message: can.Message, log: str) -> str:
+    """Return the bus of a frame as its log names it: python-can counts those of .blf and .asc from 0, the files from 1."""
+    if isinstance(message.channel, int) and Path(log).suffix.lower() in (".blf", ".asc"):
+        return str(message.channel + 1)
+    return str(message.channel)
 
 
 def is_malformed(error: Exception, interface: str) -> bool:

@@ -73,7 +73,8 @@ def read_recordings(
     topic_map
         Topic of ROS 2 `sensor_msgs/msg/Imu` -> channel name, with axis if it is not x: "a1" or "a1.z".
     on_warning
-        Called once for each file that ends early.
+        Called once for each file that ends early or has damaged chunks, which are left out, and for each ROS 2 topic with
+        messages that came again, once all are read.
     longest_s
         Greatest length, s, of the blocks to which consecutive blocks of `/acceleration` are joined; 0 joins none.
 
@@ -82,11 +83,11 @@ def read_recordings(
     RecordingMissingError
         If a file cannot be opened.
     RecordingError
-        If bytes are damaged or foreign, a wanted topic is absent, or a unit is wrong.  Contradictory fields of a message, and
-        errors of joining ROS 2 topics, are raised while the blocks are iterated.
+        If bytes outside of chunks, or all chunks, are damaged or foreign, a wanted topic is absent, or a unit is wrong.
+        Contradictory fields of a message, and errors of joining ROS 2 topics, are raised while the blocks are iterated.
     """
     topic_map = topic_map or {}
-    surveys = [_Survey(McapFile(Path(path)), topics, topic_map) for path in paths]
+    surveys = [_Survey(McapFile(Path(path), leave_out=True), topics, topic_map) for path in paths]
     found_topics: set[str] = set()
     for survey in surveys:
         survey.run(on_warning)
@@ -96,7 +97,7 @@ def read_recordings(
         names = ", ".join(str(survey.file.path) for survey in surveys)
         absent = ", ".join(sorted(topic_map.keys() - found_topics)) or ACCELERATION
         raise RecordingError(f"{names}: no messages of {absent}; the topics are {', '.join(sorted(found_topics))}")
-    blocks = _join_topics(surveys, topic_map, longest_s)
+    blocks = _join_topics(surveys, topic_map, longest_s, on_warning)
     return merged(blocks, longest_s) if longest_s else blocks
 
 
@@ -123,7 +124,7 @@ def recorded_time(path: Path, *, topic_map: Mapping[str, str] | None = None) -> 
     if end is None:
         info = recording_info(path, topic_map=topic_map)
         return info.t_start_ns, info.t_end_ns
-    start = next(block for block in _join_topics([survey], {}, 0.0) if block.topic == ACCELERATION)
+    start = next(block for block in _join_topics([survey], {}, 0.0, lambda _: None) if block.topic == ACCELERATION)
     return start.t_ns, start.t_ns + round(_duration_s(start, end) * 1e9)
 
 
@@ -175,8 +176,12 @@ class _Survey:
             if times := [t_ns for t_ns, _ in self._read_wanted(messages, self._time_ns)]:
                 self.segments.append((min(times), segment))
                 count += len(times)
+        damage = self.file.damage
         if not self.segments:
-            raise RecordingError(f"{self.file.path}: {self._content_text()}")
+            raise damage[0] if damage else RecordingError(f"{self.file.path}: {self._content_text()}")
+        if damage:
+            left_out = "one chunk is" if len(damage) == 1 else f"{len(damage)} chunks are"
+            on_warning(f"{damage[0]}; {left_out} left out, the {count} blocks of the others are used")
         if self.file.cut:
             on_warning(f"{self.file.path}: {self.file.cut}; the {count} whole blocks before it are used")
 
@@ -335,7 +340,9 @@ def _last_ns(block: SampleBlock) -> int:
     return block.t_ns + round((block.n_samples - 1) / block.sample_rate_hz * 1e9)
 
 
-def _join_topics(surveys: list[_Survey], topic_map: Mapping[str, str], longest_s: float) -> Iterator[SampleBlock]:
+def _join_topics(
+    surveys: list[_Survey], topic_map: Mapping[str, str], longest_s: float, on_warning: OnWarning
+) -> Iterator[SampleBlock]:
     """Yield the blocks of all files in time order, and join the mapped ROS 2 topics to blocks."""
     joiner = ImuJoiner(topic_map, ", ".join(str(survey.file.path) for survey in surveys)) if topic_map else None
     for item in _merge_in_time_order(surveys, longest_s):
@@ -345,3 +352,6 @@ def _join_topics(surveys: list[_Survey], topic_map: Mapping[str, str], longest_s
             yield from joiner.add(item)
     if joiner:
         yield from joiner.finish()
+        for topic, count in joiner.doubled.items():
+            names = ", ".join(str(survey.file.path) for survey in surveys)
+            on_warning(f"{names}: {topic}: {count} messages that came again, with the same stamp, are left out")

@@ -6,6 +6,7 @@ nothing of a file without footer in time order, and leaves most checksums unread
 
 from __future__ import annotations
 
+import contextlib
 import io
 import stat
 import struct
@@ -33,6 +34,7 @@ _RUN_BYTES = 1 << 18
 HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
 _MESSAGE = struct.Struct("<HIQQ")
+_FOOTER = struct.Struct("<QQI")
 _KEPT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 PARSE_ERRORS = (
     McapError,
@@ -79,6 +81,12 @@ class McapFile:
     """Reason why `segments` ended early (crash, full disk), or None; all data before that place are whole."""
     most_messages: int = _MOST_MESSAGES
     """Largest number of messages in a chunk; a chunk with more is damage."""
+    leave_out: bool = False
+    """Leave out a damaged chunk and go on with the next; otherwise it is an error."""
+    damage: list[RecordingError] = field(default_factory=list)
+    """Errors of the chunks that `segments` left out."""
+    _unchecked: bool = False
+    """True once a chunk without a checksum of its own was read."""
     _crc: int = 0
     _size: int = 0
 
@@ -200,12 +208,33 @@ class McapFile:
     def _parse_chunk(self, file: BinaryIO, segment: Segment, record: bytes, closed: bool) -> list[Message]:
         """Parse a chunk that was just read; a damaged one of a file that was not closed may be its cut end."""
         try:
-            return self._parse(segment, record)
-        except RecordingError:
+            messages = self._parse(segment, record)
+        except RecordingError as error:
             # Zeros after the chunk, or at its end, mean that the machine stopped while writing the chunk.
-            if closed or (file.read(_RUN_BYTES) or record[HEAD.size :][-16:]).strip(b"\0"):
+            end = file.tell()
+            if not closed and not (file.read(_RUN_BYTES) or record[HEAD.size :][-16:]).strip(b"\0"):
+                raise _CutError(f"the chunk at byte {segment.offset} was written in part") from None
+            if not self.leave_out:
                 raise
-            raise _CutError(f"the chunk at byte {segment.offset} was written in part") from None
+            if closed and not self.damage:
+                self._define_by_summary(file)
+            self.damage.append(error)
+            file.seek(end)
+            return []
+        self._unchecked |= not _CHUNK.unpack_from(record, HEAD.size)[3]
+        return messages
+
+    def _define_by_summary(self, file: BinaryIO) -> None:
+        """Take channels and schemas from the summary, which repeats them: a chunk that is left out may have defined them."""
+        file.seek(self._size - len(MAGIC) - _FOOTER.size)
+        with contextlib.suppress(*PARSE_ERRORS):
+            file.seek(min(_FOOTER.unpack(file.read(_FOOTER.size))[0], self._size))
+            while True:  # until what follows is no record
+                opcode, length = HEAD.unpack(file.read(HEAD.size))
+                end = file.tell() + min(length, self._size)
+                if opcode in _KEPT:
+                    self.define(opcode, file.read(min(length, MAX_RECORD_BYTES)))
+                file.seek(end)
 
     def _finish_run(self, end: int, run: bytearray) -> Iterator[tuple[Segment, list[Message]]]:
         """Yield the records outside chunks that end at byte `end` as one segment, if there are any."""
@@ -224,7 +253,9 @@ class McapFile:
         """Compare the checksum that stands here, 0 if the writer stored none; read past the `rest` of the record."""
         (expected,) = struct.unpack("<I", self._read_checked(file, 4))
         self._skip(file, rest)
-        if expected not in (0, crc):
+        # The checksum of all data does not fit where a chunk was left out; then those of the other chunks have to do.
+        known = what == "data section" and self.damage and not self._unchecked
+        if expected not in (0, crc) and not known:
             raise self._damage_error(offset, f"the checksum of the {what} does not fit")
 
     def _summary_section(self, file: BinaryIO) -> None:

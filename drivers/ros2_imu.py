@@ -6,7 +6,7 @@ The CDR layout of this message is fixed and decoded here, so that no ROS install
 from __future__ import annotations
 
 import struct
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -60,14 +60,17 @@ class ImuJoiner:
 
     `topic_map` is topic -> channel name with axis; `where` names the files in errors.  Samples before the start of the last
     topic, and samples without a partner in another topic, are left out; a jump of `sequence` marks the loss.  Samples must be
-    added in the order of their stamps.  Topics that do not run at one rate on one clock, or whose stamps never agree, raise
-    `RecordingError`.
+    added in the order of their stamps.  A message that came twice, with the same stamp and reading, is taken once and counted in
+    `doubled`.  Topics that do not run at one rate on one clock, or whose stamps never agree, raise `RecordingError`.
     """
 
     def __init__(self, topic_map: Mapping[str, str], where: str) -> None:
         self._where = where
         self._queues: dict[str, deque[ImuSample]] = {topic: deque() for topic in topic_map}
         self._channels = tuple(split_target(target)[0] for target in topic_map.values())
+        self._latest: dict[str, ImuSample] = {}
+        self.doubled: Counter[str] = Counter()
+        """Number of messages that came again, by topic."""
         self._step_ns = 0.0
         self._rows: list[list[float]] = []
         self._start_ns = self._last_ns = self._sequence = 0
@@ -77,8 +80,13 @@ class ImuJoiner:
         """Add one sample, and yield the blocks that it completes."""
         queue = self._queues[sample.topic]
         place = f"{self._where}: topic {sample.topic}"
-        if queue and sample.t_ns <= queue[-1].t_ns:
+        latest = self._latest.get(sample.topic)
+        if sample == latest:
+            self.doubled[sample.topic] += 1
+            return
+        if latest is not None and sample.t_ns <= latest.t_ns:
             raise RecordingError(f"{place}: stamps do not rise at {sample.t_ns} ns; record stamped messages")
+        self._latest[sample.topic] = sample
         queue.append(sample)
         if len(queue) > _MAX_PENDING:
             others = ", ".join(topic for topic, waiting in self._queues.items() if not waiting) or "the others"
@@ -107,7 +115,10 @@ class ImuJoiner:
         steps = {}
         for topic, queue in self._queues.items():
             if len(queue) < 2:
-                raise RecordingError(f"{self._where}: topic {topic}: {len(queue)} Imu messages are too few to join")
+                again = f" ({self.doubled[topic]} that came again left out)" if self.doubled[topic] else ""
+                raise RecordingError(
+                    f"{self._where}: topic {topic}: {len(queue)} Imu messages{again} are too few to join"
+                )
             steps[topic] = float(np.median(np.diff([sample.t_ns for sample in queue])))
         self._step_ns = min(steps.values())
         if max(steps.values()) > 1.02 * self._step_ns:

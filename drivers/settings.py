@@ -24,4 +24,5 @@ class RecorderSettings(Settings):
     min_free_gb: float = Field(default=0.2, ge=0)
     """Free disk space below which recording pauses, in GiB, until a file of `file_mb` fits too; no file is removed for it."""
     flush_s: float = Field(default=10.0, gt=0)
-    """Length of data that a power cut may lose."""
+    """Length of data that a power cut may lose, or the data of a second of the clock where that is more, as at high speed;
+    of strong motion, which is written at once, less."""

@@ -100,6 +100,7 @@ def import_(
     ] = [],  # noqa: B006
     start: Annotated[str | None, Option(help="UTC of the first sample, ISO 8601.")] = None,
     dbc: Annotated[Path | None, Option(metavar="FILE.dbc", help="Layout of the frames of a CAN log.")] = None,
+    bus: Annotated[str | None, Option(help="Bus of a CAN log of several, as the log names it.")] = None,
     scale: Annotated[float | None, Option(min=1e-30, max=1e30, help="Of MiniSEED: m/s^2 of a count.")] = None,
     inventory: Annotated[
         Path | None, Option(metavar="STATION.xml", help="Of MiniSEED: the channels' sensitivities.")
@@ -128,6 +129,7 @@ def import_(
         forces=_places("--force", force),
         start_ns=time_ns("--start", start),
         dbc=dbc,
+        bus=bus,
         scale=scale,
         inventory=inventory,
         align=align,

@@ -392,9 +392,9 @@ def _thresholds(ratio_on: float) -> Annotated[Array, "steps"]:
     return np.array([ratio_on * _early_factor(steps, ratio_on) for steps in range(_FULL + 1)])
 
 
-def is_settled(state: RecognitionState) -> bool:
-    """Say whether the long-term average holds all that it ever does."""
-    return state.steps >= _FULL
+def unsettled(state: RecognitionState) -> int:
+    """Return the quiet steps that the long-term average still lacks; 0 once it holds all that it ever does."""
+    return _FULL - state.steps
 
 
 def begin_anew(state: RecognitionState) -> RecognitionState:

@@ -86,6 +86,8 @@ class EventState:
     """Grid index of the end of the last judged step."""
     settling: int = 0
     """Steps that are still not judged."""
+    opening: int | None = None
+    """Grid index of the first judged step, while it is not known whether the samples begin amid strong motion."""
     strong: tuple[Strong, ...] = ()
     """Events of which the final line is still to come; only the last may still go on."""
     marks: tuple[tuple[int, int], ...] = ()
@@ -103,6 +105,12 @@ class EventState:
     def rate_hz(self) -> float:
         """Rate of the samples; 0 before the first."""
         return 0.0 if self.conditioner is None else self.conditioner.rate_hz
+
+    @property
+    def may_be_strong(self) -> bool:
+        """Whether the motion of an event goes on, or the latest frames may be the beginning of one."""
+        going = bool(self.strong) and not self.strong[-1].closed
+        return going or (self.recognition is not None and self.recognition.raised > 0)
 
     @property
     def end(self) -> int:
@@ -166,9 +174,13 @@ def step(
     while state.settling and state.judged + n <= end:
         state = _settle(state)
     while state.judged + n <= end:
-        count = min((end - state.judged) // n, _TOGETHER_STEPS)
+        assert state.recognition is not None
+        count = min((end - state.judged) // n, recognition.unsettled(state.recognition) or _TOGETHER_STEPS)
         state, new = _judge(state, count, conditioner.cutoff_hz, site, saturated)
         told += new
+        settled = state.recognition is not None and not recognition.unsettled(state.recognition)
+        if state.opening is not None and settled:
+            state = _opened(state, site)
     return _forget(_with_alarms(state, told, site), site), told
 
 
@@ -224,6 +236,7 @@ def _begin(state: EventState, first: int, conditioner: Conditioner, n_channels: 
     known = state.recognition if same else recognition.start(n_channels, rate_hz, cutoff_hz)
     assert known is not None
     aligned = -(-first // n) * n
+    opening = None if known.steps else aligned + _SETTLED_STEPS * n
     return replace(
         state,
         recognition=replace(known, raised=0),
@@ -232,8 +245,33 @@ def _begin(state: EventState, first: int, conditioner: Conditioner, n_channels: 
         kept=(),
         judged=aligned,
         settling=_SETTLED_STEPS,
+        opening=opening,
         marks=state.marks if same else (),
     )
+
+
+def _opened(state: EventState, site: Site) -> EventState:
+    """Find strong motion amid which the samples begin, which has no quiet before it to be compared with.
+
+    The samples so far are judged backwards in time, by the same rules: what then has not ended at the first one is an event.
+    """
+    begin, end = state.opening, state.judged
+    state = replace(state, opening=None)
+    if begin is None or begin >= end or state.strong or state.conditioner is None:
+        return state
+    if any(item.event.end_ns > state.t0_ns + round(begin / state.rate_hz * 1e9) for item in state.awaiting):
+        return state
+    samples, n = state.samples(begin, end)[::-1], recognition.step_n(state.rate_hz)
+    back = _begin(start(), 0, state.conditioner, samples.shape[1])
+    back = replace(back, kept=(samples,), settling=0, opening=None)
+    for _ in range(len(samples) // n):
+        back, _told = _judge(back, 1, state.conditioner.cutoff_hz, site, none_saturated)
+    if not back.strong or back.strong[-1].closed:
+        return state
+    found = back.strong[-1]
+    first, last = max(end - found.end, begin), end - found.begin
+    note = "it began before the recording, or in its first seconds" if first - begin < n else ""
+    return replace(state, strong=(Strong(first, last, told=True, closed=True, note=note),))
 
 
 def _settle(state: EventState) -> EventState:
@@ -301,7 +339,7 @@ def _follow(
     going = _grown(state, found, cutoff_hz, site)
     n = recognition.step_n(state.rate_hz)
     # Of a recording that begins with a few seconds of quiet before strong motion, a test's, the windows are judged.
-    if (going is not None or known.raised) and recognition.is_settled(known):
+    if (going is not None or known.raised) and not recognition.unsettled(known):
         state = replace(state, marks=(*state.marks, (state.judged - n, state.judged)))
     told = list[Event]()
     if going is not None:
@@ -309,7 +347,7 @@ def _follow(
         before = (*before, going)
     # What is refused holds the average too, and no event ends it.
     elif known.raised * (n // 2) >= site.settings.longest_s * state.rate_hz:
-        state = replace(state, recognition=recognition.begin_anew(known))
+        state = replace(state, recognition=recognition.begin_anew(known), opening=None)
     return _tell_final(replace(state, strong=before), state.judged, site, told, saturated)
 
 
@@ -348,7 +386,7 @@ def _judged_end(
         note = f"it went on: cut after {settings.longest_s:g} s"
         going = replace(going, closed=True, end=state.judged, note=note)
         assert state.recognition is not None
-        state = replace(state, recognition=recognition.begin_anew(state.recognition))
+        state = replace(state, recognition=recognition.begin_anew(state.recognition), opening=None)
     return state, going, told
 
 
@@ -370,7 +408,7 @@ def _tell_final(
 
 def _break_off(state: EventState, site: Site, note: str, saturated: Saturated) -> tuple[EventState, list[Event]]:
     """Tell what is known of events that a gap, or the end of the data, cuts."""
-    told = list[Event]()
+    state, told = _opened(state, site), list[Event]()
     for item in state.strong:
         cut = item if item.closed else replace(item, note=note)
         state, final = _final(state, cut, state.end, site, saturated)
@@ -422,6 +460,7 @@ def _forget(state: EventState, site: Site) -> EventState:
     # An event may turn out to have begun some frames before the last judged step.
     oldest = min([state.judged - recognition.FRAMES_IN_A_ROW * recognition.step_n(state.rate_hz), *begun])
     oldest -= round(site.settings.pre_s * state.rate_hz)
+    oldest = oldest if state.opening is None else min(oldest, state.opening)
     drop = max(0, oldest - state.first)
     old = state.judged - round(site.window_s * state.rate_hz)
     marks = state.marks if not state.marks or state.marks[0][1] > old else tuple(m for m in state.marks if m[1] > old)

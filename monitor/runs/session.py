@@ -120,6 +120,11 @@ class Session:
         return self.pipeline.state.align.t_next_ns()
 
     @property
+    def may_be_strong(self) -> bool:
+        """Whether the motion of an event goes on, or may have begun."""
+        return self.pipeline.state.events.may_be_strong
+
+    @property
     def episodes(self) -> Sequence[Loss]:
         """Alarm episodes so far, in the order in which they began."""
         return self._summary.course.losses

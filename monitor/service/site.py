@@ -445,11 +445,12 @@ class Site(Publisher):
     def _record(self, block: SampleBlock, known_ns: int, results: Sequence[Result]) -> None:
         """Record an accepted block; a block that changes an alarm is on the disk before the change is announced.
 
+        While motion is strong, or may be, every block goes to the disk at once, and nothing waits for that.
         `known_ns` is the end of the data before it: a block without a new sample is no sign that data come.
         """
         if self.session.now_ns != known_ns:
             self._data_s, self._block_s = self._clock(), block.n_samples / block.sample_rate_hz
-        self._recording.write(block)
+        self._recording.write(block, at_once=self.session.may_be_strong)
         alarms = [(r.alarm.active, r.alarm.conditions) for r in results if isinstance(r, WindowResult)]
         exceeded = any(isinstance(r, Event) and r.exceeded for r in results)
         if exceeded or any(alarm != self._alarm for alarm in alarms):

@@ -232,7 +232,7 @@ class Recording:
         self._busy = Busy()
         self._error: str | None = None
         """Error that nobody expected, of the latest block; None if there was none."""
-        self.dropped, self._losing = 0, False
+        self.dropped, self._losing, self._at_once = 0, False, False
         self._thread = background(self._work, "recorder")
         self._thread.start()
 
@@ -254,10 +254,14 @@ class Recording:
         if self._recorder is not None:
             self._recorder.limit(most_bytes)
 
-    def write(self, block: SampleBlock) -> None:
-        """Queue a block for recording, or count it as lost if the queue is full."""
+    def write(self, block: SampleBlock, *, at_once: bool = False) -> None:
+        """Queue a block for recording, or count it as lost if the queue is full.
+
+        With `at_once` it goes to the disk, with all before it, as soon as no other block waits.
+        """
         if self._recorder is None:
             return
+        self._at_once = at_once
         taken = self._queue.offer(block)
         if not taken and not self._losing:
             _log.error("recorder: %d blocks wait; blocks are lost from here on", len(self._queue))
@@ -308,6 +312,8 @@ class Recording:
         if isinstance(item, SampleBlock):
             assert recorder is not None
             recorder.write(item)
+            if self._at_once and not len(self._queue):
+                recorder.flush()
         elif item is not None:
             if recorder is not None:
                 recorder.flush()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from drivers.base import SampleBlock
 from monitor.core import Array, BadInputError, Settings, Temperature
@@ -23,8 +23,6 @@ _PLAUSIBLE_DEGC = (-100.0, 200.0)
 """Range outside which a reading is no temperature. [degC; judgement: a broken sensor says -127, say]"""
 _CLOCK_JUMP_NS = 86_400_000_000_000
 """Step back of the clock from which earlier readings are dropped. [ns; judgement: a day]"""
-_FORMER_KEYS = ("min_range_k", "significance", "unevenness", "extrapolation")
-"""Keys of ``[temperature]`` in files of former versions. [names]"""
 _S_PER_NS = 1e-9
 """Seconds of a nanosecond. [s/ns; definition]"""
 
@@ -37,14 +35,6 @@ class TemperatureSettings(Settings):
     Temperatures that arrive up to this late, or in another order than the accelerations, then change no result."""
     max_age_s: float = Field(default=600.0, gt=0)
     """A window whose newest temperature is older than this has no temperature."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _former_keys(cls, table: Any) -> Any:
-        """Accept the keys of former versions: the law's posterior and ``[compensation]`` took their place."""
-        if isinstance(table, dict):
-            return {k: v for k, v in table.items() if k not in _FORMER_KEYS}
-        return table
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -161,6 +161,11 @@ def test_unknown_keys_of_optional_tables_and_unknown_tables_are_refused(
     assert_problem(load, f"{frame_text}\n[{table}s]\nx = 3\n", f"{table}s")
 
 
+@pytest.mark.parametrize("key", ["min_range_k", "significance", "unevenness", "extrapolation"])
+def test_a_key_of_temperature_without_effect_is_refused(load: Load, frame_text: str, key: str) -> None:
+    assert_problem(load, f"{frame_text}\n[temperature]\n{key} = 1.0\n", f"temperature.{key}")
+
+
 @pytest.mark.parametrize("table", ["structure", "sensors"])
 def test_a_missing_table_is_named(load: Load, frame_text: str, table: str) -> None:
     renamed = frame_text.replace(f"[{table}]", "[site]")

@@ -234,13 +234,40 @@ def test_every_flipped_bit_of_our_files_is_noticed(tmp_path: Path, rewrite: Rewr
             assert warnings, f"flip at {at} unnoticed"
 
 
-def test_damage_is_told_before_the_first_block_with_its_place(tmp_path: Path) -> None:
+def spoil(path: Path, *damaged: ChunkIndex) -> None:
+    """Flip a bit in the middle of each of these chunks."""
+    content = bytearray(path.read_bytes())
+    for chunk in damaged:
+        content[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("ours", [True, False], ids=["our writer", "another writer"])
+@pytest.mark.parametrize("which", [[0], [1], [-1], [0, 1]])  # the first one defines the channels of all
+def test_damaged_chunks_are_left_out_and_told_before_the_first_block(
+    tmp_path: Path, ours: bool, which: list[int]
+) -> None:
+    path = tmp_path / "a.mcap"
+    if ours:
+        write(path, *map(block, range(10)))
+    else:
+        foreign(path, CompressionType.ZSTD, True, crcs=True)
+    damaged = [chunks(path)[number] for number in which]
+    lost = {s for s in range(10) if any(c.message_start_time <= block(s).t_ns <= c.message_end_time for c in damaged)}
+    spoil(path, *damaged)
+    warnings: list[str] = []
+    read = read_recordings([path], on_warning=warnings.append)
+    (said,) = warnings
+    assert f"a.mcap: damaged at byte {damaged[0].chunk_start_offset}: chunk" in said
+    assert ("one chunk is" if len(which) == 1 else "2 chunks are") in said and f"{10 - len(lost)} blocks" in said
+    assert lost and seconds(list(read)) == [s for s in range(10) if s not in lost]
+    assert recording_info(path).n_samples == 100 * (10 - len(lost))
+
+
+def test_a_file_of_damaged_chunks_alone_is_refused_with_the_place(tmp_path: Path) -> None:
     path = foreign(tmp_path / "a.mcap", CompressionType.ZSTD, True, crcs=True)
-    last = chunks(path)[-1]
-    damaged = bytearray(path.read_bytes())
-    damaged[last.chunk_start_offset + last.chunk_length - 30] ^= 1
-    path.write_bytes(damaged)
-    with pytest.raises(RecordingError, match=f"byte {last.chunk_start_offset}: chunk"):
+    spoil(path, *(every := chunks(path)))
+    with pytest.raises(RecordingError, match=f"byte {every[0].chunk_start_offset}: chunk"):
         read_recordings([path])
 
 

@@ -1,5 +1,6 @@
 """ROS 2 Imu recordings: CDR read by hand, topics joined by their stamps or refused."""
 
+import itertools
 import random
 import struct
 from collections.abc import Callable
@@ -103,6 +104,20 @@ def test_a_lost_message_is_a_jump_of_the_sequence(tmp_path: Path) -> None:
     assert jumps == [(500, 503)] and ends[-1] == 1000
 
 
+def test_messages_that_came_twice_are_taken_once_and_counted(tmp_path: Path) -> None:
+    def value(topic: str, t_ns: int) -> float:
+        return (t_ns - _START) / 1e9
+
+    once = read(record(tmp_path / "once.mcap", {"/top": times(1000), "/low": times(1000)}, value), "/top", "/low")
+    twice = [*times(1000), *times(1000)[100:103], times(1000)[999]]
+    path, warnings = record(tmp_path / "twice.mcap", {"/top": times(1000), "/low": twice}, value), list[str]()
+    blocks = list(read_recordings([path], topic_map={"/top": "a1", "/low": "a2"}, on_warning=warnings.append))
+    assert [(b.t_ns, b.sequence, b.samples.tobytes()) for b in blocks] == [
+        (b.t_ns, b.sequence, b.samples.tobytes()) for b in once
+    ]
+    assert warnings == [f"{path}: /low: 4 messages that came again, with the same stamp, are left out"]
+
+
 def test_a_topic_that_starts_late_only_shortens_the_recording(tmp_path: Path) -> None:
     blocks = read(record(tmp_path / "a.mcap", {"/top": times(1000), "/low": times(1000)[400:]}), "/top", "/low")
     assert blocks[0].t_ns == times(1000)[400] and blocks[0].sequence == 0
@@ -120,7 +135,8 @@ def test_a_topic_that_starts_late_only_shortens_the_recording(tmp_path: Path) ->
     ],
 )
 def test_clocks_that_do_not_fit_are_refused(tmp_path: Path, low: list[int], reason: str) -> None:
-    path = record(tmp_path / "a.mcap", {"/top": times(1000), "/low": low})
+    readings = itertools.count()
+    path = record(tmp_path / "a.mcap", {"/top": times(1000), "/low": low}, lambda *_: next(readings))
     with pytest.raises(RecordingError, match=rf"a\.mcap: .*({reason})"):
         read(path, "/top", "/low")
 

@@ -94,6 +94,38 @@ def test_it_is_told_when_strong_motion_ends_and_again_within_a_minute() -> None:
     assert abs((final.begin_ns - T0_NS) * 1e-9 - 80.0) < 2.5
 
 
+def whole(data: Sequence[SampleBlock]) -> list[Event]:
+    """The events of data that end."""
+    pipeline = Pipeline(configuration())
+    out = [r for block in data for r in pipeline.push(block)]
+    return events([*out, *pipeline.finish()])
+
+
+@pytest.mark.parametrize("length_s", [50.0, 110.0])  # shorter than the minute that the average takes, and longer
+@pytest.mark.parametrize("into_s", [6.0, 3.0, -1.0, -4.0])
+def test_a_quake_amid_which_or_just_before_which_the_recording_begins_is_told(into_s: float, length_s: float) -> None:
+    motion = shake(ground(200.0, (80.0, 1.0, 3)), np.random.default_rng(4))[0]
+    first, last = (round((80.0 + into_s + s) * RATE) for s in (0.0, length_s))
+    floors, base = motion.floors[first:last], motion.ground[first:last]
+    cut = Shaken(floors, base, motion.drifts[first:last])
+    (told,) = whole(blocks(cut, n=40))
+    assert told.revision == 0 and "it began before the recording" in told.note
+    assert (told.begin_ns - T0_NS) * 1e-9 < 6.0 and 8.0 < (told.end_ns - T0_NS) * 1e-9 + into_s < 25.0
+    peak = np.abs(floors[round(4.0 * RATE) :]).max(axis=0)  # after the filters have settled
+    assert [f.peak_m_s2 for f in told.floors] == pytest.approx(peak, rel=0.05)
+    (large,) = whole(blocks(cut, n=4000))
+    assert to_json(event_line(large)) == to_json(event_line(told))
+
+
+def test_a_quiet_beginning_and_a_gale_that_dies_are_no_events() -> None:
+    n = round(150.0 * RATE)
+    dying = 1.0 + 4.0 * np.clip(1.0 - np.arange(n) / RATE / 60.0, 0.0, 1.0)
+    for seed in range(3):
+        for level in (1.0, dying):
+            motion = shake(np.zeros(n), np.random.default_rng(seed), level=level)[0]
+            assert not whole(blocks(motion, with_ground=False, n=1000))
+
+
 def test_two_events_twenty_seconds_apart_are_two_and_ten_are_one() -> None:
     def count(gap_s: float) -> int:
         wave = ground(230.0, (80.0, 1.0, 3), (80.0 + 17.0 + gap_s, 1.0, 5))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from drivers import frames
+from drivers.can_open import CanSettings
 from drivers.mcap_file import read_recordings
 from monitor.core import BadInputError, MissingInputError
 from monitor.runs.importers import import_files
@@ -84,3 +85,43 @@ def test_a_log_cut_short_gives_what_it_holds(tmp_path: Path) -> None:
     warnings: list[str] = []
     info = import_files([tmp_path / "x.log"], tmp_path / "o.mcap", dbc=DBC, rate_hz=1024.0, on_warning=warnings.append)
     assert 990 < info.n_samples < 1010
+
+
+@pytest.mark.parametrize(("suffix", "names"), [(".log", ("can0", "can1")), (".blf", ("1", "2")), (".asc", ("1", "2"))])
+def test_a_log_of_two_buses_with_one_identifier_is_refused_without_a_choice(
+    tmp_path: Path, suffix: str, names: tuple[str, str]
+) -> None:
+    log, out = tmp_path / f"x{suffix}", tmp_path / "o.mcap"
+    (layout,) = frames.load(DBC, ("a1", "a2", "a3"))
+    raw = np.random.default_rng(3).integers(-30000, 30000, (2, 400, 3))
+    data = [layout.encode(one * 0.001, np.arange(400))[0] for one in raw]
+    with can.Logger(log) as writer:
+        for k in range(400):
+            for bus in (0, 1):
+                time_s, content = T0 + k / 1024 + 1e-4 * bus, data[bus][k].tobytes()
+                writer(can.Message(time_s, arbitration_id=256, is_extended_id=False, channel=bus, data=content))
+    with pytest.raises(BadInputError, match=rf"x{suffix}.*ACCEL3 \(0x100\).*buses {names[0]} and {names[1]}.*--bus"):
+        import_files([log], out, dbc=DBC, rate_hz=1024.0)
+    assert not out.exists()
+    for bus, name in enumerate(names):
+        assert import_files([log], out, dbc=DBC, rate_hz=1024.0, bus=name).n_samples == 400
+        taken = np.concatenate([block.samples for block in read_recordings([out])])
+        np.testing.assert_array_equal(taken, np.float32(raw[bus] * 0.001))
+    with pytest.raises(BadInputError, match=f"on bus can7, but on {names[0]}, {names[1]}"):
+        import_files([log], out, dbc=DBC, rate_hz=1024.0, bus="can7")
+
+
+def test_the_command_takes_a_bus(tmp_path: Path, main: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+    write(tmp_path / "x.log")
+    options = ("--dbc", DBC, "--rate", "1024", "--out", tmp_path / "o.mcap")
+    assert main("import", tmp_path / "x.log", "--bus", "vcan0", *options).returncode == 0
+    done = main("import", tmp_path / "x.log", "--bus", "can7", *options)
+    assert done.returncode == 65 and "on bus can7, but on vcan0" in done.stderr
+
+
+def test_a_bus_is_of_logs_alone(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="channel names a live bus"):
+        CanSettings(interface="socketcan", channel="can0", dbc="a.dbc", sample_rate_hz=1.0, bus="can0")
+    (tmp_path / "a.csv").write_text("t,a1\n0,1\n1,2\n")
+    with pytest.raises(BadInputError, match="--bus can0 is for CAN logs"):
+        import_files([tmp_path / "a.csv"], tmp_path / "o.mcap", bus="can0")

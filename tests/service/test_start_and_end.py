@@ -127,7 +127,7 @@ def test_sigterm_while_an_outlet_is_joining_ends_it_with_0(
 
 def test_the_lock_can_be_opened_by_its_owner_alone(held: Path) -> None:
     path = held / "state" / "lock"
-    path.chmod(0o644)  # as an earlier version made it
+    path.chmod(0o644)  # as others may have left it
     with pytest.raises(Exception, match="another daemon"):
         lock(path, held)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600

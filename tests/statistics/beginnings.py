@@ -1,6 +1,7 @@
 """Beginnings of recordings: ``python -m tests.statistics.beginnings 20`` counts the events falsely told in their first 100 s.
 
 Six frames, at rest and moving, and three of them with a gale, doors, a knocked sensor or a decaying motion; that many seeds each.
+The decaying motion is strong motion that began before the recording, and is told as that.
 """
 
 from __future__ import annotations

@@ -84,6 +84,7 @@ def import_files(
     start_ns: int | None = None,
     unknown_start_ns: int | None = None,
     dbc: Path | None = None,
+    bus: str | None = None,
     scale: float | None = None,
     inventory: Path | None = None,
     align: bool = False,
@@ -116,6 +117,8 @@ def import_files(
         The same where no file states a time; by default 1970, with a warning.
     dbc
         DBC file that describes the frames of CAN logs.
+    bus
+        Bus of a CAN log of several, as the log names it.
     scale
         m/s^2 of a count of MiniSEED; other files beside it are not scaled.
     inventory
@@ -164,7 +167,9 @@ def import_files(
                 )
             can_log.check_options(files, dbc, channels or forces, ground, start_ns)
             assert dbc is not None
-            return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
+            return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, bus=bus, on_warning=on_warning)
+        if bus is not None:
+            raise BadInputError(f"--bus {bus} is for CAN logs; {files[0]} is none by its name")
         if dbc is not None:
             raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
         tables, counts = [], False

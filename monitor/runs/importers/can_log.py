@@ -35,10 +35,13 @@ def check_options(
         raise BadInputError(f"{files[0]}: its DBC names the channels and it has times: no --channel, --ground, --start")
 
 
-def import_log(path: Path, out: Path, *, dbc: Path, rate_hz: float | None, on_warning: OnWarning) -> RecordingInfo:
+def import_log(
+    path: Path, out: Path, *, dbc: Path, rate_hz: float | None, bus: str | None, on_warning: OnWarning
+) -> RecordingInfo:
     """Write the samples of a log, at a nominal rate which is required, as a recording, and return its content.
 
-    Raises BadInputError if log or DBC cannot be used, MissingInputError if one of them cannot be read.
+    Raises BadInputError if log or DBC cannot be used, or where no `bus` is named and two of the log carry the same identifier;
+    MissingInputError if one of them cannot be read.
     """
     if rate_hz is None:
         raise BadInputError(f"{path}: neither frames nor DBC tell the sample rate; give --rate HZ")
@@ -47,16 +50,23 @@ def import_log(path: Path, out: Path, *, dbc: Path, rate_hz: float | None, on_wa
     for file in (path, dbc):
         if not file.is_file():
             raise MissingInputError(f"{file}: {'is no file' if file.exists() else 'does not exist'}")
-    settings = CanSettings(interface="log", channel=str(path.resolve()), dbc=str(dbc.resolve()), sample_rate_hz=rate_hz)
+    settings = CanSettings(
+        interface="log", channel=str(path.resolve()), dbc=str(dbc.resolve()), sample_rate_hz=rate_hz, bus=bus
+    )
     try:
         source = CanSource(settings, SourceContext(channels=()))
         blocks = _blocks(source)
         first = next(blocks, None)
-    except (FrameError, SourceError) as error:
+    except FrameError as error:
         raise BadInputError(str(error)) from error
+    except SourceError as error:  # of a log that cannot be opened it names the file
+        text = str(error)
+        raise BadInputError(text if str(path) in text or str(path.resolve()) in text else f"{path}: {text}") from error
     counts = source.health().counts
     if first is None:
         names = ", ".join(f"{layout.name} ({layout.frame_id:#x})" for layout in source.layouts)
+        if bus is not None and source.buses:
+            names += f" on bus {bus}, but on {', '.join(sorted(source.buses))}"
         raise BadInputError(
             f"{path}: no samples of {names}; it holds {counts['foreign']} other and {counts['undecodable']} undecodable "
             f"frames{': ' + source.health().detail if source.health().detail else ''}"
