@@ -131,7 +131,8 @@ def story_drifts(record: Record, site: Site) -> tuple[Annotated[Array, "n"], Ann
         limits = "without a measured ground the drift of the one story is not known"
     else:
         by_inertia = _drifts_by_inertia(record, site)
-        error = np.abs(by_inertia[told] / drift[told] - 1.0).max()
+        moved = told & (drift != 0.0)
+        error = np.abs(by_inertia[moved] / drift[moved] - 1.0).max() if moved.any() else np.nan
         drift[rest], std[rest] = by_inertia[rest], error * by_inertia[rest]
         limits = "without a measured ground the lowest story's follows from its stiffness"
     return drift, std, corner_hz, f"{note}; {limits}"
