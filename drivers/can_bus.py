@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers import frames
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceContext, SourceError, SourceHealth
-from drivers.can_open import PARSE_ERRORS, CanSettings, bus_name, is_malformed, open_bus, open_log
+from drivers.can_open import PARSE_ERRORS, CanSettings, first_bus, is_malformed, open_bus, open_log
 from drivers.nodes import Joiner, Node, Rows
 
 _BUS_OFF = 0x40
@@ -54,6 +54,7 @@ class CanSource:
         self._log: Iterator[can.Message] | None = None
         self.buses: set[str] = set()
         """Buses of the log on which the DBC's identifiers came."""
+        self._first_bus = first_bus(str(settings.channel))
         self._bus_of: dict[tuple[int, bool], str] = {}
         self._file: IO[Any] | None = None
         self._failed = ""
@@ -209,7 +210,8 @@ class CanSource:
 
     def _is_of_bus(self, node: Node, message: can.Message) -> bool:
         """Test whether a log's frame is of the chosen bus; SourceError where none is chosen and two carry an identifier."""
-        key, name = (node.layout.frame_id, node.layout.extended), bus_name(message, str(self._settings.channel))
+        key, bus = (node.layout.frame_id, node.layout.extended), message.channel
+        name = str(bus + self._first_bus if isinstance(bus, int) else bus)
         self.buses.add(name)
         if self._settings.bus is not None:
             return name == self._settings.bus

@@ -142,11 +142,9 @@ def open_log(path: Path) -> tuple[IO[Any], Iterator[can.Message]]:
         raise SourceError(f"{path}: is no CAN log: {error or type(error).__name__}") from error
 
 
-def bus_name(message: can.Message, log: str) -> str:
-    """Return the bus of a frame as its log names it: python-can counts those of .blf and .asc from 0, the files from 1."""
-    if isinstance(message.channel, int) and Path(log).suffix.lower() in (".blf", ".asc"):
-        return str(message.channel + 1)
-    return str(message.channel)
+def first_bus(log: str) -> int:
+    """Return the number that a log gives to the bus which python-can numbers 0: the files .blf and .asc count from 1."""
+    return int(Path(log).suffix.lower() in (".blf", ".asc"))
 
 
 def is_malformed(error: Exception, interface: str) -> bool:

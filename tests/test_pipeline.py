@@ -16,7 +16,7 @@ from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import Configuration
 from monitor.core import BadInputError, Gap, Samples, UserError, WindowResult
-from monitor.damage import alarm
+from monitor.damage import Baseline, alarm
 from monitor.events import Event
 from monitor.identification import SelectionSettings
 from monitor.model import MatrixStructure, Model, ShearFrame, simulate
@@ -512,19 +512,22 @@ def test_a_baseline_keeps_what_half_of_its_windows_show_of_the_lowest_modes_and_
     assert [w.modes.model_mode.tolist() for w in seldom if w.modes is not None] == [[0]] * 3
 
 
+def with_torsion_for_mode_3(site: Configuration) -> tuple[Baseline, np.ndarray]:
+    """Baseline of a frame of five floors, and its motion at them when it has torsion in the place of mode 3."""
+    drawn = site.model().modes()
+    shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
+    healthy = baseline_of(site, by_modes(drawn.frequencies_hz.tolist(), shapes, site, 2))
+    without = shapes.copy()
+    without[:, 2] = TWIST
+    squares = np.diag((2.0 * np.pi * np.array([*drawn.frequencies_hz[:2], 5.3, *drawn.frequencies_hz[3:]])) ** 2)
+    truth = Model(MatrixStructure.create(np.eye(5), squares, squares[None], np.ones(1), 0.005))
+    return healthy, simulate(truth, duration_s=190.0, rate_hz=100.0, noise=0.01, seed=3).floors @ without.T
+
+
 def test_where_a_channel_is_left_out_a_missing_mode_is_told_in_a_line_without_advice_on_the_settings() -> None:
     """Without the channels of floors 1 to 4 no mode's shape is told, and neither a setting nor a calibration mends that."""
     site = planar((1, 2, 3, 4, 5))
-    drawn = site.model().modes()
-    shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
-    judged = by_modes(drawn.frequencies_hz.tolist(), shapes, site, 2)
-    healthy = baseline_of(site, judged)
-    without = shapes.copy()
-    without[:, 2] = TWIST
-    motion = [*drawn.frequencies_hz[:2], 5.3, *drawn.frequencies_hz[3:]]
-    squares = np.diag((2.0 * np.pi * np.array(motion)) ** 2)
-    truth = Model(MatrixStructure.create(np.eye(5), squares, squares[None], np.ones(1), 0.005))
-    values = simulate(truth, duration_s=190.0, rate_hz=100.0, noise=0.01, seed=3).floors @ without.T
+    healthy, values = with_torsion_for_mode_3(site)
     values[:, 4] = 0.0
     for window in windows(
         push(Pipeline(site, healthy), cut_into_blocks(ACCELERATION, values, site.channels, 100.0, 10**18, 1000))
@@ -574,18 +577,10 @@ def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_it
     """Mode 3 of the healthy frame is gone, torsion is there: that may be the damage, so it is not judged, but nothing is lost."""
     site = planar((1, 2, 3, 4, 5))
     drawn = site.model().modes()
-    shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
-    judged = by_modes(drawn.frequencies_hz.tolist(), shapes, site, 2)
-    healthy = baseline_of(site, judged)
-    without = shapes.copy()
-    without[:, 2] = TWIST
-    motion = [*drawn.frequencies_hz[:2], 5.3, *drawn.frequencies_hz[3:]]
+    healthy, values = with_torsion_for_mode_3(site)
     summary = Summary()
     for required, words in ((4, "set [selection] required_modes = 2"), (2, None)):
         settings = site.model_copy(update={"selection": SelectionSettings(required_modes=required)})
-        squares = np.diag((2.0 * np.pi * np.array(motion)) ** 2)
-        truth = Model(MatrixStructure.create(np.eye(5), squares, squares[None], np.ones(1), 0.005))
-        values = simulate(truth, duration_s=190.0, rate_hz=100.0, noise=0.01, seed=3).floors @ without.T
         blocks = cut_into_blocks(ACCELERATION, values, site.channels, 100.0, 10**18, 1000)
         for window in windows(push(Pipeline(settings, healthy), blocks)):
             assert window.modes is not None and window.modes.model_mode.tolist() == [0, 1, 3, 4]

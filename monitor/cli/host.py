@@ -8,9 +8,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from drivers.disk import destination
 from monitor.cli.common import Json, address, say
-from monitor.core import BadConfigurationError, MissingInputError, UserError, WrongUsageError, os_errors_of
+from monitor.core import BadConfigurationError, MissingInputError, UserError, WrongUsageError, demand_file
 
 
 def host(
@@ -59,8 +58,7 @@ def _demand_places(places: list[Path]) -> None:
     for place in places:
         if not place.exists():
             raise MissingInputError(f"{place}: there is no such file or folder")
-        with os_errors_of(place):
-            destination(place)  # reading a pipe would wait for ever
+        demand_file(place)
 
 
 def _share(text: str, *, standby: bool) -> tuple[int, int]:

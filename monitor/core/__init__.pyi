@@ -14,6 +14,7 @@ from .errors import (
 )
 from .extras import import_extra as import_extra, missing_extra as missing_extra, require_extra as require_extra
 from .files import (
+    demand_file as demand_file,
     demand_place as demand_place,
     finish as finish,
     no_empty_folder as no_empty_folder,

@@ -10,8 +10,8 @@ from errno import EISDIR
 from itertools import count
 from pathlib import Path
 
-from drivers.disk import finish as finish, partial as partial
-from monitor.core.errors import MissingInputError, WrongUsageError
+from drivers.disk import destination, finish as finish, partial as partial
+from monitor.core.errors import MissingInputError, WrongUsageError, os_errors_of
 
 
 def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
@@ -33,6 +33,12 @@ def demand_place(path: Path) -> None:
         part.unlink()
     except OSError as error:
         raise MissingInputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def demand_file(path: Path) -> None:
+    """Raise MissingInputError where a device, a pipe or a socket stands, reading which may wait for ever."""
+    with os_errors_of(path):
+        destination(path)
 
 
 @contextmanager

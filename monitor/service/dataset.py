@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from drivers.disk import destination
 from monitor.config import configuration
 from monitor.core import (
     BadConfigurationError,
     MissingInputError,
     UserError,
+    demand_file,
     finish,
-    os_errors_of,
     partial,
     require_extra,
 )
@@ -45,8 +44,7 @@ def site_folders(places: Sequence[Path]) -> dict[str, Path]:
     for place in places:
         for path in sorted(place.glob("*.toml")) if place.is_dir() else [place]:
             try:
-                with os_errors_of(path):
-                    destination(path)  # reading a pipe would wait for ever
+                demand_file(path)
                 settings = configuration.load(path)
             except UserError as error:
                 if not place.is_dir():
