@@ -39,15 +39,19 @@ def describe(
     before_hz: Annotated[Array, "m"],
     note: str = "",
     saturated: Annotated[NDArray[np.bool_], "c"] | None = None,
+    cut: bool = False,
 ) -> Event:
-    """Measure an event from its samples, and compare it with the limits; `saturated` channels reached the end of their range."""
+    """Measure an event from its samples, and compare it with the limits.
+
+    `saturated` channels reached the end of their range; of an event that is `cut` some motion is missing.
+    """
     rate_hz, strong = record.rate_hz, record.strong
     drift, std, corner_hz, limits = story_drifts(record, site)
     live = ~record.still
     if saturated is None or not saturated.size:
         saturated = np.zeros(live.size, dtype=bool)
     cut_off, gone = tuple(compress(site.channels, saturated)), ", ".join(compress(site.channels, record.still))
-    std = np.where(_made_of(saturated, record, site), np.nan, std)
+    std = np.where(_made_of(saturated, record, site) | cut, np.nan, std)
     floors = tuple(
         floor_motion(name, record.floors[:, i], rate_hz, corner_hz, strong) if live[i] else unknown_motion(name)
         for i, name in enumerate(site.channels)
@@ -61,6 +65,8 @@ def describe(
     notes = [note]
     if cut_off:
         notes.append(f"{', '.join(cut_off)} reached the end of the range: peaks and drifts made of it are lower bounds")
+    if cut:
+        notes.append("some of it is missing: peaks and drifts are lower bounds")
     if gone:
         notes.append(f"{gone} gave no motion, and nothing is told from it")
     notes.append(limits)
@@ -91,6 +97,7 @@ def describe(
             loss_std=loss_std,
             verdict=None,
             saturated=cut_off,
+            cut=cut,
             note="; ".join(filter(None, notes)),
         ),
         site,

@@ -81,10 +81,12 @@ class Event:
     saturated: tuple[str, ...] = ()
     """Channels that reached the end of their range: their peaks are lower bounds, and the drifts made of them have no standard
     deviation."""
+    cut: bool = False
+    """Whether the motion began before its samples, or they end amid it: peaks and drifts are lower bounds."""
     note: str = ""
     """What limits these figures, in words."""
 
     @property
     def is_bound(self) -> Annotated[NDArray[np.bool_], "n"]:
-        """Stories whose drift is a lower bound, as a channel that it is made of reached the end of its range."""
-        return np.asarray(np.isfinite(self.drift_m) & np.isnan(self.drift_std_m) & bool(self.saturated))
+        """Stories whose drift is a lower bound: a channel of it reached the end of its range, or motion is missing."""
+        return np.asarray(np.isfinite(self.drift_m) & np.isnan(self.drift_std_m) & (self.cut or bool(self.saturated)))

@@ -33,7 +33,7 @@ class Compared:
 
     @property
     def possibly(self) -> Annotated[NDArray[np.bool_], "n"]:
-        """Stories in which the limit may be exceeded, as a sensor reached the end of its range."""
+        """Stories in which the limit may be exceeded, as their drift is a lower bound (`Event.is_bound`)."""
         return np.asarray(np.isposinf(self.largest) & ~(self.least > self.limit))
 
 

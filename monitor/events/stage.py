@@ -56,6 +56,8 @@ class Strong:
     """Whether the preliminary message was sent."""
     closed: bool = False
     """Whether it has ended, and only quiet motion is waited for."""
+    cut: bool = False
+    """As in `Event`."""
     note: str = ""
 
 
@@ -270,8 +272,9 @@ def _opened(state: EventState, site: Site) -> EventState:
         return state
     found = back.strong[-1]
     first, last = max(end - found.end, begin), end - found.begin
-    note = "it began before the recording, or in its first seconds" if first - begin < n else ""
-    return replace(state, strong=(Strong(first, last, told=True, closed=True, note=note),))
+    cut = first - begin < n
+    note = "it began before the recording, or in its first seconds" if cut else ""
+    return replace(state, strong=(Strong(first, last, told=True, closed=True, cut=cut, note=note),))
 
 
 def _settle(state: EventState) -> EventState:
@@ -410,7 +413,7 @@ def _break_off(state: EventState, site: Site, note: str, saturated: Saturated) -
     """Tell what is known of events that a gap, or the end of the data, cuts."""
     state, told = _opened(state, site), list[Event]()
     for item in state.strong:
-        cut = item if item.closed else replace(item, note=note)
+        cut = item if item.closed else replace(item, cut=True, note=note)
         state, final = _final(state, cut, state.end, site, saturated)
         told.append(final)
     return replace(state, strong=()), told
@@ -451,6 +454,7 @@ def _describe(state: EventState, item: Strong, end: int | None, site: Site, satu
         before_hz=mean_frequencies(before, site.modes_hz.size),
         note="; ".join(filter(None, (item.note, early))),
         saturated=saturated(begin_ns, end_ns),
+        cut=item.cut,
     )
 
 

@@ -227,7 +227,7 @@ def last_event(event: Mapping[str, Any] | None) -> str:
     if event is None:
         return ""
     drifts = [(value, j) for j, value in enumerate(event["drift_peak_m"], 1) if value is not None]
-    least = "at least " if event.get("saturated") else ""
+    least = "at least " if event.get("saturated") or event.get("cut") else ""
     largest = f"; largest drift {least}{1e3 * max(drifts)[0]:.3g} mm in story {max(drifts)[1]}" if drifts else ""
     return f"{event['id']}: {event['verdict'] or 'no limit was judged'}{largest}"
 

@@ -134,7 +134,8 @@ def check(state: StillState, begin_ns: int, end_ns: int) -> Skipped | None:
     longest = max(inside, key=lambda s: s.hold / s.rate_hz)
     if longest.hold > least:
         return Skipped(
-            f"no reading changed for a while ({longest.hold / longest.rate_hz:.3g} s): the logger stood still"
+            f"no reading changed for a while ({longest.hold / longest.rate_hz:.3g} s): the logger stood still, or all sensors "
+            "were at the ends of their ranges"
         )
     return None
 

@@ -94,9 +94,9 @@ def test_it_is_told_when_strong_motion_ends_and_again_within_a_minute() -> None:
     assert abs((final.begin_ns - T0_NS) * 1e-9 - 80.0) < 2.5
 
 
-def whole(data: Sequence[SampleBlock]) -> list[Event]:
-    """The events of data that end."""
-    pipeline = Pipeline(configuration())
+def whole(data: Sequence[SampleBlock], **limit: object) -> list[Event]:
+    """The events of data that end, by a site with one limit or none."""
+    pipeline = Pipeline(configuration(events={"limits": [limit]} if limit else {}))
     out = [r for block in data for r in pipeline.push(block)]
     return events([*out, *pipeline.finish()])
 
@@ -108,12 +108,15 @@ def test_a_quake_amid_which_or_just_before_which_the_recording_begins_is_told(in
     first, last = (round((80.0 + into_s + s) * RATE) for s in (0.0, length_s))
     floors, base = motion.floors[first:last], motion.ground[first:last]
     cut = Shaken(floors, base, motion.drifts[first:last])
-    (told,) = whole(blocks(cut, n=40))
+    (told,) = whole(blocks(cut, n=40), drift_ratio=1.0, says="inspect")
     assert told.revision == 0 and "it began before the recording" in told.note
     assert (told.begin_ns - T0_NS) * 1e-9 < 6.0 and 8.0 < (told.end_ns - T0_NS) * 1e-9 + into_s < 25.0
     peak = np.abs(floors[round(4.0 * RATE) :]).max(axis=0)  # after the filters have settled
     assert [f.peak_m_s2 for f in told.floors] == pytest.approx(peak, rel=0.05)
-    (large,) = whole(blocks(cut, n=4000))
+    assert told.cut and told.is_bound.all() and "at least" in event_text(told)
+    assert len(told.exceeded) == 3 and all(says.startswith("possibly exceeded") for says in told.exceeded)
+    assert read_event(event_line(told)).cut
+    (large,) = whole(blocks(cut, n=4000), drift_ratio=1.0, says="inspect")
     assert to_json(event_line(large)) == to_json(event_line(told))
 
 

@@ -64,18 +64,21 @@ def _head(page: EventPage) -> str:
     state, words = _verdict(e)
     length_s = (e.end_ns - e.begin_ns) * 1e-9
     told_in_words = event_text(e).replace("m/s^2", "m/s²")
-    shown = [(f"{length_s:.0f} s", "of strong motion")]
+    of_all = "≥ " if e.cut else ""
+    of_drift = ["≥ " if bound else "" for bound in e.is_bound]
+    shown = [(f"{of_all}{length_s:.0f} s", "of strong motion")]
     strongest = strongest_floor(e)
     if strongest is not None:
-        shown.append((f"{strongest.peak_m_s2:.3g} m/s²", f"largest acceleration, at {strongest.channel}"))
+        least = "≥ " if strongest.channel in e.saturated else of_all
+        shown.append((f"{least}{strongest.peak_m_s2:.3g} m/s²", f"largest acceleration, at {strongest.channel}"))
     if e.ground is not None:
-        shown.append((f"{e.ground.peak_m_s2:.3g} m/s²", "largest acceleration of the ground"))
+        shown.append((f"{of_all}{e.ground.peak_m_s2:.3g} m/s²", "largest acceleration of the ground"))
     if np.isfinite(e.drift_m).any():
         j = int(np.nanargmax(e.drift_m))
-        shown.append((f"{1e3 * e.drift_m[j]:.3g} mm", f"largest drift, {page.names[j]}"))
+        shown.append((f"{of_drift[j]}{1e3 * e.drift_m[j]:.3g} mm", f"largest drift, {page.names[j]}"))
     if np.isfinite(e.drift_ratio).any():
         j = int(np.nanargmax(e.drift_ratio))
-        shown.append((f"{100 * e.drift_ratio[j]:.2g} %", f"largest drift ratio, {page.names[j]}"))
+        shown.append((f"{of_drift[j]}{100 * e.drift_ratio[j]:.2g} %", f"largest drift ratio, {page.names[j]}"))
     if e.instrumental_intensity is not None:
         shown.append((f"{e.instrumental_intensity:.1f}", "intensity by one component, UNOFFICIAL (Wald et al. 1999)"))
     told = {_FINAL: "final line, by the event alone", _REVISED: "revised, by ambient motion after it"}
@@ -107,7 +110,7 @@ def _limits(page: EventPage) -> str:
         c = compared(page.event, limit)
         largest, where = _UNKNOWN, _UNKNOWN
         if np.isfinite(c.value).any():
-            j = int(np.nanargmax(c.largest))
+            j = int(np.nanargmax(c.value if np.isposinf(c.largest).any() else c.largest))
             least = "at least " if np.isinf(c.largest[j]) else ""
             largest = f"{least}{with_interval(100 * c.value[j], 100 * (c.largest[j] - c.value[j]))} %"
             where = page.names[j]
@@ -155,7 +158,7 @@ def _floors(page: EventPage) -> str:
     else:
         out.append(f"<p>{escape(page.why_not)}</p>")
     motions = [*page.event.floors, *([] if page.event.ground is None else [page.event.ground])]
-    least = {name: " (at least)" for name in page.event.saturated}
+    least = {f.channel: " (at least)" for f in motions if page.event.cut or f.channel in page.event.saturated}
     rows = [
         (
             f.channel + least.get(f.channel, ""),

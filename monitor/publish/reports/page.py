@@ -89,10 +89,10 @@ def rest(count: int, what: str) -> str:
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, flows: bool = False) -> str:
     """Write a table; without headings it has no header row.
 
-    A heading that begins with ``#`` stands over numbers, which are aligned right; one that begins with ``@`` over times,
-    which do not wrap.  On a narrow page a table of more than three columns is folded: each cell stands on a line of its own
-    beside its heading.  Where it `flows`, for many rows of numbers, the folded cells of a row follow one another, and empty
-    ones are left out.
+    A heading that begins with ``#`` stands over numbers, which are aligned right; one that begins with ``@`` over times and
+    names of events, which do not wrap.  On a narrow page a table of more than three columns is folded: each cell stands on a line
+    of its own beside its heading.  Where it `flows`, for many rows of numbers, the folded cells of a row follow one another, and
+    empty ones are left out.
 
     Examples
     --------

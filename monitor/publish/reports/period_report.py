@@ -298,7 +298,7 @@ def _events(period: Period) -> str:
     if not period.events:
         return ""
     rows = [(e.id, utc(e.begin_ns), utc(e.end_ns), event_text(e), e.note) for e in period.events[:_MAX_ROWS]]
-    head = ["event", "@from, UTC", "@to, UTC", "what it was", "note"]
+    head = ["@event", "@from, UTC", "@to, UTC", "what it was", "note"]
     return "<h2>Events</h2>" + table(head, rows) + rest(len(period.events) - _MAX_ROWS, "shown")
 
 

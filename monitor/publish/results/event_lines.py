@@ -51,6 +51,7 @@ def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
         "verdict": event.verdict,
         "exceeded": list(event.exceeded),
         "saturated": list(event.saturated),
+        "cut": event.cut,
         "floors": [_motion(f) for f in event.floors],
         "ground": None if event.ground is None else _motion(event.ground),
         "instrumental_intensity": rounded(event.instrumental_intensity),
@@ -80,6 +81,7 @@ def read_event(line: Mapping[str, Any]) -> Event:
         verdict=line["verdict"],
         exceeded=tuple(line["exceeded"]),
         saturated=tuple(line.get("saturated", ())),
+        cut=bool(line.get("cut", False)),
         note=str(line["note"]),
     )
 
@@ -113,11 +115,12 @@ def strongest_floor(event: Event) -> FloorMotion | None:
 def event_text(event: Event) -> str:
     """Tell an event in one sentence, as for a message: first the verdict, then the largest acceleration and the largest drift."""
     parts = [event.verdict or "no limit was judged"]
-    least = "at least " if event.saturated else ""
+    of_ground = "at least " if event.cut else ""
+    least = "at least " if event.saturated else of_ground
     if (strongest := strongest_floor(event)) is not None:
         parts.append(f"largest acceleration {least}{strongest.peak_m_s2:.2g} m/s^2 at {strongest.channel}")
     if event.ground is not None:
-        parts.append(f"ground {event.ground.peak_m_s2:.2g} m/s^2")
+        parts.append(f"ground {of_ground}{event.ground.peak_m_s2:.2g} m/s^2")
     if np.isfinite(event.drift_m).any():
         j = int(np.nanargmax(event.drift_m))
         drift = with_interval(1e3 * event.drift_m[j], 2e3 * event.drift_std_m[j])

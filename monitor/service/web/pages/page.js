@@ -362,7 +362,7 @@ async function showEvents() {
   table("events", ["Begin", "Lasted", "Peak acceleration", "Largest drift", "Verdict"], events.map((e) => {
     const peaks = Object.entries(e.peak_acceleration_m_s2 || {}).filter(([, v]) => known(v)).sort((a, b) => b[1] - a[1]);
     const drifts = (e.drift_peak_m || []).map((v, j) => [v, j]).filter(([v]) => known(v)).sort((a, b) => b[0] - a[0]);
-    const least = (e.saturated || []).length ? "at least " : "";
+    const least = (e.saturated || []).length || e.cut ? "at least " : "";
     return [
       utc(e.t_begin_ns, true), known(e.t_end_ns) ? `${((e.t_end_ns - e.t_begin_ns) / 1e9).toFixed(0)} s` : "lasts",
       peaks.length ? `${least}${number(peaks[0][1])} m/s² (${peaks[0][0]})` : "–",
