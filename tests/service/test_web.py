@@ -53,6 +53,7 @@ SUMMARY: dict[str, Any] = {
     "skipped": 1,
     "alarms": [{"level": "alarm", "story": 2, "t_first_ns": T0_NS, "t_last_ns": None, "ddi": 0.1, "ddi_std": 0.01}],
     "alarm": {"level": "alarm", "stories": [2], "active": {"2": "alarm"}},
+    "event_alarms": [{"id": "e1", "condition": "active, unacknowledged", "exceeded": ["inspect"], "by": ""}],
     "known": {"names": ["story 1", "story 2"], "has_baseline": True, "alarm_loss": 0.1, "channels": ["a1", "a2"]},
     "findings": [FINDING],
     "quality": {"availability": 1.0, "gaps": 0},
@@ -170,7 +171,9 @@ def test_the_answers_hold_what_was_published() -> None:
     (event,) = content(ask, "/api/v1/events")["events"]
     assert (event["id"], "spectrum" in event) == ("e1", False)
     assert [f["says"] for f in content(ask, "/api/v1/findings")["findings"]] == ["Softer."]
-    assert [a["story"] for a in content(ask, "/api/v1/alarms")["alarms"]] == [2]
+    alarms = content(ask, "/api/v1/alarms")
+    assert [a["story"] for a in alarms["alarms"]] == [2]
+    assert alarms["event_alarms"] == SUMMARY["event_alarms"]
     channels = content(ask, "/api/v1/sensors")["channels"]
     assert [(c["channel"], c["in_use"], c["reason"]) for c in channels] == [
         ("a1", True, None),

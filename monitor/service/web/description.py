@@ -23,7 +23,7 @@ def describe(api: str) -> _Schema:
         f"{api}/windows": _get("Results of windows, oldest first.", "Windows", _range_parameters()),
         f"{api}/events": _get("Latest events (strong motion), newest first.", "Events"),
         f"{api}/findings": _get("Latest findings of diagnoses, newest first.", "Findings"),
-        f"{api}/alarms": _get("Latest alarm episodes, newest first.", "Alarms"),
+        f"{api}/alarms": _get("Latest alarm episodes, and alarms of events, newest first.", "Alarms"),
         f"{api}/sensors": _get("Health of the sensors, the stream, the source and the recorder.", "Sensors"),
     }
     return {
@@ -113,7 +113,12 @@ def _schemas() -> _Schema:
         "Finding": _object(finding | {"causes": {"type": ["array", "null"]}}),
         "Findings": _object({"findings": _list(_ref("Finding"))}),
         "Alarm": {"type": "object", "description": "An entry of `alarms` in summary.json.", "required": ["level"]},
-        "Alarms": _object({"alarms": _list(_ref("Alarm"))}),
+        "EventAlarm": {
+            "type": "object",
+            "description": "An entry of `event_alarms` in summary.json.",
+            "required": ["id"],
+        },
+        "Alarms": _object({"alarms": _list(_ref("Alarm")), "event_alarms": _list(_ref("EventAlarm"))}),
         "Channel": _object(channel),
         "Sensors": _object({"channels": _list(_ref("Channel")), "t_ns": _INTEGER, "delay_s": _NUMBER, **sensors}),
     }

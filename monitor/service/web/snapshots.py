@@ -25,6 +25,8 @@ from monitor.damage import Assessment, State, outdated
 from monitor.publish import EVENTS, SHOWN, closed_files, read_line, read_lines
 from monitor.service.status import troubles_of
 
+_ALARMS = ("alarms", "event_alarms")
+"""Keys of summary.json: alarms of stories, and those of events. [names]"""
 DEFAULT_LIMIT = 500
 """Number of windows in an answer where the request names none. [1; judgement: about the points that a chart can show]"""
 MOST_IN_ANSWER = 2_000
@@ -148,7 +150,7 @@ class Snapshots:
         for finding in content.get("findings") or ():
             self.finding(finding)
         with self._lock:
-            if content.get("alarms") != self._summary.get("alarms"):
+            if any(content.get(key) != self._summary.get(key) for key in _ALARMS):
                 self._touch("alarms")
             self._summary = content
             self._touch("status", "sensors")
@@ -199,10 +201,10 @@ class Snapshots:
             return self._answer("findings", {"findings": list(self._findings.values())})
 
     def alarms_answer(self) -> Answer:
-        """Write the latest alarm episodes, the newest first."""
+        """Write the latest alarm episodes, and alarms of events, the newest first."""
         with self._lock:
-            latest = islice(reversed(self._summary.get("alarms") or ()), self._keep.items)
-            return self._answer("alarms", {"alarms": list(latest)})
+            newest = {key: reversed(self._summary.get(key) or ()) for key in _ALARMS}
+            return self._answer("alarms", {key: list(islice(of, self._keep.items)) for key, of in newest.items()})
 
     def sensors_answer(self) -> Answer:
         """Write the sensors' health in the latest span of data, and of the stream, the source and the recorder."""

@@ -338,11 +338,15 @@ function dashed(chart, value, colour) {
 /* ---- lists ---- */
 
 async function showAlarms() {
-  const { alarms } = await ask("alarms");
-  table("alarms", ["Level", "Where", alarms.some((a) => known(a.change)) ? "Change" : "Lost", "Since", "Until"], alarms.map((a) => [
+  const { alarms, event_alarms: ofEvents } = await ask("alarms");
+  const events = ofEvents.map((a) => [
+    tag("alarm"), `event ${a.id}: ${a.exceeded.join("; ")}`, "–", a.id.replace(/^(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d).*/, "$1-$2-$3 $4:$5"),
+    a.condition === "normal" ? `acknowledged${a.by ? ` by ${a.by}` : ""}` : "lasts",
+  ]);
+  table("alarms", ["Level", "Where", alarms.some((a) => known(a.change)) ? "Change" : "Lost", "Since", "Until"], [...events, ...alarms.map((a) => [
     tag(a.level), story(a.story || a.part), known(a.ddi) ? pair(a.ddi, a.ddi_std, "%", 100, 1) : known(a.change) ? pair(a.change, a.change_std, "%", 100, 1) : "–",
     utc(a.t_first_ns), a.t_last_ns ? utc(a.t_last_ns) : "lasts",
-  ]), "No alarm so far.");
+  ])], "No alarm so far.");
 }
 
 async function showFindings() {
