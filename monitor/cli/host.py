@@ -103,9 +103,9 @@ def dataset(
 
     The sites may be running.  Times of day are UTC; the columns are those of 'reprocess'.
     """
-    from monitor.service import dataset as datasets
+    from monitor.runs import site_folders, write_dataset
 
     _demand_places(places)
-    written = datasets.write_dataset(datasets.site_folders(places), out)
+    written = write_dataset(site_folders(places), out)
     windows = sum(written.values())
     say(f"{out}: {windows} windows of {len(written)} sites", {"out": str(out), "windows": written}, as_json)

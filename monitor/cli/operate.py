@@ -155,16 +155,16 @@ def export(
 ) -> None:
     """Export the results of a run as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
     from monitor.config import configuration
-    from monitor.service import export as writer
+    from monitor.runs import channels_of, export as export_rows, form_of
 
     spare_inputs([out], [place, structure])
     until_ns = time_ns("--to", end)
     span = time_ns("--from", begin) or 0, (1 << 63) - 1 if until_ns is None else until_ns
-    form = writer.form_of(out, form)
+    form = form_of(out, form)
     table = table or ("modes" if form == "uff" else "windows")
     named, folder = structure or (None if place.is_dir() else place), _folder(place)
-    channels = configuration.load(named).channels if named is not None else writer.channels_of(folder)
-    rows = writer.export(folder, table, out, span, form=form, channels=channels)
+    channels = configuration.load(named).channels if named is not None else channels_of(folder)
+    rows = export_rows(folder, table, out, span, form=form, channels=channels)
     what = f"{rows} modes" if form == "uff" else f"{rows} rows of {table}"
     say(f"{what} in {out}", {"rows": rows, "table": table, "format": form, "out": str(out)}, as_json)
 

@@ -39,12 +39,22 @@ from .results.recorded_time import (
     recorded_stretches as recorded_stretches,
 )
 from .results.summary import Quality as Quality, Summary as Summary, episode_content as episode_content
+from .results.tables import (
+    ITEMS as ITEMS,
+    TABLES as TABLES,
+    TABLES_VERSION as TABLES_VERSION,
+    UPGRADES as UPGRADES,
+    Row as Row,
+    alarm_row as alarm_row,
+    compact as compact,
+    insert as insert,
+    make_tables as make_tables,
+    window_row as window_row,
+)
 from .results.window_fields import (
     KEPT as KEPT,
     LINE_SCHEMA as LINE_SCHEMA,
     SHOWN as SHOWN,
-    Field as Field,
-    Kind as Kind,
     window_line as window_line,
 )
 from .viewer.diagnosis_view import write_view as write_view

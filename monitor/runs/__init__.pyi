@@ -24,6 +24,8 @@ from .event_page import (
     write_event_page as write_event_page,
 )
 from .event_recordings import EventRecordings as EventRecordings
+from .exports.dataset import site_folders as site_folders, write_dataset as write_dataset
+from .exports.export import channels_of as channels_of, export as export, form_of as form_of
 from .importers import (
     ImportedChannel as ImportedChannel,
     acceleration_unit as acceleration_unit,

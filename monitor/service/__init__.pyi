@@ -1,4 +1,4 @@
-from . import dataset as dataset, export as export, fleet as fleet, logs as logs, outlets as outlets, status as status
+from . import fleet as fleet, logs as logs, outlets as outlets, status as status
 from .daemon import Daemon as Daemon
 from .fleet_html import fleet_page as fleet_page
 from .fleet_view import FleetView as FleetView, text as text

@@ -7,7 +7,6 @@ database is renamed and a new one begun.  Neither delays or ends the monitor.
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import sqlite3
 import threading
@@ -19,60 +18,14 @@ from typing import Any
 
 from monitor.config import StateSettings
 from monitor.core import Busy, set_aside as rename_aside
-from monitor.publish import KEPT, Field, Kind
+from monitor.publish import TABLES_VERSION, UPGRADES, Row, alarm_row, compact, insert, make_tables, window_row
 from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
-VERSION = 1
-"""Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES` when anything but the
-columns of `windows` changes: those follow from `KEPT`, and `make_tables` adds the ones that a table lacks."""
-UPGRADES: Mapping[int, str] = {}
-"""Version -> SQL that upgrades a database of that version to the next version; a new database begins as `_SCHEMA`, version 1, and
-is upgraded by the same."""
-_SQL = {
-    Kind.NEVER_NULL_INTEGER: "INTEGER",
-    Kind.NEVER_NULL_NUMBER: "REAL",
-    Kind.INTEGER: "INTEGER",
-    Kind.NUMBER: "REAL",
-    Kind.FLAG: "INTEGER",
-    Kind.TEXT: "TEXT",
-}
-"""Kind of a window's field -> type of its column; all else is JSON in a column of text. [none; definition]"""
-ITEMS = {Kind.NUMBERS: "REAL", Kind.INTEGERS: "INTEGER", Kind.TEXTS: "TEXT"}
-"""Kind of a list -> type of a column of its items, as `export` writes them. [none; definition]"""
-
-
-def _column(field: Field) -> str:
-    """Declare the column of a window's field."""
-    return f"{field.key} {_SQL.get(field.kind, 'TEXT')}"
-
-
-_SCHEMA = """
-CREATE TABLE windows (id INTEGER PRIMARY KEY, {windows}, level TEXT, state TEXT, UNIQUE (t_end_ns, window));
-CREATE TABLE alarms (
-    id INTEGER PRIMARY KEY, story INTEGER NOT NULL, t_first_ns INTEGER NOT NULL, t_last_ns INTEGER, level TEXT,
-    ddi REAL, ddi_std REAL, loss_n_per_m REAL, change REAL, change_std REAL, UNIQUE (story, t_first_ns));
-CREATE TABLE requests (id INTEGER PRIMARY KEY, t_ns INTEGER, action TEXT, story INTEGER, who TEXT, note TEXT, seconds REAL);
-CREATE TABLE findings (
-    id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL, from_ns INTEGER NOT NULL, reason TEXT, verdict TEXT, says TEXT, causes TEXT,
-    UNIQUE (t_ns, from_ns));
-CREATE TABLE gaps (
-    id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL, duration_s REAL, reason TEXT, number INTEGER NOT NULL DEFAULT 1, lost_s REAL,
-    UNIQUE (t_ns, reason));
-CREATE TABLE health (
-    id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL UNIQUE, rate_hz REAL, samples INTEGER, availability REAL, gaps INTEGER,
-    lost_s REAL, overlaps INTEGER, channels TEXT);
-CREATE TABLE thinned (name TEXT PRIMARY KEY, id INTEGER NOT NULL);
-""".format(windows=", ".join(map(_column, KEPT)))
-TABLES = ("windows", "alarms", "requests", "findings", "gaps", "health")
-_UPDATED = {"alarms": "(story, t_first_ns)", "findings": "(t_ns, from_ns)"}
-"""Table whose rows are updated -> columns that identify a row; rows of the other tables never change."""
 _NORMAL = {"windows": "level = 'normal'", "health": "gaps = 0 AND availability >= 1.0"}
 _ONE_IN = 60
 _LIMIT_EVERY, _LIMIT_ROWS = 1000, 5000
-
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +104,7 @@ class History:
     def finding(self, finding: Mapping[str, Any]) -> None:
         """Store the finding of a diagnosis."""
         names = ("t_ns", "from_ns", "reason", "verdict", "says")
-        self._put("findings", {name: finding[name] for name in names} | {"causes": _text(finding["causes"])})
+        self._put("findings", {name: finding[name] for name in names} | {"causes": compact(finding["causes"])})
 
     def gap(self, t_ns: int, duration_s: float, reason: str) -> None:
         """Store a gap in the data that begins at `t_ns` (UTC, ns since 1970) and lasts `duration_s`.
@@ -164,7 +117,7 @@ class History:
     def health(self, span: Mapping[str, Any]) -> None:
         """Store the sensors' health in a span of data."""
         names = ("t_ns", "rate_hz", "samples", "availability", "gaps", "lost_s", "overlaps")
-        self._put("health", {name: span[name] for name in names} | {"channels": _text(span["channels"])})
+        self._put("health", {name: span[name] for name in names} | {"channels": compact(span["channels"])})
 
     def close(self, timeout_s: float) -> None:
         """Write the rows that wait, for at most `timeout_s`."""
@@ -241,7 +194,7 @@ class History:
 
 
 def open_database(
-    path: Path, version: int = VERSION, upgrades: Mapping[int, str] = UPGRADES, wait_s: float = 2.0
+    path: Path, version: int = TABLES_VERSION, upgrades: Mapping[int, str] = UPGRADES, wait_s: float = 2.0
 ) -> sqlite3.Connection:
     """Open the database; create it, or upgrade its schema, if necessary; raise sqlite3.Error as `make_tables`."""
     with contextlib.suppress(OSError):  # the files that SQLite keeps beside it get its mode
@@ -255,43 +208,6 @@ def open_database(
         database.close()
         raise
     return database
-
-
-def make_tables(database: sqlite3.Connection, version: int = VERSION, upgrades: Mapping[int, str] = UPGRADES) -> None:
-    """Create the tables of an empty database, or upgrade older ones; raise sqlite3.Error where a newer program wrote them.
-
-    `upgrades` change the tables of an older version.  Columns of ``windows`` need none: those of `KEPT` that the table lacks are
-    added, empty in the rows of before.
-    """
-    (written,) = database.execute("PRAGMA user_version").fetchone()
-    if written > version:
-        raise sqlite3.DatabaseError(f"written by a newer program (version {written}, this one knows {version})")
-    for before in range(written, version):
-        script = _SCHEMA if before == 0 else upgrades.get(before)
-        if script is None:
-            raise sqlite3.DatabaseError(f"of version {before}, which cannot be upgraded")
-        database.executescript(f"BEGIN; {script} PRAGMA user_version = {before + 1}; COMMIT;")
-    present = {name for _, name, *_ in database.execute("PRAGMA table_info(windows)")}
-    for field in KEPT:
-        if field.key not in present:
-            database.execute(f"ALTER TABLE windows ADD COLUMN {_column(field)}")
-
-
-def window_row(line: Mapping[str, Any]) -> Row:
-    """Return the row of a window, given as its line of results.jsonl, and with `state` the structure's."""
-    row = {f.key: line.get(f.key) if f.kind in _SQL else _text(line.get(f.key)) for f in KEPT}
-    return row | {"level": line["alarm"]["level"], "state": line.get("state")}
-
-
-def alarm_row(episode: Mapping[str, Any]) -> Row:
-    """Return the row of an alarm, given as in summary.json; see `History.episodes`."""
-    row = {key: value for key, value in episode.items() if key != "part"}
-    return row | {"story": episode.get("part", episode["story"]) or 0}
-
-
-def insert(database: sqlite3.Connection, table: str, row: Row) -> None:
-    """Insert a row; once more, it updates the row in the tables of `_UPDATED` and has no effect in the others."""
-    database.execute(_statement(table, tuple(row)), tuple(row.values()))
 
 
 def is_damage(error: Exception) -> bool:
@@ -347,17 +263,3 @@ def limit(database: sqlite3.Connection, table: str, full: int, most: int) -> Non
         database.execute("INSERT OR REPLACE INTO thinned (name, id) VALUES (?, ?)", (table, end))
     oldest = f"SELECT id FROM {table} WHERE id <= ? ORDER BY id LIMIT {_LIMIT_ROWS}"
     database.execute(f"DELETE FROM {table} WHERE id IN ({oldest})", (last - most,))
-
-
-def _statement(table: str, names: tuple[str, ...]) -> str:
-    """Build the SQL of an insertion; repeating it updates the row in the tables of `_UPDATED` and has no effect in the others."""
-    head = f"INSERT INTO {table} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))}) ON CONFLICT"
-    if table not in _UPDATED:
-        return f"{head} DO NOTHING"
-    changes = ", ".join(f"{name} = excluded.{name}" for name in names)
-    return f"{head} {_UPDATED[table]} DO UPDATE SET {changes}"
-
-
-def _text(value: Any) -> str | None:
-    """Encode a list, or values by name, as compact JSON; None stays None."""
-    return None if value is None else json.dumps(value, separators=(",", ":"))

@@ -14,10 +14,9 @@ import pytest
 
 from monitor.config import StateSettings
 from monitor.core import MissingInputError
-from monitor.publish import Field, Kind
-from monitor.service import export as export_module, history
-from monitor.service.export import export
-from monitor.service.history import VERSION, History, Pace, limit, open_database
+from monitor.publish import TABLES_VERSION
+from monitor.runs import export
+from monitor.service.history import History, Pace, limit, open_database
 from tests.support.samples import T0_NS, Cli
 from tests.support.waiting import until
 
@@ -153,7 +152,7 @@ def test_a_damaged_or_newer_database_is_set_aside(
             )
             database.commit()
             if damage == "newer":
-                database.execute(f"PRAGMA user_version = {VERSION + 1}")
+                database.execute(f"PRAGMA user_version = {TABLES_VERSION + 1}")
         if damage == "torn":
             data = bytearray(place.read_bytes())
             data[4096:] = bytes(len(data) - 4096)
@@ -166,41 +165,13 @@ def test_a_damaged_or_newer_database_is_set_aside(
 
 def test_an_older_database_is_upgraded_step_by_step(place: Path) -> None:
     open_database(place).close()
-    first = {VERSION: "ALTER TABLE gaps ADD COLUMN place TEXT;"}
+    first = {TABLES_VERSION: "ALTER TABLE gaps ADD COLUMN place TEXT;"}
     with pytest.raises(sqlite3.DatabaseError, match="cannot be upgraded"):
-        open_database(place, VERSION + 2, first)
-    second = {VERSION + 1: "UPDATE gaps SET place = 'here'; ALTER TABLE gaps ADD COLUMN floor INTEGER;"}
-    with closing(open_database(place, VERSION + 2, first | second)) as database:
-        assert database.execute("PRAGMA user_version").fetchone() == (VERSION + 2,)
+        open_database(place, TABLES_VERSION + 2, first)
+    second = {TABLES_VERSION + 1: "UPDATE gaps SET place = 'here'; ALTER TABLE gaps ADD COLUMN floor INTEGER;"}
+    with closing(open_database(place, TABLES_VERSION + 2, first | second)) as database:
+        assert database.execute("PRAGMA user_version").fetchone() == (TABLES_VERSION + 2,)
         database.execute("SELECT place, floor FROM gaps")
-
-
-def test_an_older_history_gets_the_columns_of_new_fields(
-    begin: Callable[..., History], place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    with closing(open_database(place)) as database:
-        database.execute("ALTER TABLE windows DROP COLUMN misfit")
-        database.execute("INSERT INTO windows (t_end_ns, window) VALUES (?, 0)", (T0_NS,))
-        database.commit()
-    kinds = {"n": Kind.INTEGER, "off": Kind.FLAG, "ids": Kind.INTEGERS, "names": Kind.TEXTS, "by_name": Kind.BY_NAME}
-    new = tuple(Field(key, kind, lambda _: None, "", kept=True) for key, kind in kinds.items())
-    monkeypatch.setattr(history, "KEPT", (*history.KEPT, *new))
-    one = begin()
-    one.window(line(1, n=3, off=True, ids=[4, 5], names=["a"], by_name={"level": 0.5}))
-    one.close(10.0)
-    stored = rows(place, "SELECT misfit, n, off, ids, names, by_name FROM windows ORDER BY window")
-    assert stored == [(None,) * 6, (1.5, 3, 1, "[4,5]", '["a"]', '{"level":0.5}')]
-    with closing(open_database(place)) as database:
-        declared = {name: kind for _, name, kind, *_ in database.execute("PRAGMA table_info(windows)")}
-    assert declared["n"] == declared["off"] == "INTEGER" and declared["ids"] == "TEXT" and declared["misfit"] == "REAL"
-    (tmp_path / "results.jsonl").write_text(json.dumps(line(1)) + "\n")  # a line of before
-    place.unlink()
-    monkeypatch.setattr(export_module, "_LISTS_OF", {"windows": {"ids": "INTEGER", "names": "TEXT"}})
-    assert export(tmp_path, "windows", tmp_path / "w.lp", ALL) == 1
-    (tmp_path / "results.jsonl").write_text(json.dumps(line(1, ids=[4, 5], names=["a"])) + "\n")
-    export(tmp_path, "windows", tmp_path / "w.lp", ALL)
-    text = (tmp_path / "w.lp").read_text()
-    assert "ids_1=4i,ids_2=5i" in text and 'names_1="a"' in text
 
 
 def test_old_rows_thin_out_and_go(place: Path) -> None:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION, SampleBlock
+from monitor.runs import site_folders
 from monitor.service import logs
-from monitor.service.dataset import site_folders
 from monitor.service.host import Host
 from monitor.service.host_metrics import HostMetrics
 from monitor.service.schedule import Line, Place, State, named_in_the_log

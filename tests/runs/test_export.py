@@ -6,7 +6,9 @@ import csv
 import json
 import math
 import re
+import sqlite3
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,10 @@ import pytest
 import zstandard
 
 from monitor.core import BadInputError, MissingInputError, UserError, WrongUsageError
-from monitor.service.export import export
-from monitor.service.line_protocol import line
+from monitor.publish import insert, make_tables
+from monitor.runs import export
+from monitor.runs.exports.export import Rows
+from monitor.runs.exports.line_protocol import line, write
 from tests.support.samples import Cli
 
 T0_NS = 1_767_225_600_000_000_000
@@ -151,6 +155,19 @@ def test_line_protocol_holds_what_the_table_holds(run: Path, tmp_path: Path) -> 
         (name, tuple(tags.items()), t) for name, tags, _, t in map(parsed, (tmp_path / "m.lp").read_text().splitlines())
     ]
     assert len(set(keys)) == len(keys), "a point of the same tags and time would replace the one before it"
+
+
+def test_lists_of_integers_and_of_texts_keep_their_type(tmp_path: Path) -> None:
+    with closing(sqlite3.connect("")) as database:
+        make_tables(database)
+        database.execute("ALTER TABLE windows ADD COLUMN ids TEXT")
+        database.execute("ALTER TABLE windows ADD COLUMN names TEXT")
+        insert(database, "windows", {"t_end_ns": 1, "window": 0})  # a line of before
+        insert(database, "windows", {"t_end_ns": 2, "window": 1, "ids": "[4,5]", "names": '["a"]'})
+        rows = Rows(database, "windows", ALL, listed={"ids": "INTEGER", "names": "TEXT"})
+        assert write(rows.batches(), tmp_path / "w.lp", "windows", rows.time, "run", rows.integers) == 2
+    before, after = (parsed(text)[2] for text in (tmp_path / "w.lp").read_text().splitlines())
+    assert "ids_1" not in before and after["ids_1"] == 4 and isinstance(after["ids_2"], int) and after["names_1"] == "a"
 
 
 @pytest.mark.parametrize("text", ["a b,c=d", 'says "no"', "back\\slash", "line\nbreak", "ends in \\", "ü", "\\", '\\"'])

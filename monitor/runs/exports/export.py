@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from monitor.core import WrongUsageError, demand_place, finish, parse_json, partial, require_extra
-from monitor.publish import KEPT
-from monitor.service import line_protocol, universal_file
-from monitor.service.history import ITEMS
-from monitor.service.run_tables import MODES, open_table
+from monitor.publish import ITEMS, KEPT
+from monitor.runs.exports import line_protocol, universal_file
+from monitor.runs.exports.run_tables import MODES, open_table
 
 _BATCH = 20_000
 _TIME = {"windows": "t_end_ns", "alarms": "t_first_ns", MODES: "t_end_ns"}
@@ -100,7 +99,7 @@ def export(
         raise WrongUsageError(f"--format uff: holds mode shapes: give --table {MODES}")
     with open_table(folder, table) as source:
         demand_place(out)
-        rows = _Rows(source, table, span_ns, channels)
+        rows = Rows(source, table, span_ns, channels)
         try:
             if form == "influx":
                 run = folder.resolve().name
@@ -116,16 +115,28 @@ def export(
     return count
 
 
-class _Rows:
-    """Rows of a table in a period, in order of time; the lists of `modes` have a column for each channel."""
+class Rows:
+    """Rows of a table in a period, in order of time; the lists of `modes` have a column for each channel.
+
+    `listed` are the columns that hold lists, with the type of their items.
+    """
 
     def __init__(
-        self, source: sqlite3.Connection, table: str, span_ns: tuple[int, int], channels: Sequence[str]
+        self,
+        source: sqlite3.Connection,
+        table: str,
+        span_ns: tuple[int, int],
+        channels: Sequence[str] = (),
+        listed: Mapping[str, str] | None = None,
     ) -> None:
         self._source, self._span_ns = source, span_ns
         self.time = _TIME.get(table, "t_ns")
         self._from = f"FROM {table} WHERE {self.time} >= ? AND {self.time} < ? ORDER BY {self.time}, id"
-        self._table, self._channels, self._listed = table, channels, _LISTS_OF.get(table, {})
+        self._table, self._channels, self._listed = (
+            table,
+            channels,
+            _LISTS_OF.get(table, {}) if listed is None else listed,
+        )
 
     @cached_property
     def columns(self) -> list[tuple[str, str, str, int]]:
@@ -170,7 +181,7 @@ class _Rows:
             yield dict(zip(names, row, strict=True))
 
 
-def _write_arrow(rows: _Rows, out: Path, form: str) -> int:
+def _write_arrow(rows: Rows, out: Path, form: str) -> int:
     """Write the rows in batches as Parquet or CSV, and return their number."""
     import pyarrow as pa
     import pyarrow.csv

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from monitor.core import BadInputError, MissingInputError, WrongUsageError, parse_json
-from monitor.publish import closed_files, read_line, read_lines
-from monitor.service.history import TABLES, alarm_row, insert, make_tables, window_row
+from monitor.publish import TABLES, alarm_row, closed_files, insert, make_tables, read_line, read_lines, window_row
 
 MODES = "modes"
 """Table with a row for each mode of each window; it is always made from results.jsonl."""
