@@ -112,6 +112,8 @@ class Checkpointer:
         self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
         self._seconds, self._due, self._busy = 0.0, False, False
         self._last: KeptAlarms | None = None
+        self._resumed_at = 0
+        """Position of the lines of windows that a previous run wrote and that are still to come again."""
         self.written: dict[int, WindowFacts] = {}
         self.resuming = False
         self.failed: str | None = None
@@ -128,6 +130,7 @@ class Checkpointer:
         kinds = [serialization.fingerprint({"alarms of": kind}) for kind in ("stories", "modes")]
         self._alarm_key, other_key = kinds if self._config.has_model else kinds[::-1]
         if saved is not None:
+            self._resumed_at = saved.results_bytes
             for line, facts in self._lines_since(saved.results_bytes):
                 self.written[line["window"]] = facts
                 known(line)
@@ -173,7 +176,8 @@ class Checkpointer:
         if self._due:
             return
         self._busy, self._seconds, self._last = True, 0.0, _alarms_of(session.pipeline.state)
-        if not self._recording.then(partial(self._write, session.state, self._lines.position)):
+        position = self._resumed_at if session.stated else self._lines.position
+        if not self._recording.then(partial(self._write, session.state, position)):
             self._busy, self._due = False, True
 
     def forget(self) -> None:
