@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -23,7 +22,6 @@ from monitor.core import (
     BadConfigurationError,
     BadInputError,
     Gap,
-    InUseError,
     Level,
     MissingInputError,
     UserError,
@@ -49,6 +47,7 @@ from monitor.service import restart
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
 from monitor.service.history import History
+from monitor.service.lease import FolderLease
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.recorded_blocks import RecordedBlocks
 from monitor.service.reload import Reloaded, reread
@@ -138,9 +137,9 @@ class Site(Publisher):
         with ExitStack() as undo:
             # Before anything of this daemon can be seen from outside.
             restart.make_private(self.out / "state", self.out)
-            self._lock_file = self.out / "state" / "lock"
-            self._lock = restart.lock(self._lock_file, self.out)
-            undo.callback(os.close, self._lock)
+            self._lease = FolderLease(self.out)
+            self._lease.acquire()
+            undo.callback(self._lease.release)
             restart.note_site(self.out / "state", settings)
             self._store = store_of(settings, self.out, clock) if store is None else store
             if self._store is not None:
@@ -272,17 +271,17 @@ class Site(Publisher):
             self._write_summary()
         if self._lost is not None:
             raise self._lost
-        if self._store is not None and self._store.is_lost:
-            raise InUseError(self._store.failed)
+        if self._store is not None and self._store.lost is not None:
+            raise self._store.lost
 
     def _holds(self) -> bool:
         """Look whether the output folder is still this site's, and note its loss (in a thread that may wait for the disk)."""
         try:
-            restart.demand_lock(self._lock, self._lock_file, self.out)
+            self._lease.renew()
         except UserError as error:
             self._lost = error
             if self._store is not None:
-                self._store.is_lost = True  # the copy keeps what the folder had
+                self._store.lost = error  # the copy keeps what the folder had
         return self._lost is None
 
     def ask_to_stop(self) -> None:
@@ -579,7 +578,7 @@ class Site(Publisher):
         self._chores.close(self._share_s())
         if self._store is not None:
             self._store.close("ended" if self.reader.ended else "released", self._share_s())
-        os.close(self._lock)
+        self._lease.release()
 
     def _share_s(self) -> float:
         """Return the time that the next part may take to close, s: half of the remaining time, so that the others have some."""
