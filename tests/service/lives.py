@@ -14,31 +14,31 @@ import random
 import re
 import shutil
 import tempfile
-import threading
-import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from botocore import exceptions
 
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceHealth
 from monitor.config import configuration
-from monitor.core import InUseError, MissingInputError
+from monitor.core import Hand, by_hand
 from monitor.damage import save_baseline
 from monitor.model import simulate
-from monitor.runs import calibrate, cut_into_blocks
+from monitor.pipeline import Pipeline
+from monitor.runs import cut_into_blocks
 from monitor.service.outlets.delivery_workers import Deliveries
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings
 from monitor.service.site import Site
 from monitor.service.site_store import SiteStore
+from tests.support.bucket import Clock, exceptions
 from tests.support.cut_disk import CutDisk, Killed, Life, Plan
-from tests.support.samples import CHANNELS, FRAME, T0_NS, write_blocks
+from tests.support.samples import CHANNELS, FRAME, T0_NS
+from tests.support.simulated import learned, windows_of
 
 RATE, HOP_S, EVERY_S = 128.0, 5.0, 5.0
 HONEST, LIAR = "json://honest/", "json://liar/"
@@ -60,6 +60,7 @@ file_s = 60.0
 diagnose = false
 [state]
 checkpoint_s = 15.0
+history = false
 [alarm]
 clear_s = 10.0
 [refinement]
@@ -70,14 +71,6 @@ enabled = false
 _TOLD = re.compile(r"site tower, message (\d+)$")
 _EARLIER = re.compile(r"superseded by this: (.*)")
 _ALARM = re.compile(r"(advisory|warning|alarm|cleared): ")
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 class People:
@@ -115,20 +108,16 @@ class Post:
 
     def __init__(self, disk: CutDisk, life: Life, people: People) -> None:
         self._disk, self._life, self._people = disk, life, people
-        self._stopped = threading.Event()
 
     def run(self, job: Mapping[str, Any]) -> int | None:
         if self._disk.operate(self._life, "delivery begins", lambda: True) is None:
             return None
         way = self._people.answer(job)
-        if "hangs" in way:
-            self._stopped.wait(0.005)
         if self._disk.operate(self._life, "delivery ends", lambda: True) is None:
             return None
         return 0 if way.startswith("takes") else -14 if "hangs" in way else 1
 
-    def stop(self) -> None:
-        self._stopped.set()
+    def stop(self) -> None: ...
 
 
 class Bucket:
@@ -239,27 +228,16 @@ def _tag(data: bytes) -> str:
     return hashlib.md5(data, usedforsecurity=False).hexdigest()
 
 
-class SteppedStore(SiteStore):
-    """Stores when the test says so: no thread of its own."""
-
-    def settle(self, timeout_s: float) -> None:
-        self.push()
-
-    def close(self, state: Any, timeout_s: float) -> None:
-        self.push(state)
-
-
 class Quiet:
     """Source that is open and gives nothing: the test gives the blocks."""
 
     def __init__(self) -> None:
-        self.over = threading.Event()
         self.at_end = False
 
     def open(self) -> None: ...
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        if self.over.wait(timeout_s) and self.at_end:
+        if self.at_end:
             raise EndOfStream
         return None
 
@@ -296,9 +274,9 @@ def undisturbed() -> Undisturbed:
     stream = np.concatenate([healthy[:n], weak[:n], healthy[n : 2 * n], weak[-n:], healthy[2 * n : 3 * n]])
     size = round(HOP_S * RATE)
     blocks = tuple(cut_into_blocks(ACCELERATION, stream, CHANNELS, RATE, T0_NS, size))
-    record = write_blocks(folder / "healthy.mcap", cut_into_blocks(ACCELERATION, healthy, CHANNELS, RATE, T0_NS, size))
-    learned, *_ = calibrate.calibrate([record], configuration.load(folder / "a" / "site.toml"))
-    save_baseline(learned, folder / "baseline.json")
+    settings = configuration.load(folder / "a" / "site.toml")
+    seen = windows_of(Pipeline(settings), healthy, RATE)
+    save_baseline(learned(settings, seen, span_ns=(0, 400 * 10**9)), folder / "baseline.json")
     calm = World(folder, Undisturbed(folder, blocks), 0, with_store=False)
     calm.people.ways = {HONEST: ("takes",), LIAR: ("takes",)}
     with calm.disk.watched():
@@ -308,89 +286,94 @@ def undisturbed() -> Undisturbed:
 
 
 class Monitor:
-    """One life of the site's monitor on a machine."""
+    """One life of the site's monitor on a machine, whose workers do by hand what is due, in any order."""
 
     def __init__(self, world: World, machine: str, plan: Plan | None = None) -> None:
         self.world, self.machine = world, machine
-        folder = world.folder / machine
-        self.life = Life(folder / "out", plan)
+        self.life = Life(world.folder / machine / "out", plan)
+        self.source, self.hand = Quiet(), Hand(world.clock)
+        self.site: Site | None = None
         world.disk.begin(self.life)
-        self.source = Quiet()
-        self.store = self._store() if world.with_store else None
-        people = world.people
-        deliveries = Deliveries(lambda: Post(world.disk, self.life, people), resend_s=(0.01, 0.02))
-        settings = NotifySettings(source_lost_s=1e9, blind_s=1e9, most_per_hour=10**6)
-        place = folder / "out" / "state" / "people.jsonl"
-        notifier = Notifier("tower", settings, Addresses((HONEST, LIAR)), place, world.clock, deliveries)
-        self.site = Site(
-            folder / "site.toml",
-            self.source,
-            [notifier],
-            clock=world.clock,
-            warm=lambda *_: None,
-            lean=True,
-            store=self.store,
-        )
-        self.site.start()
 
-    def _store(self) -> SteppedStore:
-        """The copy, once no other monitor is heard of."""
-        bucket, world = self.world.bucket, self.world
-        made = SteppedStore(
-            "s3://bucket/city",
-            "tower",
-            self.life.folder,
-            EVERY_S,
-            clock=world.clock,
-            client=lambda: bucket.client(world.disk, self.life),
-            thread=lambda *_: threading.Thread(),
-        )
-        if world.patient and made.is_held():
-            world.clock.now_s += 3.1 * EVERY_S
-            made.is_held()
-        return made
+    def begin(self, *, wait: bool = True) -> Monitor:
+        """Begin to monitor; of another monitor that is at work it is waited until that is known, or not."""
+        world, life = self.world, self.life
+        folder = life.folder.parent
+        deliveries = Deliveries(lambda: Post(world.disk, life, world.people), resend_s=(1.0, 4.0))
+        settings = NotifySettings(source_lost_s=1e9, blind_s=1e9, most_per_hour=10**6)
+        place = life.folder / "state" / "people.jsonl"
+        with self.by_hand():
+            notifier = Notifier("tower", settings, Addresses((HONEST, LIAR)), place, world.clock, deliveries)
+            self.site = Site(
+                folder / "site.toml",
+                self.source,
+                [notifier],
+                clock=world.clock,
+                warm=lambda *_: None,
+                lean=not wait,
+                store=self._store() if world.with_store else None,
+            )
+            self.site.start()
+        return self
+
+    @contextmanager
+    def by_hand(self) -> Iterator[None]:
+        """Have the workers that are made meanwhile be this life's."""
+        with by_hand(self.world.clock) as hand:
+            hand.workers = self.hand.workers
+            yield
+
+    def _store(self) -> SiteStore:
+        client = Client(self.world.bucket, self.world.disk, self.life)
+        clock, url = self.world.clock, "s3://bucket/city"
+        return SiteStore(url, "tower", self.life.folder, EVERY_S, clock=clock, client=lambda: client, sleep=clock.sleep)
+
+    def work(self, most: int) -> None:
+        """Have workers do what is due, in any order; what is left is done later."""
+        for _ in range(most):
+            due = [worker for worker in self.hand.workers if worker.name != "source" and worker.due_in_s <= 0.0]
+            if not due:
+                return
+            self.world.chance.choice(due).step()
 
     def give(self) -> bool:
         """Give the next block, and now and then some before it again; return whether there was one."""
-        blocks, world = self.world.stream.blocks, self.world
-        done = round((self.site.session.now_ns - T0_NS) * 1e-9 / HOP_S) if self.site.session.now_ns else 0
+        assert self.site is not None
+        blocks, chance, clock = self.world.stream.blocks, self.world.chance, self.world.clock
+        now_ns = self.site.session.now_ns
+        done = round((now_ns - T0_NS) * 1e-9 / HOP_S) if now_ns else 0
         if done >= len(blocks):
             return False
-        again = world.chance.choice([0, 0, 0, 1, 3])
-        for block in blocks[max(0, done - again) : done + 1]:
-            self.site.take(block, world.clock())
-        world.clock.now_s += HOP_S
-        self.site.step(world.clock())
-        if self.store is not None:
-            self.store.renew()
-            self.store.push()
-        self.site.step(world.clock())
-        time.sleep(0.001 * world.chance.choice([0, 0, 1, 4]))
-        self.alive()
+        with self.by_hand():
+            for block in blocks[max(0, done - chance.choice([0, 0, 0, 1, 3])) : done + 1]:
+                self.site.take(block, clock())
+                self.work(chance.choice([0, 1, 3, 10]))
+            for _ in range(5):
+                clock.now_s += HOP_S / 5
+                self.site.step(clock())
+                self.work(chance.choice([0, 3, 10, 100]))
         return True
-
-    def alive(self) -> None:
-        if self.life.dead:
-            raise Killed(self.life.died_at)
 
     def end(self, *, at_end: bool = False) -> None:
         """End as after SIGTERM, or after the last sample."""
+        assert self.site is not None
         self.source.at_end = at_end
-        if not at_end:
+        if at_end:
+            for worker in self.hand.workers:
+                while worker.name == "source" and worker.step():
+                    continue
+        else:
             self.site.ask_to_stop()
-        self.source.over.set()
-        self.site.reader.stop(5.0)
+            self.site.stop_reading()
         self.site.finish()
-        self.alive()
         self.site.close()
-        self.alive()
 
     def bury(self) -> None:
-        """Let the threads of a life that was cut off end; nothing of it is heard."""
-        self.life.dead = True
-        self.source.over.set()
-        with suppress(Exception):
-            self.site.close()
+        """Close what a life that was cut off held; nothing of it is heard."""
+        self.life.dead, self.source.at_end = True, True
+        if self.site is not None:
+            with suppress(Exception):
+                self.site.close()
 
 
 class World:
@@ -402,7 +385,6 @@ class World:
         self.disk = CutDisk(folder / "limbo")
         self.people = People(self.chance)
         self.bucket = Bucket(stream.results, self.chance)
-        self.patient = True
         self.tally: Counter[str] = Counter()
         self.points: Counter[str] = Counter()
         self.kills: Counter[str] = Counter()
@@ -421,11 +403,9 @@ class World:
         With ``left`` it goes on, and is returned.
         """
         self.machine(machine)
-        monitor = None
+        monitor = Monitor(self, machine, plan)
         try:
-            monitor = Monitor.__new__(Monitor)
-            monitor.__init__(self, machine, plan)  # type: ignore[misc]
-            monitor.alive()
+            monitor.begin()
             for _ in range(hops):
                 if not monitor.give():
                     break
@@ -435,20 +415,15 @@ class World:
                 monitor.end()
                 self._count(monitor.life, None)
                 return None
-            monitor.life.dead, monitor.life.died_at = True, "between two operations"
         except Killed:
-            pass
-        except (InUseError, MissingInputError):
-            if not monitor.life.dead:
-                raise
+            self.die(monitor)
+            return None
         self.die(monitor)
         return None
 
     def die(self, monitor: Monitor) -> None:
         """Bury a life, and cut the power of its machine in every second case."""
-        if hasattr(monitor, "site"):
-            monitor.bury()
-        monitor.life.dead = True
+        monitor.bury()
         is_power = self.chance.random() < 0.5
         if is_power:
             self.disk.power_cut(monitor.life.folder, self.chance)
@@ -465,12 +440,12 @@ class World:
         self.machine(machine)
         self.bucket.away, self.bucket.unsure = False, 0.0
         self.people.ways = {HONEST: ("takes",), LIAR: ("takes",)}
-        last = Monitor(self, machine)
+        last = Monitor(self, machine).begin()
         while last.give():
-            pass
+            continue
         for _ in range(3):
             self.clock.now_s += HOP_S
-            last.site.step(self.clock())
+            last.work(10**6)
         last.end(at_end=True)
         self._count(last.life, None)
         if self.stream.results:

@@ -1,7 +1,7 @@
 """Files whose writer is cut off at a chosen operation, as by kill -9 or by a power cut: for daemons that live in this process.
 
 Every operation on a file below a folder that is watched is a point: it has a name, is counted, and may be the last of its life.
-What the life does afterwards, in any thread, has no effect, so that it can be closed in peace.  A power cut takes back what no
+What the life does afterwards has no effect, so that it can be closed in peace.  A power cut takes back what no
 fsync has confirmed: bytes of files, and names since the last fsync of anything (file systems write their log in order).
 """
 
@@ -12,7 +12,6 @@ import io
 import os
 import random
 import re
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -29,7 +28,7 @@ _ANY = re.compile(r"^(superseded|findings|events)/.*")
 
 
 class Killed(BaseException):
-    """Ends the thread that drives a life, at the operation that was chosen."""
+    """Ends a life at the operation that was chosen."""
 
 
 @dataclass
@@ -50,7 +49,6 @@ class Life:
     plan: Plan | None = None
     dead: bool = False
     died_at: str | None = None
-    thread: int = field(default_factory=threading.get_ident)
     seen: Counter[str] = field(default_factory=Counter)
 
     def reaches(self, point: str) -> str | None:
@@ -63,10 +61,9 @@ class Life:
         return plan.how if plan.after == 0 else None
 
     def ends(self, point: str) -> None:
-        """Cut the life off from the world; its own thread learns of it at once."""
+        """Cut the life off from the world."""
         self.dead, self.died_at = True, point
-        if threading.get_ident() == self.thread:
-            raise Killed(point)
+        raise Killed(point)
 
 
 class CutDisk:
@@ -75,7 +72,6 @@ class CutDisk:
     def __init__(self, limbo: Path) -> None:
         self._limbo, self._kept = limbo, 0
         self._lives: dict[str, Life] = {}
-        self._lock = threading.RLock()
         self._durable: dict[tuple[int, int], int] = {}
         """Length that an fsync has confirmed, of the files that were written since the machine began."""
         self._undo: list[tuple[str, Callable[[], object]]] = []
@@ -91,22 +87,21 @@ class CutDisk:
     def power_cut(self, folder: Path, chance: random.Random) -> None:
         """Take back what was not on the disk of a machine, or a part of it: a disk may have more than was confirmed."""
         place = str(folder)
-        with self._lock:
-            ours = [undo for whose, undo in self._undo if whose == place]
-            self._undo = [(whose, undo) for whose, undo in self._undo if whose != place]
-            for undo in reversed(ours[chance.randint(0, len(ours)) :]):
-                undo()
-            for path in folder.rglob("*"):
-                if not path.is_file() or path.name.startswith("history.db"):  # a database has a log of its own
-                    continue
-                about = path.stat()
-                confirmed = self._durable.pop((about.st_dev, about.st_ino), about.st_size)
-                if confirmed < about.st_size:
-                    os.truncate(path, chance.choice([confirmed, chance.randint(confirmed, about.st_size)]))
+        ours = [undo for whose, undo in self._undo if whose == place]
+        self._undo = [(whose, undo) for whose, undo in self._undo if whose != place]
+        for undo in reversed(ours[chance.randint(0, len(ours)) :]):
+            undo()
+        for path in sorted(folder.rglob("*")):
+            if not path.is_file() or path.name.startswith("history.db"):  # a database has a log of its own
+                continue
+            about = path.stat()
+            confirmed = self._durable.pop((about.st_dev, about.st_ino), about.st_size)
+            if confirmed < about.st_size:
+                os.truncate(path, chance.choice([confirmed, chance.randint(confirmed, about.st_size)]))
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """Count and cut the operations of this process; unheard errors of threads that were cut off are no news."""
+        """Count and cut the operations of this process."""
         with pytest.MonkeyPatch.context() as patch:
             for name, really in self._real.items():
                 patch.setattr(os, name, partial(getattr(self, f"_{name}"), really))
@@ -116,13 +111,12 @@ class CutDisk:
 
     def operate(self, life: Life, point: str, work: Callable[[], Any], half: Callable[[], Any] | None = None) -> Any:
         """Do an operation of a life, unless it is dead; the chosen one ends it. None is returned by what has no effect."""
-        with self._lock:
-            if life.dead:
-                return None
-            how = life.reaches(point)
-            if how == "half" and half is not None:
-                half()
-            result = None if how in {"before", "half"} else work()
+        if life.dead:
+            return None
+        how = life.reaches(point)
+        if how == "half" and half is not None:
+            half()
+        result = None if how in {"before", "half"} else work()
         if how is not None:
             life.ends(point)
         return result
