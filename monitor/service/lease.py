@@ -230,19 +230,18 @@ class StoreLease:
     def renew(self, files: Files | None = None, generation: int = 0) -> None:
         """Say that the monitor is at work, if it is time; or that it has stored `files`, their state `generation`."""
         with self._writing:
-            present = self.present
+            if self.present is None and files is not None:
+                raise OSError(f"{MANIFEST} was lost")
             if files is not None:
-                if present is None:
-                    raise OSError(f"{MANIFEST} was lost")
                 self._write("held", files, generation)
-            elif present is not None and present.state == "held" and self.is_due:
-                self._write("held", present.files, present.generation)
+            elif self.present is not None and self.present.state == "held" and self.is_due:
+                self._write("held")
 
     def release(self, state: State = "released") -> None:
         """Say that the monitor works no more."""
         with self._writing:
             if self.present is not None:
-                self._write(state, self.present.files, self.present.generation)
+                self._write(state)
 
     def _in_use(self, found: Manifest | None, says: str) -> InUseError:
         who = "a monitor" if found is None else f"the monitor of {found.machine} (process {found.process})"
@@ -278,52 +277,54 @@ class StoreLease:
         with self._writing:
             self.present, self._tag = found, tag
             try:
-                self._write("held", *(({}, 0) if found is None else (found.files, found.generation)))
-            except OSError:
+                self._write("held")
+            except (OSError, InUseError):
                 self.present = None
                 raise
 
-    def _write(self, state: State, files: Files, generation: int) -> None:
-        """Write the manifest if nobody else did since the one on which it is based; else raise InUseError."""
-        before, begun_s = self.present, self._clock()
-        manifest = Manifest(
-            owner=self.owner,
-            machine=socket.gethostname(),
-            process=os.getpid(),
-            place=self._place,
-            generation=generation,
-            number=1 if before is None else before.number + 1,
-            written=uuid4().hex,
-            every_s=self.every_s,
-            state=state,
-            files=dict(files),
-        )
-        body = manifest.model_dump_json().encode()
-        self._unanswered.add(manifest.written)
+    def _write(self, state: State, files: Files | None = None, generation: int = 0) -> None:
+        """Write the manifest if nobody else did since the one on which it is based; else raise InUseError.
+
+        Without `files` they stay as they are stored.
+        """
         for _ in range(2):
-            tag = self._objects.replace(MANIFEST, body, self._tag)
-            if tag is None:  # refused: a write of ours may have arrived whose answer did not
-                self._tag = self._tag_of_own(before)
-                continue
-            self._tag, self.present, self._renewed_s = tag, manifest, begun_s
-            self._unanswered.clear()
-            return
+            before, begun_s = self.present, self._clock()
+            if files is None and before is not None:
+                kept, generation = before.files, before.generation
+            else:
+                kept = dict(files or {})
+            manifest = Manifest(
+                owner=self.owner,
+                machine=socket.gethostname(),
+                process=os.getpid(),
+                place=self._place,
+                generation=generation,
+                number=1 if before is None else before.number + 1,
+                written=uuid4().hex,
+                every_s=self.every_s,
+                state=state,
+                files=kept,
+            )
+            self._unanswered.add(manifest.written)
+            tag = self._objects.replace(MANIFEST, manifest.model_dump_json().encode(), self._tag)
+            if tag is not None:
+                self._tag, self.present, self._renewed_s = tag, manifest, begun_s
+                self._unanswered.clear()
+                return
+            self._go_on_from_own()
         raise OSError(f"{MANIFEST} cannot be written")
 
-    def _tag_of_own(self, before: Manifest | None) -> str | None:
-        """Return the ETag of the manifest that stands there, if this process wrote it last; else raise InUseError.
+    def _go_on_from_own(self) -> None:
+        """Go on from a write of this process that had arrived without an answer; else raise InUseError.
 
         OSError tells that the storage has lost what was written, or shows an older one; all is read anew then.
         """
         found, tag = self.read()
-        if found is not None and found.owner == self.owner and found.written in self._unanswered:
-            return tag
-        is_older = (
-            found is not None and found.owner == self.owner and before is not None and found.number <= before.number
-        )
-        if (found is None and before is not None) or is_older:
+        is_own = found is not None and found.owner == self.owner
+        if found is not None and is_own and found.written in self._unanswered:
+            self.present, self._tag = found, tag
+        elif found is None or (is_own and self.present is not None and found.number <= self.present.number):
             self.present = None
             raise OSError(f"{MANIFEST} was removed or replaced by an older one; what it lacks is stored anew")
-        if found is not None:
+        else:
             raise InUseError(f"{self._url}: taken over by the monitor of {found.machine}")
-        return None
