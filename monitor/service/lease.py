@@ -34,13 +34,16 @@ _SILENT = 3.0
 
 
 class Lease(Protocol):
-    """Right to write a site, which one process has at a time."""
+    """Right to write a site, which one process has at a time.
 
-    def acquire(self, *, wait: bool = False) -> None:
-        """Become the one who may write; InUseError tells that another one may, which is waited for for a while with `wait`."""
+    InUseError tells that another one has it, or may have it.
+    """
+
+    def acquire(self) -> None:
+        """Become the one who may write."""
 
     def renew(self) -> None:
-        """Check, and let others know, that this one still may; InUseError and MissingInputError tell that it may no more."""
+        """Check that this one still may, and let others know that it is at work."""
 
     def release(self) -> None:
         """Let another one write."""
@@ -55,7 +58,7 @@ class FolderLease:
     def __init__(self, out: Path) -> None:
         self._out, self._path, self._handle = out, out / LOCK, -1
 
-    def acquire(self, *, wait: bool = False) -> None:
+    def acquire(self) -> None:
         """Lock the folder; MissingInputError tells that it cannot be written, InUseError that another daemon has locked it."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,9 +139,8 @@ class NoteFile:
 class StoreLease:
     """Manifest of a site in object storage, which the monitor of the site writes again and again.
 
-    `acquire` takes the site, once more after the storage has not answered or has lost the manifest (`present` is None then).
-    Where the storage does not answer OSError is raised; the monitor goes on, and `doubt` says so once another machine may have
-    taken the site over.  Only `acquire` and `is_held` touch a disk.
+    OSError tells that the storage does not answer; the monitor goes on then, and `doubt` says so once another machine may have
+    the site.  Only `acquire` and `is_held` touch a disk.
     """
 
     def __init__(
@@ -148,10 +150,10 @@ class StoreLease:
         note: NoteFile,
         every_s: float,
         clock: Callable[[], float],
-        sleep: Callable[[float], object] = time.sleep,
+        sleep: Callable[[float], object],
     ) -> None:
-        self._objects, self._url, self._note, self.every_s, self._clock = objects, url, note, every_s, clock
-        self._sleep = sleep
+        self._objects, self._url, self._note, self.every_s = objects, url, note, every_s
+        self._clock, self._sleep = clock, sleep
         self.owner = self._place = ""
         self._writing = threading.Lock()
         """Held while the manifest is written; no holder touches a disk."""
@@ -175,74 +177,71 @@ class StoreLease:
             return None
         return f"{self._url}: the site's lease is not renewed for {seconds:.0f} s; another machine may monitor the site"
 
-    def read(self) -> tuple[Manifest | None, str | None]:
-        """Read the manifest and its ETag; None where there is none."""
-        answer = self._objects.get(MANIFEST)
-        if answer is None:
-            return None, None
-        body, tag = answer
-        try:
-            return Manifest.model_validate_json(body), tag
-        except ValidationError as error:
-            raise OSError(f"{MANIFEST} is damaged: {error.errors()[0]['msg']}") from error
-
-    def is_held(self) -> bool:
-        """Ask whether the monitor of another machine is at work; where the storage does not answer, it may be."""
-        try:
-            return self._is_at_work(*self.read())
-        except OSError:
-            return True
-
     @property
     def is_due(self) -> bool:
         """Whether it is time to write the manifest again."""
         return self._clock() - self._renewed_s >= self.every_s
 
+    def is_held(self) -> bool:
+        """Ask whether the monitor of another machine is at work; where the storage does not answer, it may be."""
+        try:
+            return self._is_at_work(*self._read())
+        except OSError:
+            return True
+
     def has_ended(self) -> bool:
         """Ask whether a monitor has read the source of the site to its end."""
         try:
-            found, _ = self.read()
+            found, _ = self._read()
         except OSError:
             return False
         return found is not None and found.state == "ended"
 
-    def acquire(self, *, wait: bool = False, is_running: bool = False) -> None:
-        """Take the site; with `wait` it is waited until it is known whether another monitor is at work.
-
-        Once this one `is_running`, InUseError also tells that another one has worked since, or from here with newer files.
-        """
-        if is_running:
-            found, tag = self.read()
-            if found is not None and not (self._note.read().knows(found) and self._is_from_here(found)):
-                raise self._in_use(found, "went on from other files")
-            self._take(found, tag)
-            return
+    def acquire(self, *, wait: bool = False) -> None:
+        """Take the site; with `wait` it is waited until it is known whether another monitor is at work."""
         self.owner, self._place, self._renewed_s = uuid4().hex, self._note.place(), self._clock()
-        found, tag = self.read()
+        found, tag = self._read()
         begun = tag
         while self._is_at_work(found, tag):
             if not wait or tag != begun:
                 raise self._in_use(found, "is at work, in another folder")
             self._sleep(min(1.0, self.every_s))
-            found, tag = self.read()
+            found, tag = self._read()
+        self._take(found, tag)
+
+    def regain(self) -> None:
+        """Take the site while the monitor is at work, after the storage did not answer, or lost the manifest.
+
+        InUseError also tells that another monitor has worked since, or one of this folder with newer files.
+        """
+        found, tag = self._read()
+        if found is not None and not (self._note.read().knows(found) and self._is_from_here(found)):
+            raise self._in_use(found, "went on from other files")
         self._take(found, tag)
 
     def renew(self, files: Files | None = None, generation: int = 0) -> None:
         """Say that the monitor is at work, if it is time; or that it has stored `files`, their state `generation`."""
         with self._writing:
-            present = self.present
-            if files is not None:
-                if present is None:
-                    raise OSError(f"{MANIFEST} was lost")
+            if self.present is None and files is not None:
+                raise OSError(f"{MANIFEST} was lost")
+            if self.present is not None and self.present.state == "held" and (files is not None or self.is_due):
                 self._write("held", files, generation)
-            elif present is not None and present.state == "held" and self.is_due:
-                self._write("held", present.files, present.generation)
 
     def release(self, state: State = "released") -> None:
         """Say that the monitor works no more."""
         with self._writing:
             if self.present is not None:
-                self._write(state, self.present.files, self.present.generation)
+                self._write(state)
+
+    def _read(self) -> tuple[Manifest | None, str | None]:
+        """Read the manifest and its ETag; None where there is none."""
+        answer = self._objects.get(MANIFEST)
+        if answer is None:
+            return None, None
+        try:
+            return Manifest.model_validate_json(answer[0]), answer[1]
+        except ValidationError as error:
+            raise OSError(f"{MANIFEST} is damaged: {error.errors()[0]['msg']}") from error
 
     def _in_use(self, found: Manifest | None, says: str) -> InUseError:
         who = "a monitor" if found is None else f"the monitor of {found.machine} (process {found.process})"
@@ -278,52 +277,54 @@ class StoreLease:
         with self._writing:
             self.present, self._tag = found, tag
             try:
-                self._write("held", *(({}, 0) if found is None else (found.files, found.generation)))
-            except OSError:
+                self._write("held")
+            except (OSError, InUseError):
                 self.present = None
                 raise
 
-    def _write(self, state: State, files: Files, generation: int) -> None:
-        """Write the manifest if nobody else did since the one on which it is based; else raise InUseError."""
-        before, begun_s = self.present, self._clock()
-        manifest = Manifest(
-            owner=self.owner,
-            machine=socket.gethostname(),
-            process=os.getpid(),
-            place=self._place,
-            generation=generation,
-            number=1 if before is None else before.number + 1,
-            written=uuid4().hex,
-            every_s=self.every_s,
-            state=state,
-            files=dict(files),
-        )
-        body = manifest.model_dump_json().encode()
-        self._unanswered.add(manifest.written)
+    def _write(self, state: State, files: Files | None = None, generation: int = 0) -> None:
+        """Write the manifest if nobody else did since the one on which it is based; else raise InUseError.
+
+        Without `files` they stay as they are stored.
+        """
         for _ in range(2):
-            tag = self._objects.replace(MANIFEST, body, self._tag)
-            if tag is None:  # refused: a write of ours may have arrived whose answer did not
-                self._tag = self._tag_of_own(before)
-                continue
-            self._tag, self.present, self._renewed_s = tag, manifest, begun_s
-            self._unanswered.clear()
-            return
+            before, begun_s = self.present, self._clock()
+            if files is None and before is not None:
+                kept, generation = before.files, before.generation
+            else:
+                kept = dict(files or {})
+            manifest = Manifest(
+                owner=self.owner,
+                machine=socket.gethostname(),
+                process=os.getpid(),
+                place=self._place,
+                generation=generation,
+                number=1 if before is None else before.number + 1,
+                written=uuid4().hex,
+                every_s=self.every_s,
+                state=state,
+                files=kept,
+            )
+            self._unanswered.add(manifest.written)
+            tag = self._objects.replace(MANIFEST, manifest.model_dump_json().encode(), self._tag)
+            if tag is not None:
+                self._tag, self.present, self._renewed_s = tag, manifest, begun_s
+                self._unanswered.clear()
+                return
+            self._go_on_from_own()
         raise OSError(f"{MANIFEST} cannot be written")
 
-    def _tag_of_own(self, before: Manifest | None) -> str | None:
-        """Return the ETag of the manifest that stands there, if this process wrote it last; else raise InUseError.
+    def _go_on_from_own(self) -> None:
+        """Go on from a write of this process that had arrived without an answer; else raise InUseError.
 
         OSError tells that the storage has lost what was written, or shows an older one; all is read anew then.
         """
-        found, tag = self.read()
-        if found is not None and found.owner == self.owner and found.written in self._unanswered:
-            return tag
-        is_older = (
-            found is not None and found.owner == self.owner and before is not None and found.number <= before.number
-        )
-        if (found is None and before is not None) or is_older:
+        found, tag = self._read()
+        is_own = found is not None and found.owner == self.owner
+        if found is not None and is_own and found.written in self._unanswered:
+            self.present, self._tag = found, tag
+        elif found is None or (is_own and self.present is not None and found.number <= self.present.number):
             self.present = None
             raise OSError(f"{MANIFEST} was removed or replaced by an older one; what it lacks is stored anew")
-        if found is not None:
+        else:
             raise InUseError(f"{self._url}: taken over by the monitor of {found.machine}")
-        return None

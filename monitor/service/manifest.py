@@ -1,6 +1,6 @@
 """Manifest of a site in object storage: who monitors it, and of which parts of which objects its files consist.
 
-All functions are pure; `monitor.service.lease` writes the manifest, and `monitor.service.mirror` moves the files.
+Everything here is pure; `monitor.service.lease` writes the manifest, and `monitor.service.mirror` moves the files.
 """
 
 from __future__ import annotations
@@ -65,11 +65,11 @@ class Manifest(BaseModel):
     owner: str = Field(min_length=1)
     """Name of the run of a monitor, drawn when it took the site."""
     machine: str
-    process: int = 0
+    process: int
     """Number of its process there."""
-    place: str = ""
+    place: str
     """Start of the machine's kernel and number of the folder's lock on its file system: no copy of the folder has the same."""
-    generation: int = 0
+    generation: int
     """Counts the states of the files."""
     number: int
     """Counts how often the manifest was written."""
@@ -114,7 +114,7 @@ def is_appended(name: str) -> bool:
 
 
 def is_state(name: str) -> bool:
-    """Return whether a file is the monitor's alone; what it holds follows from the others."""
+    """Return whether a file is the monitor's alone, as a checkpoint is."""
     return name.startswith("state/")
 
 
@@ -128,8 +128,7 @@ def to_put(before: StoredFile | None, size: int) -> tuple[list[Part], int]:
 
     Parts that are no longer than what follows them are stored again with it, so that there are few.
     """
-    parts = [] if before is None else [*before.parts]
-    begin = sum(part.length for part in parts)
+    parts, begin = ([], 0) if before is None else ([*before.parts], before.length)
     while parts and parts[-1].length <= size - begin:
         begin -= parts.pop().length
     return parts, begin
@@ -140,15 +139,14 @@ def to_get(
 ) -> list[str]:
     """Name the stored files that a folder lacks, or of which it has an older form, though its monitor wrote the manifest.
 
-    So it is where a part of the folder was restored or lost, or the power failed.  `present` has length (bytes) and time of
-    change (ns) of its files; `goes_on` tells whether one begins with what is stored.  A file that was renamed since, as at its
-    end, is not missed, nor is one that follows from others.
+    So it is where a part of the folder was restored or lost.  `present` has length (bytes) and time of change (ns) of its files;
+    `goes_on` tells whether one begins with what is stored.  A file that was renamed since is not missed, nor what follows from
+    other files.
     """
 
     def is_behind(name: str, file: StoredFile) -> bool:
         if (about := present.get(name)) is None:
-            base = name.removesuffix(".part")
-            return not any(other.startswith(base) for other in present)
+            return not any(other.startswith(name.removesuffix(".part")) for other in present)
         if about == (file.length, file.mtime_ns):
             return False
         return not goes_on(name, file) if is_appended(name) else about[1] < file.mtime_ns
@@ -158,21 +156,13 @@ def to_get(
 
 def to_delete(before: Files, after: Files) -> set[str]:
     """Name the objects that a manifest refers to and the next one does not."""
-    return objects(before) - objects(after)
+    return _objects(before) - _objects(after)
 
 
-def left_over(stored: Iterable[str], files: Files, number: int) -> set[str]:
-    """Name the objects that nothing refers to: of writes before the manifest `number` that came to nothing.
-
-    Those that have been written since may be another owner's.
-    """
-    kept = objects(files)
-    return {name for name in stored if name not in kept and _OBJECT.match(name) and int(name[:_DIGITS]) < number}
-
-
-_DIGITS = 12
-"""Digits of a number in an object's name. [1; definition]"""
-_OBJECT = re.compile(rf"\d{{{_DIGITS}}}-")
+def left_over(stored: Iterable[str], manifest: Manifest) -> set[str]:
+    """Name the objects of earlier writes that came to nothing; those that are later than a manifest may be another owner's."""
+    kept, end = _objects(manifest.files), object_name(manifest.number, "")
+    return {name for name in stored if name < end and name not in kept}
 
 
 def object_name(number: int, drawn: str) -> str:
@@ -180,9 +170,8 @@ def object_name(number: int, drawn: str) -> str:
 
     For a manifest may have arrived whose answer did not, and its objects must stay.
     """
-    return f"{number:0{_DIGITS}d}-{drawn}"
+    return f"{number:012d}-{drawn}"
 
 
-def objects(files: Files) -> set[str]:
-    """Name the objects to which files refer."""
+def _objects(files: Files) -> set[str]:
     return {part.object for file in files.values() for part in file.parts}

@@ -8,7 +8,6 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
-from itertools import zip_longest
 from pathlib import Path
 from typing import BinaryIO
 from uuid import uuid4
@@ -18,6 +17,7 @@ from monitor.service.manifest import (
     FETCHED,
     SUPERSEDED,
     Files,
+    Manifest,
     Part,
     StoredFile,
     is_appended,
@@ -37,7 +37,7 @@ _TAIL_BYTES = 4096
 
 
 class _UnusableError(OSError):
-    """A stored file that nobody can get: an object of it is missing or damaged."""
+    """An object of a stored file is missing or damaged."""
 
 
 class Mirror:
@@ -48,20 +48,19 @@ class Mirror:
         self._known: dict[str, tuple[int, int]] = {}
         """Number of the file and CRC-32 of its end, as it was stored, for files that this run stored."""
 
-    def store(self, stored: Files, number: int, put: Callable[[Files], None]) -> dict[str, StoredFile]:
-        """Store what has changed since the manifest `number`, which names the files `stored`, and return the files.
+    def store(self, present: Manifest, put: Callable[[Files], None]) -> dict[str, StoredFile]:
+        """Store what has changed since a manifest, and return the files; `put` is told them as far as they are stored.
 
-        Checkpoints come first: the other files may be newer than these, as after a kill, but never older.  `put` is told the
-        files as far as they are stored, when an object was.
+        Checkpoints come first: the other files may be newer than these, as after a kill, but never older.
         """
-        files: dict[str, StoredFile] = {}
+        stored, files = present.files, dict[str, StoredFile]()
 
         def full(name: str, data: bytes) -> None:
             self._goes_on()
             self._objects.put(name, data)
-            put({**stored, **{name: file for name, file in files.items() if not is_state(name)}})
+            put(stored | {name: file for name, file in files.items() if not is_state(name)})
 
-        writer = _Writer(object_name(number, uuid4().hex), full)
+        writer = _Writer(object_name(present.number, uuid4().hex), full)
         for name in sorted(self._names(), key=lambda name: (not is_state(name), name)):
             self._goes_on()
             with suppress(FileNotFoundError):  # gone since it was listed
@@ -69,59 +68,40 @@ class Mirror:
         writer.close()
         return files
 
-    def take_over(self, files: Files) -> None:
-        """Have the folder hold the stored files; those that it has already are not fetched.
+    def fetch(self, files: Files, *, is_ours: bool, is_running: bool) -> None:
+        """Have the folder hold what is newer in the storage; of what it holds otherwise nothing is lost.
 
-        What nobody could get back is put aside: what this machine recorded and judged while another one had the site.
+        Another machine's files replace those of the folder, which are put aside.  Of the files of the folder's own monitor
+        (`is_ours`) those are fetched that it lacks, as where a part of it was restored, or the power failed; one that does not go
+        on from what is stored, or that a monitor `is_running` may write, stays, and the stored one is put aside.
         """
-        aside, names = self._aside(), [*self._names()]
-        for name in names:
-            if name not in files:
+        aside = self._out / SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
+        present: dict[str, tuple[int, int]] = {}
+        for name in self._names():
+            with suppress(FileNotFoundError):  # gone since it was listed
+                about = (self._out / name).stat()
+                present[name] = about.st_size, about.st_mtime_ns
+        if is_ours:
+            lacking = to_get(files, present, self._is_gone_on_from)
+        else:
+            lacking = [
+                name
+                for name, file in files.items()
+                if name not in present or present[name][0] != file.length or not self._is_gone_on_from(name, file)
+            ]
+            for name in present.keys() - files.keys():
                 _put_aside(self._out / name, name, aside)
-        lacking = [name for name, file in files.items() if name not in names or not _is_content(self._out / name, file)]
+            for path in (self._out / "state").glob("history.db*"):
+                path.unlink()
         for name in lacking:
-            self._get(name, self._fetched(name, files[name]), aside, spare=False)
-        for path in (self._out / "state").glob("history.db*"):
-            path.unlink()
-        _log.warning("%s: %d of %d files fetched", self._out, len(lacking), len(files))
-
-    def recover(self, files: Files, *, is_running: bool) -> None:
-        """Get what the folder lacks of its own monitor's files, as where a part of it was restored, or the power failed.
-
-        A file that lacks its end is made whole, where no monitor `is_running` that writes it.  Of any other one that does not go
-        on from what is stored, the stored form is put aside.
-        """
-        aside = self._aside()
-        about = {name: (self._out / name).stat() for name in self._names()}
-        present = {name: (found.st_size, found.st_mtime_ns) for name, found in about.items()}
-        for name in to_get(files, present, self._is_gone_on_from):
             try:
-                fetched = self._fetched(name, files[name])
+                self._get(name, files[name], aside, is_ours=is_ours, is_running=is_running)
             except _UnusableError as error:
-                _log.error("%s", error)
-                continue
-            self._get(
-                name, fetched, aside, spare=is_running or (is_appended(name) and not self._lacks_its_end(name, fetched))
-            )
-
-    def _get(self, name: str, fetched: Path, aside: Path, *, spare: bool) -> None:
-        """Put a fetched file in its place, and aside what was there, unless it is its beginning; with `spare` the fetched one."""
-        path = destination(self._out / name)
-        if path.exists() and spare:
-            _put_aside(fetched, name, aside)
-            return
-        if path.exists() and not _begins_with(fetched, path):
-            _put_aside(path, name, aside)
-        fetched.replace(path)
-        _log.warning("%s: fetched from the storage, where it is newer", path)
-
-    def _lacks_its_end(self, name: str, fetched: Path) -> bool:
-        """Return whether a file is the beginning of a fetched one; an empty one may be the next, begun when that was full."""
-        path = self._out / name
-        return path.exists() and path.stat().st_size > 0 and _begins_with(fetched, path)
-
-    def _aside(self) -> Path:
-        return self._out / SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
+                if not is_ours:
+                    raise
+                _log.error("%s", error)  # the folder has what is left of it
+        if lacking or not is_ours:
+            _log.warning("%s: %d of %d files fetched", self._out, len(lacking), len(files))
 
     def _names(self) -> Iterator[str]:
         """List the names of the files that are kept in the storage."""
@@ -142,7 +122,7 @@ class Mirror:
                 and (before.length, before.mtime_ns) == (about.st_size, about.st_mtime_ns)
             ):
                 return before
-            if before is not None and (before.length > about.st_size or not self._begins(name, file, before)):
+            if before is not None and not self._begins(name, file, before):
                 before = None
             parts, begin = to_put(before, about.st_size)
             known, crc32 = (0, 0) if before is None else (before.length, before.crc32)
@@ -156,41 +136,50 @@ class Mirror:
         return StoredFile(parts=tuple(parts), crc32=crc32, mtime_ns=about.st_mtime_ns)
 
     def _begins(self, name: str, file: BinaryIO, before: StoredFile) -> bool:
-        """Return whether a file, which is no shorter, begins with what is stored of it."""
-        if is_appended(name) and self._known.get(name) == (
-            os.fstat(file.fileno()).st_ino,
-            _tail_crc32(file, before.length),
-        ):
+        """Return whether a file begins with what is stored of it."""
+        about = os.fstat(file.fileno())
+        if about.st_size < before.length:
+            return False
+        if is_appended(name) and self._known.get(name) == (about.st_ino, _tail_crc32(file, before.length)):
             return True
-        file.seek(0)
         return _crc32(file, before.length) == before.crc32
 
     def _is_gone_on_from(self, name: str, before: StoredFile) -> bool:
-        """Return whether a file of the folder begins with what is stored of it."""
         self._goes_on()
-        with suppress(FileNotFoundError), (self._out / name).open("rb") as file:
-            return os.fstat(file.fileno()).st_size >= before.length and self._begins(name, file, before)
-        return False
+        with (self._out / name).open("rb") as file:
+            return self._begins(name, file, before)
 
-    def _fetched(self, name: str, file: StoredFile) -> Path:
-        """Write the parts of a stored file beside its place."""
-        path, crc32 = destination(self._out / name), 0
+    def _get(self, name: str, stored: StoredFile, aside: Path, *, is_ours: bool, is_running: bool) -> None:
+        """Fetch a file beside its place, and put it there, and aside what was there; or the other way round."""
+        path = destination(self._out / name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(path.name + FETCHED)
-        with open(temporary, "wb", opener=private if is_state(name) else None) as target:
-            for part in file.parts:
+        fetched = path.with_name(path.name + FETCHED)
+        self._write(name, stored, fetched)
+        # An empty file may have been begun when the stored one was full, and had got another name.
+        is_beginning = path.exists() and path.stat().st_size > 0 and _begins_with(fetched, path)
+        if is_ours and path.exists() and (is_running or (is_appended(name) and not is_beginning)):
+            _put_aside(fetched, name, aside)
+            return
+        if path.exists() and not is_beginning:
+            _put_aside(path, name, aside)
+        fetched.replace(path)
+
+    def _write(self, name: str, stored: StoredFile, path: Path) -> None:
+        """Write the parts of a stored file."""
+        crc32 = 0
+        with open(path, "wb", opener=private if is_state(name) else None) as target:
+            for part in stored.parts:
                 self._goes_on()
                 answer = self._objects.get(part.object, (part.offset, part.length))
                 if answer is None:
                     raise _UnusableError(f"{name}: {part.object} is missing")
                 target.write(answer[0])
                 crc32 = zlib.crc32(answer[0], crc32)
-            if crc32 != file.crc32:
+            if crc32 != stored.crc32:
                 raise _UnusableError(f"{name}: not as it was stored")
             target.flush()
             os.fsync(target.fileno())
-        os.utime(temporary, ns=(file.mtime_ns, file.mtime_ns))
-        return temporary
+        os.utime(path, ns=(stored.mtime_ns, stored.mtime_ns))
 
 
 class _Writer:
@@ -221,12 +210,26 @@ def _pieces(file: BinaryIO, length: int) -> Iterator[bytes]:
         yield data
 
 
-def _crc32(file: BinaryIO, length: int) -> int:
-    """Compute the CRC-32 of the next bytes of a file."""
+def _crc32(file: BinaryIO, length: int, begin: int = 0) -> int:
+    """Compute the CRC-32 of `length` bytes of a file from `begin` on."""
     found = 0
+    file.seek(begin)
     for data in _pieces(file, length):
         found = zlib.crc32(data, found)
     return found
+
+
+def _tail_crc32(file: BinaryIO, length: int) -> int:
+    """Compute the CRC-32 of the last of the first `length` bytes of a file."""
+    begin = max(0, length - _TAIL_BYTES)
+    return _crc32(file, length - begin, begin)
+
+
+def _begins_with(path: Path, beginning: Path) -> bool:
+    """Return whether a file begins with all of another one."""
+    with path.open("rb") as file, beginning.open("rb") as other:
+        length = os.fstat(other.fileno()).st_size
+        return length <= os.fstat(file.fileno()).st_size and _crc32(file, length) == _crc32(other, length)
 
 
 def _put_aside(path: Path, name: str, folder: Path) -> None:
@@ -237,23 +240,3 @@ def _put_aside(path: Path, name: str, folder: Path) -> None:
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
     path.replace(folder / name)
     _log.warning("%s: superseded; kept as %s", path, folder / name)
-
-
-def _is_content(path: Path, stored: StoredFile) -> bool:
-    """Return whether a file is as it was stored."""
-    with path.open("rb") as file:
-        return os.fstat(file.fileno()).st_size == stored.length and _crc32(file, stored.length) == stored.crc32
-
-
-def _begins_with(path: Path, beginning: Path) -> bool:
-    """Return whether a file begins with all of another one."""
-    with path.open("rb") as file, beginning.open("rb") as other:
-        length = os.fstat(other.fileno()).st_size
-        return all(a == b for a, b in zip_longest(_pieces(file, length), _pieces(other, length)))
-
-
-def _tail_crc32(file: BinaryIO, length: int) -> int:
-    """Compute the CRC-32 of the last of the first `length` bytes of a file."""
-    begin = max(0, length - _TAIL_BYTES)
-    file.seek(begin)
-    return _crc32(file, length - begin)

@@ -78,11 +78,17 @@ def _client() -> Any:
     return import_extra("botocore.session", what).get_session().create_client("s3", config=config)
 
 
+@lru_cache(1)
+def _errors() -> tuple[type[Exception], ...]:
+    """Return the errors of the storage; they are looked for once, for a disk may hang."""
+    errors = import_extra("botocore.exceptions", "output.store")
+    return errors.BotoCoreError, errors.ClientError
+
+
 @contextmanager
 def _told() -> Iterator[None]:
     """Turn errors of the storage into OSError with one line."""
-    errors = import_extra("botocore.exceptions", "output.store")
     try:
         yield
-    except (errors.BotoCoreError, errors.ClientError) as error:
+    except _errors() as error:
         raise OSError(" ".join(str(error).split())) from error

@@ -50,20 +50,22 @@ class SiteStore:
         self._last: State | None = None
         """State in which the site is left; None while it is monitored."""
         self._asked = self._answered = object()
-        """What was asked to be stored last, and what that was when what is stored was begun."""
+        """What was asked to be stored last, and what that was when the latest storing began."""
         self._storing, self._renewing = self._new_workers()
 
     def _new_workers(self) -> tuple[Worker[None], Worker[None]]:
-        storing: Work[None] = Work(idle=self._store, finish=self._store)
-        renewing: Work[None] = Work(idle=self._renew)
         retry = Retry((OSError,), longest_s=self.every_s / 2)
-        return Worker("store", storing, clock=self._clock), Worker("lease", renewing, retry=retry, clock=self._clock)
+        return (
+            Worker("store", Work(idle=self._store, finish=self._store), clock=self._clock),
+            Worker("lease", Work(idle=self._renew), retry=retry, clock=self._clock),
+        )
 
     @property
     def failed(self) -> str | None:
         """Why the present files are not stored, or the site may be another machine's; None if all is well."""
-        says = (str(self.lost or "") or self.lease.doubt, self._failure, self._storing.failed, self._renewing.failed)
-        return "; ".join(dict.fromkeys(filter(None, says))) or None
+        lease = str(self.lost) if self.lost else self.lease.doubt
+        says = (lease, self._failure, self._storing.failed, self._renewing.failed)
+        return "; ".join(filter(None, says)) or None
 
     def open(self, *, wait: bool) -> None:
         """Take the site, and fetch its files where the monitor of another machine wrote last.
@@ -85,7 +87,7 @@ class SiteStore:
                 with suppress(OSError):
                     self.lease.release()
                 raise MissingInputError(f"{self.url}: {error}") from error
-            self.lease.present = None  # taken by the worker that stores, once the storage answers
+            self.lease.present = None  # regained once the storage answers
             self._fail(error)
         self._storing.start()
 
@@ -132,10 +134,10 @@ class SiteStore:
 
     def _store_changes(self) -> None:
         if self.lease.present is None:
-            self.lease.acquire(is_running=True)
+            self.lease.regain()
             self._fetch(is_running=True)
-        present = self.lease.present
-        self._commit(self._mirror.store(present.files, present.number, self._keep_progress))
+        assert self.lease.present is not None
+        self._commit(self._mirror.store(self.lease.present, self._keep_progress))
         if self._last is not None:
             self.lease.release(self._last)
 
@@ -150,9 +152,8 @@ class SiteStore:
         if before is None or files == before.files:
             self.lease.renew()
             return
-        note = self._note.read()
-        generation = max(note.generation, before.generation) + 1
-        self._note.write(Note(owners=note.owners, generation=generation))
+        generation = max(self._note.read().generation, before.generation) + 1
+        self._note.write(Note(owners=(self.lease.owner,), generation=generation))
         self.lease.renew(files, generation)
         with suppress(OSError):  # they are removed when the site is taken next
             self._objects.delete(to_delete(before.files, files))
@@ -161,14 +162,10 @@ class SiteStore:
         """Have the folder hold what is newer in the storage, and note then that it does."""
         present, note = self.lease.present, self._note.read()
         assert present is not None
-        if note.owners:
-            self._mirror.recover(present.files, is_running=is_running)
-        else:
-            self._mirror.take_over(present.files)
-        generation = max(note.generation, present.generation)
-        self._note.write(Note(owners=(self.lease.owner,), generation=generation))
+        self._mirror.fetch(present.files, is_ours=bool(note.owners), is_running=is_running)
+        self._note.write(Note(owners=(self.lease.owner,), generation=max(note.generation, present.generation)))
         with suppress(OSError):
-            self._objects.delete(left_over(self._objects.names(), present.files, present.number))
+            self._objects.delete(left_over(self._objects.names(), present))
 
 
 def store_of(settings: Configuration, out: Path, clock: Callable[[], float] = time.monotonic) -> SiteStore | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import shutil
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from monitor.core import InUseError, MissingInputError
+from monitor.service.lease import FolderLease
 from monitor.service.objects import OBJECT_BYTES
 from monitor.service.site_store import SiteStore
 from tests.support.bucket import MANIFEST, Bucket, Clock, Machine, away, content, copied, exceptions, no_failure
@@ -427,3 +429,204 @@ def test_whatever_fails_a_machine_that_takes_over_has_what_was_stored_last(
     manifest = json.loads(bucket.objects[MANIFEST])
     referred = {part[0] for file in manifest["files"].values() for part in file["parts"]}
     assert {key.rpartition("/")[2] for key in bucket.objects} == {"manifest.json"} | referred
+
+
+# --- copies, restored parts, clones, and storages that lose or misremember ---------------------------------------------
+
+
+def test_a_folder_of_hard_links_is_the_same_folder(tmp_path: Path) -> None:
+    first, second = FolderLease(tmp_path / "a"), FolderLease(tmp_path / "b")
+    first.acquire()
+    (tmp_path / "b" / "state").mkdir(parents=True)
+    os.link(tmp_path / "a" / "state" / "lock", tmp_path / "b" / "state" / "lock")
+    with pytest.raises(InUseError, match="another daemon writes here"):
+        second.acquire()
+    first.release()
+    second.acquire()
+    second.release()
+
+
+@pytest.mark.parametrize("is_away", [False, True])
+@pytest.mark.parametrize("part", ["recordings", "recordings/1.mcap", "results.jsonl", "findings/page.html", "state"])
+def test_a_part_of_a_folder_that_is_restored_deletes_nothing_that_is_newer(
+    machine: Machines, tmp_path: Path, bucket: Bucket, clock: Clock, part: str, is_away: bool
+) -> None:
+    """The rest of the folder is the latest, so that it looks like that of the monitor that wrote last."""
+    a = machine("a", at_work=True)
+    old = {
+        "results.jsonl": b"one\n",
+        "recordings/1.mcap": b"da",
+        "findings/page.html": b"old",
+        "state/checkpoint": b"1",
+    }
+    new = {"results.jsonl": b"one\ntwo\n", "recordings/1.mcap": b"data", "findings/page.html": b"new page"}
+    new |= {"state/checkpoint": b"2", "recordings/2.mcap": b"more"}
+    for name, data in old.items():
+        a.write(name, data)
+        os.utime(a.folder / name, ns=(10**18, 10**18))
+    a.push()
+    copied(a.folder, tmp_path / "backup")
+    for name, data in new.items():
+        a.write(name, data)
+    a.push()
+    newest = a.content()
+    source, target = tmp_path / "backup" / part, a.folder / part
+    copied(source, target) if source.is_dir() else shutil.copy2(source, target)
+    (a.folder / "state" / "lock").touch()
+    bucket.fail = away if is_away else no_failure
+    again = machine("a")
+    if again.store.lease.is_held():  # a lock that is another file
+        clock.now_s += 15.0
+    again.open()
+    bucket.fail = no_failure
+    again.push()
+    if again.store.lost is not None:  # it had begun with a state that was older
+        again = machine("a", at_work=True)
+    kept = [again.content(), *map(content, (a.folder / "superseded").glob("*"))]
+    for name, data in newest.items():
+        assert any(found.get(name) == data for found in kept), name
+    if not is_away:
+        assert again.content() == newest
+    assert again.store.failed is None
+
+
+def test_a_file_that_was_lost_in_the_storage_as_well_keeps_nobody_from_storing(
+    machine: Machines, bucket: Bucket
+) -> None:
+    a = machine("a", at_work=True)
+    a.write("recordings/1.mcap", b"data")
+    a.push()
+    for name in [name for name in bucket.objects if name != MANIFEST]:
+        del bucket.objects[name]
+    (a.folder / "recordings" / "1.mcap").unlink()
+    again = machine("a", at_work=True)
+    again.write("results.jsonl", b"one\n")
+    again.push()
+    assert again.store.failed is None and again.content() == {"results.jsonl": b"one\n"}
+
+
+def test_a_recording_that_got_its_name_and_lines_that_got_a_file_of_their_own_are_not_fetched_again(
+    machine: Machines,
+) -> None:
+    a = machine("a", at_work=True)
+    a.write("recordings/1.mcap.part", b"data")
+    a.write("results.jsonl", b"one\n")
+    a.push()
+    (a.folder / "recordings" / "1.mcap.part").rename(a.folder / "recordings" / "1.mcap")
+    (a.folder / "results.jsonl").rename(a.folder / "results-2026-10.jsonl")
+    a.write("results.jsonl", b"")
+    again = machine("a", at_work=True)
+    assert again.content() == {"recordings/1.mcap": b"data", "results-2026-10.jsonl": b"one\n", "results.jsonl": b""}
+
+
+def test_a_renewal_after_a_write_without_an_answer_keeps_what_was_written(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    def lose_answer(call: str, is_done: bool) -> None:
+        if is_done and bucket.calls[-1] == MANIFEST:
+            raise exceptions.ReadTimeoutError(endpoint_url="s3")
+
+    a, b = machine("a", at_work=True), machine("b")
+    a.write("results.jsonl", b"one\n")
+    bucket.fail = lose_answer
+    a.push()
+    bucket.fail = no_failure
+    clock.now_s += 5.0
+    a.renew()
+    silent(b, clock)
+    assert b.open().content() == {"results.jsonl": b"one\n"}
+
+
+def test_of_a_machine_that_was_cloned_while_it_ran_one_ends(machine: Machines, bucket: Bucket, clock: Clock) -> None:
+    """The clone has the owner's name, and writes the next manifest."""
+    a = machine("a", at_work=True)
+    written = json.loads(bucket.objects[MANIFEST])
+    bucket.objects[MANIFEST] = json.dumps(
+        written | {"number": written["number"] + 1, "written": "by the clone"}
+    ).encode()
+    clock.now_s += 5.0
+    a.renew()
+    assert "taken over" in str(a.store.lost)
+
+
+def test_a_monitor_says_that_another_machine_may_have_the_site_as_soon_as_one_may(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    assert b.store.lease.is_held()
+    clock.now_s += 14.9
+    assert a.store.failed is None and b.store.lease.is_held(), "its machine stood still, and nobody could ask for long"
+    clock.now_s += 0.1
+    assert "another machine may monitor the site" in str(a.store.failed) and not b.store.lease.is_held()
+    a.renew()
+    assert a.store.failed is None
+
+
+def test_a_standby_waits_where_the_bucket_was_emptied_and_its_owner_stores_all_anew(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    a.write("results.jsonl", b"one\n")
+    a.push()
+    assert b.store.lease.is_held()
+    bucket.objects.clear()
+    assert b.store.lease.is_held()
+    with pytest.raises(InUseError, match="a monitor is at work"):
+        b.open()
+    clock.now_s += 5.0
+    for piece in (a.renew, a.push, a.renew):
+        piece()
+    assert a.store.failed is None and b.store.lease.is_held()
+    a.close()
+    assert b.open().content() == {"results.jsonl": b"one\n"}
+
+
+def test_an_older_manifest_that_somebody_put_back_costs_no_newer_file(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    a.write("results.jsonl", b"one\n")
+    a.push()
+    before = dict(bucket.objects)
+    a.write("results.jsonl", b"one\ntwo\n")
+    a.push()
+    bucket.objects |= {MANIFEST: before[MANIFEST]}
+    clock.now_s += 5.0
+    for piece in (a.renew, a.push, a.renew):
+        piece()
+    assert a.store.lost is None and a.store.failed is None
+    a.close()
+    assert b.open().content() == {"results.jsonl": b"one\ntwo\n"}
+
+
+def test_who_was_stopped_while_it_tidied_up_deletes_nothing_of_the_one_that_took_over(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    a.write("results.jsonl", b"one\n")
+    a.close()
+
+    def stop(call: str, is_done: bool) -> None:
+        if call == "list" and is_done:
+            bucket.fail = no_failure
+            silent(a, clock)
+            a.open()
+            a.write("results.jsonl", b"one\n" + bytes(9) + b"\n")
+            a.push()
+
+    bucket.fail = stop
+    b.open()
+    b.renew()
+    assert b.store.lost is not None
+    a.close()
+    assert machine("c", at_work=True).content() == a.content()
+
+
+def test_a_small_file_that_was_replaced_within_a_tick_of_the_clock_is_stored(machine: Machines, clock: Clock) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    for data in (b"1", b"2"):
+        a.write("state/alarms", data)
+        os.utime(a.folder / "state" / "alarms", ns=(10**18, 10**18))
+        a.push()
+    silent(b, clock)
+    assert b.open().content() == {"state/alarms": b"2"}
