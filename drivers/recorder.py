@@ -257,6 +257,8 @@ def recover(folder: Path) -> None:
             os.replace(part, name.with_suffix(".damaged"))
             continue
         if blocks:
+            with part.open("rb") as file:  # what goes on from these blocks must not outlast them
+                os.fsync(file.fileno())
             os.replace(part, name)
         else:
             part.unlink()

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import logging
-import os
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -21,8 +18,6 @@ from monitor.config import Configuration
 from monitor.core import (
     BadConfigurationError,
     BadInputError,
-    InUseError,
-    MissingInputError,
     os_errors_of,
     parse_json,
     set_aside,
@@ -57,10 +52,6 @@ _KEYED = (
 )
 """Tables of the site file on which the results depend, besides the structure.  Limits of alarm, quality and watch may change."""
 _MOST_LINES_BYTES = 64 << 20
-_LOCK_MODE = 0o600
-_LOCK_WAIT_S, _LOCK_POLL_S = 1.0, 0.02
-"""Time for which the lock is asked for, and pause between two attempts: `status`, run by the owner or root, holds it for
-microseconds.  [s; judgement]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +103,8 @@ class Checkpointer:
         self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
         self._seconds, self._due, self._busy = 0.0, False, False
         self._last: KeptAlarms | None = None
+        self._resumed_at = 0
+        """Position of the lines of windows that a previous run wrote and that are still to come again."""
         self.written: dict[int, WindowFacts] = {}
         self.resuming = False
         self.failed: str | None = None
@@ -128,6 +121,7 @@ class Checkpointer:
         kinds = [serialization.fingerprint({"alarms of": kind}) for kind in ("stories", "modes")]
         self._alarm_key, other_key = kinds if self._config.has_model else kinds[::-1]
         if saved is not None:
+            self._resumed_at = saved.results_bytes
             for line, facts in self._lines_since(saved.results_bytes):
                 self.written[line["window"]] = facts
                 known(line)
@@ -173,7 +167,8 @@ class Checkpointer:
         if self._due:
             return
         self._busy, self._seconds, self._last = True, 0.0, _alarms_of(session.pipeline.state)
-        if not self._recording.then(partial(self._write, session.state, self._lines.position)):
+        position = self._resumed_at if session.stated else self._lines.position
+        if not self._recording.then(partial(self._write, session.state, position)):
             self._busy, self._due = False, True
 
     def forget(self) -> None:
@@ -232,50 +227,6 @@ class Checkpointer:
         if damaged:
             _log.warning("%s: %d damaged lines are left out", self._out / "results.jsonl", damaged)
         return found
-
-
-def lock(path: Path, out: Path) -> int:
-    """Lock the output folder `out` by a file, whose folder is created, and return the descriptor; the lock ends with the process.
-
-    Only its owner may open the file, so that nobody who may merely read the folder can hold the lock.  MissingInputError tells
-    that the folder cannot be written; InUseError that another daemon holds the lock.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, _LOCK_MODE)
-        os.fchmod(handle, _LOCK_MODE)  # whatever the umask
-    except OSError as error:
-        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
-    deadline = time.monotonic() + _LOCK_WAIT_S
-    while True:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            if time.monotonic() >= deadline:
-                os.close(handle)
-                says = f"{out}: another daemon writes here; name another dir under [output]"
-                raise InUseError(says) from error
-            time.sleep(_LOCK_POLL_S)
-        else:
-            return handle
-
-
-def demand_lock(handle: int, path: Path, out: Path) -> None:
-    """Check that the file at `path` is the one that `lock` has locked for the output folder `out`; it may wait for the disk.
-
-    MissingInputError tells that it was removed, as with the folder; InUseError that another one stands there.  A disk that does
-    not answer tells neither.
-    """
-    try:
-        is_own = os.path.samestat(os.stat(path), os.fstat(handle))
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise MissingInputError(f"{out}: was removed while a daemon wrote here, which ends; start it again") from error
-    except OSError:
-        return
-    if not is_own:
-        raise InUseError(
-            f"{out}: was removed and made anew while a daemon wrote here, which ends; another may write here now"
-        )
 
 
 def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
