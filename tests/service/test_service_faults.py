@@ -285,7 +285,7 @@ def test_a_viewer_and_a_watcher_that_hang_hold_up_nothing(site: Path, record: np
 
         try:
             daemon = Daemon(site, Late([]))
-            daemon.health(None)  # metrics begin to listen
+            daemon.site.health(None)  # metrics begin to listen
             daemon.run()
         finally:
             for one in held:

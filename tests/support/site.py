@@ -147,7 +147,8 @@ class Daemon:
         host = Host([path], ALONE, tick_s=tick_s, source=source, outlets=tuple(told), **options)
         runner = host.places[path].runner
         assert runner is not None
-        self.run, site = host.run, runner.site
+        self.run, self.site = host.run, runner.site
+        site = self.site
         self.session, self.reader, self.out, self.outputs = site.session, site.reader, site.out, site.outputs
 
 
