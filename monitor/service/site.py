@@ -1,4 +1,4 @@
-"""Monitoring of one site, driven by a thread that owns it: `monitor.service.daemon` drives one, `monitor.service.host` many.
+"""Monitoring of one site, driven by a thread that owns it (`monitor.service.schedule`), one of many where they share the process.
 
 One thread reads the source, the owner evaluates, and one thread records.  Nothing else keeps state of the evaluation.
 """
@@ -142,6 +142,7 @@ class Site:
         claim.watch(chores, now)
         sync = Every(settings.recorder.flush_s, partial(chores.do, "sync", files.results.sync), now)
         tidy = Every(_TIDY_S, partial(chores.do, "storage", files.storage.tidy), -float("inf"))
+        viewers = [] if view is None else [Part("viewer", view, None, view.close)]
         parts: list[Component] = [
             Part("settings", None, lambda _: self._reloading.step(self.session, requests)),
             Part("source", reader, None, lambda _: reader.stop(0.1)),  # it has ended already, except after an error
@@ -158,7 +159,7 @@ class Site:
             Part(EVENTS, files.events, None, files.close_lines),
             *(Part(type(o).__name__, o, None, o.close) for o in reversed(self._publication.outlets)),
             Part("checkpoint", files.keeper),
-            *(() if view is None else (Part("viewer", view, None, view.close),)),
+            *viewers,
             Part("storage", files.storage, tidy, chores.close),
         ]
         if (store := claim.store) is not None:
@@ -297,5 +298,6 @@ def _open_viewer(settings: Configuration, healthy: AnyBaseline | None, undo: Exi
     from monitor.runs import open_viewer
 
     view = open_viewer(settings, healthy, file=None, serve=serve, lossless=False, on_warning=_log.warning)
-    undo.callback(view.close, END_S)
+    if view is not None:
+        undo.callback(view.close, END_S)
     return view
