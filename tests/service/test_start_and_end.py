@@ -172,8 +172,7 @@ def test_a_folder_that_another_daemon_began_anew_is_left_alone(
 
     def script() -> Iterator[SampleBlock]:
         yield from cut(record[:2600], RATE)
-        remove(out)
-        other.acquire()
+        remove(out, other.acquire)
         (out / "summary.json").write_text("another's")
 
     source = Scripted(script(), hold=None if is_over else threading.Event())
