@@ -5,28 +5,28 @@ The metrics are built from the latest results, the latest health line and a few 
 
 from __future__ import annotations
 
-import logging
 import platform
 import re
 import ssl
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from prometheus_client import CollectorRegistry, make_wsgi_app
+from prometheus_client import CollectorRegistry, make_asgi_app
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 from pydantic import field_validator, model_validator
 
 from monitor import __version__
-from monitor.core import WHOLE, Gap, Level, Settings, WindowResult, parse_address
+from monitor.core import WHOLE, Array, Gap, Level, Settings, WindowResult, parse_address
 from monitor.damage import State
 from monitor.service.outlets.base import Outlet
-from monitor.service.outlets.http_server import HttpServer, wsgi
 
-_log = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from monitor.service.outlets.http_server import HttpServer
+
 _MOST_LABELS = 256
 """Largest number of values of one label: names that nodes on the bus give themselves must not fill the database."""
 _REASONS = {
@@ -40,6 +40,20 @@ _REASONS = {
     "mode": "modes",
 }
 """Pattern in a reason -> class of the reason; the first pattern that matches counts."""
+_COUNTED = {
+    "shm_windows": "Windows.",
+    "shm_samples": "Samples taken, of each channel.",
+    "shm_gaps": "Gaps.",
+    "shm_lost_seconds": "Data missing in gaps.",
+    "shm_dropped_samples": "Repeated, late or not finite.",
+    "shm_findings": "Diagnoses made.",
+}
+"""Name of a count -> what is counted. [none; definition]"""
+_LOSS = "shm_ddi", "Relative stiffness loss since the baseline."
+_CHANGE = (
+    "shm_frequency_change",
+    "Relative change of the frequency since the baseline, less what covariates explain.",
+)
 
 
 class MetricsSettings(Settings):
@@ -77,30 +91,33 @@ class MetricsSettings(Settings):
 class Metrics(Collector, Outlet):
     """Answer Prometheus over HTTP with the latest results and counts; without settings only `collect` is asked.
 
-    If the port cannot be opened, `failed` says so, and every health line triggers another attempt; `port` is None until it
-    listens.
+    Every health line tries to open the port again where that failed.
     """
 
-    failed: str | None = None
-
     def __init__(self, site: str, settings: MetricsSettings | None, folder: Path = Path()) -> None:
-        self.port: int | None = None
-        self._site, self._settings, self._folder = site, settings, folder
-        self._server: HttpServer | None = None
-        self._lock = threading.Lock()
+        self._site, self._lock = site, threading.Lock()
+        self._server = None if settings is None else _server(settings, folder, self)
         self._health: Mapping[str, Any] = {}
         self._result: WindowResult | None = None
         self._active: Mapping[int, Level] = {}
         self._left_out: tuple[str, ...] = ()
-        self._windows = self._gaps = self._samples = self._dropped = 0
-        self._lost_s = 0.0
+        self._counts = dict.fromkeys(_COUNTED, 0.0)
         self._skipped = dict.fromkeys([*_REASONS.values(), "other"], 0)
-        self._findings = 0
+
+    @property
+    def port(self) -> int | None:
+        """Number of the port; None until it listens."""
+        return None if self._server is None else self._server.port
+
+    @property
+    def failed(self) -> str | None:
+        """Why the port could not be opened; None if it was."""
+        return None if self._server is None else self._server.failed
 
     def window(self, result: WindowResult, line: str) -> None:
         """Count a window, and keep its result unless the window was skipped."""
         with self._lock:
-            self._windows += 1
+            self._counts["shm_windows"] += 1
             self._active = result.alarm.active
             self._left_out = tuple(gone.channel for gone in result.left_out)
             if result.skipped is None:
@@ -111,23 +128,23 @@ class Metrics(Collector, Outlet):
     def gap(self, gap: Gap) -> None:
         """Count a gap and its duration."""
         with self._lock:
-            self._gaps += 1
-            self._lost_s += max(0.0, gap.duration_s)
+            self._counts["shm_gaps"] += 1
+            self._counts["shm_lost_seconds"] += max(0.0, gap.duration_s)
 
     def health_line(self, line: Mapping[str, Any]) -> None:
-        """Keep the latest health line; begin to listen if the port is not open."""
+        """Keep the latest health line; listen if the port is not open."""
         with self._lock:
             self._health = line
             if (stream := line["stream"]) is not None:
-                self._samples += stream["samples"]
-                self._dropped += stream["overlaps"]
-        if self._server is None and self._settings is not None:
-            self._listen(self._settings)
+                self._counts["shm_samples"] += stream["samples"]
+                self._counts["shm_dropped_samples"] += stream["overlaps"]
+        if self._server is not None:
+            self._server.open()
 
     def finding(self, finding: Mapping[str, Any]) -> None:
         """Count a finding."""
         with self._lock:
-            self._findings += 1
+            self._counts["shm_findings"] += 1
 
     def close(self, timeout_s: float) -> None:
         """Stop listening."""
@@ -146,13 +163,9 @@ class Metrics(Collector, Outlet):
         states = {state.value: float(state is self.present.state) for state in State}
         text = "State of the structure: 1 for the present one."
         yield _labelled(GaugeMetricFamily, "shm_state", text, states, "state")
-        yield CounterMetricFamily("shm_windows", "Windows.", self._windows)
+        for name, help_text in _COUNTED.items():
+            yield CounterMetricFamily(name, help_text, self._counts[name])
         yield _labelled(CounterMetricFamily, "shm_windows_skipped", "Windows without a word.", self._skipped, "reason")
-        yield CounterMetricFamily("shm_samples", "Samples taken, of each channel.", self._samples)
-        yield CounterMetricFamily("shm_gaps", "Gaps.", self._gaps)
-        yield CounterMetricFamily("shm_lost_seconds", "Data missing in gaps.", self._lost_s)
-        yield CounterMetricFamily("shm_dropped_samples", "Repeated, late or not finite.", self._dropped)
-        yield CounterMetricFamily("shm_findings", "Diagnoses made.", self._findings)
         text, left_out = "Channels in no use at present.", dict.fromkeys(self._left_out, 1.0)
         yield _labelled(GaugeMetricFamily, "shm_channel_left_out", text, left_out, "channel")
         if self._result is not None:
@@ -160,31 +173,21 @@ class Metrics(Collector, Outlet):
         if self._health:
             yield from _health_metrics(self._health)
 
-    def _listen(self, s: MetricsSettings) -> None:
-        """Start the HTTP server; a failure is kept in `failed` and logged once."""
-        registry = CollectorRegistry(auto_describe=False)
-        registry.register(self)
-        try:
-            self._server = HttpServer(*s.address, wsgi(make_wsgi_app(registry)), self._tls(s))
-            self.port, self.failed = self._server.port, None
-        except (OSError, ValueError) as error:
-            if self.failed is None:
-                _log.error("no metrics at %s for now: %s", s.listen, error)
-            self.failed = f"{s.listen}: {error}"
 
-    def _tls(self, s: MetricsSettings) -> ssl.SSLContext | None:
-        """Load the certificates; None without one, OSError that names the files where one is missing or not what it should be."""
-        if s.certificate is None or s.private_key is None:
-            return None
-        names = [str(path) for path in (s.certificate, s.private_key, s.client_ca) if path is not None]
-        try:
-            client_ca = None if s.client_ca is None else str(self._folder / s.client_ca)
-            context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=client_ca)
-            context.verify_mode = ssl.CERT_NONE if client_ca is None else ssl.CERT_REQUIRED
-            context.load_cert_chain(self._folder / s.certificate, self._folder / s.private_key)
-        except OSError as error:
-            raise OSError(f"{', '.join(names)}: {error.strerror or error}") from error
-        return context
+def metrics_application(collector: Collector) -> Callable[..., Any]:
+    """Make the ASGI application that answers every request by the metrics of a collector."""
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(collector)
+    return make_asgi_app(registry)
+
+
+def _server(s: MetricsSettings, folder: Path, collector: Collector) -> HttpServer:
+    from monitor.service.outlets.http_server import HttpServer  # loads uvicorn
+
+    files = {"ssl_certfile": s.certificate, "ssl_keyfile": s.private_key, "ssl_ca_certs": s.client_ca}
+    tls = {key: str(folder / path) for key, path in files.items() if path is not None}
+    asked = ssl.CERT_NONE if s.client_ca is None else ssl.CERT_REQUIRED
+    return HttpServer("metrics", s.address, metrics_application(collector), {**tls, "ssl_cert_reqs": asked})
 
 
 def reason_class(reason: str) -> str:
@@ -202,8 +205,12 @@ def _result_metrics(result: WindowResult, active: Mapping[int, Level]) -> Iterat
     """Yield the metrics of the latest window that was not skipped, and the levels of active alarms."""
     assert result.modes is not None
     yield GaugeMetricFamily("shm_window_end_timestamp_seconds", "UTC of the data.", result.t_end_ns * 1e-9)
-    yield from _of_stories(result, active) if result.damage is not None else _of_modes(result, active)
-    hz = {str(k): float(f) for k, f in enumerate(result.modes.frequencies_hz, start=1)}
+    if result.damage is not None:
+        yield from _judged_metrics("story", *_LOSS, result.damage.ddi, result.damage.ddi_std, 1, active)
+    elif result.modal is not None:
+        change = np.expm1(result.modal.ln_frequency)
+        yield from _judged_metrics("mode", *_CHANGE, change, result.modal.ln_frequency_std, 2, active)
+    hz = dict(_numbered(result.modes.frequencies_hz))
     yield _labelled(GaugeMetricFamily, "shm_frequency_hertz", "Natural frequencies.", hz, "mode")
     if result.stiffness is not None:
         yield GaugeMetricFamily(
@@ -211,39 +218,22 @@ def _result_metrics(result: WindowResult, active: Mapping[int, Level]) -> Iterat
         )
 
 
-def _of_stories(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Metric]:
-    """Yield the damage index and the alarm of every story."""
-    assert result.damage is not None
-    stories = [str(j) for j in range(1, len(result.damage.ddi) + 1)]
-    for name, help_text, values in (
-        ("shm_ddi", "Relative stiffness loss since the baseline.", result.damage.ddi),
-        ("shm_ddi_std", "Its standard deviation.", result.damage.ddi_std),
-    ):
-        shown = {j: float(x) for j, x in zip(stories, values, strict=True)}
-        yield _labelled(GaugeMetricFamily, name, help_text, shown, "story")
-    ranks = {j: active.get(int(j), Level.NORMAL).rank for j in [*stories, str(WHOLE)]}
-    help_text = "0 normal, 1 advisory, 2 warning, 3 alarm; story 0 is the whole structure."
-    yield _labelled(GaugeMetricFamily, "shm_alarm_level", help_text, ranks, "story")
-
-
-def _of_modes(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Metric]:
-    """Yield the change and the alarm of every mode, where there is no model; nothing without a baseline."""
-    if result.modal is None:
-        return
-    change = np.expm1(result.modal.ln_frequency).tolist()
-    text = "Relative change of the frequency since the baseline, less what covariates explain."
-    for name, help_text, values in (
-        ("shm_frequency_change", text, change),
-        ("shm_frequency_change_std", "Its standard deviation.", result.modal.ln_frequency_std.tolist()),
-    ):
-        shown = {str(k): x for k, x in enumerate(values, start=1) if np.isfinite(x)}
-        yield _labelled(GaugeMetricFamily, name, help_text, shown, "mode")
-    m = len(change)
-    # A mode's level is the higher one of its frequency's and its shape's.
-    ranks = {str(k): max(active.get(p, Level.NORMAL).rank for p in (k, m + k)) for k in range(1, m + 1)}
+def _judged_metrics(
+    part: str, name: str, says: str, values: Array, std: Array, each: int, active: Mapping[int, Level]
+) -> Iterator[Metric]:
+    """Yield what is judged of every part, and its alarm: the highest of `each` numbers (a mode's frequency and its shape)."""
+    for key, text, numbers in ((name, says, values), (f"{name}_std", "Its standard deviation.", std)):
+        shown = {k: x for k, x in _numbered(numbers) if np.isfinite(x)}
+        yield _labelled(GaugeMetricFamily, key, text, shown, part)
+    m = len(values)
+    ranks = {str(k): max(active.get(k + more * m, Level.NORMAL).rank for more in range(each)) for k in range(1, m + 1)}
     ranks[str(WHOLE)] = active.get(WHOLE, Level.NORMAL).rank
-    help_text = "0 normal, 1 advisory, 2 warning, 3 alarm; mode 0 is the whole structure."
-    yield _labelled(GaugeMetricFamily, "shm_alarm_level", help_text, ranks, "mode")
+    text = f"0 normal, 1 advisory, 2 warning, 3 alarm; {part} 0 is the whole structure."
+    yield _labelled(GaugeMetricFamily, "shm_alarm_level", text, ranks, part)
+
+
+def _numbered(values: Array) -> Iterator[tuple[str, float]]:
+    return ((str(k), float(x)) for k, x in enumerate(values, start=1))
 
 
 def _health_metrics(health: Mapping[str, Any]) -> Iterator[Metric]:
