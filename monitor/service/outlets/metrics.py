@@ -49,11 +49,9 @@ _COUNTED = {
     "shm_findings": "Diagnoses made.",
 }
 """Name of a count -> what is counted. [none; definition]"""
-_LOSS = "shm_ddi", "Relative stiffness loss since the baseline."
-_CHANGE = (
-    "shm_frequency_change",
-    "Relative change of the frequency since the baseline, less what covariates explain.",
-)
+_GAUGE, _COUNTER = GaugeMetricFamily, CounterMetricFamily
+_Row = tuple[type[Any], str, str, Any, str | tuple[str, ...]]
+"""Kind, name, meaning, value or values, label or labels."""
 
 
 class MetricsSettings(Settings):
@@ -154,24 +152,23 @@ class Metrics(Collector, Outlet):
     def collect(self) -> Iterator[Metric]:
         """Build all metrics from the present state."""
         with self._lock:  # released before the answer is sent, so that a slow reader does not hold it
-            return iter(list(self._families()))
+            families = [_family(*row) for row in self._rows() if row[3] is not None]
+            return iter([*families, _latency(self._health["latency_ms"]["windows"])] if self._health else families)
 
-    def _families(self) -> Iterator[Metric]:
-        build = GaugeMetricFamily("shm_build_info", "Versions and site.", labels=("version", "python", "site"))
-        build.add_metric((__version__, platform.python_version(), self._site), 1)
-        yield build
-        states = {state.value: float(state is self.present.state) for state in State}
-        text = "State of the structure: 1 for the present one."
-        yield _labelled(GaugeMetricFamily, "shm_state", text, states, "state")
-        for name, help_text in _COUNTED.items():
-            yield CounterMetricFamily(name, help_text, self._counts[name])
-        yield _labelled(CounterMetricFamily, "shm_windows_skipped", "Windows without a word.", self._skipped, "reason")
-        text, left_out = "Channels in no use at present.", dict.fromkeys(self._left_out, 1.0)
-        yield _labelled(GaugeMetricFamily, "shm_channel_left_out", text, left_out, "channel")
+    def _rows(self) -> Iterator[_Row]:
+        version = (__version__, platform.python_version(), self._site)
+        yield _GAUGE, "shm_build_info", "Versions and site.", {version: 1.0}, ("version", "python", "site")
+        states = {state.value: state is self.present.state for state in State}
+        yield _GAUGE, "shm_state", "State of the structure: 1 for the present one.", states, "state"
+        for name, says in _COUNTED.items():
+            yield _COUNTER, name, says, self._counts[name], ""
+        yield _COUNTER, "shm_windows_skipped", "Windows without a word.", self._skipped, "reason"
+        left_out = dict.fromkeys(self._left_out, 1)
+        yield _GAUGE, "shm_channel_left_out", "Channels in no use at present.", left_out, "channel"
         if self._result is not None:
-            yield from _result_metrics(self._result, self._active)
+            yield from _result_rows(self._result, self._active)
         if self._health:
-            yield from _health_metrics(self._health)
+            yield from _health_rows(self._health)
 
 
 def metrics_application(collector: Collector) -> Callable[..., Any]:
@@ -201,83 +198,68 @@ def reason_class(reason: str) -> str:
     return next((name for part, name in _REASONS.items() if re.search(part, reason)), "other")
 
 
-def _result_metrics(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Metric]:
-    """Yield the metrics of the latest window that was not skipped, and the levels of active alarms."""
+def _result_rows(result: WindowResult, active: Mapping[int, Level]) -> Iterator[_Row]:
+    """Metrics of the latest window that was not skipped, and the levels of active alarms."""
     assert result.modes is not None
-    yield GaugeMetricFamily("shm_window_end_timestamp_seconds", "UTC of the data.", result.t_end_ns * 1e-9)
-    if result.damage is not None:
-        yield from _judged_metrics("story", *_LOSS, result.damage.ddi, result.damage.ddi_std, 1, active)
-    elif result.modal is not None:
-        change = np.expm1(result.modal.ln_frequency)
-        yield from _judged_metrics("mode", *_CHANGE, change, result.modal.ln_frequency_std, 2, active)
-    hz = dict(_numbered(result.modes.frequencies_hz))
-    yield _labelled(GaugeMetricFamily, "shm_frequency_hertz", "Natural frequencies.", hz, "mode")
-    if result.stiffness is not None:
-        yield GaugeMetricFamily(
-            "shm_goodness_of_fit", "1 where stiffness explains the change.", result.stiffness.misfit
-        )
+    yield _GAUGE, "shm_window_end_timestamp_seconds", "UTC of the data.", result.t_end_ns * 1e-9, ""
+    if (damage := result.damage) is not None:
+        text = "Relative stiffness loss since the baseline."
+        yield from _judged("story", "shm_ddi", text, damage.ddi, damage.ddi_std, 1, active)
+    elif (modal := result.modal) is not None:
+        text = "Relative change of the frequency since the baseline, less what covariates explain."
+        change, std = np.expm1(modal.ln_frequency), modal.ln_frequency_std
+        yield from _judged("mode", "shm_frequency_change", text, change, std, 2, active)
+    yield _GAUGE, "shm_frequency_hertz", "Natural frequencies.", _numbered(result.modes.frequencies_hz), "mode"
+    fit = None if result.stiffness is None else result.stiffness.misfit
+    yield _GAUGE, "shm_goodness_of_fit", "1 where stiffness explains the change.", fit, ""
 
 
-def _judged_metrics(
+def _judged(
     part: str, name: str, says: str, values: Array, std: Array, each: int, active: Mapping[int, Level]
-) -> Iterator[Metric]:
-    """Yield what is judged of every part, and its alarm: the highest of `each` numbers (a mode's frequency and its shape)."""
-    for key, text, numbers in ((name, says, values), (f"{name}_std", "Its standard deviation.", std)):
-        shown = {k: x for k, x in _numbered(numbers) if np.isfinite(x)}
-        yield _labelled(GaugeMetricFamily, key, text, shown, part)
+) -> Iterator[_Row]:
+    """What is judged of every part, and its alarm: the highest of `each` numbers (a mode's frequency and its shape)."""
+    yield _GAUGE, name, says, _numbered(values), part
+    yield _GAUGE, f"{name}_std", "Its standard deviation.", _numbered(std), part
     m = len(values)
-    ranks = {str(k): max(active.get(k + more * m, Level.NORMAL).rank for more in range(each)) for k in range(1, m + 1)}
-    ranks[str(WHOLE)] = active.get(WHOLE, Level.NORMAL).rank
+    numbers = {WHOLE: [WHOLE]} | {k: [k + more * m for more in range(each)] for k in range(1, m + 1)}
+    ranks = {str(k): max(active.get(one, Level.NORMAL).rank for one in of) for k, of in numbers.items()}
     text = f"0 normal, 1 advisory, 2 warning, 3 alarm; {part} 0 is the whole structure."
-    yield _labelled(GaugeMetricFamily, "shm_alarm_level", text, ranks, part)
+    yield _GAUGE, "shm_alarm_level", text, ranks, part
 
 
-def _numbered(values: Array) -> Iterator[tuple[str, float]]:
-    return ((str(k), float(x)) for k, x in enumerate(values, start=1))
+def _numbered(values: Array) -> dict[str, float]:
+    return {str(k): float(x) for k, x in enumerate(values, start=1) if np.isfinite(x)}
 
 
-def _health_metrics(health: Mapping[str, Any]) -> Iterator[Metric]:
-    """Yield the metrics of a health line."""
-    source, recorder = health["source"], health["recorder"]
-    single: list[tuple[type[Any], str, str, Any]] = [
-        (GaugeMetricFamily, "shm_source_connected", "Whether the source is open.", source["connected"]),
-        (CounterMetricFamily, "shm_source_losses", "Times the source failed.", source["lost"]),
-        (CounterMetricFamily, "shm_refused_blocks", "Blocks turned away.", health["refused"]["blocks"]),
-        (GaugeMetricFamily, "shm_queue_blocks", "Blocks that wait.", health["queue"]),
-        (GaugeMetricFamily, "shm_data_delay_seconds", "Clock less time of the data.", health["delay_s"]),
-        (GaugeMetricFamily, "shm_data_age_seconds", "Since the latest data came.", health.get("data_age_s")),
-        (GaugeMetricFamily, "shm_latency_max_seconds", "Longest since the start.", 1e-3 * health["latency_ms"]["max"]),
-        (GaugeMetricFamily, "shm_uptime_seconds", "Since the start.", health.get("uptime_s")),
-        (GaugeMetricFamily, "shm_disk_free_bytes", "Where results go.", health.get("disk_free_bytes")),
-    ]
-    if (stream := health["stream"]) is not None:
-        single += [
-            (GaugeMetricFamily, "shm_sample_rate_hertz", "By the source.", stream["rate_hz"]),
-            (GaugeMetricFamily, "shm_availability_ratio", "Samples come over due, last span.", stream["availability"]),
-        ]
-    if recorder is not None:
-        single += [
-            (GaugeMetricFamily, "shm_recorder_recording", "1 while it records.", recorder["recording"]),
-            (CounterMetricFamily, "shm_recorder_lost_blocks", "Blocks not recorded.", recorder["lost_blocks"]),
-            (CounterMetricFamily, "shm_recorder_files", "Files begun.", recorder["files"]),
-        ]
-    for family, name, help_text, value in single:
-        if value is not None:
-            yield family(name, help_text, float(value))
-    yield _labelled(CounterMetricFamily, "shm_source_events", "The driver's counts.", source["counts"], "event")
-    for name, help_text, key in (
-        ("shm_clock_offset_seconds", "Arrival less time of the samples.", "offset_s"),
-        ("shm_clock_drift_ppm", "How much faster than nominal a node samples.", "drift_ppm"),
-    ):
-        clocks = {c["node"]: c[key] for c in source["clocks"]}
-        yield _labelled(GaugeMetricFamily, name, help_text, clocks, "node")
+def _health_rows(health: Mapping[str, Any]) -> Iterator[_Row]:
+    """Metrics of a health line but its latency."""
+    source, stream, recorder = health["source"], health["stream"] or {}, health["recorder"] or {}
+    clocks = {key: {c["node"]: c[key] for c in source["clocks"]} for key in ("offset_s", "drift_ppm")}
     rms = {c["channel"]: c["rms_m_s2"] for c in health["channels"]}
-    yield _labelled(GaugeMetricFamily, "shm_channel_rms_m_s2", "About the mean, last span.", rms, "channel")
-    blocked = {name: 1 for name in health["failed"]}
-    yield _labelled(GaugeMetricFamily, "shm_output_failed", "Ways out that are blocked.", blocked, "output")
-    lost = health.get("lost", {})
-    yield _labelled(CounterMetricFamily, "shm_output_lost", "Found no room on its way out.", lost, "output")
-    yield _latency(health["latency_ms"]["windows"])
+    failed = dict.fromkeys(health["failed"], 1)
+    latency_s = 1e-3 * health["latency_ms"]["max"]
+    yield from (
+        (_GAUGE, "shm_source_connected", "Whether the source is open.", source["connected"], ""),
+        (_COUNTER, "shm_source_losses", "Times the source failed.", source["lost"], ""),
+        (_COUNTER, "shm_refused_blocks", "Blocks turned away.", health["refused"]["blocks"], ""),
+        (_GAUGE, "shm_queue_blocks", "Blocks that wait.", health["queue"], ""),
+        (_GAUGE, "shm_data_delay_seconds", "Clock less time of the data.", health["delay_s"], ""),
+        (_GAUGE, "shm_data_age_seconds", "Since the latest data came.", health.get("data_age_s"), ""),
+        (_GAUGE, "shm_latency_max_seconds", "Longest since the start.", latency_s, ""),
+        (_GAUGE, "shm_uptime_seconds", "Since the start.", health.get("uptime_s"), ""),
+        (_GAUGE, "shm_disk_free_bytes", "Where results go.", health.get("disk_free_bytes"), ""),
+        (_GAUGE, "shm_sample_rate_hertz", "By the source.", stream.get("rate_hz"), ""),
+        (_GAUGE, "shm_availability_ratio", "Samples come over due, last span.", stream.get("availability"), ""),
+        (_GAUGE, "shm_recorder_recording", "1 while it records.", recorder.get("recording"), ""),
+        (_COUNTER, "shm_recorder_lost_blocks", "Blocks not recorded.", recorder.get("lost_blocks"), ""),
+        (_COUNTER, "shm_recorder_files", "Files begun.", recorder.get("files"), ""),
+        (_COUNTER, "shm_source_events", "The driver's counts.", source["counts"], "event"),
+        (_GAUGE, "shm_clock_offset_seconds", "Arrival less time of the samples.", clocks["offset_s"], "node"),
+        (_GAUGE, "shm_clock_drift_ppm", "How much faster than nominal a node samples.", clocks["drift_ppm"], "node"),
+        (_GAUGE, "shm_channel_rms_m_s2", "About the mean, last span.", rms, "channel"),
+        (_GAUGE, "shm_output_failed", "Ways out that are blocked.", failed, "output"),
+        (_COUNTER, "shm_output_lost", "Found no room on its way out.", health.get("lost", {}), "output"),
+    )
 
 
 def _latency(windows: Mapping[str, int]) -> Metric:
@@ -289,10 +271,11 @@ def _latency(windows: Mapping[str, int]) -> Metric:
     return HistogramMetricFamily("shm_latency_seconds", "Last sample to published line.", buckets, None)
 
 
-def _labelled(family: type[Any], name: str, help_text: str, values: Mapping[str, float | None], label: str) -> Metric:
-    """Build a metric with one value for each value of a label, up to `_MOST_LABELS`; None values are left out."""
-    metric = family(name, help_text, labels=(label,))
-    for key, value in list(values.items())[:_MOST_LABELS]:
-        if value is not None:
-            metric.add_metric((key,), float(value))
-    return cast(Metric, metric)
+def _family(kind: type[Any], name: str, says: str, value: Any, labels: str | tuple[str, ...]) -> Metric:
+    """Build a metric: a number, or one for each value of a label, up to `_MOST_LABELS`; what is None has no sample."""
+    labels = (labels,) if isinstance(labels, str) and labels else tuple(labels)
+    family = kind(name, says, labels=labels)
+    for key, number in list(value.items() if labels else [((), value)])[:_MOST_LABELS]:
+        if number is not None:
+            family.add_metric((key,) if isinstance(key, str) else key, float(number))
+    return cast(Metric, family)
