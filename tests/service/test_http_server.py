@@ -20,12 +20,13 @@ from typing import Any
 import pytest
 
 from monitor.service.outlets.http_server import Bounds, HttpServer
-from monitor.service.outlets.metrics import Metrics, MetricsSettings
+from monitor.service.outlets.metrics import Metrics, MetricsSettings, metrics_application
 from tests.support.certificates import certify
 from tests.support.http import fetch
 from tests.support.waiting import until
 
 PAGE = b"x" * 1000
+UPGRADE = b"GET / HTTP/1.1\r\nHost: x\r\nConnection: upgrade\r\nUpgrade: websocket\r\n\r\n"
 HEALTH: dict[str, Any] = {
     "stream": None,
     "source": {"connected": True, "lost": 0, "counts": {}, "clocks": []},
@@ -133,7 +134,16 @@ def test_what_is_no_request_is_closed_and_an_error_is_one_line(
     server: HttpServer, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
     caplog.set_level(logging.INFO)
-    for text in (b"\r\n\r\n", b"\x00\xff\r\n\r\n", b"GET\r\n\r\n", b"a b c d\r\n\r\n", b"x" * 20_000, b"\x16\x03\x01"):
+    bodies = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 999999999\r\n\r\n" + b"x" * 100_000, UPGRADE
+    for text in (
+        b"\r\n\r\n",
+        b"\x00\xff\r\n\r\n",
+        b"GET\r\n\r\n",
+        b"a b c d\r\n\r\n",
+        b"x" * 20_000,
+        b"\x16\x03\x01",
+        *bodies,
+    ):
         with connect(server.port, text) as one:
             one.shutdown(socket.SHUT_WR)
             assert closed(one)
@@ -143,6 +153,16 @@ def test_what_is_no_request_is_closed_and_an_error_is_one_line(
     assert fetch(server.port) == PAGE
     assert [record.getMessage() for record in caplog.records] == ["http: a request failed"]
     assert capfd.readouterr().err == ""
+
+
+def test_a_field_of_metrics_that_is_no_text_is_no_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    with (
+        serving(metrics_application(Metrics("bench", None))) as server,
+        connect(server.port, b"GET / HTTP/1.1\r\nHost: x\r\nAccept: \xff\r\n\r\n") as one,
+    ):
+        assert closed(one)
+        assert b"shm_state" in fetch(server.port)
+    assert not caplog.records
 
 
 def test_requests_are_taken_no_faster_than_they_may_cost() -> None:

@@ -143,7 +143,13 @@ def test_each_endpoint_answers_as_the_openapi_document_says(shown: Snapshots) ->
     assert len(described["paths"]) == 6
     for path, operations in described["paths"].items():
         schema = operations["get"]["responses"]["200"]["content"]["application/json"]["schema"]
-        assert problems(content(ask, path), schema, schemas) == []
+        answer = content(ask, path)
+        assert problems(answer, schema, schemas) == []
+        assert answer.keys() == schemas[schema["$ref"].rpartition("/")[2]]["properties"].keys()
+        for one in operations["get"]["parameters"]:
+            least = one["schema"]["minimum"]
+            assert ask(f"{path}?{one['name']}={least}")[0] == 200
+            assert ask(f"{path}?{one['name']}={least - 1}")[0] == 400
     assert problems({"channels": 1}, schemas["Sensors"], schemas), "the check can fail"
 
 

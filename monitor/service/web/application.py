@@ -5,11 +5,12 @@ from __future__ import annotations
 import hmac
 import json
 from collections.abc import Awaitable, Callable
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
@@ -22,7 +23,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from monitor import __version__
 from monitor.config import security_check
-from monitor.service.web.snapshots import ENDPOINTS, PARTS, Range, Schema, Snapshots, described, part
+from monitor.service.web.snapshots import ENDPOINTS, PARTS, Answer, Range, Schema, Snapshots, described, part
 
 API = "/api/v1"
 """Beginning of the paths of the endpoints. [name; contract]"""
@@ -47,8 +48,6 @@ _HEADERS = {
 """Fields of every answer: a browser loads nothing from elsewhere, and keeps nothing. [none; definition]"""
 _ZIP_LEVEL = 1
 """Level of compression. [1; cost: the fastest]"""
-
-
 _ASKED = {"windows": (Range,)}
 """Endpoint -> what a request gives it. [none; definition]"""
 _REFUSALS = {
@@ -73,7 +72,8 @@ def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     files = {f"/{file.name}": file for file in (resources.files("monitor.service.web") / "pages").iterdir()}
     files = {path: files.pop(f"/{name}") for path, name in _PAGES.items()} | files
     routes = [Route(path, _page(file.read_bytes(), _KINDS[Path(file.name).suffix])) for path, file in files.items()]
-    routes += [Route(f"{API}/{name}", _endpoint(name, snapshots)) for name in ENDPOINTS]
+    for name in ENDPOINTS:
+        routes.append(Route(f"{API}/{name}", _endpoint(partial(snapshots.answer, name), *_ASKED.get(name, ()))))
     routes.append(Route("/openapi.json", _page(json.dumps(describe()).encode(), "application/json")))
     middleware = [
         Middleware(_Guard, token=token),
@@ -124,20 +124,18 @@ def _page(content: bytes, kind: str) -> Callable[[Request], Awaitable[Response]]
     return answer
 
 
-def _endpoint(name: str, snapshots: Snapshots) -> Callable[[Request], Awaitable[Response]]:
-    """Answer with the tag; without the body where the reader has it already."""
+def _endpoint(make: Callable[..., Answer], *asked: type[BaseModel]) -> Callable[[Request], Awaitable[Response]]:
+    """Answer with the tag; without the body where the reader has it already.  `make` gets what was asked for."""
 
     async def answer(request: Request) -> Response:
         try:
-            made = snapshots.answer(
-                name, *(kind.model_validate(dict(request.query_params)) for kind in _ASKED.get(name, ()))
-            )
+            made = make(*(kind.model_validate(dict(request.query_params)) for kind in asked))
         except ValidationError as error:
             (wrong, *_) = error.errors(include_url=False)
             return _error(400, f"{wrong['loc'][0]}: {wrong['msg']}")
-        if request.headers.get("if-none-match") == made.etag:
-            return Response(status_code=304, headers={"ETag": made.etag})
-        return Response(made.body, media_type="application/json", headers={"ETag": made.etag})
+        known = request.headers.get("if-none-match") == made.etag
+        body, status = (None, 304) if known else (made.body, 200)
+        return Response(body, status, {"ETag": made.etag}, None if known else "application/json")
 
     return answer
 
@@ -146,24 +144,20 @@ def describe() -> Schema:
     """Write the OpenAPI document (version 3.1) of the endpoints: from their docstrings, their parameters and their keys."""
     paths, schemas, empty = {}, dict(PARTS), Snapshots("")
     for name in ENDPOINTS:
-        method, asked = getattr(empty, name), _ASKED.get(name, ())
+        method, asked, schema = getattr(empty, name), _ASKED.get(name, ()), name.capitalize()
         keys = method(*(kind() for kind in asked))
-        schemas[name.capitalize()] = described(
-            {key: {**schema, "description": says} for key, (_, schema, says) in keys.items()}
-        )
-        content = {"application/json": {"schema": part(name.capitalize())}}
-        paths[f"{API}/{name}"] = {
-            "get": {
-                "summary": method.__doc__,
-                "operationId": name,
-                "parameters": [
-                    {"name": key, "in": "query", "description": schema.pop("description"), "schema": schema}
-                    for kind in asked
-                    for key, schema in kind.model_json_schema()["properties"].items()
-                ],
-                "responses": {"200": {"description": method.__doc__, "content": content}, **_REFUSALS},
-            }
+        schemas[schema] = described({key: {**of, "description": says} for key, (_, of, says) in keys.items()})
+        fields = [field for kind in asked for field in kind.model_json_schema()["properties"].items()]
+        content = {"application/json": {"schema": part(schema)}}
+        operation = {
+            "summary": method.__doc__,
+            "operationId": name,
+            "parameters": [
+                {"name": key, "in": "query", "description": of.pop("description"), "schema": of} for key, of in fields
+            ],
+            "responses": {"200": {"description": method.__doc__, "content": content}, **_REFUSALS},
         }
+        paths[f"{API}/{name}"] = {"get": operation}
     return {
         "openapi": "3.1.0",
         "info": {"title": "shm-monitor", "version": __version__, "description": _ABOUT},
