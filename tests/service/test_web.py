@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import re
 import socket
@@ -450,6 +451,18 @@ def test_the_outlet_shows_the_past_and_what_comes(page: WebPage) -> None:
     with pytest.raises(urllib.error.HTTPError, match="401"):
         fetch(page, "api/v1/status", None)
     assert (page.failed, page.dropped) == (None, 0)
+
+
+def test_a_long_answer_is_compressed_in_the_one_thread_of_the_server(page: WebPage) -> None:
+    for k in range(600):
+        page.window(cast(Any, None), json.dumps(line(k, channels_left_out=["a2"] * 20)))
+    until(lambda: fetch(page, "api/v1/windows")["matched"] == 600, "all windows")
+    headers = {"Authorization": f"Bearer {TOKEN}", "Accept-Encoding": "gzip"}
+    asked = urllib.request.Request(f"{page.url}api/v1/windows?limit=600", headers=headers)
+    with urllib.request.urlopen(asked, timeout=30.0) as answer:
+        assert answer.headers["content-encoding"] == "gzip"
+        assert len(gzip.decompress(answer.read())) > 128 * 1024
+    assert not [thread.name for thread in threading.enumerate() if "AnyIO" in thread.name]
 
 
 def test_a_page_that_hangs_costs_the_main_thread_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import json
+import sys
 from collections.abc import Awaitable, Callable
 from functools import partial
 from importlib import resources
@@ -46,8 +47,6 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 """Fields of every answer: a browser loads nothing from elsewhere, and keeps nothing. [none; definition]"""
-_ZIP_LEVEL = 1
-"""Level of compression. [1; cost: the fastest]"""
 _ASKED = {"windows": (Range,)}
 """Endpoint -> what a request gives it. [none; definition]"""
 _REFUSALS = {
@@ -77,7 +76,8 @@ def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     routes.append(Route("/openapi.json", _page(json.dumps(describe()).encode(), "application/json")))
     middleware = [
         Middleware(_Guard, token=token),
-        Middleware(GZipMiddleware, minimum_size=1000, compresslevel=_ZIP_LEVEL),
+        # No threads: what compression costs counts in the server's share of a core.
+        Middleware(GZipMiddleware, minimum_size=1000, compresslevel=1, thread_minimum_size=sys.maxsize),
     ]
     application = Starlette(routes=routes, middleware=middleware, exception_handlers={HTTPException: _refusal})
     application.router.redirect_slashes = False  # a redirection would repeat the name that the reader asked for
