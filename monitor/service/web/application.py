@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Awaitable, Callable
-from importlib import resources
 from typing import Any
 
 from starlette.applications import Starlette
@@ -18,15 +17,17 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from monitor.config import security_check
+from monitor.publish import live_page, page_file
 from monitor.service.web.description import describe
+from monitor.service.web.live_page import LivePage
 from monitor.service.web.snapshots import DEFAULT_LIMIT, MOST_IN_ANSWER, Answer, Snapshots
 
 API = "/api/v1"
 """Beginning of the paths of the endpoints. [name; contract]"""
-_PAGES = {
-    "/": ("index.html", "text/html; charset=utf-8"),
+_FILES = {
     "/api": ("api.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/live.js": ("live.js", "text/javascript; charset=utf-8"),
     "/api.js": ("api.js", "text/javascript; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
@@ -55,8 +56,11 @@ def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     A request for data must hold the field ``Authorization: Bearer TOKEN``.  Without a token anyone may read, but only by a
     name of this machine's own, so that a page from elsewhere cannot lead a browser here by a name of its own.
     """
-    files = resources.files("monitor.service.web") / "pages"
-    routes = [Route(path, _page(files.joinpath(name).read_bytes(), kind)) for path, (name, kind) in _PAGES.items()]
+    routes = [Route(path, _page(page_file(name), kind)) for path, (name, kind) in _FILES.items()]
+    routes.append(Route("/", _page(live_page().encode(), "text/html; charset=utf-8")))
+    page = LivePage(snapshots)
+    routes.append(Route(f"{API}/page", _endpoint(lambda request: page.answer(*_shown(request)))))
+    routes.append(Route(f"{API}/report", _report(page)))
     endpoints: dict[str, Callable[[Request], Answer]] = {
         "status": lambda _: snapshots.status_answer(),
         "windows": lambda request: snapshots.windows_answer(*_range(request)),
@@ -148,6 +152,20 @@ def _range(request: Request) -> tuple[int | None, int]:
         None if since is None else _whole("since_ns", since, 0, _LARGEST_NS),
         _whole("limit", limit, 1, MOST_IN_ANSWER),
     )
+
+
+def _shown(request: Request) -> tuple[int, str]:
+    """Read `range_s`, 0 for all, and the tag of the charts that the reader has."""
+    return _whole("range_s", request.query_params.get("range_s", "0"), 0, _LARGEST_NS), request.query_params.get(
+        "charts", ""
+    )
+
+
+def _report(page: LivePage) -> Callable[[Request], Awaitable[Response]]:
+    async def answer(request: Request) -> Response:
+        return Response(page.sheet(_shown(request)[0]).html(), media_type="text/html")
+
+    return answer
 
 
 def _whole(name: str, text: str, least: int, most: int) -> int:

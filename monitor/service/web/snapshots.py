@@ -81,6 +81,7 @@ class Snapshots:
         self._begun = time.time_ns()  # in every tag, so that none of an earlier run is taken for one of this run
         self._revisions = dict.fromkeys(("status", "windows", "events", "findings", "alarms", "sensors"), 0)
         self._assessment = Assessment(State.NOT_JUDGED, "No window of data yet.")
+        self._since_ns: int | None = None
         self._windows: list[tuple[int, bytes]] = []
         self._latest: dict[str, Any] | None = None
         self._judged: dict[str, Any] | None = None
@@ -94,6 +95,8 @@ class Snapshots:
     def state(self, assessment: Assessment) -> None:
         """Keep the present state of the structure."""
         with self._lock:
+            if assessment.state is not self._assessment.state:
+                self._since_ns = None if self._latest is None else self._latest["t_end_ns"]
             self._assessment = assessment
             self._touch("status")
 
@@ -122,11 +125,10 @@ class Snapshots:
 
     def event(self, line: Mapping[str, Any]) -> None:
         """Keep a line of events.jsonl, or the preliminary message, whose revision is null; the highest revision counts."""
-        brief = {key: value for key, value in line.items() if key not in _BULKY}
         with self._lock:
             known = self._events.get(line["id"])
             if known is None or _revision(line) >= _revision(known):
-                self._events = _latest({**self._events, line["id"]: brief}, "t_begin_ns", self._keep.items)
+                self._events = _latest({**self._events, line["id"]: dict(line)}, "t_begin_ns", self._keep.items)
                 self._touch("events")
 
     def finding(self, finding: Mapping[str, Any]) -> None:
@@ -158,14 +160,13 @@ class Snapshots:
     def status_answer(self) -> Answer:
         """Write the state of the structure and of the monitor, and with `revisions` which other endpoints changed."""
         with self._lock:
-            silent = self._heard_s is not None and self._clock() - self._heard_s > _SILENT_S
-            shown = outdated(self._assessment, "the monitor is silent") if silent else self._assessment
+            silent = self._silent()
             health, known = self._health or {}, self._summary.get("known") or {}
             content = {
                 "site": self._site,
                 "version": __version__,
                 "begun_ns": self._begun,
-                **shown.content,
+                **self._shown().content,
                 "monitor": "starting" if not health else "silent" if silent else "running",
                 "troubles": troubles_of(health),
                 **{key: health.get(key) for key in ("t_ns", "data_age_s", "uptime_s", "disk_free_bytes")},
@@ -193,7 +194,8 @@ class Snapshots:
     def events_answer(self) -> Answer:
         """Write the latest events, the newest first."""
         with self._lock:
-            return self._answer("events", {"events": list(self._events.values())})
+            brief = [{key: v for key, v in e.items() if key not in _BULKY} for e in self._events.values()]
+            return self._answer("events", {"events": brief})
 
     def findings_answer(self) -> Answer:
         """Write the latest findings, the newest first."""
@@ -220,6 +222,20 @@ class Snapshots:
             ]
             parts = {key: health.get(key) for key in ("t_ns", "stream", "source", "recorder", "refused", "delay_s")}
             return self._answer("sensors", {"channels": channels, **parts, "quality": self._summary.get("quality")})
+
+    def published(self) -> tuple[Assessment, dict[str, Any]]:
+        """Return what the page shows (`publish.live_sheet`) beside the windows, status and sensors."""
+        with self._lock:
+            content = {"summary": self._summary, "since_ns": self._since_ns}
+            lists = {"events": list(self._events.values()), "findings": list(self._findings.values())}
+            return self._shown(), content | lists
+
+    def _shown(self) -> Assessment:
+        """Return the state, outdated where the daemon is silent."""
+        return outdated(self._assessment, "the monitor is silent") if self._silent() else self._assessment
+
+    def _silent(self) -> bool:
+        return self._heard_s is not None and self._clock() - self._heard_s > _SILENT_S
 
     def _touch(self, *names: str) -> None:
         for name in names:
@@ -270,6 +286,7 @@ def _window(line: Mapping[str, Any]) -> dict[str, Any]:
     """Take from a line of results.jsonl what the page shows, with `_DIGITS` significant digits; a skipped window is short."""
     alarm = line.get("alarm") or {}
     kept = {key: line.get(key) for key in _WINDOW_KEYS}
+    kept["covariates"] = kept["covariates"] or {}
     if line["skipped"]:
         kept = {key: value for key, value in kept.items() if value not in (None, [])}
     lists = {key: alarm.get(key) or [] for key in ("stories", "changed")}
