@@ -392,7 +392,7 @@ def _with_alarms(
             (min(reach), max(reach)),
             note="; ".join(filter(None, [f"latest {with_interval(100 * c.latest, 100 * c.latest_half)} %", says])),
         )
-        chart.kind = "" if seen else "unseen"
+        chart.kind = "" if seen or any(a.story in of for a in period.course.losses) else "unseen"
         for a in period.course.losses:
             if a.story in of:
                 ends = grid.share(
