@@ -18,21 +18,22 @@ from typing import Any, cast
 
 import pytest
 
+from monitor import publish
 from monitor.config import configuration, security_check
 from monitor.damage import Assessment, State
 from monitor.publish import pack_month
 from monitor.service.outlets import make_outlets
-from monitor.service.web import snapshots
 from monitor.service.web.application import make_application
 from monitor.service.web.outlet import WebPage, read_token
 from monitor.service.web.snapshots import Keep, Snapshots, latest_events, latest_windows
 from tests.support.asgi import Answer, ask as ask_application
+from tests.support.pages import Page
 from tests.support.samples import T0_NS, Cli
 from tests.support.site import SITE as BARE_SITE, TOKEN
 from tests.support.waiting import until
 
 SECOND = 1_000_000_000
-PAGES = Path(snapshots.__file__).parent / "pages"
+PAGES = Path(publish.__file__).parent / "page/files"
 ALARM = {"level": "normal", "stories": [], "reason": "no significant loss", "active": {}, "shelved": []}
 CHANNEL = {"channel": "a1", "rms_m_s2": 1.0, "peak_m_s2": 3.0, "spikes": 0, "clipped": 0.0, "noise_floor": 1e-4}
 HEALTH: dict[str, Any] = {
@@ -183,7 +184,7 @@ def test_a_source_that_is_read_to_its_end_is_no_fault() -> None:
         ask = asking(shown)
         assert content(ask, "/api/v1/status")["troubles"] == says
     assert content(ask, "/api/v1/sensors")["source"]["ended"] is True
-    assert "Source read to its end" in (PAGES / "page.js").read_text()
+    assert "Source read to its end" in content(ask, "/api/v1/page")["html"]
 
 
 def test_a_site_without_a_model_and_skipped_windows_are_shown() -> None:
@@ -197,6 +198,43 @@ def test_a_site_without_a_model_and_skipped_windows_are_shown() -> None:
     assert status["judged"]["ddi"] is None
     assert status["judged"]["frequency_change"] == [-0.01, None]
     assert (status["judged"]["level"], status["judged"]["changed"]) == ("warning", ["the shape of mode 2"])
+
+
+def test_the_page_says_what_was_published_and_runs_nothing_of_it() -> None:
+    shown = filled()
+    known = {**SUMMARY["known"], "names": ["deck", "<img src=x onerror=alert(1)>"], "misfit": 5.0}
+    shown.summary({**SUMMARY, "known": known, "contact": "Ada </script><b>"})
+    ask = asking(shown)
+    told = content(ask, "/api/v1/page?range_s=86400")
+    html = told["html"]
+    assert "<img" not in html and "&lt;img src=x onerror=alert(1)&gt;" in html and "Ada &lt;/script&gt;" in html
+    order = (
+        "alarm</span>",
+        "Story 2 lost 10 %.",
+        "What to do:",
+        "Call:",
+        "--story 2",
+        "Where, and how much",
+        "A doubt.",
+    )
+    places = [html.index(words) for words in order]
+    assert places == sorted(places)
+    rows = html[html.index('id="where"') :]
+    assert rows.index("&lt;img") < rows.index(">deck<"), "the affected story first"
+    assert {"where", "trust", "loss", "modes", "alarms", "findings", "sensors"} <= set(re.findall(r'id="(\w+)"', html))
+    again = content(ask, f"/api/v1/page?range_s=86400&charts={told['tag']}")
+    assert (again["charts"], again["html"]) == (None, html), "what is drawn is not sent again"
+    headers = ask("/api/v1/page?range_s=86400")[1]
+    assert ask("/api/v1/page?range_s=86400", If_None_Match=headers["etag"])[::2] == (304, b"")
+    shown.finding({**FINDING, "t_ns": T0_NS + SECOND, "says": "Looser."})
+    assert "Looser." in content(ask, "/api/v1/page?range_s=86400")["html"]
+    shown.summary({"alarms": [{"level": "alarm"}], "known": {"alarm_loss": "much"}})
+    assert "Story 2 lost 10 %." in content(ask, "/api/v1/page?range_s=86400")["html"], "whatever an old file says"
+    shown.summary({**SUMMARY, "known": known})
+    report = Page(ask("/api/v1/report?range_s=86400")[2].decode())
+    assert report.state == "alarm" and "Looser." in report.words and report.charts
+    assert "<img src=x onerror=alert(1)>" in report.words and "img" not in [tag for tag, _ in report.tags]
+    assert [ask(f"/api/v1/{name}?range_s=-1")[0] for name in ("page", "report")] == [400, 400]
 
 
 def test_what_a_reader_has_is_not_sent_again() -> None:
@@ -221,7 +259,7 @@ def test_what_a_reader_has_is_not_sent_again() -> None:
 def test_data_need_the_token_in_the_header_and_pages_hold_none() -> None:
     ask = asking(filled(), TOKEN)
     described = content(ask, "/openapi.json", Host="monitor.example")["paths"]
-    for path in described:
+    for path in (*described, "/api/v1/page", "/api/v1/report"):
         for shown in (None, "Bearer", f"Bearer {TOKEN}x", f"Basic {TOKEN}"):
             code, headers, body = ask(path, **({} if shown is None else {"Authorization": shown}))
             assert (code, headers["www-authenticate"]) == (401, "Bearer")
@@ -275,6 +313,8 @@ def test_the_pages_name_nothing_outside_and_have_no_inline_code() -> None:
         )
         assert not re.search(r"https?://|//[a-z]+\.[a-z]", text), path
         if path.suffix == ".html":
+            text = re.sub(r"<(style|script)>\{\{ \w+ \}\}", "", text)  # of a report, which is one file
+            text = text.replace('<script type="application/json"', "")
             assert not re.search(r"<style|\sstyle=|\son[a-z]+=|<script(?![^>]*\ssrc=)", text), path
     script = (PAGES / "uplot.js").read_text(encoding="utf-8")
     assert set(re.findall(r"https?://[^\s)\"']+", script)) == {"https://github.com/leeoniya/uPlot"}, (

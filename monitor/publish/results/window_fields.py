@@ -199,7 +199,7 @@ FIELDS = (
           "Change of ln stiffness of each story that the temperature explains and that was taken out."),
     Field("covariates", Kind.BY_NAME,
           lambda r: {name: rounded(_as_shown(name, values[0])) for name, values in r.covariates.items()},
-          "Value of each covariate (`level`: RMS story drift, m)."),
+          "Value of each covariate (`level`: RMS story drift, m).", shown=True),
     Field("covariate_effect", Kind.LISTS_BY_NAME,
           lambda r: r.damage and {name: rounded(part) for name, part in r.damage.covariate_effect.items()},
           "Change of ln stiffness of each story that each covariate explains and that was taken out; `unmeasured`: "

@@ -7,7 +7,6 @@ import json
 import sys
 from collections.abc import Awaitable, Callable
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +23,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from monitor import __version__
 from monitor.config import security_check
+from monitor.publish import live_page, page_file
+from monitor.service.web.live_page import LivePage, Shown
 from monitor.service.web.snapshots import ENDPOINTS, PARTS, Answer, Range, Schema, Snapshots, described, part
 
 API = "/api/v1"
 """Beginning of the paths of the endpoints. [name; contract]"""
-_PAGES = {"/": "index.html", "/api": "api.html"}
-"""Paths that are not the names of their files. [none; definition]"""
+_NAMES = "page.js live.js api.js page.css icon.svg uplot.js uplot.css uplot-LICENSE.txt"
+_FILES = {"/api": "api.html"} | {f"/{name}": name for name in _NAMES.split()}
+"""Path -> file of a page. [none; definition]"""
 _KINDS = {
     ".html": "text/html",
     ".js": "text/javascript",
@@ -68,9 +70,13 @@ def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     A request for data must hold the field ``Authorization: Bearer TOKEN``.  Without a token anyone may read, but only by a
     name of this machine's own, so that a page from elsewhere cannot lead a browser here by a name of its own.
     """
-    files = {f"/{file.name}": file for file in (resources.files("monitor.service.web") / "pages").iterdir()}
-    files = {path: files.pop(f"/{name}") for path, name in _PAGES.items()} | files
-    routes = [Route(path, _page(file.read_bytes(), _KINDS[Path(file.name).suffix])) for path, file in files.items()]
+    routes = [Route(path, _page(page_file(name), _KINDS[Path(name).suffix])) for path, name in _FILES.items()]
+    routes.append(Route("/", _page(live_page().encode(), "text/html")))
+    page = LivePage(snapshots)
+    routes += [
+        Route(f"{API}/page", _endpoint(page.answer, Shown)),
+        Route(f"{API}/report", _endpoint(page.report, Shown)),
+    ]
     for name in ENDPOINTS:
         routes.append(Route(f"{API}/{name}", _endpoint(partial(snapshots.answer, name), *_ASKED.get(name, ()))))
     routes.append(Route("/openapi.json", _page(json.dumps(describe()).encode(), "application/json")))
@@ -135,7 +141,7 @@ def _endpoint(make: Callable[..., Answer], *asked: type[BaseModel]) -> Callable[
             return _error(400, f"{wrong['loc'][0]}: {wrong['msg']}")
         known = request.headers.get("if-none-match") == made.etag
         body, status = (None, 304) if known else (made.body, 200)
-        return Response(body, status, {"ETag": made.etag}, None if known else "application/json")
+        return Response(body, status, {"ETag": made.etag}, None if known else made.kind)
 
     return answer
 

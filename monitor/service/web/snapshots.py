@@ -112,11 +112,12 @@ KEEP = Keep()
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """JSON of an endpoint."""
+    """What an endpoint answers."""
 
     body: bytes
     etag: str
     """Changes whenever the body does."""
+    kind: str = "application/json"
 
 
 class Snapshots:
@@ -128,18 +129,20 @@ class Snapshots:
         self._begun = time.time_ns()  # in every tag, so that none of an earlier run is taken for one of this run
         self._revisions = dict.fromkeys(ENDPOINTS, 0)
         self._assessment = Assessment(State.NOT_JUDGED, "No window of data yet.")
+        self._since_ns: int | None = None
         self._windows: list[tuple[int, bytes]] = []
         self._last: dict[str, dict[str, Any] | None] = {"latest": None, "judged": None}
         self._events: dict[str, dict[str, Any]] = {}
         self._findings: dict[tuple[Any, Any], dict[str, Any]] = {}
         self._summary: Mapping[str, Any] = {}
         self._health: Mapping[str, Any] = {}
-        self._channels: list[dict[str, Any]] = []
         self._heard_s = math.inf
 
     def state(self, assessment: Assessment) -> None:
         """Keep the present state of the structure."""
         with self._lock:
+            if assessment.state is not self._assessment.state:
+                self._since_ns = (self._last["latest"] or {}).get("t_end_ns")
             self._assessment = assessment
             self._touch("status")
 
@@ -168,11 +171,10 @@ class Snapshots:
 
     def event(self, line: Mapping[str, Any]) -> None:
         """Keep a line of events.jsonl, or the preliminary message, whose revision is null; the highest revision counts."""
-        brief = {key: value for key, value in line.items() if key not in _BULKY}
         with self._lock:
             known = self._events.get(line["id"])
             if known is None or _revision(line) >= _revision(known):
-                self._events = _latest({**self._events, line["id"]: brief}, "t_begin_ns", self._keep.items)
+                self._events = _latest({**self._events, line["id"]: dict(line)}, "t_begin_ns", self._keep.items)
                 self._touch("events")
 
     def finding(self, finding: Mapping[str, Any]) -> None:
@@ -186,9 +188,8 @@ class Snapshots:
     def health(self, line: Mapping[str, Any]) -> None:
         """Keep a line of health.jsonl; the sensors' part of it until the next span of data ends."""
         with self._lock:
-            self._health, self._heard_s = line, self._clock()
-            if line.get("channels"):
-                self._channels = list(line["channels"])
+            channels = line.get("channels") or self._health.get("channels") or ()
+            self._health, self._heard_s = {**line, "channels": channels}, self._clock()
             self._touch("status", "sensors")
 
     def summary(self, content: Mapping[str, Any]) -> None:
@@ -211,7 +212,7 @@ class Snapshots:
 
     def status(self) -> Keys:
         """State of the structure and of the monitor; which other endpoints changed."""
-        shown = outdated(self._assessment, "the monitor is silent") if self._is_silent else self._assessment
+        shown = self._shown
         monitor = "starting" if not self._health else "silent" if self._is_silent else "running"
         health, summary, known = self._health.get, self._summary.get, self._known.get
         return {
@@ -256,7 +257,8 @@ class Snapshots:
     def events(self) -> Keys:
         """Latest events (strong motion), newest first."""
         schema = _many(described({"id": _NAME, "t_begin_ns": _COUNT}))
-        return {"events": (list(self._events.values()), schema, "Lines of events.jsonl.")}
+        brief = [{key: value for key, value in one.items() if key not in _BULKY} for one in self._events.values()]
+        return {"events": (brief, schema, "Lines of events.jsonl.")}
 
     def findings(self) -> Keys:
         """Latest findings of diagnoses, newest first."""
@@ -277,7 +279,7 @@ class Snapshots:
         row, health = self._last["latest"] or {}, self._health.get
         reasons = dict.fromkeys(self._known.get("aside") or (), "enters no estimate")
         reasons |= zip(row.get("channels_left_out") or (), row.get("left_out_reasons") or (), strict=False)
-        told = {channel["channel"]: channel for channel in self._channels}
+        told = {channel["channel"]: channel for channel in health("channels") or ()}
         channels = [
             {**told.get(name, {"channel": name}), "in_use": name not in reasons, "reason": reasons.get(name)}
             for name in dict.fromkeys([*(self._known.get("channels") or ()), *told, *reasons])
@@ -289,6 +291,17 @@ class Snapshots:
             **{key: (health(key), _OBJECT, "") for key in ("stream", "source", "recorder", "refused")},
             "quality": (self._summary.get("quality"), _OBJECT, "As in summary.json."),
         }
+
+    def published(self) -> tuple[Assessment, dict[str, Any]]:
+        """Return what the page shows (`publish.live_sheet`) beside the windows, status and sensors."""
+        with self._lock:
+            content = {"summary": self._summary, "since_ns": self._since_ns}
+            lists = {"events": list(self._events.values()), "findings": list(self._findings.values())}
+            return self._shown, content | lists
+
+    @property
+    def _shown(self) -> Assessment:
+        return outdated(self._assessment, "the monitor is silent") if self._is_silent else self._assessment
 
     @property
     def _is_silent(self) -> bool:
@@ -347,6 +360,7 @@ def _window(line: Mapping[str, Any]) -> dict[str, Any]:
     """Take from a line of results.jsonl what the page shows, with `_DIGITS` significant digits; a skipped window is short."""
     alarm = line.get("alarm") or {}
     kept = {shown.key: line.get(shown.key) for shown in SHOWN}
+    kept["covariates"] = kept["covariates"] or {}
     if line["skipped"]:
         kept = {key: value for key, value in kept.items() if value not in (None, [])}
     lists = {key: alarm.get(key) or [] for key in ("stories", "changed")}
