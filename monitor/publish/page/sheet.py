@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
@@ -34,6 +34,8 @@ _SIGNS = {
 """State or kind of verdict -> its sign, for those who do not see colours. [words]"""
 _DIGITS = 5
 """Significant digits of the numbers of charts. [1; judgement: finer than a screen]"""
+_NAMES = ("is", "id", "key", "kind", "size")
+"""Keys of a section or block that are no texts. [names]"""
 _FILES = resources.files("monitor.publish.page") / "files"
 
 
@@ -121,6 +123,19 @@ class Sheet:
             self.charts[key] = chart.content | {"marks": rounded(chart.marks, _DIGITS)}
             captions.append({"key": key, "title": chart.title, "note": chart.note, "kind": chart.kind})
         self.add("more" if more else "charts", charts=captions, size=size, words=more)
+
+    def rename(self, words: Callable[[str], str]) -> None:
+        """Change every text of the page, as by the names of the stories."""
+
+        def changed(value: Any) -> Any:
+            if isinstance(value, str):
+                return words(value)
+            if isinstance(value, dict):
+                return {key: part if key in _NAMES else changed(part) for key, part in value.items()}
+            return [changed(part) for part in value] if isinstance(value, list | tuple) else value
+
+        self.title, self.headline = words(self.title), words(self.headline)
+        self.lead, self.sections = changed(self.lead), changed(self.sections)
 
     def body(self) -> str:
         """Write the HTML of the page's body."""

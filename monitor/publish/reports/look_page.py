@@ -132,7 +132,7 @@ def _shapes(sheet: Sheet, found: LookedRecording) -> None:
     for number, mode in enumerate(found.modes, start=1):
         title = f"mode {number}: {mode.frequency_hz:.4g} Hz"
         chart = Chart(title, (-0.3, c - 0.7), (-1.15, 1.15), x_names=found.channels).level(0.0, "measured dashed")
-        chart.line(np.arange(c), mode.shape.real).dots(np.arange(c), mode.shape.real, 2.0 * mode.shape_std)
+        chart.line(np.arange(1.0 * c), mode.shape.real).dots(np.arange(1.0 * c), mode.shape.real, 2.0 * mode.shape_std)
         charts.append(chart)
     sheet.section("Mode shapes")
     sheet.draw(*charts, size="small")
