@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib import resources
@@ -164,6 +164,11 @@ def one_file(template: str, data: Any, styles: Sequence[str], scripts: Sequence[
 def live_page() -> str:
     """Write the page that asks for its content (`Sheet.body` and charts)."""
     return _template("page.html").render(live=True, title="shm-monitor", version=__version__)
+
+
+def api_page(described: Mapping[str, Any]) -> str:
+    """Write the page of the JSON interface, of its OpenAPI document."""
+    return _template("api.html").render(**described)
 
 
 def page_file(name: str) -> bytes:
