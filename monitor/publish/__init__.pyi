@@ -1,5 +1,11 @@
 from .base import Publisher as Publisher
-from .page.sheet import Sheet as Sheet, live_page as live_page, page_file as page_file
+from .page.sheet import (
+    Sheet as Sheet,
+    api_page as api_page,
+    live_page as live_page,
+    one_file as one_file,
+    page_file as page_file,
+)
 from .reports.diagnosis_report import write_report as write_report
 from .reports.event_report import EventPage as EventPage, write_event as write_event
 from .reports.live import live_sheet as live_sheet

@@ -18,6 +18,7 @@ class Page(HTMLParser):
         super().__init__()
         self.html, self.words, self.head, self.tags = html, "", "", []
         self.tables: list[list[list[str]]] = []
+        self.headline = ""
         self.titles: dict[str, str] = {}
         """Title of each chart by its key."""
         self.notes: dict[str, str] = {}
@@ -64,6 +65,8 @@ class Page(HTMLParser):
         elif "style" not in inside and "title" not in inside:
             if data.strip():
                 self.words += f"{data.strip()} "
+            if "h1" in inside:
+                self.headline += data
             if "header" in inside:
                 self.head += data
             if inside[-1:] == ["b"] and "figcaption" in inside:

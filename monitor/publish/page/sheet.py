@@ -8,8 +8,8 @@ from __future__ import annotations
 import hashlib
 import json
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -34,6 +34,8 @@ _SIGNS = {
 """State or kind of verdict -> its sign, for those who do not see colours. [words]"""
 _DIGITS = 5
 """Significant digits of the numbers of charts. [1; judgement: finer than a screen]"""
+_NAMES = ("is", "id", "key", "kind", "size")
+"""Keys of a section or block that are no texts. [names]"""
 _FILES = resources.files("monitor.publish.page") / "files"
 
 
@@ -107,7 +109,7 @@ class Sheet:
             return
         names = [(h.lstrip("#@"), {"#": "n", "@": "t"}.get(h[:1], "")) for h in head]
         shown = rows[:most] if most else rows
-        cells = [[vars_of(v) if isinstance(v, Link) else str(v) for v in row] for row in shown]
+        cells = [[asdict(v) if isinstance(v, Link) else str(v) for v in row] for row in shown]
         self.add("table", head=names, rows=cells, flows=flows)
         self.text(f"{len(rows) - len(shown)} more are not shown." if len(rows) > len(shown) else "")
 
@@ -122,49 +124,51 @@ class Sheet:
             captions.append({"key": key, "title": chart.title, "note": chart.note, "kind": chart.kind})
         self.add("more" if more else "charts", charts=captions, size=size, words=more)
 
+    def rename(self, words: Callable[[str], str]) -> None:
+        """Change every text of the page, as by the names of the stories."""
+
+        def changed(value: Any) -> Any:
+            if isinstance(value, str):
+                return words(value)
+            if isinstance(value, dict):
+                return {key: part if key in _NAMES else changed(part) for key, part in value.items()}
+            return [changed(part) for part in value] if isinstance(value, list | tuple) else value
+
+        self.title, self.headline = words(self.title), words(self.headline)
+        self.lead, self.sections = changed(self.lead), changed(self.sections)
+
     def body(self) -> str:
         """Write the HTML of the page's body."""
         return _template("sheet.html").render(s=self)
 
     def html(self) -> str:
         """Write the page as one file, which needs nothing from elsewhere."""
-        styles, scripts = [[_text(f"{name}.{end}") for name in ("uplot", "page")] for end in ("css", "js")]
-        return _template("page.html").render(
-            live=False,
-            title=self.title,
-            s=self,
-            data=embedded({"charts": self.charts}),
-            styles=styles,
-            scripts=scripts,
-            policy=policy(scripts),
-        )
+        names = "uplot", "page"
+        return one_file("page.html", {"charts": self.charts}, names, names, title=self.title, s=self, live=False)
 
     def write(self, path: Path) -> None:
         """Write the page into a file, which appears under its name only when complete."""
         write_atomically(path, self.html())
 
 
-def vars_of(link: Link) -> dict[str, str]:
-    """Return a link as the template reads it."""
-    return {"words": link.words, "to": link.to}
-
-
-def embedded(content: Any) -> Markup:
-    """Write JSON that may stand in a script element: ``<`` could end it."""
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
-    return Markup(text.replace("<", "\\u003c"))
-
-
-def policy(scripts: Iterable[str]) -> str:
-    """Write the security policy of a file: no script runs but these, and nothing is loaded."""
-    sums = (b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts)
-    allowed = " ".join(f"'sha256-{checksum}'" for checksum in sums)
-    return f"default-src 'none'; style-src 'unsafe-inline'; script-src {allowed}"
+def one_file(template: str, data: Any, styles: Sequence[str], scripts: Sequence[str], **content: Any) -> str:
+    """Write a page as one file of a template, with data for its scripts and a policy by which no other script runs."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    files = {"styles": [_text(f"{name}.css") for name in styles], "scripts": [_text(f"{name}.js") for name in scripts]}
+    sums = (b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in files["scripts"])
+    policy = "default-src 'none'; style-src 'unsafe-inline'; script-src " + " ".join(f"'sha256-{c}'" for c in sums)
+    embedded = Markup(text.replace("<", "\\u003c"))  # "<" could end the script element
+    return _template(template).render(data=embedded, policy=policy, **files, **content)
 
 
 def live_page() -> str:
     """Write the page that asks for its content (`Sheet.body` and charts)."""
     return _template("page.html").render(live=True, title="shm-monitor", version=__version__)
+
+
+def api_page(described: Mapping[str, Any]) -> str:
+    """Write the page of the JSON interface, of its OpenAPI document."""
+    return _template("api.html").render(**described)
 
 
 def page_file(name: str) -> bytes:

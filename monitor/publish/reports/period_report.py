@@ -178,7 +178,7 @@ def sheet(period: Period, beside: Path | None = None) -> Sheet:
     said, span = period.assessment, _span(period)
     page = Sheet(f"{period.name}: {span}", period.name, said.state.value, said.state.words, headline=said.headline)
     _head(page, period)
-    for part in (_where, _trust, _losses, _changes, _modes, _covariates, _alarms, _findings):
+    for part in (_where, _trust, _losses, _modes, _covariates, _alarms, _findings):
         part(page, period)
     _events(page, period, beside)
     _sensors(page, period)
@@ -232,30 +232,24 @@ def _length(seconds: float) -> str:
 def _where(page: Sheet, period: Period) -> None:
     """Tabulate the stories or modes with what they lost, the affected first."""
     r, judged = period.results, period.known.has_baseline
-    curves = r.ddi or r.changes
     page.section("Where, and how much", "where")
     page.items(f"Event {a.id}: {'; '.join(a.exceeded)}" for a in period.event_alarms if a.unacknowledged)
     standing = {a.story: a for a in reversed(_standing(period))}
-    if WHOLE in standing:
-        page.text(
-            f"{period.known.parts.every.capitalize()}: {standing[WHOLE].level.value} since {utc(standing[WHOLE].t_first_ns)} UTC."
-        )
+    if (every := standing.get(WHOLE)) is not None:
+        name = period.known.parts.every.capitalize()
+        page.text(f"{name}: {every.level.value} since {utc(every.t_first_ns)} UTC.")
     rows = []
-    for j, c in enumerate(curves, 1):
-        alarm = standing.get(j)
+    for j, c in enumerate(r.ddi or r.changes, 1):
+        alarm, (seen, says) = standing.get(j), _sight(j, period)
+        state = alarm.level.value if alarm else "normal" if judged and seen else "not judged"
         size = with_interval(100 * c.latest, 100 * c.latest_half) if c.values else _UNKNOWN
-        state = alarm.level.value if alarm else "normal" if judged and _sight(j, period)[0] else "not judged"
-        since = utc(alarm.t_first_ns) if alarm else ""
-        rank = (-alarm.level.rank if alarm else 0, -abs(c.latest) if alarm else 0.0, j)
-        rows.append((rank, [_name(j, period), state, size, since, *([_sight(j, period)[1]] if r.ddi else [])]))
-    what = ["story", "#stiffness lost, %" if judged else "#lost against the structure file, %"]
-    what = what if r.ddi else ["mode", "#change, %"]
-    head = [what[0], "state", what[1], "@since, UTC", *(["what would be seen"] if r.ddi else [])]
-    page.table(head, [row for _, row in sorted(rows)], most=_MAX_ROWS)
-    if rows:
-        page.note("Latest value with two standard deviations, about 95 %.")
-    else:
-        page.text("No window has been judged.")
+        rank = (-alarm.level.rank, -abs(c.latest)) if alarm else (0, 0.0)
+        rows.append((rank, j, (_name(j, period), state, size, utc(alarm.t_first_ns) if alarm else "", says)))
+    what = "#stiffness lost, %" if judged else "#lost against the structure file, %"
+    head = ["story", "state", what, "@since, UTC", "what would be seen"]
+    head = head if r.ddi else ["mode", "state", "#change, %", "@since, UTC"]
+    page.table(head, [row[: len(head)] for _, _, row in sorted(rows)], most=_MAX_ROWS)
+    page.note("Latest value with two standard deviations, about 95 %." if rows else "No window has been judged.")
 
 
 def _trust(page: Sheet, period: Period) -> None:
@@ -276,18 +270,14 @@ def _trust(page: Sheet, period: Period) -> None:
     if period.known.has_baseline or period.alarms:
         shown.append((f"{period.alarms}", "alarm" if period.alarms == 1 else "alarms"))
     page.figures(shown)
-    rows = [
-        (Skipped(reason).mend, str(n))
-        for reason, n in sorted(
-            r.course.skip_reasons.items() or period.course.skip_reasons.items(), key=lambda item: -item[1]
-        )
-    ]
+    reasons = r.course.skip_reasons or period.course.skip_reasons
+    rows = [(Skipped(why).mend, str(n)) for why, n in sorted(reasons.items(), key=lambda item: -item[1])]
     missing = 0 if period.live else r.due - r.course.windows
     rows += [("no data, or the monitor did not run", str(missing))] if missing > 0 else []
     rows += [("a line of results.jsonl that cannot be read", str(r.damaged))] if r.damaged else []
     page.table(["windows that say nothing, and why", "#windows"], rows, most=_MAX_ROWS)
     title = "Goodness of fit (1: a change of stiffness explains what is seen)"
-    page.draw(_coverage(r), *_panels(r.grid, [(title, r.misfit)]))
+    page.draw(_coverage(r), *([] if r.misfit is None else [_curve(period, title, r.misfit)]))
 
 
 def _coverage(r: PeriodResults) -> Chart:
@@ -314,96 +304,65 @@ def _over_time(grid: Grid, title: str, y: tuple[float, float], height: float = 1
     return chart
 
 
-def _envelope(chart: Chart, grid: Grid, curve: Curve, scale: float = 1.0) -> Chart:
-    """Draw a curve as the line of its mean in its band."""
-    t_ns, (low, mean, high) = curve.envelope().drawn(scale)
+def _curve(
+    period: Period,
+    title: str,
+    curve: Curve,
+    levels: Sequence[tuple[float, str]] = (),
+    *,
+    scale: float = 1.0,
+    y: tuple[float, float] | None = None,
+    parts: Sequence[int] = (),
+    says: str = "",
+) -> Chart:
+    """Draw a curve's mean in its band, on the scale `y` if it is given, over the alarms of `parts`, with level lines."""
+    grid, (t_ns, (low, mean, high)) = period.results.grid, curve.envelope().drawn(scale)
+    extent = [value for value, _ in levels] + [float(np.nanmin(low)), float(np.nanmax(high))]
+    latest = f"latest {with_interval(scale * curve.latest, scale * curve.latest_half, 4)}"
+    chart = _over_time(grid, title, y or (min(extent), max(extent)), note="; ".join(filter(None, (latest, says))))
+    for a in period.course.losses:
+        if a.story in parts:
+            last_ns = grid.to_ns if a.t_last_ns is None else a.t_last_ns
+            begin, end = grid.share(np.array([a.t_first_ns, last_ns], dtype=float)).tolist()
+            chart.shade((begin, end), "still" if a.level == "alarm" else "off")
+    for value, kind in levels:
+        chart.level(value, kind)
     return chart.line(grid.share(t_ns), mean, "after", low, high)
 
 
-def _panels(
-    grid: Grid, curves: Sequence[tuple[str, Curve | None]], zero: Mapping[int, float] | None = None
-) -> list[Chart]:
-    """Draw quantities over the period, those that have values, each with the level of a baseline that `zero` has of its place."""
-    charts = []
-    for k, (title, curve) in enumerate(curves):
-        if curve is None or not curve.values:
-            continue
-        e, level = curve.envelope(), (zero or {}).get(k)
-        of = [*e.low, *e.high, *([] if level is None else [level])]
-        chart = _over_time(
-            grid,
-            title,
-            (float(min(of)), float(max(of))),
-            note=f"latest {with_interval(curve.latest, curve.latest_half, 4)}",
-        )
-        if level is not None:
-            chart.level(level, "before dashed")
-        charts.append(_envelope(chart, grid, curve))
-    return charts
-
-
 def _losses(page: Sheet, period: Period) -> None:
-    """Draw the damage index of every story on one scale, with alarms, threshold and the baseline."""
+    """Draw the loss of every story, or the change of every mode, on one scale, with alarms, threshold and the baseline."""
     r, judged = period.results, period.known.has_baseline
-    if not r.ddi:
+    curves = [(j, c) for j, c in enumerate(r.ddi or r.changes, 1) if c.values]
+    if not curves:
         return
-    limit = period.thresholds.get("alarm_loss") if judged else None
-    since = "since the baseline" if judged else "against the structure file"
-    page.section(f"Stiffness lost {since}", "loss")
-    titles = [f"{_name(j, period)}: stiffness lost, %" for j in range(1, len(r.ddi) + 1)]
-    page.draw(
-        *_with_alarms(
-            period,
-            r.ddi,
-            titles,
-            None if limit is None else 100 * limit,
-            [(j, WHOLE) for j in range(1, len(r.ddi) + 1)],
-        )
-    )
-    page.note(
-        f"{_thresholds(period.thresholds) if judged else 'Without a baseline this is no damage index.'} {_legend(r.grid)}"
-    )
-    page.draw(
-        *_panels(r.grid, [(f"{_name(j, period)}: stiffness, N/m", c) for j, c in enumerate(r.stiffness, 1)]),
-        more="Stiffness in N/m",
-    )
-
-
-def _with_alarms(
-    period: Period,
-    curves: Sequence[Curve],
-    titles: Sequence[str],
-    limit: float | None,
-    parts: Sequence[tuple[int, ...]],
-) -> list[Chart]:
-    """Draw curves in percent on one scale over their parts' alarms, with the level of no change and the limit of an alarm."""
-    grid = period.results.grid
-    bounds = [e for c in curves if c.values for e in (c.envelope(),)]
-    reach = [-0.1, 0.1, *(100 * float(e.low.min()) for e in bounds), *(100 * float(e.high.max()) for e in bounds)]
-    reach += [] if limit is None else [limit if limit > 0 else 0.2 * abs(limit), min(limit, 0.0)]
+    alarm_loss = period.thresholds.get("alarm_loss")
+    if r.ddi:
+        limit = 100 * alarm_loss if judged and alarm_loss is not None else None
+        page.section(f"Stiffness lost {'since the baseline' if judged else 'against the structure file'}", "loss")
+        title, shapes = "stiffness lost, %", 0
+    else:
+        limit = -50 * (period.known.alarm_loss if alarm_loss is None else alarm_loss)
+        page.section("Change of the modes since the baseline", "loss")
+        title, shapes = "frequency since the baseline, less what covariates explain, %", period.known.n_modes or 0
+    levels = [(0.0, "before dashed"), *([] if limit is None else [(limit, "limit dashed")])]
+    of_all = [c.envelope() for _, c in curves]
+    low = 100 * min(float(e.low.min()) for e in of_all)
+    high = 100 * max(float(e.high.max()) for e in of_all)
+    y = min(low, -0.1, limit or 0.0), max(high, 0.1, limit or 0.0)
     charts = []
-    for title, c, of in zip(titles, curves, parts, strict=True):
-        if not c.values:
-            continue
-        seen, says = _sight(of[0], period) if period.known.n_modes is None else (True, "")
-        chart = _over_time(
-            grid,
-            title,
-            (min(reach), max(reach)),
-            note="; ".join(filter(None, [f"latest {with_interval(100 * c.latest, 100 * c.latest_half)} %", says])),
-        )
-        chart.kind = "" if seen or any(a.story in of for a in period.course.losses) else "unseen"
-        for a in period.course.losses:
-            if a.story in of:
-                ends = grid.share(
-                    np.array([a.t_first_ns, grid.to_ns if a.t_last_ns is None else a.t_last_ns], dtype=float)
-                )
-                chart.shade((float(ends[0]), float(ends[1])), "still" if a.level == "alarm" else "off")
-        chart.level(0.0, "before dashed")
-        if limit is not None:
-            chart.level(limit, "limit dashed")
-        charts.append(_envelope(chart, grid, c, 100.0))
-    return charts
+    for j, c in curves:
+        (seen, says), parts = _sight(j, period) if r.ddi else (True, ""), {j, j + shapes, WHOLE}
+        chart = _curve(period, f"{_name(j, period)}: {title}", c, levels, scale=100.0, y=y, parts=[*parts], says=says)
+        chart.kind = "" if seen or any(a.story in parts for a in period.course.losses) else "unseen"
+        charts.append(chart)
+    page.draw(*charts)
+    fall = "Shaded where frequency or shape was announced as changed; dashed red: a confirmed fall of this size is an alarm."
+    how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
+    page.note(f"{how if r.ddi else fall} {_legend(r.grid)}")
+    stiffness = enumerate(r.stiffness, 1)
+    more = [_curve(period, f"{_name(j, period)}: stiffness, N/m", c) for j, c in stiffness if c.values]
+    page.draw(*more, more="Stiffness in N/m")
 
 
 def _legend(grid: Grid) -> str:
@@ -417,22 +376,6 @@ def _legend(grid: Grid) -> str:
     said = [f"{utc(a)} to {utc(b)}" for a, b in grid.gaps[:3]]
     said += [f"{len(grid.gaps) - 3} more"] if len(grid.gaps) > 3 else []
     return f"{says} Grey: times without data, which the charts shorten ({'; '.join(said)})."
-
-
-def _changes(page: Sheet, period: Period) -> None:
-    """Draw the change of every mode's frequency on one scale, with alarms and threshold, where there is no model."""
-    r = period.results
-    if not any(c.values for c in r.changes):
-        return
-    limit, shapes = -50 * period.thresholds.get("alarm_loss", period.known.alarm_loss), period.known.n_modes or 0
-    page.section("Change of the modes since the baseline", "changes")
-    numbers = range(1, len(r.changes) + 1)
-    titles = [f"mode {k}: frequency since the baseline, less what covariates explain, %" for k in numbers]
-    page.draw(*_with_alarms(period, r.changes, titles, limit, [(k, k + shapes, WHOLE) for k in numbers]))
-    page.note(
-        "Shaded where frequency or shape was announced as changed; dashed red: a confirmed fall of this size is an alarm. "
-        + _legend(r.grid)
-    )
 
 
 def _sight(story: int, period: Period) -> tuple[bool, str]:
@@ -514,32 +457,33 @@ def _modes(page: Sheet, period: Period) -> None:
         return
     page.section("Natural frequencies", "modes")
     other = "another mode" if modal else "another mode, not of the model"
-    names = [f"mode {c.mode}" if c.mode is not None else other for c in curves]
-    hz = {k: period.baseline_hz[c.mode] for k, c in enumerate(curves) if c.mode and c.mode in period.baseline_hz}
-    page.draw(*_panels(r.grid, [(f"{name}: frequency, Hz", c) for name, c in zip(names, curves, strict=True)], hz))
-    rows = []
-    for k, (name, c) in enumerate(zip(names, curves, strict=True)):
+    charts, rows = [], []
+    for c in curves:
+        name, hz = f"mode {c.mode}" if c.mode is not None else other, period.baseline_hz.get(c.mode or 0)
+        charts.append(_curve(period, f"{name}: frequency, Hz", c, [] if hz is None else [(hz, "before dashed")]))
         value, std = c.damping or (None, None)
         damping = _UNKNOWN if value is None else with_interval(100 * value, 200 * (std or 0.0))
-        rows.append((name, with_interval(c.latest, c.latest_half, 4), f"{hz[k]:.4g}" if k in hz else _UNKNOWN, damping))
+        at_baseline = _UNKNOWN if hz is None else f"{hz:.4g}"
+        rows.append((name, with_interval(c.latest, c.latest_half, 4), at_baseline, damping))
+    page.draw(*charts)
     page.table(["mode, latest", "#frequency, Hz", "#at the baseline, Hz", "#damping, %"], rows)
 
 
 def _covariates(page: Sheet, period: Period) -> None:
     """Draw level of motion and weather, with the range that calibration learned from and where the latest value lies in it."""
-    rows, curves = [], []
+    rows, charts = [], []
     for name, curve in sorted(period.results.covariates.items()):
         e, learned = curve.envelope(), period.learned.get(name)
         unit = learned.unit if learned is not None else _UNITS.get(name, "")
         extent = f"{e.low.min():.3g}", f"{e.high.max():.3g}", f"{curve.latest:.3g}"
         known = (_UNKNOWN, _UNKNOWN) if learned is None else (f"{learned.low:.3g}", f"{learned.high:.3g}")
         rows.append((name, unit, *known, *extent, _place(curve.latest, learned, period)))
-        curves.append((f"{name}, {unit}".rstrip(", "), curve))
+        charts.append(_curve(period, f"{name}, {unit}".rstrip(", "), curve))
     if rows:
         page.section("Level of motion and weather", "covariates")
         head = ["covariate", "unit", "#learned from", "#to", "#here from", "#to", "#latest", "the latest lies"]
         page.table(head, rows)
-        page.draw(*_panels(period.results.grid, curves))
+        page.draw(*charts)
 
 
 def _place(value: float, learned: LearnedRange | None, period: Period) -> str:

@@ -23,17 +23,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from monitor import __version__
 from monitor.config import security_check
-from monitor.publish import live_page, page_file
+from monitor.publish import api_page, live_page, page_file
 from monitor.service.web.live_page import LivePage, Shown
 from monitor.service.web.snapshots import ENDPOINTS, PARTS, Answer, Range, Schema, Snapshots, described, part
 
 API = "/api/v1"
 """Beginning of the paths of the endpoints. [name; contract]"""
-_NAMES = "page.js live.js api.js page.css icon.svg uplot.js uplot.css uplot-LICENSE.txt"
-_FILES = {"/api": "api.html"} | {f"/{name}": name for name in _NAMES.split()}
+_NAMES = "page.js live.js page.css icon.svg uplot.js uplot.css uplot-LICENSE.txt"
+_FILES = {f"/{name}": name for name in _NAMES.split()}
 """Path -> file of a page. [none; definition]"""
 _KINDS = {
-    ".html": "text/html",
     ".js": "text/javascript",
     ".css": "text/css",
     ".svg": "image/svg+xml",
@@ -71,7 +70,9 @@ def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     name of this machine's own, so that a page from elsewhere cannot lead a browser here by a name of its own.
     """
     routes = [Route(path, _page(page_file(name), _KINDS[Path(name).suffix])) for path, name in _FILES.items()]
-    routes.append(Route("/", _page(live_page().encode(), "text/html")))
+    interface = describe()
+    pages = {"/": live_page(), "/api": api_page(interface)}
+    routes += [Route(path, _page(html.encode(), "text/html")) for path, html in pages.items()]
     page = LivePage(snapshots)
     routes += [
         Route(f"{API}/page", _endpoint(page.answer, Shown)),
@@ -79,7 +80,7 @@ def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     ]
     for name in ENDPOINTS:
         routes.append(Route(f"{API}/{name}", _endpoint(partial(snapshots.answer, name), *_ASKED.get(name, ()))))
-    routes.append(Route("/openapi.json", _page(json.dumps(describe()).encode(), "application/json")))
+    routes.append(Route("/openapi.json", _page(json.dumps(interface).encode(), "application/json")))
     middleware = [
         Middleware(_Guard, token=token),
         # No threads: what compression costs counts in the server's share of a core.
