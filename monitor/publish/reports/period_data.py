@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monitor.core import Array, BadInputError, MissingInputError
 from monitor.damage import Course, follow
@@ -23,7 +22,7 @@ from monitor.publish.results.recorded_time import due_windows, reaches_between
 MAX_BINS = 1000
 """Largest number of bins of a curve, which is drawn as the two sides of its envelope: 2000 points."""
 _GAP_BINS = 3
-"""Empty bins of a gap that charts shorten: curves are interrupted there. [count; definition: `Envelope.drawn`]"""
+"""Empty bins of a gap that charts shorten: curves are interrupted there. [count; definition: `Curve.drawn`]"""
 _GAP_WIDTH = 0.06
 """Greatest share of a chart's width that a shortened gap takes. [ratio; judgement: seen, and a label fits]"""
 _MOST_GAPS = 50
@@ -37,27 +36,6 @@ _SAME_OTHER_MODE = 0.02
 _HEAD, _TAIL_BYTES = 50, 1 << 17
 """Number of lines at the beginning and of bytes at the end of the file from which its extent is read."""
 _T_END = re.compile(rb'"t_end_ns": (\d{1,18}|[1-8]\d{18})\b')
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Envelope:
-    """Envelope of a quantity over a period, in the n bins that have values."""
-
-    t_ns: Annotated[Array, "n"]
-    """Middles of the bins, UTC."""
-    index: Annotated[NDArray[np.intp], "n"]
-    """Numbers of the bins."""
-    low: Annotated[Array, "n"]
-    """Least value less its half-interval."""
-    mean: Annotated[Array, "n"]
-    high: Annotated[Array, "n"]
-    """Greatest value plus its half-interval."""
-
-    def drawn(self, scale: float = 1.0) -> tuple[Annotated[Array, "k"], list[Annotated[Array, "k"]]]:
-        """Return the times, and low, mean and high times `scale`, with NaN where more than one bin in between is empty."""
-        cuts = np.flatnonzero(np.diff(self.index) > 2) + 1
-        times = np.insert(self.t_ns, cuts, 0.5 * (self.t_ns[cuts - 1] + self.t_ns[cuts]))
-        return times, [np.insert(scale * values, cuts, np.nan) for values in (self.low, self.mean, self.high)]
 
 
 class Grid:
@@ -107,18 +85,23 @@ class Grid:
 
 
 class Curve:
-    """Collector of the values of an `Envelope`."""
+    """A quantity over a period: in each bin its mean, and its least and greatest value with their half-intervals."""
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
-        self._low, self._high = [inf] * grid.n, [-inf] * grid.n
-        self._total, self._count = [0.0] * grid.n, [0] * grid.n
+        self._low, self._high = np.full(grid.n, inf), np.full(grid.n, -inf)
+        self._total, self._count = np.zeros(grid.n), np.zeros(grid.n)
         self.values = 0
         self.latest = self.latest_half = 0.0
         self.damping: tuple[float, float | None] | None = None
         """Latest damping ratio of the mode, with its standard deviation."""
         self.mode: int | None = None
         """Number of the model's mode whose frequency it is, 1 = lowest; None for any other quantity or mode."""
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and greatest value, with their half-intervals."""
+        return float(self._low.min()), float(self._high.max())
 
     def add(self, at: int, value: float, half: float = 0.0) -> None:
         """Add a value with its half-interval to bin `at`."""
@@ -128,14 +111,13 @@ class Curve:
         self._count[at] += 1
         self.values, self.latest, self.latest_half = self.values + 1, value, half
 
-    def envelope(self) -> Envelope:
-        """Return the envelope of the collected values."""
-        count = np.array(self._count)
-        use = np.flatnonzero(count)
-        edges = self._grid.edges_ns
-        low, total, high = (np.array(v, dtype=np.float64)[use] for v in (self._low, self._total, self._high))
-        middles = np.asarray(0.5 * edges[use] + 0.5 * edges[use + 1])
-        return Envelope(middles, use, low, total / count[use], high)
+    def drawn(self) -> tuple[Annotated[Array, "k"], list[Annotated[Array, "k"]]]:
+        """Return the times, and low, mean and high, with NaN where more than one bin in between is empty."""
+        use, edges = np.flatnonzero(self._count), self._grid.edges_ns
+        t_ns, cuts = 0.5 * edges[use] + 0.5 * edges[use + 1], np.flatnonzero(np.diff(use) > 2) + 1
+        times = np.insert(t_ns, cuts, 0.5 * (t_ns[cuts - 1] + t_ns[cuts]))
+        sides = self._low[use], self._total[use] / self._count[use], self._high[use]
+        return times, [np.insert(values, cuts, np.nan) for values in sides]
 
 
 @dataclass(slots=True)
@@ -188,7 +170,6 @@ class PeriodResults:
         if skipped and reaches_between(t_ns, self.window_s, self.between):
             return
         at = self.grid.at(t_ns)
-        losses = [[float(v) for v in line.get(key) or ()] for key in ("ddi", "ddi_std")]
         self._add_modes(at, line)
         for name, value in (line.get("covariates") or {}).items():
             if value is not None:
@@ -196,11 +177,9 @@ class PeriodResults:
         (self.refused if skipped else self.judged)[at] += 1
         if skipped:
             return
-        if losses[0]:
-            self._add_each(self.ddi, at, *losses)
-        self._add_each(self.stiffness, at, line.get("stiffness_n_per_m") or (), line.get("stiffness_std") or ())
-        if (sizes := line.get("frequency_change")) is not None:
-            self._add_each(self.changes, at, sizes, line["frequency_change_std"])
+        of_parts = (self.ddi, "ddi", "ddi_std"), (self.stiffness, "stiffness_n_per_m", "stiffness_std")
+        for curves, key, std in (*of_parts, (self.changes, "frequency_change", "frequency_change_std")):
+            self._add_each(curves, at, line.get(key) or (), line.get(std) or ())
         if (misfit := line.get("misfit")) is not None:
             self.misfit = self.misfit or Curve(self.grid)
             self.misfit.add(at, misfit)
@@ -212,7 +191,7 @@ class PeriodResults:
         dampings = list(zip(line.get("damping_ratio") or (), line.get("damping_std") or (), strict=False))
         numbers = line.get("model_modes") or range(1, len(frequencies) + 1)
         for i, (mode, f, std) in enumerate(zip(numbers, frequencies, stds, strict=True)):
-            curve = self._mode(tracks[i] if i < len(tracks) else -1, f)
+            curve = self._mode(tracks[i] if i < len(tracks) else -1 - mode, f)
             curve.add(at, f, 2.0 * (std or 0.0))
             curve.mode, curve.damping = mode, dampings[i] if i < len(dampings) else None
         for other in line.get("other_modes") or []:
@@ -235,7 +214,7 @@ class PeriodResults:
         if curve is None:
             curve = Curve(self.grid)
             self.modes.append(curve)
-        if track >= 0:
+        if track != -1:
             self._tracks[track] = curve
         return curve
 

@@ -316,8 +316,8 @@ def _curve(
     says: str = "",
 ) -> Chart:
     """Draw a curve's mean in its band, on the scale `y` if it is given, over the alarms of `parts`, with level lines."""
-    grid, (t_ns, (low, mean, high)) = period.results.grid, curve.envelope().drawn(scale)
-    extent = [value for value, _ in levels] + [float(np.nanmin(low)), float(np.nanmax(high))]
+    grid, (t_ns, (low, mean, high)) = period.results.grid, curve.drawn()
+    extent = [*(value for value, _ in levels), *(scale * value for value in curve.range)]
     latest = f"latest {with_interval(scale * curve.latest, scale * curve.latest_half, 4)}"
     chart = _over_time(grid, title, y or (min(extent), max(extent)), note="; ".join(filter(None, (latest, says))))
     for a in period.course.losses:
@@ -327,7 +327,7 @@ def _curve(
             chart.shade((begin, end), "still" if a.level == "alarm" else "off")
     for value, kind in levels:
         chart.level(value, kind)
-    return chart.line(grid.share(t_ns), mean, "after", low, high)
+    return chart.line(grid.share(t_ns), scale * mean, "after", scale * low, scale * high)
 
 
 def _losses(page: Sheet, period: Period) -> None:
@@ -346,10 +346,8 @@ def _losses(page: Sheet, period: Period) -> None:
         page.section("Change of the modes since the baseline", "loss")
         title, shapes = "frequency since the baseline, less what covariates explain, %", period.known.n_modes or 0
     levels = [(0.0, "before dashed"), *([] if limit is None else [(limit, "limit dashed")])]
-    of_all = [c.envelope() for _, c in curves]
-    low = 100 * min(float(e.low.min()) for e in of_all)
-    high = 100 * max(float(e.high.max()) for e in of_all)
-    y = min(low, -0.1, limit or 0.0), max(high, 0.1, limit or 0.0)
+    reach = [100.0 * end for _, c in curves for end in c.range]
+    y = min(*reach, -0.1, limit or 0.0), max(*reach, 0.1, limit or 0.0)
     charts = []
     for j, c in curves:
         (seen, says), parts = _sight(j, period) if r.ddi else (True, ""), {j, j + shapes, WHOLE}
@@ -473,9 +471,9 @@ def _covariates(page: Sheet, period: Period) -> None:
     """Draw level of motion and weather, with the range that calibration learned from and where the latest value lies in it."""
     rows, charts = [], []
     for name, curve in sorted(period.results.covariates.items()):
-        e, learned = curve.envelope(), period.learned.get(name)
+        (low, high), learned = curve.range, period.learned.get(name)
         unit = learned.unit if learned is not None else _UNITS.get(name, "")
-        extent = f"{e.low.min():.3g}", f"{e.high.max():.3g}", f"{curve.latest:.3g}"
+        extent = f"{low:.3g}", f"{high:.3g}", f"{curve.latest:.3g}"
         known = (_UNKNOWN, _UNKNOWN) if learned is None else (f"{learned.low:.3g}", f"{learned.high:.3g}")
         rows.append((name, unit, *known, *extent, _place(curve.latest, learned, period)))
         charts.append(_curve(period, f"{name}, {unit}".rstrip(", "), curve))
