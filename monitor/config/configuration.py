@@ -126,6 +126,8 @@ class SiteSettings(Settings):
     """Name of the site in keys, metrics, messages and the log; by default the name of the structure."""
     formerly: str = ""
     """Name under which the site wrote into its output folder before; the folder of another site is refused."""
+    contact: str = ""
+    """Whom to call, and how, as the page and the reports say it: ``"Ada Bell, +44 20 7946 0000"``."""
     baseline: str | None = None
     """Baseline file that 'calibrate' wrote. All paths of a site file are relative to it. Without a baseline there is no alarm."""
 

@@ -58,3 +58,4 @@ from .updating import (
     observe as observe,
     update as update,
 )
+from .what_to_do import advice as advice

@@ -1,6 +1,14 @@
 from .base import Publisher as Publisher
+from .page.sheet import (
+    Sheet as Sheet,
+    api_page as api_page,
+    live_page as live_page,
+    one_file as one_file,
+    page_file as page_file,
+)
 from .reports.diagnosis_report import write_report as write_report
 from .reports.event_report import EventPage as EventPage, write_event as write_event
+from .reports.live import live_sheet as live_sheet
 from .reports.look_data import (
     G_M_S2 as G_M_S2,
     LookedBand as LookedBand,

@@ -14,7 +14,7 @@ from typing import Any
 
 from drivers.base import SampleBlock
 from monitor.config import Configuration
-from monitor.core import Gap, Samples, WindowResult
+from monitor.core import Gap, Samples, WindowResult, rounded
 from monitor.damage import (
     AlarmState,
     AnyBaseline,
@@ -218,6 +218,8 @@ class Session:
             **self.assessment.content,
             **summary,
             "known": asdict(self._known_now),
+            "contact": self.config.site.contact,
+            "baseline_frequencies_hz": self._baseline_hz(),
             "covariates_learned": {
                 name: learned._asdict()
                 for name, learned in learned_ranges(None if self._baseline is None else self._baseline.law).items()
@@ -281,6 +283,14 @@ class Session:
             clock_ratio=1.0 if b is None else b.clock_ratio,
             n_modes=None if c.has_model else modes,
         )
+
+    def _baseline_hz(self) -> dict[int, float]:
+        """Return the natural frequencies at calibration, Hz, by the modes' numbers from 1."""
+        b = self._baseline
+        if b is None:
+            return {}
+        numbers = range(b.frequencies_hz.size) if isinstance(b, ModalBaseline) else b.model_mode
+        return {k + 1: rounded(hz) for k, hz in zip(numbers, b.frequencies_hz, strict=True)}
 
     def _publish_findings(self, findings: Iterable[dict[str, Any]]) -> None:
         for finding in findings:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import urllib.request
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
-from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
 from monitor.core import MissingInputError
-from monitor.service.outlets.http_server import HttpServer, wsgi
-from monitor.service.outlets.metrics import Metrics
+from monitor.service.outlets.metrics import Metrics, metrics_application
 from monitor.service.schedule import State
 
 _ASK_S = 2.0
@@ -23,12 +21,14 @@ class _Endpoint(Collector):
     """Answer Prometheus over HTTP with metrics of many sites, at `port`; raise MissingInputError where it cannot be opened."""
 
     def __init__(self, address: tuple[str, int]) -> None:
-        registry = CollectorRegistry(auto_describe=False)
-        registry.register(self)
+        from monitor.service.outlets.http_server import HttpServer  # loads uvicorn
+
+        self._server = HttpServer("metrics", address, metrics_application(self))
         try:
-            self._server = HttpServer(*address, wsgi(make_wsgi_app(registry)))
+            self._server.listen()
         except OSError as error:
-            raise MissingInputError(f"--metrics {address[0]}:{address[1]}: {error.strerror or error}") from error
+            raise MissingInputError(f"--metrics {self._server.at}: {error.strerror or error}") from error
+        assert self._server.port is not None
         self.port = self._server.port
 
     def close(self, timeout_s: float) -> None:

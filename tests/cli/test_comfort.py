@@ -18,6 +18,7 @@ from typer.main import get_command
 from monitor.cli import view
 from monitor.cli.app import app
 from monitor.core import GAP, Skipped, WrongUsageError
+from tests.support.pages import Page, marks
 from tests.support.samples import Cli
 from tests.support.strangers import listening as addresses
 from tests.support.waiting import until
@@ -28,7 +29,7 @@ MODULE = [sys.executable, "-m", "monitor"]
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Path:
     folder = tmp_path_factory.mktemp("comfort")
-    (folder / "s.toml").write_text(frame_text)
+    (folder / "s.toml").write_text(f'{frame_text}\n[site]\ncontact = "Ada Bell"\n')
     (folder / "d.csv").write_text("a1 [g];a2 [g]\n" + "0.1;0.2\n" * 300)
     return folder
 
@@ -52,6 +53,12 @@ def test_every_command_answers_with_one_json_object(site: Path, main: Cli) -> No
     compared = told("compare", "r.mcap", "r.mcap")
     assert compared["significant"] == 0
     assert told("report", "out", "--out", "r.html")["windows"] == 6
+    page = Page((site / "r.html").read_text())
+    assert "Call: Ada Bell" in page.words
+    drawn = [marks(page.chart(f"mode {k}: frequency"), "line", "before dashed")[0]["y"][0] for k in (1, 2, 3)]
+    assert drawn == pytest.approx(json.loads((site / "b.json").read_text())["frequencies_hz"], rel=1e-4), (
+        "the baseline's"
+    )
 
 
 def test_every_command_that_answers_knows_json(main: Cli) -> None:

@@ -43,6 +43,11 @@ def test_check_loads_only_what_reads_a_file_and_computes_modes() -> None:
     assert loaded(_RUN, ("urllib.request", *_SLOW), "check", "recordings/frame.toml") == []
 
 
+def test_a_daemon_without_metrics_and_page_loads_no_server() -> None:
+    do = "from monitor.service import Daemon, Host, outlets\nassert outlets.outlet_of('metrics')"
+    assert loaded(do, ("uvicorn", "h11", "starlette")) == []
+
+
 def test_a_replay_asks_for_its_viewer_without_waiting_for_rerun() -> None:
     assert loaded("from monitor.runs import replay, viewer", _SLOW) == []
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,13 +15,13 @@ from rerun.chunk import RrdReader
 from monitor.diagnosis import DiagnosisSettings, HeldOutGain, StoryLaw, content as content_of, diagnose, in_words
 from monitor.inference import classify
 from monitor.model import EFFECTS, FORMS, interval, parse_effect
-from monitor.publish.reports.charts import decades, ticks
 from monitor.publish.reports.comparison import compare, level_dependence
-from monitor.publish.reports.diagnosis_report import page, write_report
+from monitor.publish.reports.diagnosis_report import diagnosis_sheet, write_report
 from monitor.publish.viewer.diagnosis_view import write_view
 from tests.diagnosis import jointed_frame
 from tests.diagnosis.jointed_frame import COLOUR, FORCES, GAINS
 from tests.diagnosis.searched import CONFIG, GAIN, LOSS, REFERENCE, Case, recorded, searched, stated
+from tests.support.pages import Page, marks
 
 pytestmark = pytest.mark.engine
 
@@ -47,10 +46,12 @@ def cases() -> dict[str, Case]:
     }
 
 
-def parsed(path: Path) -> ElementTree.Element:
-    text = path.read_text(encoding="utf-8")
-    assert not re.search(r"https?:|//|<script|<link|<img|url\(|@import|NaN|nan\b", text)
-    return ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>").replace("&#160;", " "))
+def parsed(path: Path) -> Page:
+    return Page(path.read_text(encoding="utf-8"))
+
+
+def page(*parts: Any) -> Page:
+    return Page(diagnosis_sheet(*parts).html())
 
 
 def test_the_page_of_each_verdict_is_whole(cases: dict[str, Case], tmp_path: Path) -> None:
@@ -65,25 +66,28 @@ def test_the_page_of_each_verdict_is_whole(cases: dict[str, Case], tmp_path: Pat
         write_report(path, case.diagnosis, case.content, case.segments)
         assert path.stat().st_size < 3_000_000
         root = parsed(path)
-        text = "\n".join(root.itertext())
-        assert re.search(sentences[verdict], root.find("body/h1").text), verdict
+        text = root.words
+        assert re.search(sentences[verdict], root.headline), verdict
         assert all(channel in text for channel in CONFIG.channels)
         assert ("To tell them apart" in text) == (verdict == "ambiguous")
         assert (GAIN.heldout in text) == (verdict in ("named", "ambiguous"))
         told = [*case.content["causes"], *case.content["alternatives"]]
         assert all(EFFECTS[c["effect"]].signature in text for c in told) and (" shows: " in text) == bool(told)
-        lines = root.findall(".//polyline")
+        spectra = [root.chart(f"{name}: {what}") for name in CONFIG.channels for what in ("power", "measured /")]
+        lines = [mark for chart in spectra for mark in marks(chart, "line")]
         assert len(lines) == 3 * (5 if case.diagnosis.final_fit.effects else 3)
         for line in lines:
-            y = [float(p.split(",")[1]) for p in line.get("points").split()]
+            y = np.array(line["y"], dtype=float)
             assert len(y) > 20 and np.isfinite(y).all() and np.ptp(y) > 0.0
+        maps = [marks(root.chart(f"Misfit {when}"), "grid") for when in ("before", "after")[: len(lines) // 7]]
+        assert all(grid["signed"] and set(grid["levels"]) != {"A"} for (grid,) in maps)
 
 
 def test_what_makes_the_baseline_doubtful_stands_below_the_verdict(cases: dict[str, Case]) -> None:
     case = cases["none"]
     plain, doubtful = (page(case.diagnosis, case.content | more, case.segments) for more in ({}, {"doubts": ["a < b"]}))
-    assert '<ul class="doubts">' not in plain
-    assert doubtful.index("</h1>") < doubtful.index("<li>a &lt; b</li>") < doubtful.index("How to read this page")
+    assert not [tag for tag, given in plain.tags if given.get("class") == "doubts"]
+    assert doubtful.words.index(doubtful.headline) < doubtful.words.index("a < b") < doubtful.words.index("How to read")
 
 
 def test_the_many_rows_of_the_witnesses_take_few_lines_on_a_narrow_page(cases: dict[str, Case]) -> None:
@@ -91,10 +95,10 @@ def test_the_many_rows_of_the_witnesses_take_few_lines_on_a_narrow_page(cases: d
     mode = {"of": "mode_1", "frequency_hz": 5.0, "ratio": 0.4, "std": 0.01, "coherence": 0.9}
     mode |= {"predicted_before": None, "predicted": None}
     told = {"channel": "g1", "verdict": None, "says": "nothing", "unit": "rad/m", "modes": [mode]}
-    text = page(case.diagnosis, case.content | {"witness": [told]}, case.segments)
-    row = re.search(r'<table class="folds flows">.*?(<tr><td.*?</tr>)', text)
-    assert row is not None and row[1].count("></td>") == 2
-    assert ".flows td { display: inline-block" in text and ".flows td:empty { display: none; }" in text
+    shown = page(case.diagnosis, case.content | {"witness": [told]}, case.segments)
+    (row,) = shown.table("coherence")
+    assert row.count("") == 2
+    assert "folds flows" in [given.get("class") for tag, given in shown.tags if tag == "table"]
 
 
 def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tmp_path: Path) -> None:
@@ -103,7 +107,7 @@ def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tm
     diagnosis = replace(cases["none"].diagnosis, also_fitted=also, final_fit=best.fit)
     case = Case(diagnosis, cases["none"].segments)
     write_report(tmp_path / "page.html", case.diagnosis, case.content, case.segments)
-    text = "\n".join(parsed(tmp_path / "page.html").itertext())
+    text = parsed(tmp_path / "page.html").words
     (own,) = case.content["also_fitted"]
     assert case.content["causes"] == [] and own["effect"] == "added_mass" and own["says"] in case.content["says"]
     assert "Also fitted, no news" in text and "nats a sample" not in text
@@ -117,7 +121,7 @@ def test_the_page_shows_where_the_misfit_was_and_that_the_cause_removes_it(cases
     together = {m.says.partition(" (")[0] for m in cases["named"].diagnosis.misfit if " and " in m.where}
     assert "they move together in phase otherwise than in the model" in together
     shown = page(cases["named"].diagnosis, cases["named"].content, cases["named"].segments)
-    assert "above 0: the cause predicts better" in shown
+    assert "above 0: the cause predicts better" in shown.words
 
 
 def test_what_is_not_judged_is_drawn_shaded_and_said_why() -> None:
@@ -127,8 +131,9 @@ def test_what_is_not_judged_is_drawn_shaded_and_said_why() -> None:
     for name, part in (("whole", segments), ("narrow", narrow)):
         found = diagnose(classify(part), REFERENCE, context, DiagnosisSettings(worth=1e9))
         shown[name] = page(found, content_of(found, HeldOutGain(), (), {"without": [], "with": []}), part)
-    assert 'class="unjudged"' in shown["narrow"] and "above 20.0 Hz nothing is judged" in shown["narrow"]
-    assert 'class="unjudged"' not in shown["whole"] and "nothing is judged" not in shown["whole"]
+    shaded = {name: marks(one.chart("a1: power"), "shade", "unjudged") for name, one in shown.items()}
+    assert shaded["narrow"] and "above 20.0 Hz nothing is judged" in shown["narrow"].words
+    assert not shaded["whole"] and "nothing is judged" not in shown["whole"].words
 
 
 @pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (FORCES,)], ids=["colour and gains", "forces of every day"])
@@ -138,11 +143,11 @@ def test_the_forces_that_stand_are_drawn_where_their_spectrum_was_learned(standi
     found = diagnose(classify(segments), prior, context, DiagnosisSettings(worth=1e9))
     shown = page(found, content_of(found, HeldOutGain(), (), {"without": [], "with": []}), segments)
     title = "forces on the floors at calibration"
-    assert (title in shown, "rise_1" in shown) == (standing == (FORCES,), False)
-    if title in shown:  # falling, not level
-        drawn = re.search(r'<polyline class="line after" points="([^"]*)"', shown[shown.index(title) :])
-        heights = [float(point.partition(",")[2]) for point in drawn[1].split()]
-        assert heights[-1] > heights[0] + 50.0  # px, downwards
+    is_drawn = any(name.startswith(title) for name in shown.titles.values())
+    assert (is_drawn, "rise_1" in shown.words) == (standing == (FORCES,), False)
+    if is_drawn:  # falling, not level
+        (line,) = marks(shown.chart(title), "line")
+        assert line["y"][0] > 1.3 * line["y"][-1]
 
 
 def test_the_limit_is_that_of_the_diagnosis(cases: dict[str, Case], tmp_path: Path) -> None:
@@ -150,7 +155,7 @@ def test_the_limit_is_that_of_the_diagnosis(cases: dict[str, Case], tmp_path: Pa
     assert case.diagnosis.settings == DiagnosisSettings(worth=1e9)  # what `diagnose` was given
     diagnosis = replace(case.diagnosis, settings=DiagnosisSettings(misfit=4.5))
     write_report(tmp_path / "page.html", diagnosis, case.content, case.segments)
-    text = "".join(parsed(tmp_path / "page.html").itertext())
+    text = parsed(tmp_path / "page.html").words
     assert "beyond 4.5 standard deviations" in text and "chance up to 4.5." in text
 
 
@@ -192,7 +197,7 @@ def test_the_page_and_the_view_draw_the_loops_of_every_story(cases: dict[str, Ca
     ]
     laws = [StoryLaw(j, 1e-3 * two, two, 0.1 * two, two, two, two, two, *loops) for j in (1, 2)]
     shown = page(case.diagnosis, case.content, case.segments, laws)
-    assert "story 1: force, N" in shown and "story 2: force, N" in shown
+    assert all(len(marks(shown.chart(f"story {j}: force, N"), "line")) == 3 for j in (1, 2))
     write_view(tmp_path / "diagnosis.rrd", case.diagnosis, case.content, case.segments, laws=laws)
     entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "diagnosis.rrd").stream()}
     assert {f"/loops/{j}/{part}" for j in (1, 2) for part in ("loop", "axes", "scale")} <= entities
@@ -255,12 +260,3 @@ def test_words_have_the_size_and_the_direction(effect: str, place: str, values: 
 )
 def test_intervals_have_the_digits_that_are_known(value: float, std: float, text: str) -> None:
     assert interval({"value": value, "std": std}, 1.0, "N") == text
-
-
-def test_ticks_are_round_and_within() -> None:
-    assert ticks((1.9, 36.0)).tolist() == [5, 10, 15, 20, 25, 30, 35]
-    assert decades((0.004, 120.0)).tolist() == [0.01, 0.1, 1.0, 10.0, 100.0]
-    for span in ((4.71, 4.92), (0.0, 0.021), (-2.4, 15.0), (99.9, 100.1), (1e6, 1.3e6)):
-        places = ticks(span, 4)
-        assert 3 <= places.size <= 8 and places.min() >= span[0] - 1e-9 and places.max() <= span[1] + 1e-9
-    assert 1.0 in decades((0.7, 1.5)) and decades((0.7, 1.5)).size >= 3

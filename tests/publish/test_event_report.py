@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,15 +18,17 @@ from monitor.runs import EventRecordings, Session, page_of, read_event_line, wri
 from monitor.service import status
 from tests.events.shaken import blocks, configuration
 from tests.publish.event_pages import LIMITS, page, told
+from tests.support.pages import marks
 from tests.support.samples import Cli
 from tests.support.short_quake import shaken
 
 
 def test_the_page_has_the_verdict_the_limits_and_every_chart() -> None:
     event, site, seen = told()
-    html = page(event, site, seen)
-    assert "limit exceeded" in html and "EXCEEDED" in html and "inspect &lt;this&gt; story" in html
-    assert "the interval holds it" in html  # the lasting loss, which forty seconds tell to a few percent
+    shown = page(event, site, seen)
+    assert shown.state == "alarm" and "limit exceeded" in shown.head
+    assert "EXCEEDED" in shown.words and "inspect <this> story" in shown.words
+    assert "the interval holds it" in shown.words  # the lasting loss, which forty seconds tell to a few percent
     titles = (
         "a1: acceleration",
         "ground: acceleration",
@@ -36,9 +37,24 @@ def test_the_page_has_the_verdict_the_limits_and_every_chart() -> None:
         "drift ratio",
         "First mode",
     )
-    assert all(title in html for title in (*titles, "Pseudo-acceleration", "UNOFFICIAL", "date and signature"))
-    assert "the revision after ambient motion tells it far more closely" in html
-    assert html.count('class="beyond"') == int((event.drift_ratio > 0.0005).sum()) > 0
+    assert all(shown.chart(title)["marks"] for title in titles if title != "drift ratio")
+    assert len(marks(shown.chart("Largest drift ratio"), "shade", "used")) == 3
+    assert [m["x"][0] for m in marks(shown.chart("Largest drift ratio"), "line", "limit dashed")] == [0.05]
+    assert all(words in shown.words for words in ("Pseudo-acceleration", "UNOFFICIAL", "date and signature"))
+    assert "the revision after ambient motion tells it far more closely" in shown.words
+    stories = [given.get("class") for tag, given in shown.tags if tag == "b"]
+    assert stories.count("beyond") == int((event.drift_ratio > 0.0005).sum()) > 0
+
+
+def test_the_curves_are_those_of_the_recording() -> None:
+    event, site, seen = told()
+    shown = page(event, site, seen)
+    (line,), (strong,) = (marks(shown.chart("story 1: drift"), what) for what in ("line", "shade"))
+    assert max(np.abs(line["y"])) == pytest.approx(1e3 * np.abs(seen.drift_m[:, 0]).max(), rel=1e-4)
+    at = seen.t_s[[seen.record.strong.start, seen.record.strong.stop - 1]]
+    assert strong["x"] == pytest.approx(at, abs=0.01)
+    (loop,) = marks(shown.chart("story 3: force"), "line")
+    assert max(loop["y"]) == pytest.approx(seen.force_n[seen.record.strong, 2].max(), rel=1e-3)
 
 
 def test_a_sensor_at_the_end_of_its_range_makes_bounds_of_what_the_page_shows() -> None:
@@ -47,7 +63,7 @@ def test_a_sensor_at_the_end_of_its_range_makes_bounds_of_what_the_page_shows() 
     std = np.array([np.nan, *event.drift_std_m[1:]])
     bound = replace(event, saturated=("a1",), drift_std_m=std, verdict=says, exceeded=(f"{says} (story 1)",))
     settings = EventSettings.model_validate({"limits": [{"drift_ratio": 0.5, "says": "go"}]})
-    html = page(bound, replace(site, settings=settings), seen)
+    html = page(bound, replace(site, settings=settings), seen).words
     assert all(words in html for words in ("limit possibly exceeded", "POSSIBLY EXCEEDED", "a1 (at least)"))
     assert f"drift at least {1e3 * bound.drift_m[0]:.3g} mm" in html
     told_in_status = [status.last_event(event_line(e)) for e in (bound, event)]
@@ -57,23 +73,24 @@ def test_a_sensor_at_the_end_of_its_range_makes_bounds_of_what_the_page_shows() 
 def test_a_revised_event_shows_its_lasting_loss_with_its_interval() -> None:
     event, site, seen = told()
     revised = replace(event, revision=1, loss=np.array([0.0, 0.1234, 0.0]), loss_std=np.full(3, 0.005))
-    assert "12.3 ± 1.0" in page(revised, site, seen) and "revised" in page(revised, site, seen)
+    assert "12.3 ± 1.0" in page(revised, site, seen).words and "revised" in page(revised, site, seen).words
 
 
 def test_a_drift_stands_with_two_standard_deviations_and_one_that_is_not_known_is_a_dash() -> None:
     event, site, seen = told()
     drifts = replace(event, drift_m=np.array([0.0123, np.nan, 0.0045]), drift_std_m=np.array([5e-4, np.nan, 2e-4]))
-    html = page(replace(drifts, drift_m=np.array([0.01234, np.nan, 0.0045])), site, seen)
+    html = page(replace(drifts, drift_m=np.array([0.01234, np.nan, 0.0045])), site, seen).words
     assert all(words in html for words in ("drift 12.3 mm", "drift not known", "drift 4.5 mm"))
-    rows = page(drifts, site, seen).partition("largest drift, mm")[2].partition("</table>")[0]
-    assert re.findall(r"<td[^>]*>(\d[^<]* ± [^<]*|–)</td>", rows) == ["12.3 ± 1.0", "–", "4.50 ± 0.40"]
+    rows = page(drifts, site, seen).table("largest drift, mm")
+    assert [row[1] for row in rows] == ["12.3 ± 1.0", "–", "4.50 ± 0.40"]
 
 
 def test_without_recording_the_page_keeps_the_numbers_and_says_why_it_has_no_curves() -> None:
     event, _, _ = told()
-    html = page(event, None, None)
-    assert "The samples are not kept." in html and "a1: acceleration" not in html
-    assert f"{event.floors[0].peak_m_s2:.3g}" in html and 'class="unknown"' in html
+    shown = page(event, None, None)
+    assert "The samples are not kept." in shown.words and "a1: acceleration" not in shown.titles.values()
+    assert f"{event.floors[0].peak_m_s2:.3g}" in shown.words
+    assert "unknown" in [given.get("class") for tag, given in shown.tags if tag == "b"]
 
 
 def test_nothing_known_is_told_as_not_known() -> None:
@@ -82,7 +99,7 @@ def test_nothing_known_is_told_as_not_known() -> None:
     nothing = replace(
         event, drift_m=nan, drift_std_m=nan, drift_ratio=nan, exceeded=(), verdict=None, ground=None, spectrum=None
     )
-    html = page(nothing, site, None)
+    html = page(nothing, site, None).words
     assert "no limit judged" in html and "No drift is known." in html and "The ground was not measured." in html
 
 

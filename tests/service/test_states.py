@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 import time
 from dataclasses import replace
@@ -23,6 +22,7 @@ from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_win
 from monitor.service.outlets.zenoh import ZenohOut
 from monitor.signals import Health, sensor_health
 from tests.support.frames import settings_of
+from tests.support.pages import Page
 from tests.support.results import alarm, damage_reading, modal_estimate, stiffness_estimate, window_result
 from tests.support.samples import CHANNELS, T0_NS, Cut
 
@@ -100,8 +100,8 @@ def test_a_state_reads_the_same_at_every_outlet(
     assert f"{state.words}: {said.headline}" in replay_text(summary).splitlines()
 
     write_period(tmp_path / "report.html", read_period(tmp_path, None, None))
-    report = html.unescape((tmp_path / "report.html").read_text())
-    assert f">{state.words}</span><h1>{said.headline}</h1>" in report
+    report = Page((tmp_path / "report.html").read_text())
+    assert (report.state, report.headline) == (state.value, said.headline) and state.words in report.head
 
     (tmp_path / "state").mkdir()
     health = {"wall_ns": time.time_ns(), "source": {"connected": True}, "recorder": None, "failed": {}}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
+import gzip
 import json
 import re
 import socket
@@ -11,27 +11,29 @@ import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from monitor import publish
 from monitor.config import configuration, security_check
 from monitor.damage import Assessment, State
 from monitor.publish import pack_month
 from monitor.service.outlets import make_outlets
-from monitor.service.outlets.http_server import asgi
-from monitor.service.web import snapshots
 from monitor.service.web.application import make_application
 from monitor.service.web.outlet import WebPage, read_token
 from monitor.service.web.snapshots import Keep, Snapshots, latest_events, latest_windows
+from tests.support.asgi import Answer, ask as ask_application
+from tests.support.pages import Page
 from tests.support.samples import T0_NS, Cli
 from tests.support.site import SITE as BARE_SITE, TOKEN
 from tests.support.waiting import until
 
 SECOND = 1_000_000_000
-PAGES = Path(snapshots.__file__).parent / "pages"
+PAGES = Path(publish.__file__).parent / "page/files"
 ALARM = {"level": "normal", "stories": [], "reason": "no significant loss", "active": {}, "shelved": []}
 CHANNEL = {"channel": "a1", "rms_m_s2": 1.0, "peak_m_s2": 3.0, "spikes": 0, "clipped": 0.0, "noise_floor": 1e-4}
 HEALTH: dict[str, Any] = {
@@ -94,23 +96,11 @@ def filled() -> Snapshots:
     return shown
 
 
-Ask = Callable[..., tuple[int, dict[str, str], bytes]]
+Ask = Callable[..., Answer]
 
 
 def asking(shown: Snapshots, token: str | None = None) -> Ask:
-    """Ask the application as a browser does, without a socket."""
-    respond = asgi(make_application(shown, token))
-
-    def ask(path: str, method: str = "GET", **fields: str) -> tuple[int, dict[str, str], bytes]:
-        rows = {"Host": "127.0.0.1:8080", **{name.replace("_", "-"): value for name, value in fields.items()}}
-        head = "\r\n".join([f"{method} {path} HTTP/1.1", *(f"{k}: {v}" for k, v in rows.items()), "", ""])
-        answer = asyncio.run(respond(head.encode("latin-1")))
-        top, _, body = answer.partition(b"\r\n\r\n")
-        first, *more = top.decode("latin-1").split("\r\n")
-        pairs = (row.partition(": ") for row in more)
-        return int(first.split(" ")[1]), {name.lower(): value for name, _, value in pairs}, body
-
-    return ask
+    return partial(ask_application, make_application(shown, token))
 
 
 def content(ask: Ask, path: str, **fields: str) -> dict[str, Any]:
@@ -155,7 +145,13 @@ def test_each_endpoint_answers_as_the_openapi_document_says(shown: Snapshots) ->
     assert len(described["paths"]) == 6
     for path, operations in described["paths"].items():
         schema = operations["get"]["responses"]["200"]["content"]["application/json"]["schema"]
-        assert problems(content(ask, path), schema, schemas) == []
+        answer = content(ask, path)
+        assert problems(answer, schema, schemas) == []
+        assert answer.keys() == schemas[schema["$ref"].rpartition("/")[2]]["properties"].keys()
+        for one in operations["get"]["parameters"]:
+            least = one["schema"]["minimum"]
+            assert ask(f"{path}?{one['name']}={least}")[0] == 200
+            assert ask(f"{path}?{one['name']}={least - 1}")[0] == 400
     assert problems({"channels": 1}, schemas["Sensors"], schemas), "the check can fail"
 
 
@@ -188,7 +184,7 @@ def test_a_source_that_is_read_to_its_end_is_no_fault() -> None:
         ask = asking(shown)
         assert content(ask, "/api/v1/status")["troubles"] == says
     assert content(ask, "/api/v1/sensors")["source"]["ended"] is True
-    assert "Source read to its end" in (PAGES / "page.js").read_text()
+    assert "Source read to its end" in content(ask, "/api/v1/page")["html"]
 
 
 def test_a_site_without_a_model_and_skipped_windows_are_shown() -> None:
@@ -202,6 +198,43 @@ def test_a_site_without_a_model_and_skipped_windows_are_shown() -> None:
     assert status["judged"]["ddi"] is None
     assert status["judged"]["frequency_change"] == [-0.01, None]
     assert (status["judged"]["level"], status["judged"]["changed"]) == ("warning", ["the shape of mode 2"])
+
+
+def test_the_page_says_what_was_published_and_runs_nothing_of_it() -> None:
+    shown = filled()
+    known = {**SUMMARY["known"], "names": ["deck", "<img src=x onerror=alert(1)>"], "misfit": 5.0}
+    shown.summary({**SUMMARY, "known": known, "contact": "Ada </script><b>"})
+    ask = asking(shown)
+    told = content(ask, "/api/v1/page?range_s=86400")
+    html = told["html"]
+    assert "<img" not in html and "&lt;img src=x onerror=alert(1)&gt;" in html and "Ada &lt;/script&gt;" in html
+    order = (
+        "alarm</span>",
+        "Story 2 lost 10 %.",
+        "What to do:",
+        "Call:",
+        "--story 2",
+        "Where, and how much",
+        "A doubt.",
+    )
+    places = [html.index(words) for words in order]
+    assert places == sorted(places)
+    rows = html[html.index('id="where"') :]
+    assert rows.index("&lt;img") < rows.index(">deck<"), "the affected story first"
+    assert {"where", "trust", "loss", "modes", "alarms", "findings", "sensors"} <= set(re.findall(r'id="(\w+)"', html))
+    again = content(ask, f"/api/v1/page?range_s=86400&charts={told['tag']}")
+    assert (again["charts"], again["html"]) == (None, html), "what is drawn is not sent again"
+    headers = ask("/api/v1/page?range_s=86400")[1]
+    assert ask("/api/v1/page?range_s=86400", If_None_Match=headers["etag"])[::2] == (304, b"")
+    shown.finding({**FINDING, "t_ns": T0_NS + SECOND, "says": "Looser."})
+    assert "Looser." in content(ask, "/api/v1/page?range_s=86400")["html"]
+    shown.summary({"alarms": [{"level": "alarm"}], "known": {"alarm_loss": "much"}})
+    assert "Story 2 lost 10 %." in content(ask, "/api/v1/page?range_s=86400")["html"], "whatever an old file says"
+    shown.summary({**SUMMARY, "known": known})
+    report = Page(ask("/api/v1/report?range_s=86400")[2].decode())
+    assert report.state == "alarm" and "Looser." in report.words and report.charts
+    assert "<img src=x onerror=alert(1)>" in report.words and "img" not in [tag for tag, _ in report.tags]
+    assert [ask(f"/api/v1/{name}?range_s=-1")[0] for name in ("page", "report")] == [400, 400]
 
 
 def test_what_a_reader_has_is_not_sent_again() -> None:
@@ -226,7 +259,7 @@ def test_what_a_reader_has_is_not_sent_again() -> None:
 def test_data_need_the_token_in_the_header_and_pages_hold_none() -> None:
     ask = asking(filled(), TOKEN)
     described = content(ask, "/openapi.json", Host="monitor.example")["paths"]
-    for path in described:
+    for path in (*described, "/api/v1/page", "/api/v1/report"):
         for shown in (None, "Bearer", f"Bearer {TOKEN}x", f"Basic {TOKEN}"):
             code, headers, body = ask(path, **({} if shown is None else {"Authorization": shown}))
             assert (code, headers["www-authenticate"]) == (401, "Bearer")
@@ -265,8 +298,7 @@ def test_each_answer_has_its_code_and_the_policy(code: int) -> None:
         assert got == code, asked
         assert headers["content-security-policy"].startswith("default-src 'self';")
         assert headers["x-content-type-options"] == "nosniff"
-        assert headers["connection"] == "close"
-        assert (body == b"") == (method == "HEAD")
+        assert method == "HEAD" or body
         assert code < 400 or "error" in json.loads(body)
 
 
@@ -281,6 +313,8 @@ def test_the_pages_name_nothing_outside_and_have_no_inline_code() -> None:
         )
         assert not re.search(r"https?://|//[a-z]+\.[a-z]", text), path
         if path.suffix == ".html":
+            text = re.sub(r"<(style|script)>\{\{ \w+ \}\}", "", text)  # of a report, which is one file
+            text = text.replace('<script type="application/json"', "")
             assert not re.search(r"<style|\sstyle=|\son[a-z]+=|<script(?![^>]*\ssrc=)", text), path
     script = (PAGES / "uplot.js").read_text(encoding="utf-8")
     assert set(re.findall(r"https?://[^\s)\"']+", script)) == {"https://github.com/leeoniya/uPlot"}, (
@@ -457,6 +491,18 @@ def test_the_outlet_shows_the_past_and_what_comes(page: WebPage) -> None:
     with pytest.raises(urllib.error.HTTPError, match="401"):
         fetch(page, "api/v1/status", None)
     assert (page.failed, page.dropped) == (None, 0)
+
+
+def test_a_long_answer_is_compressed_in_the_one_thread_of_the_server(page: WebPage) -> None:
+    for k in range(600):
+        page.window(cast(Any, None), json.dumps(line(k, channels_left_out=["a2"] * 20)))
+    until(lambda: fetch(page, "api/v1/windows")["matched"] == 600, "all windows")
+    headers = {"Authorization": f"Bearer {TOKEN}", "Accept-Encoding": "gzip"}
+    asked = urllib.request.Request(f"{page.url}api/v1/windows?limit=600", headers=headers)
+    with urllib.request.urlopen(asked, timeout=30.0) as answer:
+        assert answer.headers["content-encoding"] == "gzip"
+        assert len(gzip.decompress(answer.read())) > 128 * 1024
+    assert not [thread.name for thread in threading.enumerate() if "AnyIO" in thread.name]
 
 
 def test_a_page_that_hangs_costs_the_main_thread_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

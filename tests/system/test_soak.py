@@ -114,7 +114,7 @@ def hold(port: int, count: int, text: bytes, held: list[socket.socket]) -> None:
 def read_slowly(port: int) -> None:
     """Take a byte of the answer now and then, for longer than the server waits."""
     with socket.create_connection(("127.0.0.1", port), 10.0) as one:
-        one.sendall(b"GET /metrics HTTP/1.1\r\n\r\n")
+        one.sendall(b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n")
         for _ in range(100):
             one.recv(1)
             time.sleep(0.1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import nlargest
 from itertools import pairwise
@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monitor.core import Array, BadInputError, MissingInputError
 from monitor.damage import Course, follow
@@ -23,7 +22,7 @@ from monitor.publish.results.recorded_time import due_windows, reaches_between
 MAX_BINS = 1000
 """Largest number of bins of a curve, which is drawn as the two sides of its envelope: 2000 points."""
 _GAP_BINS = 3
-"""Empty bins of a gap that charts shorten: curves are interrupted there. [count; definition: `Envelope.pieces`]"""
+"""Empty bins of a gap that charts shorten: curves are interrupted there. [count; definition: `Curve.drawn`]"""
 _GAP_WIDTH = 0.06
 """Greatest share of a chart's width that a shortened gap takes. [ratio; judgement: seen, and a label fits]"""
 _MOST_GAPS = 50
@@ -37,26 +36,6 @@ _SAME_OTHER_MODE = 0.02
 _HEAD, _TAIL_BYTES = 50, 1 << 17
 """Number of lines at the beginning and of bytes at the end of the file from which its extent is read."""
 _T_END = re.compile(rb'"t_end_ns": (\d{1,18}|[1-8]\d{18})\b')
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Envelope:
-    """Envelope of a quantity over a period, in the n bins that have values."""
-
-    t_ns: Annotated[Array, "n"]
-    """Middles of the bins, UTC."""
-    index: Annotated[NDArray[np.intp], "n"]
-    """Numbers of the bins."""
-    low: Annotated[Array, "n"]
-    """Least value less its half-interval."""
-    mean: Annotated[Array, "n"]
-    high: Annotated[Array, "n"]
-    """Greatest value plus its half-interval."""
-
-    def pieces(self) -> list[slice]:
-        """Cut the bins into runs without more than one empty bin in between."""
-        cuts = [0, *(np.flatnonzero(np.diff(self.index) > 2) + 1).tolist(), self.index.size]
-        return [slice(a, b) for a, b in pairwise(cuts) if b > a]
 
 
 class Grid:
@@ -94,6 +73,11 @@ class Grid:
         """Find the bin of a time; the nearest bin where the time is outside the period."""
         return min(max(int(np.searchsorted(self.edges_ns, t_ns)) - 1, 0), self.n - 1)
 
+    def places(self) -> list[tuple[float, float, float, float]]:
+        """List what lies outside the gaps: its ends, s since 1970 UTC, and their places along a chart."""
+        ends = [(a, b, *self.share(np.array([a, b], dtype=float)).tolist()) for a, b in self.stretches]
+        return [(a * 1e-9, b * 1e-9, begin, end) for a, b, begin, end in ends]
+
     def share(self, t_ns: Array | float) -> Array:
         """Return the places of times along a chart, from 0 at its left to 1 at its right, of the shape of `t_ns`."""
         ends = np.array(self._ends) - self.from_ns
@@ -101,16 +85,23 @@ class Grid:
 
 
 class Curve:
-    """Collector of the values of an `Envelope`."""
+    """A quantity over a period: in each bin its mean, and its least and greatest value with their half-intervals."""
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
-        self._low, self._high = [inf] * grid.n, [-inf] * grid.n
-        self._total, self._count = [0.0] * grid.n, [0] * grid.n
+        self._low, self._high = np.full(grid.n, inf), np.full(grid.n, -inf)
+        self._total, self._count = np.zeros(grid.n), np.zeros(grid.n)
         self.values = 0
-        self.latest = 0.0
+        self.latest = self.latest_half = 0.0
+        self.damping: tuple[float, float | None] | None = None
+        """Latest damping ratio of the mode, with its standard deviation."""
         self.mode: int | None = None
         """Number of the model's mode whose frequency it is, 1 = lowest; None for any other quantity or mode."""
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and greatest value, with their half-intervals."""
+        return float(self._low.min()), float(self._high.max())
 
     def add(self, at: int, value: float, half: float = 0.0) -> None:
         """Add a value with its half-interval to bin `at`."""
@@ -118,16 +109,15 @@ class Curve:
         self._high[at] = max(self._high[at], value + half)
         self._total[at] += value
         self._count[at] += 1
-        self.values, self.latest = self.values + 1, value
+        self.values, self.latest, self.latest_half = self.values + 1, value, half
 
-    def envelope(self) -> Envelope:
-        """Return the envelope of the collected values."""
-        count = np.array(self._count)
-        use = np.flatnonzero(count)
-        edges = self._grid.edges_ns
-        low, total, high = (np.array(v, dtype=np.float64)[use] for v in (self._low, self._total, self._high))
-        middles = np.asarray(0.5 * edges[use] + 0.5 * edges[use + 1])
-        return Envelope(middles, use, low, total / count[use], high)
+    def drawn(self) -> tuple[Annotated[Array, "k"], list[Annotated[Array, "k"]]]:
+        """Return the times, and low, mean and high, with NaN where more than one bin in between is empty."""
+        use, edges = np.flatnonzero(self._count), self._grid.edges_ns
+        t_ns, cuts = 0.5 * edges[use] + 0.5 * edges[use + 1], np.flatnonzero(np.diff(use) > 2) + 1
+        times = np.insert(t_ns, cuts, 0.5 * (t_ns[cuts - 1] + t_ns[cuts]))
+        sides = self._low[use], self._total[use] / self._count[use], self._high[use]
+        return times, [np.insert(values, cuts, np.nan) for values in sides]
 
 
 @dataclass(slots=True)
@@ -138,24 +128,23 @@ class PeriodResults:
     hop_s: float
     begun_ns: int
     """UTC of one hop before the end of the run's first window."""
-    misfit_limit: float
-    """Goodness of fit from which stiffness explains too little."""
     course: Course = field(default_factory=Course)
     """The windows, as far as the state depends on them, and the alarm episodes."""
-    judged: list[int] = field(default_factory=list)
+    judged: list[int] = field(init=False)
     """Number of judged windows in each bin."""
-    refused: list[int] = field(default_factory=list)
+    refused: list[int] = field(init=False)
     """Number of skipped windows in each bin."""
     modes: list[Curve] = field(default_factory=list)
     """Frequencies with two standard deviations, Hz."""
     ddi: list[Curve] = field(default_factory=list)
     """Damage index of each story, with two standard deviations."""
+    stiffness: list[Curve] = field(default_factory=list)
+    """Stiffness of each story, N/m, with two standard deviations."""
     changes: list[Curve] = field(default_factory=list)
     """Change of each mode's frequency since the baseline, with two standard deviations, where there is no model."""
     covariates: dict[str, Curve] = field(default_factory=dict)
     """Temperature, level and named covariates of every window, judged or not."""
     misfit: Curve | None = None
-    unidentified: set[int] = field(default_factory=set)
     damaged: int = 0
     """Number of lines that cannot be read."""
     no_baseline: bool = False
@@ -165,6 +154,9 @@ class PeriodResults:
     """Length of a window; 0 where the run does not state it."""
     _tracks: dict[int, Curve] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        self.judged, self.refused = [0] * self.grid.n, [0] * self.grid.n
+
     @property
     def due(self) -> int:
         """Number of windows that an unbroken stream would have given since the run began; none between a replay's recordings."""
@@ -172,45 +164,41 @@ class PeriodResults:
         count = due_windows(ends_ns, self.begun_ns, round(self.hop_s * 1e9), self.window_s, self.between)
         return max(self.course.windows, count)
 
-    def add(self, line: dict[str, Any]) -> None:
+    def add(self, line: Mapping[str, Any]) -> None:
         """Add the values of one line of results.jsonl; a line that cannot be read adds nothing."""
         t_ns, skipped = int(line["t_end_ns"]), line["skipped"] is not None
         if skipped and reaches_between(t_ns, self.window_s, self.between):
             return
         at = self.grid.at(t_ns)
-        course = follow(self.course, facts_of_line(line), self.misfit_limit)
-        losses = [[float(v) for v in line[key] or ()] for key in ("ddi", "ddi_std")]
         self._add_modes(at, line)
-        self.course = course
-        for name, value in line.get("covariates", {}).items():
-            self.covariates.setdefault(name, Curve(self.grid)).add(at, value)
+        for name, value in (line.get("covariates") or {}).items():
+            if value is not None:
+                self.covariates.setdefault(name, Curve(self.grid)).add(at, value)
         (self.refused if skipped else self.judged)[at] += 1
         if skipped:
             return
-        if losses[0]:
-            self._add_each(self.ddi, at, *losses)
-            self.unidentified |= set(line.get("unidentified") or [])
-        if (sizes := line.get("frequency_change")) is not None:
-            self._add_each(self.changes, at, sizes, line["frequency_change_std"])
+        of_parts = (self.ddi, "ddi", "ddi_std"), (self.stiffness, "stiffness_n_per_m", "stiffness_std")
+        for curves, key, std in (*of_parts, (self.changes, "frequency_change", "frequency_change_std")):
+            self._add_each(curves, at, line.get(key) or (), line.get(std) or ())
         if (misfit := line.get("misfit")) is not None:
             self.misfit = self.misfit or Curve(self.grid)
             self.misfit.add(at, misfit)
-        self.no_baseline = line["alarm"]["reason"].startswith("no baseline")
 
-    def _add_modes(self, at: int, line: dict[str, Any]) -> None:
+    def _add_modes(self, at: int, line: Mapping[str, Any]) -> None:
         """Add the frequencies of the model's modes and of the others."""
         tracks = line.get("mode_tracks") or []
-        frequencies, stds = line["frequencies_hz"] or [], line["frequencies_std_hz"] or []
+        frequencies, stds = line.get("frequencies_hz") or [], line.get("frequencies_std_hz") or []
+        dampings = list(zip(line.get("damping_ratio") or (), line.get("damping_std") or (), strict=False))
         numbers = line.get("model_modes") or range(1, len(frequencies) + 1)
         for i, (mode, f, std) in enumerate(zip(numbers, frequencies, stds, strict=True)):
-            curve = self._mode(tracks[i] if i < len(tracks) else -1, f)
+            curve = self._mode(tracks[i] if i < len(tracks) else -1 - mode, f)
             curve.add(at, f, 2.0 * (std or 0.0))
-            curve.mode = mode
+            curve.mode, curve.damping = mode, dampings[i] if i < len(dampings) else None
         for other in line.get("other_modes") or []:
             f, std = other["frequency_hz"], other["frequency_std_hz"]
             self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
 
-    def _add_each(self, curves: list[Curve], at: int, values: list[Any], stds: list[Any]) -> None:
+    def _add_each(self, curves: list[Curve], at: int, values: Sequence[Any], stds: Sequence[Any]) -> None:
         """Add the values of all stories or modes to their curves, which the first of them makes; None is not known."""
         curves += [Curve(self.grid) for _ in values] if not curves else []
         for curve, value, std in zip(curves, values, stds, strict=False):
@@ -226,7 +214,7 @@ class PeriodResults:
         if curve is None:
             curve = Curve(self.grid)
             self.modes.append(curve)
-        if track >= 0:
+        if track != -1:
             self._tracks[track] = curve
         return curve
 
@@ -262,11 +250,16 @@ def read_results(
         gaps = _shortened_gaps(folder, start, stop, round(hop_s * 1e9))
         length_s = (stop - start - sum(b - a for a, b in gaps)) * 1e-9
         grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)), gaps)
-        results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, between=between, window_s=window_s)
-        results.judged, results.refused = [0] * grid.n, [0] * grid.n
+        results = PeriodResults(grid, hop_s, begun_ns, between=between, window_s=window_s)
         for raw in _lines_between(read_all_lines(folder), start, stop):
             try:
-                results.add(read_line(raw))
+                line = read_line(raw)
+                if line["skipped"] is None or not reaches_between(line["t_end_ns"], window_s, between):
+                    course = follow(results.course, facts_of_line(line), misfit_limit)
+                    results.add(line)
+                    results.course = course
+                    if line["skipped"] is None:
+                        results.no_baseline = line["alarm"]["reason"].startswith("no baseline")
             except (ValueError, KeyError, TypeError, IndexError):
                 results.damaged += 1
     except OSError as error:

@@ -23,6 +23,9 @@ _REQUEST = re.compile(
     r"(acknowledge|reset|shelve|unshelve) alarm of (story|mode|the shape of mode) (\d+)[^:]*: ?(.*)", re.DOTALL
 )
 
+SENSORS = ("channel", "in use", "#RMS, m/s²", "#peak, m/s²", "#noise floor, m/s²/√Hz", "remarks")
+"""Head of the live page's table of the channels. [words]"""
+
 
 @dataclass(frozen=True, slots=True)
 class ChannelQuality:

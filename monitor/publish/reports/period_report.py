@@ -1,34 +1,57 @@
-"""Report of a period as one HTML page that needs no network and can be printed: health, trust in the results, decisions."""
+"""The page of a structure: its state, what to do, where and how much, whether it can be trusted, curves, and decisions.
+
+The report of a period and the live page are this page: `sheet` makes it of a `Period`, read from a folder (`read_period`) or of
+what a daemon publishes (`publish.reports.live`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from html import escape
 from itertools import groupby
+from os.path import relpath
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from pydantic import TypeAdapter
 
-from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
-from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, assess, diagnosis_of, is_seen
+from monitor.core import WHOLE, BadInputError, Level, Skipped
+from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, State, advice, assess, diagnosis_of, is_seen
 from monitor.events import Event, EventAlarm
+from monitor.publish.page.charts import Chart
+from monitor.publish.page.sheet import Link, Sheet
 from monitor.publish.reports import period_notes as notes
-from monitor.publish.reports.page import document, doubts, figures, rest, table, verdict
-from monitor.publish.reports.period_data import Envelope, Grid, PeriodResults, read_results, utc
+from monitor.publish.reports.period_data import Curve, Grid, PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality
-from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, panel, time_axes
-from monitor.publish.results.event_lines import event_text
+from monitor.publish.results.event_lines import event_text, with_interval
 from monitor.publish.results.recorded_time import between_recordings
 
 _MAX_ROWS = 200
 """Largest number of rows of a table."""
 _UNKNOWN = "–"
+_TIME = "time, UTC"
 _UNITS = {"temperature": "degC", "level": "m"}
 """Units of the covariates that are not named in the site file. [units; definition]"""
+
+
+@dataclass(frozen=True, slots=True)
+class Live:
+    """How a running monitor is."""
+
+    says: str
+    """In a word."""
+    age_s: float | None
+    """Age of the latest data."""
+    since_ns: int | None
+    """Time of the data at which the state began; None where it is that of the run's first window."""
+    facts: tuple[tuple[str, str], ...]
+    stream: str
+    """How the source is, and what came of the samples."""
+    sensors: tuple[tuple[str, ...], ...]
+    """Rows of the table of the channels, as `live.SENSORS` names them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,6 +74,14 @@ class Period:
     events: list[Event] = field(default_factory=list)
     event_alarms: list[EventAlarm] = field(default_factory=list)
     """Of these events, and of earlier ones those that nobody has acknowledged."""
+    contact: str = ""
+    """Whom to call, as `[site] contact` says."""
+    baseline_hz: Mapping[int, float] = field(default_factory=dict)
+    """Natural frequency at calibration, Hz, of modes by their number."""
+    pages: Mapping[str, Path] = field(default_factory=dict)
+    """Place of the page of each event, which may be there."""
+    live: Live | None = None
+    """How the monitor is, where it runs."""
 
     @property
     def alarms(self) -> int:
@@ -65,7 +96,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     """
     with _name_file_in_errors(folder / "summary.json"):
         summary = notes.read_summary(folder)
-        known, between = _known_of(summary), between_recordings(summary.get("recorded", ()))
+        known, between = known_of(summary), between_recordings(summary.get("recorded", ()))
         window_s = float(summary.get("window_s", 0.0))
     results = read_results(folder, from_ns, to_ns, known.misfit, between, window_s)
     start, stop = results.grid.from_ns, results.grid.to_ns
@@ -74,7 +105,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     with _name_file_in_errors(folder / "summary.json"):
         quality = health.quality() or notes.summary_quality(summary)
         losses = results.course.losses
-        losses = (*losses, *_hidden_losses(losses, summary, start, stop))
+        losses = (*losses, *hidden_losses(losses, summary, start, stop))
         course = replace(results.course, losses=tuple(sorted(losses, key=lambda loss: loss.t_first_ns)))
         thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
         learned = {str(n): LearnedRange(**r) for n, r in summary.get("covariates_learned", {}).items()}
@@ -93,13 +124,19 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     with _name_file_in_errors(folder / "results.jsonl"):
         exceeded = [alarm.says for alarm in alarms if alarm.unacknowledged]
         assessment = assess(course, known, findings, exceeded=exceeded, whole=True)
-    name = folder.resolve().name
     return Period(
-        name, results, quality, course, assessment, known, findings, decisions, thresholds, learned, events, alarms
-    )
+        folder.resolve().name, results, quality, course, assessment, known, findings, decisions, thresholds, learned,
+        events, alarms, str(summary.get("contact", "")), baseline_hz(summary),
+        {event.id: folder / "events" / f"{event.id}.html" for event in events},
+    )  # fmt: skip
 
 
-def _known_of(summary: Mapping[str, Any]) -> Known:
+def baseline_hz(summary: Mapping[str, Any]) -> dict[int, float]:
+    """Read the natural frequencies at calibration from the summary, by the modes' numbers."""
+    return {int(mode): float(hz) for mode, hz in summary.get("baseline_frequencies_hz", {}).items()}
+
+
+def known_of(summary: Mapping[str, Any]) -> Known:
     """Read from the summary what the state depends on and no window changes; defaults where it does not tell."""
     content: dict[str, Any] = {"names": (), "has_baseline": True, "alarm_loss": 0.1, "misfit": 5.0}
     content |= summary.get("known", {})
@@ -115,7 +152,7 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
         raise BadInputError(f"{path}: not as the monitor writes it ({error!r}); move it away and ask again") from error
 
 
-def _hidden_losses(known: Sequence[Loss], summary: Mapping[str, Any], start: int, stop: int) -> list[Loss]:
+def hidden_losses(known: Sequence[Loss], summary: Mapping[str, Any], start: int, stop: int) -> list[Loss]:
     """List from the summary the alarms that the lines do not show, since another story had a higher alarm."""
     out = []
     for a in summary.get("alarms", ()):
@@ -132,96 +169,211 @@ def _hidden_losses(known: Sequence[Loss], summary: Mapping[str, Any], start: int
 
 
 def write_period(path: Path, period: Period) -> None:
-    """Write the page; the file appears under its name only when complete."""
-    write_atomically(path, page(period))
+    """Write the report; the file appears under its name only when complete."""
+    sheet(period, path.parent).write(path)
 
 
-def page(period: Period) -> str:
-    """Write the page, which is well-formed XML as well."""
-    sections = (_head, _damage, _changes, _alarms, _events, _modes, _covariates, _trust, _findings)
-    return document(f"{period.name}: {_span(period)}", [section(period) for section in sections])
+def sheet(period: Period, beside: Path | None = None) -> Sheet:
+    """Make the page, which leads to the pages of events that are there if it lies in the folder `beside`."""
+    said, span = period.assessment, _span(period)
+    page = Sheet(f"{period.name}: {span}", period.name, said.state.value, said.state.words, headline=said.headline)
+    _head(page, period)
+    for part in (_where, _trust, _losses, _modes, _covariates, _alarms, _findings):
+        part(page, period)
+    _events(page, period, beside)
+    _sensors(page, period)
+    return page
 
 
 def _span(period: Period) -> str:
     return f"{utc(period.results.grid.from_ns)} to {utc(period.results.grid.to_ns)} UTC"
 
 
-def _story(story: int, period: Period) -> str:
-    if story == WHOLE:
+def _name(part: int, period: Period) -> str:
+    if part == WHOLE:
         return period.known.parts.every
-    return period.known.names[story - 1] if story <= len(period.known.names) else f"story {story}"
+    return period.known.names[part - 1] if part <= len(period.known.names) else f"story {part}"
 
 
-def _head(period: Period) -> str:
-    """Write the verdict, the span and the key figures."""
-    r, said = period.results, period.assessment
-    apart = ", the time between recordings apart" if r.between else ""
-    evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s{apart}"
-    shown = [(f"{100 * sum(r.judged) / r.due:.1f} %", evaluated)]
+def _standing(period: Period) -> list[Loss]:
+    """List the alarms that last, the gravest first."""
+    return sorted((a for a in period.course.losses if a.t_last_ns is None), key=lambda a: (-a.level.rank, -abs(a.ddi)))
+
+
+def _head(page: Sheet, period: Period) -> None:
+    """Say since when, how old the data are, what to do, and whom to call."""
+    state, live = period.assessment.state, period.live
+    standing = [a for a in _standing(period) if a.level.value == state.value]
+    since_ns = min((a.t_first_ns for a in standing), default=None if live is None else live.since_ns)
+    page.since = "" if since_ns is None else f"since {utc(since_ns)} UTC"
+    if live is None:
+        page.lead.append(("Data:", _span(period)))
+    else:
+        page.live = live.says
+        age = "no data yet" if live.age_s is None else f"the last came {_length(live.age_s)} ago"
+        until = f"until {utc(period.results.grid.to_ns)} UTC; " if period.course.windows else ""
+        page.lead.append(("Data:", f"{until}{age}."))
+    events = [a for a in period.event_alarms if a.unacknowledged]
+    places = [_name(a.story, period) for a in standing if a.story != WHOLE]
+    page.lead.append(("What to do:", advice(state, places)))
+    if state.rank > State.NOT_JUDGED.rank or period.contact:
+        page.lead.append(("Call:", period.contact or "nobody is named; the site file may, as [site] contact."))
+    asked = [f"--story {a.story}" for a in standing] + [f"--event {a.id}" for a in events]
+    if asked and state.rank >= State.WARNING.rank:
+        page.lead.append(("Acknowledge:", f"shm-monitor ack SITE.toml {asked[0]} --who NAME"))
+
+
+def _length(seconds: float) -> str:
+    if seconds < 5400.0:
+        return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h" if seconds < 172_800.0 else f"{seconds / 86400.0:.1f} days"
+
+
+def _where(page: Sheet, period: Period) -> None:
+    """Tabulate the stories or modes with what they lost, the affected first."""
+    r, judged = period.results, period.known.has_baseline
+    page.section("Where, and how much", "where")
+    page.items(f"Event {a.id}: {'; '.join(a.exceeded)}" for a in period.event_alarms if a.unacknowledged)
+    standing = {a.story: a for a in reversed(_standing(period))}
+    if (every := standing.get(WHOLE)) is not None:
+        name = period.known.parts.every.capitalize()
+        page.text(f"{name}: {every.level.value} since {utc(every.t_first_ns)} UTC.")
+    rows = []
+    for j, c in enumerate(r.ddi or r.changes, 1):
+        alarm, (seen, says) = standing.get(j), _sight(j, period)
+        state = alarm.level.value if alarm else "normal" if judged and seen else "not judged"
+        size = with_interval(100 * c.latest, 100 * c.latest_half) if c.values else _UNKNOWN
+        rank = (-alarm.level.rank, -abs(c.latest)) if alarm else (0, 0.0)
+        rows.append((rank, j, (_name(j, period), state, size, utc(alarm.t_first_ns) if alarm else "", says)))
+    what = "#stiffness lost, %" if judged else "#lost against the structure file, %"
+    head = ["story", "state", what, "@since, UTC", "what would be seen"]
+    head = head if r.ddi else ["mode", "state", "#change, %", "@since, UTC"]
+    page.table(head, [row[: len(head)] for _, _, row in sorted(rows)], most=_MAX_ROWS)
+    page.note("Latest value with two standard deviations, about 95 %." if rows else "No window has been judged.")
+
+
+def _trust(page: Sheet, period: Period) -> None:
+    """Say what is doubtful and what is not judged; availability and goodness of fit."""
+    r, q = period.results, period.quality
+    page.section("Can it be trusted", "trust")
+    page.items(period.assessment.doubts, "doubts")
+    shown = []
+    if q is not None and q.availability is not None:
+        shown.append((f"{100 * q.availability:.2f} %", "of the samples due came"))
+    if period.live is None:
+        apart = ", the time between recordings apart" if r.between else ""
+        evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s{apart}"
+        shown.append((f"{100 * sum(r.judged) / r.due:.1f} %", evaluated))
+    else:
+        shown.append((f"{period.course.windows}", f"windows, {period.course.skipped} of them not judged"))
+        shown += period.live.facts
     if period.known.has_baseline or period.alarms:
         shown.append((f"{period.alarms}", "alarm" if period.alarms == 1 else "alarms"))
-    if period.quality is not None and period.quality.availability is not None:
-        shown.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
-    if r.ddi and period.known.has_baseline:
-        seen = ((j, c.latest) for j, c in enumerate(r.ddi, 1) if _sight(j, period)[0])
-        latest = [(f"{100 * loss:.2f} %", f"{_story(j, period)}, latest") for j, loss in seen]
-        shown += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
-    shown += [(f"{100 * c.latest:+.2f} %", f"mode {k}, latest") for k, c in enumerate(r.changes[:4], 1) if c.values]
-    return (
-        f"{verdict(said.state, said.state.words, said.headline)}{doubts(said.doubts)}"
-        f'<p class="muted">{escape(period.name)}, {_span(period)}</p>{figures(shown)}'
-        '<p class="muted">Shaded: least to greatest value in each step of time, with two standard deviations; line: '
-        f"their mean. Times are those of the windows' ends, by the data.{_shortened(r.grid)}</p>"
+    page.figures(shown)
+    reasons = r.course.skip_reasons or period.course.skip_reasons
+    rows = [(Skipped(why).mend, str(n)) for why, n in sorted(reasons.items(), key=lambda item: -item[1])]
+    missing = 0 if period.live else r.due - r.course.windows
+    rows += [("no data, or the monitor did not run", str(missing))] if missing > 0 else []
+    rows += [("a line of results.jsonl that cannot be read", str(r.damaged))] if r.damaged else []
+    page.table(["windows that say nothing, and why", "#windows"], rows, most=_MAX_ROWS)
+    title = "Goodness of fit (1: a change of stiffness explains what is seen)"
+    page.draw(_coverage(r), *([] if r.misfit is None else [_curve(period, title, r.misfit)]))
+
+
+def _coverage(r: PeriodResults) -> Chart:
+    """Draw where windows were evaluated, where they were skipped, and where there are none."""
+    chart = _over_time(r.grid, "Windows: blue judged, orange not, blank none", (0.0, 1.0), 26.0)
+    places = r.grid.share(r.grid.edges_ns)
+    kinds, start = ["used" if j and not s else "off" if s else "" for j, s in zip(r.judged, r.refused, strict=True)], 0
+    for kind, run in groupby(kinds):
+        stop = start + len(list(run))
+        if kind:
+            chart.shade((float(places[start]), float(places[stop])), kind)
+        start = stop
+    return chart
+
+
+def _over_time(grid: Grid, title: str, y: tuple[float, float], height: float = 110.0, note: str = "") -> Chart:
+    """Make an empty chart over a grid's time, with a margin above and below the range of values."""
+    margin = 0.06 * (y[1] - y[0]) or 0.01 * abs(y[1]) or 1.0
+    range_y = (y[0] - margin, y[1] + margin) if height > 40.0 else y
+    chart = Chart(title, (0.0, 1.0), range_y, height, x_title=_TIME, note=note, stretches=grid.places())
+    for gap in grid.gaps:
+        begin, end = grid.share(np.array(gap, dtype=float))
+        chart.shade((float(begin), float(end)), "cut")
+    return chart
+
+
+def _curve(
+    period: Period,
+    title: str,
+    curve: Curve,
+    levels: Sequence[tuple[float, str]] = (),
+    *,
+    scale: float = 1.0,
+    y: tuple[float, float] | None = None,
+    parts: Sequence[int] = (),
+    says: str = "",
+) -> Chart:
+    """Draw a curve's mean in its band, on the scale `y` if it is given, over the alarms of `parts`, with level lines."""
+    grid, (t_ns, (low, mean, high)) = period.results.grid, curve.drawn()
+    extent = [*(value for value, _ in levels), *(scale * value for value in curve.range)]
+    latest = f"latest {with_interval(scale * curve.latest, scale * curve.latest_half, 4)}"
+    chart = _over_time(grid, title, y or (min(extent), max(extent)), note="; ".join(filter(None, (latest, says))))
+    for a in period.course.losses:
+        if a.story in parts:
+            last_ns = grid.to_ns if a.t_last_ns is None else a.t_last_ns
+            begin, end = grid.share(np.array([a.t_first_ns, last_ns], dtype=float)).tolist()
+            chart.shade((begin, end), "still" if a.level == "alarm" else "off")
+    for value, kind in levels:
+        chart.level(value, kind)
+    return chart.line(grid.share(t_ns), scale * mean, "after", scale * low, scale * high)
+
+
+def _losses(page: Sheet, period: Period) -> None:
+    """Draw the loss of every story, or the change of every mode, on one scale, with alarms, threshold and the baseline."""
+    r, judged = period.results, period.known.has_baseline
+    curves = [(j, c) for j, c in enumerate(r.ddi or r.changes, 1) if c.values]
+    if not curves:
+        return
+    alarm_loss = period.thresholds.get("alarm_loss")
+    if r.ddi:
+        limit = 100 * alarm_loss if judged and alarm_loss is not None else None
+        page.section(f"Stiffness lost {'since the baseline' if judged else 'against the structure file'}", "loss")
+        title, shapes = "stiffness lost, %", 0
+    else:
+        limit = -50 * (period.known.alarm_loss if alarm_loss is None else alarm_loss)
+        page.section("Change of the modes since the baseline", "loss")
+        title, shapes = "frequency since the baseline, less what covariates explain, %", period.known.n_modes or 0
+    levels = [(0.0, "before dashed"), *([] if limit is None else [(limit, "limit dashed")])]
+    reach = [100.0 * end for _, c in curves for end in c.range]
+    y = min(*reach, -0.1, limit or 0.0), max(*reach, 0.1, limit or 0.0)
+    charts = []
+    for j, c in curves:
+        (seen, says), parts = _sight(j, period) if r.ddi else (True, ""), {j, j + shapes, WHOLE}
+        chart = _curve(period, f"{_name(j, period)}: {title}", c, levels, scale=100.0, y=y, parts=[*parts], says=says)
+        chart.kind = "" if seen or any(a.story in parts for a in period.course.losses) else "unseen"
+        charts.append(chart)
+    page.draw(*charts)
+    fall = "Shaded where frequency or shape was announced as changed; dashed red: a confirmed fall of this size is an alarm."
+    how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
+    page.note(f"{how if r.ddi else fall} {_legend(r.grid)}")
+    stiffness = enumerate(r.stiffness, 1)
+    more = [_curve(period, f"{_name(j, period)}: stiffness, N/m", c) for j, c in stiffness if c.values]
+    page.draw(*more, more="Stiffness in N/m")
+
+
+def _legend(grid: Grid) -> str:
+    """Say what the curves are, and which gaps the charts shorten."""
+    says = (
+        "Line: mean in each step of time; band: least to greatest value, with two standard deviations. Orange dashes: the "
+        "baseline. Times are those of the windows' ends, by the data."
     )
-
-
-def _shortened(grid: Grid) -> str:
-    """Say which gaps the charts shorten; empty where they shorten none."""
     if not grid.gaps:
-        return ""
+        return says
     said = [f"{utc(a)} to {utc(b)}" for a, b in grid.gaps[:3]]
     said += [f"{len(grid.gaps) - 3} more"] if len(grid.gaps) > 3 else []
-    return f" Grey: times without data, which the charts shorten ({'; '.join(said)})."
-
-
-def _damage(period: Period) -> str:
-    """Draw the damage index of every story on one scale, with alarms and threshold."""
-    if not period.results.ddi:
-        return ""
-    judged, r = period.known.has_baseline, period.results
-    limit = period.thresholds.get("alarm_loss") if judged else None
-    curves = [c.envelope() for c in r.ddi]
-    low = 100 * min(0.0, *(float(e.low.min()) for e in curves))
-    high = 100 * max(limit or 0.0, 0.001, *(float(e.high.max()) for e in curves))
-    since = "since the baseline" if judged else "against the structure file"
-    out = [f"<h2>{'Damage index' if judged else 'Stiffness'}</h2>"]
-    for j, e in enumerate(curves, 1):
-        axes = time_axes(r.grid, low, high)
-        seen, says = _sight(j, period)
-        title = f"{_story(j, period)}: stiffness lost {since}, %; {says}"
-        marks = _over_alarms(axes, period, (j, WHOLE), None if limit is None else 100 * limit, e)
-        out.append(axes.chart(title, *marks, x_title=TIME, kind="" if seen else " unseen"))
-    how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
-    return "".join(out) + f"<p class='muted'>{how}</p>"
-
-
-def _changes(period: Period) -> str:
-    """Draw the change of every mode's frequency on one scale, with alarms and threshold, where there is no model."""
-    r = period.results
-    if not any(c.values for c in r.changes):
-        return ""
-    limit = 50 * period.thresholds.get("alarm_loss", period.known.alarm_loss)
-    curves = [(k, c.envelope()) for k, c in enumerate(r.changes, 1) if c.values]
-    low = 100 * min(-0.001, *(float(e.low.min()) for _, e in curves))
-    high = 100 * max(0.001, *(float(e.high.max()) for _, e in curves))
-    out = ["<h2>Change of the modes</h2>"]
-    for k, e in curves:
-        axes = time_axes(r.grid, min(low, -limit), max(high, 0.2 * limit))
-        marks = _over_alarms(axes, period, (k, k + (period.known.n_modes or 0), WHOLE), -limit, e)
-        title = f"mode {k}: frequency since the baseline, less what covariates explain, %"
-        out.append(axes.chart(title, *marks, x_title=TIME))
-    says = "Shaded where frequency or shape was announced as changed; dashed red: a confirmed fall of this size is an alarm."
-    return "".join(out) + f"<p class='muted'>{says}</p>"
+    return f"{says} Grey: times without data, which the charts shorten ({'; '.join(said)})."
 
 
 def _sight(story: int, period: Period) -> tuple[bool, str]:
@@ -254,78 +406,82 @@ def _thresholds(thresholds: Mapping[str, float]) -> str:
     )
 
 
-def _over_alarms(axes: TimeAxes, period: Period, parts: tuple[int, ...], limit: float | None, e: Envelope) -> list[str]:
-    """Draw an envelope in percent over the alarms of some parts, no change, and the limit of an alarm."""
-    start, stop = axes.x
-    marks = []
-    for a in period.course.losses:
-        if a.story in parts:
-            last = stop if a.t_last_ns is None else a.t_last_ns * 1e-9
-            span = max(start, a.t_first_ns * 1e-9), min(stop, last)
-            marks.append(axes.shade(span, "still" if a.level == "alarm" else "off"))
-    lines = [(0.0, "before dashed")] + ([] if limit is None else [(limit, "limit dashed")])
-    marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
-    return marks + draw_envelope(axes, e, 100.0)
-
-
-def _alarms(period: Period) -> str:
+def _alarms(page: Sheet, period: Period) -> None:
     """Tabulate every alarm with the verdict of its diagnosis and the actions of the operators."""
+    page.section("Alarms", "alarms")
     if not period.alarms:
-        none = "None." if period.known.has_baseline else "Without a baseline none can be raised."
-        return f"<h2>Alarms</h2><p>{none}</p>"
+        page.text("None." if period.known.has_baseline else "Without a baseline none can be raised.")
+        return
     rows = []
-    for i, e in enumerate(period.course.losses[:_MAX_ROWS]):
+    for i, e in enumerate(period.course.losses):
         later = (n.t_first_ns for n in period.course.losses[i + 1 :] if n.story == e.story)
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
         diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
         size = f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"
-        rows.append((e.level, _story(e.story, period), utc(e.t_first_ns), ended, size, diagnosis, actions))
+        rows.append((e.level, _name(e.story, period), utc(e.t_first_ns), ended, size, diagnosis, actions))
     began = {event.id: utc(event.begin_ns) for event in period.events}
-    for alarm in period.event_alarms[:_MAX_ROWS]:
+    for alarm in period.event_alarms:
         seen = "nobody yet" if alarm.unacknowledged else f"by {alarm.acknowledged_by}"
         lasts = "lasts" if alarm.unacknowledged else _UNKNOWN
         what = f"event {alarm.id}: {'; '.join(alarm.exceeded)}"
         rows.append((Level.ALARM, what, began.get(alarm.id, _UNKNOWN), lasts, _UNKNOWN, "a limit of the site", seen))
     size = "#stiffness lost" if period.known.n_modes is None else "#change"
     head = ["level", "where", "@from, UTC", "@to, UTC", size, "diagnosis", "acknowledged"]
-    return "<h2>Alarms</h2>" + table(head, rows) + rest(len(period.course.losses) - _MAX_ROWS, "shown")
+    page.table(head, rows[::-1], most=_MAX_ROWS)
 
 
-def _events(period: Period) -> str:
-    """Tabulate the strong motions of the whole structure; nothing where there was none."""
+def _events(page: Sheet, period: Period, beside: Path | None) -> None:
+    """Tabulate the strong motions of the whole structure, with their pages; nothing where there was none."""
     if not period.events:
-        return ""
-    rows = [(e.id, utc(e.begin_ns), utc(e.end_ns), event_text(e), e.note) for e in period.events[:_MAX_ROWS]]
-    head = ["@event", "@from, UTC", "@to, UTC", "what it was", "note"]
-    return "<h2>Events</h2>" + table(head, rows) + rest(len(period.events) - _MAX_ROWS, "shown")
+        return
+    page.section("Events: strong motion", "events")
+    rows = []
+    for e in reversed(period.events):
+        place = period.pages.get(e.id)
+        there = beside is not None and place is not None and place.is_file()
+        named = Link(e.id, quote(relpath(str(place), beside))) if there else e.id
+        rows.append((named, utc(e.begin_ns), utc(e.end_ns), event_text(e), e.note))
+    page.table(["@event", "@from, UTC", "@to, UTC", "what it was", "note"], rows, most=_MAX_ROWS)
+    page.note("The page of an event is written by: shm-monitor report DIR --event ID")
 
 
-def _modes(period: Period) -> str:
-    curves = period.results.common_modes()
+def _modes(page: Sheet, period: Period) -> None:
+    """Draw the frequencies with those of the baseline, and tabulate frequency and damping."""
+    r, modal = period.results, period.known.n_modes is not None
+    curves = r.common_modes()
     if not curves:
-        return ""
-    other = "another mode, not of the model" if period.known.n_modes is None else "another mode"
-    names = [f"mode {c.mode}" if c.mode is not None else other for c in curves]
-    panels = [panel(period.results.grid, c, f"{name}: frequency, Hz") for name, c in zip(names, curves, strict=True)]
-    return "<h2>Modes</h2>" + "".join(panels)
+        return
+    page.section("Natural frequencies", "modes")
+    other = "another mode" if modal else "another mode, not of the model"
+    charts, rows = [], []
+    for c in curves:
+        name, hz = f"mode {c.mode}" if c.mode is not None else other, period.baseline_hz.get(c.mode or 0)
+        charts.append(_curve(period, f"{name}: frequency, Hz", c, [] if hz is None else [(hz, "before dashed")]))
+        value, std = c.damping or (None, None)
+        damping = _UNKNOWN if value is None else with_interval(100 * value, 200 * (std or 0.0))
+        at_baseline = _UNKNOWN if hz is None else f"{hz:.4g}"
+        rows.append((name, with_interval(c.latest, c.latest_half, 4), at_baseline, damping))
+    page.draw(*charts)
+    page.table(["mode, latest", "#frequency, Hz", "#at the baseline, Hz", "#damping, %"], rows)
 
 
-def _covariates(period: Period) -> str:
+def _covariates(page: Sheet, period: Period) -> None:
     """Draw level of motion and weather, with the range that calibration learned from and where the latest value lies in it."""
-    rows, panels = [], []
+    rows, charts = [], []
     for name, curve in sorted(period.results.covariates.items()):
-        e, learned = curve.envelope(), period.learned.get(name)
+        (low, high), learned = curve.range, period.learned.get(name)
         unit = learned.unit if learned is not None else _UNITS.get(name, "")
-        extent = f"{e.low.min():.3g}", f"{e.high.max():.3g}", f"{curve.latest:.3g}"
+        extent = f"{low:.3g}", f"{high:.3g}", f"{curve.latest:.3g}"
         known = (_UNKNOWN, _UNKNOWN) if learned is None else (f"{learned.low:.3g}", f"{learned.high:.3g}")
         rows.append((name, unit, *known, *extent, _place(curve.latest, learned, period)))
-        panels.append(panel(period.results.grid, curve, f"{name}, {unit}".rstrip(", ")))
-    if not rows:
-        return ""
-    head = ["covariate", "unit", "#learned from", "#to", "#here from", "#to", "#latest", "the latest lies"]
-    return "<h2>Level of motion and weather</h2>" + table(head, rows) + "".join(panels)
+        charts.append(_curve(period, f"{name}, {unit}".rstrip(", "), curve))
+    if rows:
+        page.section("Level of motion and weather", "covariates")
+        head = ["covariate", "unit", "#learned from", "#to", "#here from", "#to", "#latest", "the latest lies"]
+        page.table(head, rows)
+        page.draw(*charts)
 
 
 def _place(value: float, learned: LearnedRange | None, period: Period) -> str:
@@ -338,37 +494,31 @@ def _place(value: float, learned: LearnedRange | None, period: Period) -> str:
     return f"above it: {what} compared by extrapolation" if value > learned.high else "within it"
 
 
-def _trust(period: Period) -> str:
-    """Write availability, goodness of fit, sensors and clocks."""
-    r, q = period.results, period.quality
-    rows = [
-        (Skipped(reason).mend, str(n))
-        for reason, n in sorted(r.course.skip_reasons.items(), key=lambda item: -item[1])[:_MAX_ROWS]
-    ]
-    missing = r.due - r.course.windows
-    rows += [("no data, or the monitor did not run", str(missing))] if missing > 0 else []
-    rows += [("a line of results.jsonl that cannot be read", str(r.damaged))] if r.damaged else []
-    out = ["<h2>Can it be trusted</h2>", _coverage_strip(period)]
-    out.append(table(["windows that say nothing, and why", "#windows"], rows) if rows else "")
-    title = "goodness of fit: squared misfit over its expectation (1: stiffness explains the change)"
-    out.append(panel(period.results.grid, r.misfit, title))
+def _sensors(page: Sheet, period: Period) -> None:
+    """Tabulate the sensors' quality and the clocks."""
+    q = period.quality
+    page.section("Sensors", "sensors")
+    if period.live is not None:
+        page.note(period.live.stream)
+        page.table(notes.SENSORS, period.live.sensors)
+        return
     if q is None:
-        return "".join([*out, "<p class='muted'>No record of the sensors' quality in this period.</p>"])
-    out.append(f"<h2>Sensors</h2><p class='muted'>From {escape(q.says)}.</p>")
+        page.note("No record of the sensors' quality in this period.")
+        return
+    page.note(f"From {q.says}.")
     availability = "not known" if q.availability is None else f"{100 * q.availability:.3f} %"
     stream = [("samples that came", availability), ("gaps", str(q.gaps)), ("lost, s", f"{q.lost_s:.6g}")]
-    out.append(table([], [*stream, ("samples dropped (repeated, late, not finite)", str(q.overlaps))]))
+    page.table([], [*stream, ("samples dropped (repeated, late, not finite)", str(q.overlaps))])
     head = ["channel", "#RMS, m/s²", "#peak, m/s²", "#spikes", "#stuck, s", "#clipped samples", "#noise, m/s²/√Hz"]
     channels = [
         (c.name, f"{c.rms_m_s2:.4g}", _known(c.peak_m_s2), str(c.spikes), f"{c.stuck_s:g}", f"{c.clipped:.0f}",
          _known(c.noise_floor))
         for c in q.channels
     ]  # fmt: skip
+    columns = [i for i in range(len(head)) if any(c[i] != _UNKNOWN for c in channels)]  # a replay knows no peaks
+    page.table([head[i] for i in columns], [[c[i] for i in columns] for c in channels])
     clocks = [(node, f"{1e3 * offset:.3g}", f"{drift:.3g}") for node, offset, drift in q.clocks]
-    known_columns = [i for i in range(len(head)) if any(c[i] != _UNKNOWN for c in channels)]  # a replay knows no peaks
-    out.append(table([head[i] for i in known_columns], [[c[i] for i in known_columns] for c in channels]))
-    out.append(table(["clock", "#largest offset, ms", "#drift, ppm"], clocks) if clocks else "")
-    return "".join(out)
+    page.table(["clock", "#largest offset, ms", "#drift, ppm"], clocks)
 
 
 def _known(value: float | None) -> str:
@@ -376,38 +526,18 @@ def _known(value: float | None) -> str:
     return _UNKNOWN if value is None else f"{value:.4g}"
 
 
-def _coverage_strip(period: Period) -> str:
-    """Draw where windows were evaluated, where they were skipped, and where there are none."""
-    r = period.results
-    axes = time_axes(r.grid, 0.0, 1.0, 26.0)
-    edges = r.grid.edges_ns * 1e-9
-    kinds = ["used" if j and not s else "off" if s else "" for j, s in zip(r.judged, r.refused, strict=True)]
-    marks, start = axes.gap_marks(), 0
-    for kind, run in groupby(kinds):
-        stop = start + len(list(run))
-        if kind:
-            marks.append(axes.shade((float(edges[start]), float(edges[stop])), kind))
-        start = stop
-    title = "windows: blue evaluated, orange skipped in part or whole, blank none"
-    return axes.chart(title, *marks, x_title=TIME)
-
-
-def _findings(period: Period) -> str:
+def _findings(page: Sheet, period: Period) -> None:
     """Tabulate the diagnoses and all decisions of people."""
-    out = []
-    if period.findings:
-        rows = [
-            (str(f.get("id", "")), utc(f["t_ns"]), f.get("reason") or "", f.get("verdict") or "failed",
-             f.get("says") or f.get("error") or "")
-            for f in period.findings[:_MAX_ROWS]
-        ]  # fmt: skip
-        out.append("<h2>Findings</h2>" + table(["no.", "@data until, UTC", "asked because", "verdict", "says"], rows))
-        out.append(rest(len(period.findings) - _MAX_ROWS, "shown"))
+    page.section("Findings: what explains a change", "findings")
+    rows = [
+        (str(f.get("id", "")), utc(f["t_ns"]), f.get("reason") or "",
+         f.get("verdict") or "failed", f.get("says") or f.get("error") or "")
+        for f in period.findings
+    ]  # fmt: skip
+    if not rows:
+        page.text("No diagnosis so far. One is made when an alarm or a doubt asks for it.")
+    page.table(["no.", "@data until, UTC", "asked because", "verdict", "says"], rows, most=_MAX_ROWS)
     if period.decisions:
-        lines = [(utc(d.t_ns), d.who, d.what) for d in period.decisions[:_MAX_ROWS]]
-        out.append(
-            "<h2>Ledger</h2>"
-            + table(["@when, UTC", "who", "what"], lines)
-            + rest(len(period.decisions) - _MAX_ROWS, "shown")
-        )
-    return "".join(out)
+        page.section("Ledger", "ledger")
+        lines = [(utc(d.t_ns), d.who, d.what) for d in period.decisions]
+        page.table(["@when, UTC", "who", "what"], lines, most=_MAX_ROWS)

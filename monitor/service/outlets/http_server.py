@@ -1,4 +1,9 @@
-"""HTTP server in one thread: connections, requests and their time are bounded, so that readers cost the monitor little."""
+"""HTTP by uvicorn, in one thread: what readers cost is bounded, so that the monitor does not notice them.
+
+uvicorn reads a request, bounds its head, and writes the answer.  It bounds neither the time that a request takes to come and its
+answer to be taken, nor handshakes of TLS; and beyond its `limit_concurrency` it refuses whoever comes next, so that readers that
+hang would shut out all others.  So connections are accepted, counted and ended here.
+"""
 
 from __future__ import annotations
 
@@ -6,27 +11,21 @@ import asyncio
 import contextlib
 import logging
 import socket
-import ssl
-import threading
 import time
-from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from http import HTTPStatus
 from typing import Any
-from urllib.parse import unquote
+
+from uvicorn.config import Config
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
+
+from monitor.core import Work, Worker
 
 _log = logging.getLogger(__name__)
 
-_MAX_HEAD_BYTES = 8192
+_MOST_HEAD_BYTES = 8192
 """Largest size of the head of a request. [B; judgement]"""
-
-WsgiApplication = Callable[[dict[str, Any], Callable[[str, list[tuple[str, str]]], object]], Iterable[bytes]]
-Message = MutableMapping[str, Any]
-AsgiApplication = Callable[
-    [Message, Callable[[], Awaitable[Message]], Callable[[Message], Awaitable[None]]], Awaitable[None]
-]
-Respond = Callable[[bytes], Awaitable[bytes]]
-"""Function that answers the head of a request; it raises ValueError where that is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,48 +47,110 @@ class Bounds:
     """Pause where the system has no room for a connection. [s; judgement]"""
 
 
-class HttpServer:
-    """Answer requests without a body, one a connection, in one thread, at `port` (0 asks for any); with `tls` it speaks TLS.
+class _Connection(H11Protocol):
+    """One connection; `ended` is done when it is closed."""
 
-    A connection beyond the largest number replaces the oldest, so that readers that hang do not shut out others.  OSError is
-    raised where the port cannot be opened.
+    def __init__(self, config: Config, state: ServerState) -> None:
+        super().__init__(config, state, {})
+        self.ended = self.loop.create_future()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self.ended.set_result(None)
+
+
+class HttpServer:
+    """Serve an ASGI application as `what`, one request a connection, in one thread, at `address` (port 0 asks for any).
+
+    `tls` holds uvicorn's settings of that, their files by name.  A connection beyond the largest number replaces the oldest, so
+    that readers that hang do not shut out others.  `port` is None until it listens; `failed` says why it does not.
     """
 
     def __init__(
-        self, host: str, port: int, respond: Respond, tls: ssl.SSLContext | None = None, bounds: Bounds = Bounds()
+        self,
+        what: str,
+        address: tuple[str, int],
+        application: Callable[..., Any],
+        tls: Mapping[str, Any] | None = None,
+        bounds: Bounds = Bounds(),
     ) -> None:
-        self._bounds = bounds
-        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-        self._listener = socket.create_server(address[:2], family=family, backlog=bounds.waiting)
-        self._listener.setblocking(False)
-        self.port = int(self._listener.getsockname()[1])
-        self._respond, self._tls = respond, tls
-        self._loop = asyncio.new_event_loop()
-        self._loop.set_exception_handler(lambda _, context: _log.error("http: %s", context["message"]))
+        self.port: int | None = None
+        self.failed: str | None = None
+        self._what, self._address, self._bounds = what, address, bounds
+        self._config = Config(
+            _told(application),
+            interface="asgi3",
+            http=_Connection,
+            ws="none",
+            lifespan="off",
+            log_config=None,
+            log_level="critical",  # what readers send is no line of the log
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            headers=[("Connection", "close")],
+            h11_max_incomplete_event_size=_MOST_HEAD_BYTES,
+            **(tls or {}),
+        )
+        self._state = ServerState()
         self._serving: dict[asyncio.Task[None], None] = {}
-        self._running = self._loop.create_task(self._run())
-        self._thread = threading.Thread(target=self._work, name="http", daemon=True)
-        self._thread.start()
+        self._worker: Worker[None] | None = None
+
+    @property
+    def at(self) -> str:
+        """Host and port, as in an address."""
+        host, port = self._address
+        return f"{f'[{host}]' if ':' in host else host}:{self.port or port}"
 
     @property
     def connections(self) -> int:
         """Number of open connections."""
         return len(self._serving)
 
+    def open(self) -> bool:
+        """Listen if it does not yet; return whether it begins now.  A failure is kept in `failed` and logged once."""
+        if self._worker is not None and not self._worker.over:
+            return False
+        try:
+            self.listen()
+        except (OSError, ValueError) as error:
+            if self.failed is None:
+                _log.error("no %s at %s for now: %s", self._what, self.at, error)
+            self.failed = f"{self.at}: {error}"
+            return False
+        return True
+
+    def listen(self) -> None:
+        """Begin to listen; OSError or ValueError tells that the port cannot be opened, or which files of `tls` are wrong."""
+        c = self._config
+        if not c.loaded:
+            try:
+                c.load()
+            except OSError as error:
+                names = [str(name) for name in (c.ssl_certfile, c.ssl_keyfile, c.ssl_ca_certs) if name is not None]
+                raise OSError(f"{', '.join(names)}: {error.strerror or error}") from error
+        self._state.default_headers = c.encoded_headers
+        family, *_, place = socket.getaddrinfo(*self._address, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        self._listener = socket.create_server(place[:2], family=family, backlog=self._bounds.waiting)
+        self._listener.setblocking(False)
+        self.port, self.failed = int(self._listener.getsockname()[1]), None
+        self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(lambda _, context: _log.error("http: %s", context["message"]))
+        self._running = self._loop.create_task(self._run())
+        self._worker = Worker("http", Work(idle=self._serve), ends_on_error=True)
+        self._worker.start()
+
     def close(self, timeout_s: float) -> None:
         """Stop listening and close all connections."""
-        with contextlib.suppress(RuntimeError):  # the loop has ended before
-            self._loop.call_soon_threadsafe(self._running.cancel)
-        self._thread.join(timeout_s)
+        if self._worker is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended before
+                self._loop.call_soon_threadsafe(self._running.cancel)
+            self._worker.close(timeout_s)
 
-    def _work(self) -> None:
+    def _serve(self) -> None:
         """Serve until closed (the thread's work)."""
-        try:
-            with contextlib.suppress(asyncio.CancelledError):
-                self._loop.run_until_complete(self._running)
-        finally:
-            self._listener.close()
-            self._loop.close()
+        with contextlib.closing(self._loop), self._listener, contextlib.suppress(asyncio.CancelledError):
+            self._loop.run_until_complete(self._running)
 
     async def _run(self) -> None:
         """Serve until cancelled, then close what is open."""
@@ -98,7 +159,7 @@ class HttpServer:
         finally:
             for task in self._serving:
                 task.cancel()
-            await asyncio.gather(*self._serving, return_exceptions=True)
+            await asyncio.gather(*self._serving, *self._state.tasks, return_exceptions=True)
 
     async def _accept(self) -> None:
         """Accept connections, no faster than the bounds allow."""
@@ -115,7 +176,7 @@ class HttpServer:
             refused = False
             if len(self._serving) >= self._bounds.connections:
                 next(iter(self._serving)).cancel()
-            task = self._loop.create_task(self._serve(connection))
+            task = self._loop.create_task(self._answer(connection))
             self._serving[task] = None
             task.add_done_callback(lambda done: self._serving.pop(done, None))
             await asyncio.sleep(1.0 / self._bounds.per_s)
@@ -123,99 +184,32 @@ class HttpServer:
             await asyncio.sleep((now_s - spent_s) / self._bounds.share - 1.0 / self._bounds.per_s)
             spent_s = now_s
 
-    async def _serve(self, connection: socket.socket) -> None:
-        """Answer one request, or close the connection where it does not come or its answer is not taken in time."""
-        with contextlib.closing(connection):
-            try:
-                async with asyncio.timeout(self._bounds.connection_s):
-                    await self._answer(connection)
-            except (OSError, EOFError, ValueError, asyncio.LimitOverrunError) as error:
-                _log.debug("http: a connection was closed: %s", error or type(error).__name__)
-            except Exception:  # noqa: BLE001 - a request that cannot be answered is no end of the server
-                _log.exception("http: a request failed")
-
     async def _answer(self, connection: socket.socket) -> None:
-        """Read a request and write its answer.
-
-        OSError, EOFError or LimitOverrunError tell that the connection failed, or that the request is not complete or too long;
-        ValueError that it is none.
-        """
-        reader = asyncio.StreamReader(limit=_MAX_HEAD_BYTES)
-        protocol = asyncio.StreamReaderProtocol(reader)
+        """Let uvicorn answer one request; end the connection where that takes too long."""
         longest_s = self._bounds.connection_s
-        limits = {"ssl_handshake_timeout": longest_s, "ssl_shutdown_timeout": longest_s} if self._tls else {}
-        transport, _ = await self._loop.connect_accepted_socket(lambda: protocol, connection, ssl=self._tls, **limits)
-        writer = asyncio.StreamWriter(transport, protocol, reader, self._loop)
+        limits = {"ssl_handshake_timeout": longest_s, "ssl_shutdown_timeout": longest_s} if self._config.ssl else {}
+        with contextlib.closing(connection), contextlib.suppress(OSError):  # also TimeoutError
+            async with asyncio.timeout(longest_s):
+                transport, protocol = await self._loop.connect_accepted_socket(
+                    lambda: _Connection(self._config, self._state), connection, ssl=self._config.ssl, **limits
+                )
+                try:
+                    await protocol.ended
+                finally:
+                    transport.abort()
+
+
+def _told(application: Callable[..., Any]) -> Callable[..., Any]:
+    """Tell the log where a request fails, which uvicorn then answers by 500."""
+
+    async def tell(scope: Any, receive: Any, send: Any) -> None:
         try:
-            writer.write(await self._respond(await reader.readuntil(b"\r\n\r\n")))
-            writer.close()
-            await writer.wait_closed()
-        finally:
-            transport.abort()
+            await application(scope, receive, send)
+        except UnicodeDecodeError as error:
+            _log.debug("http: a request is not text: %s", error)
+            raise
+        except Exception:
+            _log.exception("http: a request failed")
+            raise
 
-
-def wsgi(application: WsgiApplication) -> Respond:
-    """Make the function that answers a request by a WSGI application, which gets method, path, query and accept headers."""
-
-    async def respond(head: bytes) -> bytes:
-        method, path, query, fields = _parts(head)
-        environment: dict[str, Any] = {"REQUEST_METHOD": method, "PATH_INFO": path, "QUERY_STRING": query}
-        for name, value in fields:
-            if name in {"accept", "accept-encoding"}:
-                environment[f"HTTP_{name.upper().replace('-', '_')}"] = value
-        started: list[str] = []
-
-        def start(status: str, headers: list[tuple[str, str]]) -> None:
-            started.extend([f"HTTP/1.1 {status}", *(f"{name}: {value}" for name, value in headers)])
-
-        body = b"".join(application(environment, start))
-        lines = [*started, f"Content-Length: {len(body)}", "Connection: close", "", ""]
-        return "\r\n".join(lines).encode("latin-1") + body
-
-    return respond
-
-
-def asgi(application: AsgiApplication) -> Respond:
-    """Make the function that answers a request by an ASGI application, which gets no body; it is sent when it is whole."""
-
-    async def receive() -> Message:
-        return {"type": "http.request", "body": b"", "more_body": False}
-
-    async def respond(head: bytes) -> bytes:
-        method, path, query, fields = _parts(head)
-        scope = {
-            "type": "http",
-            "asgi": {"version": "3.0", "spec_version": "2.3"},
-            "http_version": "1.1",
-            "method": method,
-            "scheme": "http",
-            "path": unquote(path),
-            "raw_path": path.encode("latin-1"),
-            "query_string": query.encode("latin-1"),
-            "root_path": "",
-            "headers": [(name.encode("latin-1"), value.encode("latin-1")) for name, value in fields],
-            "client": None,
-            "server": None,
-        }
-        sent: list[Message] = []
-
-        async def send(message: Message) -> None:
-            sent.append(message)
-
-        await application(scope, receive, send)
-        begun, *parts = sent
-        lines = [f"HTTP/1.1 {begun['status']} {HTTPStatus(begun['status']).phrase}".encode("latin-1")]
-        lines += [name + b": " + value for name, value in begun["headers"]]
-        body = b"" if method == "HEAD" else b"".join(part.get("body", b"") for part in parts)
-        return b"\r\n".join([*lines, b"Connection: close", b"", body])
-
-    return respond
-
-
-def _parts(head: bytes) -> tuple[str, str, str, list[tuple[str, str]]]:
-    """Split the head of a request into method, path, query, and names (lower case) and values of its fields; else ValueError."""
-    first, *rows = head.decode("latin-1").split("\r\n")
-    method, target, _version = first.split(" ")
-    path, _, query = target.partition("?")
-    fields = (row.partition(":") for row in rows if row)
-    return method, path, query, [(name.strip().lower(), value.strip()) for name, _, value in fields]
+    return tell

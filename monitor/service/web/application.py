@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import hmac
+import json
+import sys
 from collections.abc import Awaitable, Callable
-from importlib import resources
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ValidationError
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
@@ -17,24 +21,24 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from monitor import __version__
 from monitor.config import security_check
-from monitor.service.web.description import describe
-from monitor.service.web.snapshots import DEFAULT_LIMIT, MOST_IN_ANSWER, Answer, Snapshots
+from monitor.publish import api_page, live_page, page_file
+from monitor.service.web.live_page import LivePage, Shown
+from monitor.service.web.snapshots import ENDPOINTS, PARTS, Answer, Range, Schema, Snapshots, described, part
 
 API = "/api/v1"
 """Beginning of the paths of the endpoints. [name; contract]"""
-_PAGES = {
-    "/": ("index.html", "text/html; charset=utf-8"),
-    "/api": ("api.html", "text/html; charset=utf-8"),
-    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
-    "/api.js": ("api.js", "text/javascript; charset=utf-8"),
-    "/page.css": ("page.css", "text/css; charset=utf-8"),
-    "/icon.svg": ("icon.svg", "image/svg+xml"),
-    "/uplot.js": ("uplot.js", "text/javascript; charset=utf-8"),
-    "/uplot.css": ("uplot.css", "text/css; charset=utf-8"),
-    "/uplot-LICENSE.txt": ("uplot-LICENSE.txt", "text/plain; charset=utf-8"),
+_NAMES = "page.js live.js page.css icon.svg uplot.js uplot.css uplot-LICENSE.txt"
+_FILES = {f"/{name}": name for name in _NAMES.split()}
+"""Path -> file of a page. [none; definition]"""
+_KINDS = {
+    ".js": "text/javascript",
+    ".css": "text/css",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain",
 }
-"""Path -> file and its type. [none; definition]"""
+"""Suffix of a page's file -> its type. [none; definition]"""
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
     "object-src 'none'",
@@ -44,9 +48,19 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 """Fields of every answer: a browser loads nothing from elsewhere, and keeps nothing. [none; definition]"""
-_ZIP_LEVEL = 1
-"""Level of compression. [1; cost: the fastest]"""
-_LARGEST_NS = (1 << 63) - 1
+_ASKED = {"windows": (Range,)}
+"""Endpoint -> what a request gives it. [none; definition]"""
+_REFUSALS = {
+    "304": {"description": "Nothing has changed."},
+    "400": {"description": "A parameter is out of its range."},
+    "401": {"description": "The token is missing or wrong."},
+    "403": {"description": "Without a token: asked for under another name than 127.0.0.1 or localhost."},
+}
+"""Code -> what it says, of every endpoint. [none; definition]"""
+_ABOUT = (
+    "Read-only results of one monitor. Times are UTC, ns since 1970; units are SI and stand in the names. Every answer has an "
+    "ETag: a request with If-None-Match is answered by 304 while nothing has changed."
+)
 
 
 def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
@@ -55,21 +69,22 @@ def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     A request for data must hold the field ``Authorization: Bearer TOKEN``.  Without a token anyone may read, but only by a
     name of this machine's own, so that a page from elsewhere cannot lead a browser here by a name of its own.
     """
-    files = resources.files("monitor.service.web") / "pages"
-    routes = [Route(path, _page(files.joinpath(name).read_bytes(), kind)) for path, (name, kind) in _PAGES.items()]
-    endpoints: dict[str, Callable[[Request], Answer]] = {
-        "status": lambda _: snapshots.status_answer(),
-        "windows": lambda request: snapshots.windows_answer(*_range(request)),
-        "events": lambda _: snapshots.events_answer(),
-        "findings": lambda _: snapshots.findings_answer(),
-        "alarms": lambda _: snapshots.alarms_answer(),
-        "sensors": lambda _: snapshots.sensors_answer(),
-    }
-    routes += [Route(f"{API}/{name}", _endpoint(make)) for name, make in endpoints.items()]
-    routes.append(Route("/openapi.json", _described))
+    routes = [Route(path, _page(page_file(name), _KINDS[Path(name).suffix])) for path, name in _FILES.items()]
+    interface = describe()
+    pages = {"/": live_page(), "/api": api_page(interface)}
+    routes += [Route(path, _page(html.encode(), "text/html")) for path, html in pages.items()]
+    page = LivePage(snapshots)
+    routes += [
+        Route(f"{API}/page", _endpoint(page.answer, Shown)),
+        Route(f"{API}/report", _endpoint(page.report, Shown)),
+    ]
+    for name in ENDPOINTS:
+        routes.append(Route(f"{API}/{name}", _endpoint(partial(snapshots.answer, name), *_ASKED.get(name, ()))))
+    routes.append(Route("/openapi.json", _page(json.dumps(interface).encode(), "application/json")))
     middleware = [
         Middleware(_Guard, token=token),
-        Middleware(GZipMiddleware, minimum_size=1000, compresslevel=_ZIP_LEVEL),
+        # No threads: what compression costs counts in the server's share of a core.
+        Middleware(GZipMiddleware, minimum_size=1000, compresslevel=1, thread_minimum_size=sys.maxsize),
     ]
     application = Starlette(routes=routes, middleware=middleware, exception_handlers={HTTPException: _refusal})
     application.router.redirect_slashes = False  # a redirection would repeat the name that the reader asked for
@@ -116,20 +131,47 @@ def _page(content: bytes, kind: str) -> Callable[[Request], Awaitable[Response]]
     return answer
 
 
-def _endpoint(make: Callable[[Request], Answer]) -> Callable[[Request], Awaitable[Response]]:
-    """Answer with the tag; without the body where the reader has it already."""
+def _endpoint(make: Callable[..., Answer], *asked: type[BaseModel]) -> Callable[[Request], Awaitable[Response]]:
+    """Answer with the tag; without the body where the reader has it already.  `make` gets what was asked for."""
 
     async def answer(request: Request) -> Response:
-        made = make(request)
-        if request.headers.get("if-none-match") == made.etag:
-            return Response(status_code=304, headers={"ETag": made.etag})
-        return Response(made.body, media_type="application/json", headers={"ETag": made.etag})
+        try:
+            made = make(*(kind.model_validate(dict(request.query_params)) for kind in asked))
+        except ValidationError as error:
+            (wrong, *_) = error.errors(include_url=False)
+            return _error(400, f"{wrong['loc'][0]}: {wrong['msg']}")
+        known = request.headers.get("if-none-match") == made.etag
+        body, status = (None, 304) if known else (made.body, 200)
+        return Response(body, status, {"ETag": made.etag}, None if known else made.kind)
 
     return answer
 
 
-async def _described(_: Request) -> Response:
-    return JSONResponse(describe(API))
+def describe() -> Schema:
+    """Write the OpenAPI document (version 3.1) of the endpoints: from their docstrings, their parameters and their keys."""
+    paths, schemas, empty = {}, dict(PARTS), Snapshots("")
+    for name in ENDPOINTS:
+        method, asked, schema = getattr(empty, name), _ASKED.get(name, ()), name.capitalize()
+        keys = method(*(kind() for kind in asked))
+        schemas[schema] = described({key: {**of, "description": says} for key, (_, of, says) in keys.items()})
+        fields = [field for kind in asked for field in kind.model_json_schema()["properties"].items()]
+        content = {"application/json": {"schema": part(schema)}}
+        operation = {
+            "summary": method.__doc__,
+            "operationId": name,
+            "parameters": [
+                {"name": key, "in": "query", "description": of.pop("description"), "schema": of} for key, of in fields
+            ],
+            "responses": {"200": {"description": method.__doc__, "content": content}, **_REFUSALS},
+        }
+        paths[f"{API}/{name}"] = {"get": operation}
+    return {
+        "openapi": "3.1.0",
+        "info": {"title": "shm-monitor", "version": __version__, "description": _ABOUT},
+        "paths": paths,
+        "components": {"schemas": schemas, "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}}},
+        "security": [{"token": []}, {}],
+    }
 
 
 async def _refusal(_: Request, error: Exception) -> Response:
@@ -139,18 +181,3 @@ async def _refusal(_: Request, error: Exception) -> Response:
 
 def _error(status: int, text: str, headers: Any = None) -> Response:
     return JSONResponse({"error": text}, status, headers)
-
-
-def _range(request: Request) -> tuple[int | None, int]:
-    """Read `since_ns` and `limit` of a request; HTTPException tells that one is no whole number within its bounds."""
-    since, limit = request.query_params.get("since_ns"), request.query_params.get("limit", str(DEFAULT_LIMIT))
-    return (
-        None if since is None else _whole("since_ns", since, 0, _LARGEST_NS),
-        _whole("limit", limit, 1, MOST_IN_ANSWER),
-    )
-
-
-def _whole(name: str, text: str, least: int, most: int) -> int:
-    if text.isascii() and text.isdecimal() and len(text) < 20 and least <= int(text) <= most:
-        return int(text)
-    raise HTTPException(400, f"{name} is a whole number from {least} to {most}")
