@@ -18,7 +18,7 @@ from urllib.parse import quote
 import numpy as np
 from pydantic import TypeAdapter
 
-from monitor.core import WHOLE, BadInputError, Level, Skipped
+from monitor.core import WHOLE, AlarmCondition, BadInputError, Level, Skipped
 from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, State, advice, assess, diagnosis_of, is_seen
 from monitor.events import Event, EventAlarm
 from monitor.publish.page.charts import Chart
@@ -78,6 +78,8 @@ class Period:
     """Whom to call, as `[site] contact` says."""
     baseline_hz: Mapping[int, float] = field(default_factory=dict)
     """Natural frequency at calibration, Hz, of modes by their number."""
+    conditions: Mapping[int, str] = field(default_factory=dict)
+    """Condition of the alarm of a story at the end, `core.AlarmCondition` in words."""
     pages: Mapping[str, Path] = field(default_factory=dict)
     """Place of the page of each event, which may be there."""
     live: Live | None = None
@@ -127,13 +129,18 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     return Period(
         folder.resolve().name, results, quality, course, assessment, known, findings, decisions, thresholds, learned,
         events, alarms, str(summary.get("contact", "")), baseline_hz(summary),
-        {event.id: folder / "events" / f"{event.id}.html" for event in events},
+        conditions(summary), {event.id: folder / "events" / f"{event.id}.html" for event in events},
     )  # fmt: skip
 
 
 def baseline_hz(summary: Mapping[str, Any]) -> dict[int, float]:
     """Read the natural frequencies at calibration from the summary, by the modes' numbers."""
     return {int(mode): float(hz) for mode, hz in summary.get("baseline_frequencies_hz", {}).items()}
+
+
+def conditions(summary: Mapping[str, Any]) -> dict[int, str]:
+    """Read the conditions of the present alarms from the summary, by the stories' numbers."""
+    return {int(story): str(says) for story, says in ((summary.get("alarm") or {}).get("conditions") or {}).items()}
 
 
 def known_of(summary: Mapping[str, Any]) -> Known:
@@ -218,7 +225,12 @@ def _head(page: Sheet, period: Period) -> None:
     page.lead.append(("What to do:", advice(state, places)))
     if state.rank > State.NOT_JUDGED.rank or period.contact:
         page.lead.append(("Call:", period.contact or "nobody is named; the site file may, as [site] contact."))
-    asked = [f"--story {a.story}" for a in standing] + [f"--event {a.id}" for a in events]
+    seen = {
+        story
+        for story, says in period.conditions.items()
+        if says in (AlarmCondition.ACKNOWLEDGED, AlarmCondition.LATCHED_ACKNOWLEDGED, AlarmCondition.SHELVED)
+    }
+    asked = [f"--story {a.story}" for a in standing if a.story not in seen] + [f"--event {a.id}" for a in events]
     if asked and state.rank >= State.WARNING.rank:
         page.lead.append(("Acknowledge:", f"shm-monitor ack SITE.toml {asked[0]} --who NAME"))
 
@@ -416,7 +428,9 @@ def _alarms(page: Sheet, period: Period) -> None:
     for i, e in enumerate(period.course.losses):
         later = (n.t_first_ns for n in period.course.losses[i + 1 :] if n.story == e.story)
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
-        actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
+        present = period.conditions.get(e.story, "") if e.t_last_ns is None else ""
+        actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or present
+        actions = actions or ("nobody yet" if period.live is None else _UNKNOWN)
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
         diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
         size = f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"
