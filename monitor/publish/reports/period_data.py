@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, BadInputError, MissingInputError
-from monitor.damage import Course, follow
+from monitor.damage import Course, Known, follow
 from monitor.publish.results.files import RESULTS, closed_files, read_all_lines, read_lines
 from monitor.publish.results.lines import facts_of_line, read_line
 from monitor.publish.results.recorded_time import due_windows, reaches_between
@@ -138,8 +138,8 @@ class PeriodResults:
     hop_s: float
     begun_ns: int
     """UTC of one hop before the end of the run's first window."""
-    misfit_limit: float
-    """Goodness of fit from which stiffness explains too little."""
+    known: Known
+    """What the state depends on and no window changes."""
     course: Course = field(default_factory=Course)
     """The windows, as far as the state depends on them, and the alarm episodes."""
     judged: list[int] = field(default_factory=list)
@@ -178,7 +178,7 @@ class PeriodResults:
         if skipped and reaches_between(t_ns, self.window_s, self.between):
             return
         at = self.grid.at(t_ns)
-        course = follow(self.course, facts_of_line(line), self.misfit_limit)
+        course = follow(self.course, facts_of_line(line), self.known)
         losses = [[float(v) for v in line[key] or ()] for key in ("ddi", "ddi_std")]
         self._add_modes(at, line)
         self.course = course
@@ -241,14 +241,14 @@ def read_results(
     folder: Path,
     from_ns: int | None,
     to_ns: int | None,
-    misfit_limit: float,
+    known: Known,
     between: Sequence[tuple[int, int]] = (),
     window_s: float = 0.0,
 ) -> PeriodResults:
     """Read results.jsonl of a folder, and its closed months; windows belong to the period (UTC) in which they end.
 
     By default the period is that of the run.  A replay has times `between` its recordings, UTC in ns, and windows of
-    `window_s`. From a goodness of fit `misfit_limit` on, stiffness explains too little.
+    `window_s`.
 
     Raises MissingInputError if the file does not exist, BadInputError if no window ends in the period, the files hold no
     results, or a packed month is damaged.
@@ -262,7 +262,7 @@ def read_results(
         gaps = _shortened_gaps(folder, start, stop, round(hop_s * 1e9))
         length_s = (stop - start - sum(b - a for a, b in gaps)) * 1e-9
         grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)), gaps)
-        results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, between=between, window_s=window_s)
+        results = PeriodResults(grid, hop_s, begun_ns, known, between=between, window_s=window_s)
         results.judged, results.refused = [0] * grid.n, [0] * grid.n
         for raw in _lines_between(read_all_lines(folder), start, stop):
             try:

@@ -67,7 +67,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         summary = notes.read_summary(folder)
         known, between = _known_of(summary), between_recordings(summary.get("recorded", ()))
         window_s = float(summary.get("window_s", 0.0))
-    results = read_results(folder, from_ns, to_ns, known.misfit, between, window_s)
+    results = read_results(folder, from_ns, to_ns, known, between, window_s)
     start, stop = results.grid.from_ns, results.grid.to_ns
     with _name_file_in_errors(folder / "health.jsonl"):
         health = notes.HealthFile(folder, start, stop)
