@@ -141,7 +141,7 @@ def test_a_channel_that_loses_samples_is_left_out_of_their_windows_alone(
         np.testing.assert_allclose(line["frequencies_hz"], window_line(whole[k])["frequencies_hz"], rtol=5e-3)
 
 
-@pytest.mark.parametrize("stands", [3e38, -3e38, 9.96921e36, 1e20])
+@pytest.mark.parametrize("stands", [3e38, -3e38, 1e20, -1e8, 1e4])
 def test_a_number_that_no_sensor_gives_is_a_lost_sample_of_its_channel_alone(
     site: Configuration, record: np.ndarray, cut: Cut, stands: float
 ) -> None:
