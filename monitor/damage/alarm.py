@@ -160,8 +160,10 @@ def step(
             says[n + j + 1] = parts.shape_changed(j + 1, change, std, best % n_channels)
             update(n + j, change, z, std, stretch, _warning_only(settings))
     shared, std = sequential_test.shared_change(evidence.loss, evidence.std), float(evidence.std.max())
-    z = (abs(shared) if reading.either_side else shared) / std
-    update(-1, shared, z, std, float(evidence.stretch.max()), _advisory_only(settings))
+    z, whole = (abs(shared) if reading.either_side else shared) / std, state.stories[-1]
+    # Above advisory it is the alarm of a part that is gone (`carry_over`), of which no window tells.
+    if not (whole.unacknowledged and whole.level.rank > Level.ADVISORY.rank):
+        update(-1, shared, z, std, float(evidence.stretch.max()), _advisory_only(settings))
     says[WHOLE], beside = parts.alike(shared)
     if reading.beyond:
         alarms = [_unless_fallen(s, now) for s, now in zip(state.stories, alarms, strict=True)]
@@ -211,7 +213,7 @@ def carry_over(state: AlarmState, before: tuple[StoryState, ...], *, alike: bool
     """Take over the alarms of a run `before`, whose parts may be more or fewer, or of another kind where they are not `alike`.
 
     A part keeps the alarm of its number.  The gravest alarm of those whose part is gone stands on as that of the structure as a
-    whole, shelved no longer.
+    whole, shelved no longer, and is left by no window before it is acknowledged.
 
     Examples
     --------

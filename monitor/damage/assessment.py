@@ -282,6 +282,8 @@ def _followed(course: Course, window: WindowFacts, alarm_size: float) -> tuple[L
         out.append(loss)
     known = {loss.story for loss in out if loss.t_last_ns is None}
     for story, level in window.active.items():
+        if story == WHOLE and level.rank > Level.ADVISORY.rank:
+            continue  # that of a part that is gone (`alarm.carry_over`), of which no window tells the size
         if story not in known and story in window.losses:
             now_ns = window.t_end_ns
             out.append(Loss(level, story, *window.losses[story], now_ns, modal=window.modal, t_level_ns=now_ns))

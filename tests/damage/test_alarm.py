@@ -428,6 +428,16 @@ def test_a_latched_level_is_released_to_that_of_the_data_once_it_is_acknowledged
     assert (verdict.level, verdict.conditions) == (Level.WARNING, {2: AlarmCondition.ACKNOWLEDGED})
 
 
+def test_the_alarm_of_a_story_that_is_gone_stands_until_it_is_acknowledged() -> None:
+    """No window tells of that story: its silence is no return to normal."""
+    before, site = damaged(), Site(1)
+    site.states = alarm.carry_over(site.states, before.states.stories)
+    assert set(site.see(0.0, times=4 * OFF)) == {"warning"}
+    assert site.one(0.0).conditions == {WHOLE: AlarmCondition.UNACKNOWLEDGED}
+    site.states = alarm.acknowledge(site.states, WHOLE, "A. Smith")
+    assert site.see(0.0, times=OFF + 1)[-1] == "normal"
+
+
 def test_a_shelved_alarm_is_tracked_unannounced_and_comes_back() -> None:
     site = damaged()
     site.states = alarm.shelve(site.states, 2, site.t_ns + 3 * HOP_NS, "works on story 2")

@@ -153,6 +153,12 @@ def test_an_alarm_that_fell_has_its_present_state_and_the_whole_recording_its_hi
     assert again.state is State.ALARM and again.headline.endswith("alarm since 2027-01-15 08:02 UTC.")
 
 
+def test_the_alarm_of_a_story_that_is_gone_states_no_size() -> None:
+    told = said(replace(WELL, active={WHOLE: Level.ALARM}, losses={WHOLE: (0.001, 0.003, 2.0)}))
+    assert told.state is State.ALARM
+    assert told.headline == "The alarm of every story stands from before; no window since says its size."
+
+
 def test_an_episode_states_the_latest_size_of_its_highest_level() -> None:
     rises = replace(LOST, active={2: Level.WARNING}, losses={2: (0.08, 0.003, 80.0)})
     (loss,) = course(rises, LOST, replace(LOST, losses={2: (0.097, 0.003, 80.0)})).losses
