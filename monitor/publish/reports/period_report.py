@@ -100,7 +100,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         summary = notes.read_summary(folder)
         known, between = known_of(summary), between_recordings(summary.get("recorded", ()))
         window_s = float(summary.get("window_s", 0.0))
-    results = read_results(folder, from_ns, to_ns, known.misfit, between, window_s)
+    results = read_results(folder, from_ns, to_ns, known, between, window_s)
     start, stop = results.grid.from_ns, results.grid.to_ns
     with _name_file_in_errors(folder / "health.jsonl"):
         health = notes.HealthFile(folder, start, stop)
@@ -166,8 +166,9 @@ def hidden_losses(known: Sequence[Loss], summary: Mapping[str, Any], start: int,
         last, modal = a["t_last_ns"], bool(a.get("part"))
         story, size, std = ("part", "change", "change_std") if "part" in a else ("story", "ddi", "ddi_std")
         loss = Loss(
-            Level(a["level"]), a[story] or WHOLE, a[size], a[std], a.get("loss_n_per_m"), a["t_first_ns"], last, modal
-        )
+            Level(a["level"]), a[story] or WHOLE, a[size], a[std], a.get("loss_n_per_m"), a["t_first_ns"], last, modal,
+            a.get("t_level_ns"),
+        )  # fmt: skip
         same = [k for k in known if k.story == loss.story and (last is None or k.t_first_ns <= last)]
         same = [k for k in same if k.t_last_ns is None or k.t_last_ns >= loss.t_first_ns]
         if loss.t_first_ns <= stop and (last is None or last > start) and not same:
@@ -203,15 +204,22 @@ def _name(part: int, period: Period) -> str:
 
 
 def _standing(period: Period) -> list[Loss]:
-    """List the alarms that last, the gravest first."""
-    return sorted((a for a in period.course.losses if a.t_last_ns is None), key=lambda a: (-a.level.rank, -abs(a.ddi)))
+    """List the alarms that last, the gravest first, each with the level that it has now where the page is live."""
+    now = period.course.judged.active if period.live is not None and period.course.judged is not None else {}
+    lasting = (replace(a, level=now.get(a.story, a.level)) for a in period.course.losses if a.t_last_ns is None)
+    return sorted(lasting, key=lambda a: (-a.level.rank, -abs(a.ddi)))
+
+
+def _since(alarm: Loss) -> int:
+    """Return since when an alarm has been at its level, UTC in ns."""
+    return alarm.t_level_ns or alarm.t_first_ns
 
 
 def _head(page: Sheet, period: Period) -> None:
     """Say since when, how old the data are, what to do, and whom to call."""
     state, live = period.assessment.state, period.live
     standing = [a for a in _standing(period) if a.level.value == state.value]
-    since_ns = min((a.t_first_ns for a in standing), default=None if live is None else live.since_ns)
+    since_ns = min(map(_since, standing), default=None if live is None else live.since_ns)
     page.since = "" if since_ns is None else f"since {utc(since_ns)} UTC"
     if live is None:
         page.lead.append(("Data:", _span(period)))
@@ -249,14 +257,14 @@ def _where(page: Sheet, period: Period) -> None:
     standing = {a.story: a for a in reversed(_standing(period))}
     if (every := standing.get(WHOLE)) is not None:
         name = period.known.parts.every.capitalize()
-        page.text(f"{name}: {every.level.value} since {utc(every.t_first_ns)} UTC.")
+        page.text(f"{name}: {every.level.value} since {utc(_since(every))} UTC.")
     rows = []
     for j, c in enumerate(r.ddi or r.changes, 1):
         alarm, (seen, says) = standing.get(j), _sight(j, period)
         state = alarm.level.value if alarm else "normal" if judged and seen else "not judged"
         size = with_interval(100 * c.latest, 100 * c.latest_half) if c.values else _UNKNOWN
         rank = (-alarm.level.rank, -abs(c.latest)) if alarm else (0, 0.0)
-        rows.append((rank, j, (_name(j, period), state, size, utc(alarm.t_first_ns) if alarm else "", says)))
+        rows.append((rank, j, (_name(j, period), state, size, utc(_since(alarm)) if alarm else "", says)))
     what = "#stiffness lost, %" if judged else "#lost against the structure file, %"
     head = ["story", "state", what, "@since, UTC", "what would be seen"]
     head = head if r.ddi else ["mode", "state", "#change, %", "@since, UTC"]
