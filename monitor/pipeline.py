@@ -14,6 +14,7 @@ from monitor.config import Configuration
 from monitor.core import (
     CLOCK,
     GAP,
+    STILL,
     Array,
     BadInputError,
     Gap,
@@ -339,10 +340,13 @@ class Pipeline:
         c = self.config
         begin_ns = item.t_end_ns - round(item.window_s * 1e9)
         # Neither tells which channels are well, nor a dead logger the level of motion.
-        still = stillness.check(self.state.still, begin_ns, item.t_end_ns)
-        if still is not None:
-            return self._skip(item.index, item.t_end_ns, item.window_s, still)
+        saturated = partial(sensor_health.saturated, self.state.health)
+        still = stillness.check(self.state.still, begin_ns, item.t_end_ns, saturated)
         strong = stage.skipped(self.state.events, item.t_end_ns, item.window_s, c.events)
+        if still is not None and (
+            strong is None or still.reason.startswith(STILL)
+        ):  # an event may saturate all sensors
+            return self._skip(item.index, item.t_end_ns, item.window_s, still)
         if strong is not None:
             return self._skip(item.index, item.t_end_ns, item.window_s, strong, item.rms_m_s2)
         in_use, left_out = self._choose_channels(item)

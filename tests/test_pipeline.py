@@ -16,7 +16,7 @@ from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import Configuration
 from monitor.core import BadInputError, Gap, Samples, UserError, WindowResult
-from monitor.damage import Baseline, alarm
+from monitor.damage import Baseline, Known, alarm
 from monitor.events import Event
 from monitor.identification import SelectionSettings
 from monitor.model import MatrixStructure, Model, ShearFrame, simulate
@@ -141,7 +141,7 @@ def test_a_channel_that_loses_samples_is_left_out_of_their_windows_alone(
         np.testing.assert_allclose(line["frequencies_hz"], window_line(whole[k])["frequencies_hz"], rtol=5e-3)
 
 
-@pytest.mark.parametrize("stands", [3e38, -3e38, 9.96921e36, 1e20])
+@pytest.mark.parametrize("stands", [3e38, -3e38, 1e20, -1e8, 1e4])
 def test_a_number_that_no_sensor_gives_is_a_lost_sample_of_its_channel_alone(
     site: Configuration, record: np.ndarray, cut: Cut, stands: float
 ) -> None:
@@ -589,7 +589,7 @@ def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_it
             if window.skipped is not None:
                 assert words is not None and words in window.skipped.reason
                 assert "mode 3 (5.67 Hz by the model)" in window.skipped.reason
-                summary.window(window, facts_of_line(window_line(window)), misfit=5.0)
+                summary.window(window, facts_of_line(window_line(window)), Known((), True, 0.1, 5.0))
     content = summary.content(1.0, drawn.frequencies_hz.tolist())
     assert content["skipped"] == content["windows"] == 2
     assert content["model_modes"] == [1, 2, 4, 5]

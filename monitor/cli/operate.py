@@ -57,7 +57,9 @@ def ack(
         float | None, Option(min=0.0, max=720.0, metavar="HOURS", help="Do not announce the alarm for this time.")
     ] = None,
     unshelve: Annotated[bool, Option("--unshelve", help="Announce the alarm again.")] = False,
-    reset: Annotated[bool, Option("--reset", help="Release a latched alarm that is over and acknowledged.")] = False,
+    reset: Annotated[
+        bool, Option("--reset", help="Release an acknowledged alarm that is latched to the level of the data.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Acknowledge the alarm of a story or event, shelve or reset it.

@@ -1,9 +1,10 @@
 """Alarms by significance, duration and size of a loss, in the vocabulary of IEC 62682.
 
 There is an alarm for each part (`parts`), a story or a mode and its shape, and one for the structure as a whole.  A part is
-announced for what it lost beyond what all have in common.  An alarm becomes active when the z-score
-(`sequential_test`) has exceeded the threshold for the on-delay, and returns to normal when the z-score has stayed below threshold
-minus deadband for the off-delay.  Operators acknowledge, shelve and reset alarms; this does not change what is measured.
+announced for what it lost beyond what all have in common.  A level rises when the z-score (`sequential_test`) and the loss have
+exceeded its thresholds for the on-delay.  It is held until every reading of the off-delay has said with 95 % that they no longer
+do (deadband).  The off-delay is the on-delay, or as long as it takes for two estimates that share no data: windows overlap, and
+repeat one another's errors.  Operators acknowledge, shelve and reset alarms; this does not change what is measured.
 
 References
 ----------
@@ -12,7 +13,7 @@ IEC 62682, Management of alarm systems for the process industries; ANSI/ISA-18.2
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -22,7 +23,7 @@ from monitor.core import WHOLE, Alarm, AlarmCondition, Level, Reading, Settings
 from monitor.damage import sequential_test
 from monitor.damage.common_change import Expected
 from monitor.damage.parts import STORIES, Parts
-from monitor.damage.sequential_test import History
+from monitor.damage.sequential_test import SURE_STDS, History
 
 
 class AlarmSettings(Settings):
@@ -39,11 +40,8 @@ class AlarmSettings(Settings):
     uniform_loss: float = Field(default=0.05, gt=0, lt=1)
     """A loss common to all stories is announced, as `advisory` of the whole structure, from this size on."""
     confirm_s: float = Field(default=10.0, ge=0)
-    """On-delay: a loss is confirmed when it has stayed significant this long."""
-    clear_s: float = Field(default=100.0, ge=0)
-    """Off-delay: an announced loss is cleared when it has stayed insignificant this long."""
-    deadband: float = Field(default=1.0, ge=0)
-    """Standard deviations by which an announced loss may fall below its thresholds before it returns to normal."""
+    """On-delay: a loss is confirmed when it has stayed significant this long.  Its level falls when this long, and at least
+    over a window's length, all windows have said with 95 % that it is less."""
     latching: bool = False
     """Keep an alarm that returned to normal announced until it is reset."""
     unwatched: tuple[int, ...] = ()
@@ -63,10 +61,11 @@ class StoryState:
     """State of the alarm of one story, or of the structure as a whole."""
 
     level: Level = Level.NORMAL
-    """Level by the data up to now."""
+    """Level by the data up to now, held until they surely say less."""
     since_ns: int | None = None
     """End of the first window of the present unbroken run of significant windows."""
-    quiet_since_ns: int | None = None
+    less_since_ns: dict[Level, int] = field(default_factory=dict)
+    """Of each level up to the held one: end of the first window of the unbroken run that surely says less."""
     latched: Level = Level.NORMAL
     """Highest level since the last reset, where alarms latch."""
     unacknowledged: bool = False
@@ -139,26 +138,32 @@ def step(
     history, evidence = sequential_test.look(state.history, reading, t_ns, settings.model_form, expected)
     alarms, says = list(state.stories), dict[int, str]()
 
-    def update(alarm: int, loss: float, z: float, std: float, by: AlarmSettings) -> None:
-        """Update one of the alarms (0 = first)."""
-        alarms[alarm] = update_alarm(alarms[alarm], abs(loss) if reading.either_side else loss, z, std, t_ns, by)
+    def update(alarm: int, loss: float, z: float, std: float, stretch: float, by: AlarmSettings) -> None:
+        """Update one of the alarms (0 = first) by a mean over `stretch` windows."""
+        # The z-score is the largest over all stretches: it falls only when none shows the loss any more.
+        windows = stretch if z >= by.significance - SURE_STDS else 1.0
+        off_s = max(settings.confirm_s, windows * history.window_ns * 1e-9)
+        alarms[alarm] = update_alarm(alarms[alarm], abs(loss) if reading.either_side else loss, z, std, t_ns, by, off_s)
 
-    rows = (evidence.own, evidence.z, evidence.own_std, evidence.loss)
-    for j, own, z, std, loss in zip(evidence.parts, *(row.tolist() for row in rows), strict=True):
+    rows = (evidence.own, evidence.z, evidence.own_std, evidence.loss, evidence.stretch)
+    for j, own, z, std, loss, stretch in zip(evidence.parts, *(row.tolist() for row in rows), strict=True):
         says[j + 1] = parts.changed(j + 1, own, loss, std)
         if j + 1 not in reading.unidentified:
-            update(j, own, z, std, settings)
+            update(j, own, z, std, stretch, settings)
     shapes = state.shapes
     if shapes is not None:
         n, n_channels = reading.shape.shape
         shapes, found = sequential_test.look_at_shapes(shapes, reading, t_ns)
         for j in evidence.parts:
             best = j * n_channels + int(found.z[j * n_channels : (j + 1) * n_channels].argmax())
-            change, z, std = float(found.loss[best]), float(found.z[best]), float(found.std[best])
+            change, z, std, stretch = (float(x[best]) for x in (found.loss, found.z, found.std, found.stretch))
             says[n + j + 1] = parts.shape_changed(j + 1, change, std, best % n_channels)
-            update(n + j, change, z, std, _warning_only(settings))
+            update(n + j, change, z, std, stretch, _warning_only(settings))
     shared, std = sequential_test.shared_change(evidence.loss, evidence.std), float(evidence.std.max())
-    update(-1, shared, (abs(shared) if reading.either_side else shared) / std, std, _advisory_only(settings))
+    z, whole = (abs(shared) if reading.either_side else shared) / std, state.stories[-1]
+    # Above advisory it is the alarm of a part that is gone (`carry_over`), of which no window tells.
+    if not (whole.unacknowledged and whole.level.rank > Level.ADVISORY.rank):
+        update(-1, shared, z, std, float(evidence.stretch.max()), _advisory_only(settings))
     says[WHOLE], beside = parts.alike(shared)
     if reading.beyond:
         alarms = [_unless_fallen(s, now) for s, now in zip(state.stories, alarms, strict=True)]
@@ -182,11 +187,11 @@ def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
 
 
 def reset(state: AlarmState, story: int) -> AlarmState:
-    """Release a latched alarm that has returned to normal and was acknowledged; ValueError where there is no such story."""
+    """Release an acknowledged alarm that is latched above the level by the data; ValueError where there is no such story."""
     alarm = _find_alarm(state, story)
-    if alarm.condition is not AlarmCondition.LATCHED_ACKNOWLEDGED:
+    if alarm.unacknowledged or alarm.shelved is not None:
         return state
-    return _replace_alarm(state, story, replace(alarm, latched=Level.NORMAL))
+    return _replace_alarm(state, story, replace(alarm, latched=min(alarm.latched, alarm.level, key=lambda x: x.rank)))
 
 
 def shelve(state: AlarmState, story: int, until_ns: int, reason: str) -> AlarmState:
@@ -208,7 +213,7 @@ def carry_over(state: AlarmState, before: tuple[StoryState, ...], *, alike: bool
     """Take over the alarms of a run `before`, whose parts may be more or fewer, or of another kind where they are not `alike`.
 
     A part keeps the alarm of its number.  The gravest alarm of those whose part is gone stands on as that of the structure as a
-    whole, shelved no longer.
+    whole, shelved no longer, and is left by no window before it is acknowledged.
 
     Examples
     --------
@@ -261,41 +266,43 @@ def _warning_only(settings: AlarmSettings) -> AlarmSettings:
 
 
 def update_alarm(
-    alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings
+    alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings, off_s: float
 ) -> StoryState:
-    """Update one alarm by relative loss, z-score, and standard deviation of the loss."""
-    active = alarm.level is not Level.NORMAL
-    band = settings.deadband if active else 0.0
-    slack = band * std
-    if z >= settings.significance - band and loss >= settings.min_loss - slack:
+    """Update one alarm by relative loss, z-score, and standard deviation of the loss; `off_s` is the off-delay, s."""
+    is_active, since = alarm.level is not Level.NORMAL, None
+    slack = SURE_STDS if is_active else 0.0
+    says = Level.NORMAL
+    if z >= settings.significance - slack and loss >= settings.min_loss - slack * std:
         since = t_ns if alarm.since_ns is None else min(alarm.since_ns, t_ns)  # the clock may have been set back
         if t_ns - since < settings.confirm_s * 1e9 and alarm.level.rank < Level.WARNING.rank:
-            level = Level.ADVISORY
+            says = Level.ADVISORY
         else:
-            least = settings.alarm_loss - (slack if alarm.level is Level.ALARM else 0.0)
-            level = Level.ALARM if loss >= least else Level.WARNING
-        latched = max(alarm.latched, level, key=lambda x: x.rank) if settings.latching else alarm.latched
-        risen = level.rank > alarm.level.rank
-        return replace(
-            alarm,
-            level=level,
-            since_ns=since,
-            quiet_since_ns=None,
-            latched=latched,
-            unacknowledged=alarm.unacknowledged or risen,
-            acknowledged_by="" if risen else alarm.acknowledged_by,
-        )
-    if not active:
+            least = settings.alarm_loss - (slack * std if alarm.level is Level.ALARM else 0.0)
+            says = Level.ALARM if loss >= least else Level.WARNING
+    if not is_active and says is Level.NORMAL:
         return alarm
-    quiet = t_ns if alarm.quiet_since_ns is None else min(alarm.quiet_since_ns, t_ns)
-    if t_ns - quiet < settings.clear_s * 1e9:
-        return replace(alarm, since_ns=None, quiet_since_ns=quiet)
-    return replace(alarm, level=Level.NORMAL, since_ns=None, quiet_since_ns=None)
+    less = {
+        level: min(alarm.less_since_ns.get(level, t_ns), t_ns)
+        for level in Level
+        if says.rank < level.rank <= alarm.level.rank
+    }
+    held = [level for level, since_ns in less.items() if t_ns - since_ns < off_s * 1e9]
+    level = max([says, *held], key=lambda x: x.rank)
+    has_risen = level.rank > alarm.level.rank
+    return replace(
+        alarm,
+        level=level,
+        since_ns=since,
+        less_since_ns={of: since_ns for of, since_ns in less.items() if of in held},
+        latched=max(alarm.latched, level, key=lambda x: x.rank) if settings.latching else alarm.latched,
+        unacknowledged=alarm.unacknowledged or has_risen,
+        acknowledged_by="" if has_risen else alarm.acknowledged_by,
+    )
 
 
 def _unless_fallen(before: StoryState, now: StoryState) -> StoryState:
     """Return the present state of an alarm, or the one before where the alarm fell or began to fall."""
-    return before if now.quiet_since_ns is not None or now.level.rank < before.level.rank else now
+    return before if now.less_since_ns or now.level.rank < before.level.rank else now
 
 
 def _summarize(stories: tuple[StoryState, ...], says: dict[int, str], alike: str, parts: Parts) -> Alarm:

@@ -74,7 +74,7 @@ class Loss:
     story: int
     """From 1; `WHOLE` for all stories alike."""
     ddi: float
-    """Relative loss of stiffness: the latest significant one at the highest level."""
+    """Relative loss of stiffness: the latest significant one that has the size of the highest level."""
     ddi_std: float
     loss_n_per_m: float | None
     """Stiffness lost, N/m."""
@@ -84,6 +84,8 @@ class Loss:
     modal: bool = False
     """Whether `story` is the number of a mode or of a shape (`parts.modal_parts`), and `ddi` its relative change, negative
     for a fall."""
+    t_level_ns: int | None = None
+    """End of the window that raised it to this level."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,8 +212,8 @@ class Assessment:
         return {"state": self.state.value, "headline": self.headline, "doubts": list(self.doubts)}
 
 
-def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
-    """Take in a window; `misfit` is the goodness of fit from which stiffness explains too little."""
+def follow(course: Course, window: WindowFacts, known: Known) -> Course:
+    """Take in a window."""
     recent = tuple(r for r in course.recent if window.t_end_ns - WITHIN_S * 1e9 < r[0] < window.t_end_ns)
     course = replace(
         course,
@@ -227,7 +229,7 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
         reason = _without_numbers(window.skipped)
         reasons = {**course.skip_reasons, reason: course.skip_reasons.get(reason, 0) + 1}
         return replace(course, skipped=course.skipped + 1, skip_reasons=reasons)
-    explained = window.misfit is None or window.misfit <= misfit
+    explained = window.misfit is None or window.misfit <= known.misfit
     since_ns = None if explained else min(course.misfit_since_ns or window.t_end_ns, window.t_end_ns)
     unexplained = course.unexplained
     if since_ns is not None and window.misfit is not None and window.t_end_ns - since_ns >= window.window_s * 1e9:
@@ -235,7 +237,7 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
     return replace(
         course,
         judged=window,
-        losses=_followed(course.losses, window),
+        losses=_followed(course, window, known.seen_from),
         misfit_since_ns=since_ns,
         unexplained=unexplained,
     )
@@ -261,22 +263,30 @@ def _without_numbers(reason: str) -> str:
     return re.sub(r" \([^()]*\)", "", reason)
 
 
-def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
-    """Begin, raise and end the episodes."""
-    out = []
-    for loss in losses:
+def _followed(course: Course, window: WindowFacts, alarm_size: float) -> tuple[Loss, ...]:
+    """Begin, raise and end the episodes; from `alarm_size` on a confirmed change is an alarm, which a smaller one only holds."""
+    out, before = [], {} if course.judged is None else course.judged.active
+    for loss in course.losses:
         if loss.t_last_ns is None and loss.story not in window.active:
             if loss.story not in window.shelved:  # a shelved alarm has not ended
                 loss = replace(loss, t_last_ns=window.t_end_ns)
         elif loss.t_last_ns is None and loss.story in window.losses:
             level, (ddi, std, stiffness) = window.active[loss.story], window.losses[loss.story]
-            if level.rank >= loss.level.rank and (abs(ddi) if window.modal else ddi) > 2.0 * std:
-                loss = replace(loss, level=level, ddi=ddi, ddi_std=std, loss_n_per_m=stiffness)
+            size = abs(ddi) if window.modal else ddi
+            has_risen = level.rank >= loss.level.rank and level is not before.get(loss.story, loss.level)
+            if has_risen:
+                loss = replace(loss, level=level, t_level_ns=window.t_end_ns)
+            is_as_large = has_risen or size >= (alarm_size if level is Level.ALARM else 0.0)
+            if level is loss.level and is_as_large and size > 2.0 * std:
+                loss = replace(loss, ddi=ddi, ddi_std=std, loss_n_per_m=stiffness)
         out.append(loss)
     known = {loss.story for loss in out if loss.t_last_ns is None}
     for story, level in window.active.items():
+        if story == WHOLE and level.rank > Level.ADVISORY.rank:
+            continue  # that of a part that is gone (`alarm.carry_over`), of which no window tells the size
         if story not in known and story in window.losses:
-            out.append(Loss(level, story, *window.losses[story], window.t_end_ns, modal=window.modal))
+            now_ns = window.t_end_ns
+            out.append(Loss(level, story, *window.losses[story], now_ns, modal=window.modal, t_level_ns=now_ns))
     return tuple(out)
 
 
@@ -349,21 +359,37 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
     shelved = () if course.last is None else course.last.shelved
     losses = [loss for loss in course.losses if whole or (loss.t_last_ns is None and loss.story not in shelved)]
     for loss in sorted(losses, key=lambda item: (-item.level.rank, _is_shape(item, known), -abs(item.ddi))):
-        now = None if course.judged is None or whole else course.judged.active.get(loss.story)
-        if loss.modal:
-            says = f"changed since the baseline: {_change(loss, known)}"
-            says += ", not confirmed yet" if loss.level is Level.ADVISORY and loss.story != WHOLE else ""
-        elif loss.story == WHOLE:
-            says = f"every story lost {100 * loss.ddi:.1f} % alike (weather, mass, clock or stiffness)"
+        level = loss.level if whole or course.last is None else course.last.active.get(loss.story, loss.level)
+        if loss.t_last_ns is None:
+            says = _since(loss, level, course, known)
         else:
-            says = f"{_name(loss.story, known)} lost {_percent(loss)} of its stiffness since the baseline"
-            says += ", not confirmed yet" if loss.level is Level.ADVISORY else ""
-        says += f" at its highest, now {now.value}" if now is not None and now.rank < loss.level.rank else ""
-        says += "" if loss.t_last_ns is None else f", until {utc(loss.t_last_ns)} UTC"
+            says = f"{_lost(loss, known)}, until {utc(loss.t_last_ns)} UTC"
         said = (diagnosis_of(loss, findings) or "").rstrip(".")
         diagnosis = f"; diagnosis: {said[:1].lower()}{said[1:]}" if said else ""
-        facts.append((State(loss.level.value), _sentence(says + diagnosis)))
+        facts.append((State(level.value), _sentence(says + diagnosis)))
     return facts
+
+
+def _since(loss: Loss, level: Level, course: Course, known: Known) -> str:
+    """Say since when an alarm stands, how large it was then and how large it is now; `level` is the one it has now."""
+    since = f"since {utc(loss.t_level_ns or loss.t_first_ns)} UTC"
+    now = None if course.judged is None else course.judged.losses.get(loss.story)
+    if now is None or now[:2] == (loss.ddi, loss.ddi_std):
+        return f"{_lost(loss, known)}, {loss.level.value} {since}"
+    present = replace(loss, level=level, ddi=now[0], ddi_std=now[1])
+    if level is not loss.level:
+        return f"{_lost(present, known)}; {loss.level.value} of {_size(loss)} {since} is over"
+    return f"{_lost(loss, known)}, {loss.level.value} {since}; now {_size(present)}"
+
+
+def _lost(loss: Loss, known: Known) -> str:
+    """Say what an alarm is about and how much it changed."""
+    unconfirmed = ", not confirmed yet" if loss.level is Level.ADVISORY and loss.story != WHOLE else ""
+    if loss.modal:
+        return f"changed since the baseline: {_change(loss, known)}{unconfirmed}"
+    if loss.story == WHOLE:
+        return f"every story lost {100 * loss.ddi:.1f} % alike (weather, mass, clock or stiffness)"
+    return f"{_name(loss.story, known)} lost {_size(loss)} of its stiffness since the baseline{unconfirmed}"
 
 
 def _kept(course: Course, known: Known, standing: Mapping[int, Level]) -> list[Fact]:
@@ -654,7 +680,7 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
     ended = [loss for loss in course.losses if loss.t_last_ns is not None]
     if ended and not whole:
         loss = ended[-1]
-        size = _change(loss, known) if loss.modal else _percent(loss)
+        size = _change(loss, known) if loss.modal else _size(loss)
         says.append(
             f"an earlier {loss.level.value} of {_name(loss.story, known)} ({size}) ended {utc(loss.t_last_ns or 0)} UTC"
         )
@@ -696,8 +722,8 @@ def _change(loss: Loss, known: Known) -> str:
     return f"{words} alike (weather, mass, clock or stiffness)" if loss.story == WHOLE else words
 
 
-def _percent(loss: Loss) -> str:
-    return f"{100 * loss.ddi:.1f} ± {200 * loss.ddi_std:.1f} %"
+def _size(loss: Loss) -> str:
+    return f"{100 * (abs(loss.ddi) if loss.modal else loss.ddi):.1f} ± {200 * loss.ddi_std:.1f} %"
 
 
 def _sentence(text: str) -> str:

@@ -21,7 +21,7 @@ from scipy.special import fdtrc, ndtri, stdtr
 from monitor.core import Array, BadInputError, Level, Skipped
 from monitor.damage.common_change import EVERY_NS, WAIT_NS, Expected, nothing_learned
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn
-from monitor.damage.sequential_test import STRETCHES
+from monitor.damage.sequential_test import STRETCHES, SURE_STDS
 from monitor.signals import NORMAL_MAD
 
 _LAGS_H = (0.0, 3.0, 6.0, 12.0, 24.0, 48.0)
@@ -422,7 +422,7 @@ class _Alarm:
     def after(self, z: float) -> _Alarm:
         """Return the state after a reading with this z-score."""
         is_active = self.level is not Level.NORMAL
-        if z >= _SIGNIFICANCE - (1.0 if is_active else 0.0):
+        if z >= _SIGNIFICANCE - (SURE_STDS if is_active else 0.0):
             confirmed = is_active and (self.run + 1 >= _CONFIRMED or self.level is not Level.ADVISORY)
             return _Alarm(Level.WARNING if confirmed else Level.ADVISORY, self.run + 1)
         level = Level.NORMAL if self.quiet + 1 >= _CONFIRMED else self.level

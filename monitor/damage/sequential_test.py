@@ -33,6 +33,9 @@ _STD_EXCESS = 1.2
 standard deviation scatters by 10 to 15 %]"""
 CHANCE_STDS = 4.0
 """Deviation that several stories and windows do not give by chance. [standard deviations; judgement]"""
+SURE_STDS = 1.645
+"""By how much an estimate must lie below a threshold for the true value to lie below it with 95 %. [standard deviations;
+convention: quantile of 95 % of the normal distribution]"""
 _COMPARABLE = 4.0
 """Largest ratio of the baseline's variances at which readings of other channels are averaged with the present one's. [ratio;
 judgement: twice the standard deviation]"""
@@ -105,6 +108,8 @@ class SequentialStatistic:
     own: Annotated[Array, "n"]
     """The share of `loss` beyond what all parts have in common."""
     own_std: Annotated[Array, "n"]
+    stretch: Annotated[Array, "n"]
+    """Length of that stretch, in windows."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -163,6 +168,7 @@ def look(
     if reading.either_side:
         z = np.maximum(z, statistic(-over.means, covariance, model_form)[0])
     longest = over.longest()
+    lengths = np.array(STRETCHES, dtype=float)[longest[0]]
     loss, loss_std = over.means[longest], std[longest]
     if expected is None:
         beyond, beyond_std = loss - shared_by_others(loss, loss_std), loss_std
@@ -170,7 +176,8 @@ def look(
         z, losses, stds = _beside_others(over.means, covariance, model_form, expected)
         beyond, beyond_std = losses[longest], stds[longest]
     best = np.where(over.agrees, z, -np.inf).max(axis=0)
-    return history, SequentialStatistic(tuple(known.tolist()), best, loss, loss_std, beyond, beyond_std)
+    parts = tuple(known.tolist())
+    return history, SequentialStatistic(parts, best, loss, loss_std, beyond, beyond_std, lengths)
 
 
 def look_at_shapes(history: History, reading: Reading, t_ns: int) -> tuple[History, SequentialStatistic]:
@@ -180,8 +187,10 @@ def look_at_shapes(history: History, reading: Reading, t_ns: int) -> tuple[Histo
     std = np.sqrt(over.variances + over.common)
     z = np.where(over.agrees, np.abs(over.means) / np.maximum(std, 1e-12), -np.inf).max(axis=0)
     longest = over.longest()
+    lengths = np.array(STRETCHES, dtype=float)[longest[0]]
     change, change_std = over.means[longest], std[longest]
-    return history, SequentialStatistic(tuple(range(z.size)), z, change, change_std, change, change_std)
+    parts = tuple(range(z.size))
+    return history, SequentialStatistic(parts, z, change, change_std, change, change_std, lengths)
 
 
 def _beside_others(

@@ -81,5 +81,5 @@ def judge(event: Event, site: Site) -> Event:
 def _words(event: Event, limit: LimitTable, name: str, j: int) -> str:
     """Say which limit is exceeded in story `j`, from 0."""
     c = compared(event, limit)
-    begin, least = (POSSIBLY, "at least ") if c.possibly[j] else ("", "")
+    begin, least = POSSIBLY if c.possibly[j] else "", "at least " if np.isposinf(c.largest[j]) else ""
     return f"{begin}{limit.says} ({name}: {c.what} {least}{c.value[j]:.2g}, limit {c.limit:.2g})"

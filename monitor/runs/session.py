@@ -349,10 +349,10 @@ class Session:
 
     def _count(self, result: WindowResult, facts: WindowFacts) -> None:
         """Count a window in the summary, unless it was not due."""
-        window_s, misfit = self.config.processing.window_s, self.config.watch.misfit
+        window_s, known = self.config.processing.window_s, self._known
         if result.skipped is not None and reaches_between(result.t_end_ns, window_s, self._between):
             self.not_due += 1
             return
         for index in sorted(i for i in self.stated if i < result.index):  # their samples were lost with that run
-            self._summary.course = follow(self._summary.course, self.stated.pop(index), misfit)
-        self._summary.window(result, facts, misfit, self.stated.pop(result.index, None))
+            self._summary.course = follow(self._summary.course, self.stated.pop(index), known)
+        self._summary.window(result, facts, known, self.stated.pop(result.index, None))

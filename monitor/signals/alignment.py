@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from drivers.base import UNIT_OF, SampleBlock
 from monitor.core import CLOCK, Array, BadInputError, Gap
+from monitor.signals import lone_readings
+from monitor.signals.lone_readings import Shown
 from monitor.signals.stream_clock import StreamClock
 
 _MAX_CLOCK_OFFSET_S = 1.0
@@ -53,6 +55,8 @@ class AlignState:
     """Number of consecutive samples dropped because they came late."""
     clock: StreamClock = field(default_factory=StreamClock)
     """The stream's rate by its timestamps."""
+    shown: Shown = field(default_factory=Shown)
+    """What the channels have shown, where instants are kept that only some of them have (`step`)."""
 
     def t_next_ns(self) -> int:
         """Return the UTC at which the next sample of the run is due."""
@@ -120,7 +124,8 @@ def step(
     """Append a block to the stream and cut it at gaps and non-finite samples; there are no pieces if nothing of it is new.
 
     With `keep_partial` instants at which only some of the channels are finite are kept (`Piece.lost`); without it they are a gap.
-    Numbers that no sensor gives, as loggers write in the place of a reading, are then not finite either.
+    Numbers that no sensor gives, as loggers write in the place of a reading, are then not finite either, nor are lone readings
+    that no structure gives.
     Blocks in sequence form one run as long as the clock does not jump between two of them: a clock error of some parts in a
     million makes no gap.  Times of samples are counted from the run's first sample.  When the clock differs from that count by
     a quarter of a second, the times are corrected in one step.  A source whose times are exact is never corrected.
@@ -130,6 +135,10 @@ def step(
         absurd = np.abs(values) > _MAX_READING
         if absurd.any():
             values = np.where(absurd & ~absurd.all(axis=1, keepdims=True), np.nan, values)
+        shown, lone = lone_readings.step(state.shown, values, block.sample_rate_hz)
+        state = state if shown == state.shown else replace(state, shown=shown)
+        if lone is not None:
+            values = np.where(lone & ~lone.all(axis=1, keepdims=True), np.nan, values)
     if np.isfinite(values).all():
         return _place(state, block, values, 0)
     finite = np.isfinite(values)
@@ -158,7 +167,7 @@ def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) ->
     if n == 0:
         return state, []
     clock = state.clock if rate == state.rate_hz else StreamClock()
-    begun = AlignState(t_ns, n, sequence + n, rate, state.dropped, clock=clock.begin())
+    begun = AlignState(t_ns, n, sequence + n, rate, state.dropped, clock=clock.begin(), shown=state.shown)
     if state.n_run == 0:
         return begun, [Piece(t_ns, values, None, rate)]
     due_ns = state.t_next_ns()

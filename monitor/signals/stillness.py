@@ -8,11 +8,13 @@ n p^L.  A run that a step of the resolution ends was rest, and tells p as well: 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import isfinite, log
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import STILL, Array, Skipped, utc
 from monitor.signals.alignment import Piece
@@ -109,8 +111,12 @@ def step(state: StillState, piece: Piece, step_s: float, keep_s: float) -> Still
     return state
 
 
-def check(state: StillState, begin_ns: int, end_ns: int) -> Skipped | None:
+def check(
+    state: StillState, begin_ns: int, end_ns: int, saturated: Callable[[int, int], NDArray[np.bool_]]
+) -> Skipped | None:
     """Tell of a run of repetitions in the window from `begin_ns` to `end_ns` (UTC) that chance does not explain.
+
+    `saturated` finds the channels that reached the ends of their ranges between two times.
 
     Examples
     --------
@@ -118,7 +124,7 @@ def check(state: StillState, begin_ns: int, end_ns: int) -> Skipped | None:
     >>> moving = np.random.default_rng(1).normal(size=(1000, 2)).round(1)
     >>> dead = np.concatenate([moving, np.zeros((200, 2))])
     >>> state = step(start(2), Piece(10**9, dead, None, 100.0), 1.0, 60.0)
-    >>> check(state, 10**9, 13 * 10**9).reason[:42]
+    >>> check(state, 10**9, 13 * 10**9, lambda begin_ns, end_ns: np.zeros(2, dtype=bool)).reason[:42]
     'no reading changes: the logger is dead, or'
     """
     inside = [s for s in state.stretches if begin_ns <= s.t_ns and s.t_end_ns <= end_ns + 1000]  # times are rounded
@@ -133,9 +139,10 @@ def check(state: StillState, begin_ns: int, end_ns: int) -> Skipped | None:
         return Skipped(f"{words} ({'; '.join(notes)})")
     longest = max(inside, key=lambda s: s.hold / s.rate_hz)
     if longest.hold > least:
+        ends = saturated(begin_ns, end_ns)
+        other = ", or all sensors were at the ends of their ranges" if ends.size and ends.all() else ""
         return Skipped(
-            f"no reading changed for a while ({longest.hold / longest.rate_hz:.3g} s): the logger stood still, or all sensors "
-            "were at the ends of their ranges"
+            f"no reading changed for a while ({longest.hold / longest.rate_hz:.3g} s): the logger stood still{other}"
         )
     return None
 

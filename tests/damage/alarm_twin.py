@@ -23,6 +23,7 @@ WINDOW, SEGMENTS = 40, 39
 YEAR = 3_155_760
 """Hops."""
 MONTH = YEAR // 12
+SURE_STDS = sequential_test.SURE_STDS
 MEMORY_S, EXCESS = 8 * 3600.0, 1.2
 """Of the alarm's smoothed standard deviations, for which `test_the_twin_judges_as_the_alarm_does` vouches."""
 

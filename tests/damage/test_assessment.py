@@ -24,7 +24,7 @@ SWAP = {
 def course(*windows: WindowFacts) -> Course:
     out = Course()
     for k, window in enumerate(windows):
-        out = follow(out, replace(window, t_end_ns=T0 + k * HOP_NS), KNOWN.misfit)
+        out = follow(out, replace(window, t_end_ns=T0 + k * HOP_NS), KNOWN)
     return out
 
 
@@ -132,9 +132,37 @@ def test_a_diagnosis_of_another_story_is_not_an_alarms() -> None:
     assert told.state is State.DOUBTFUL and "Story 1 is 20 % softer" in told.headline
 
 
-def test_an_alarm_that_fell_says_its_present_level() -> None:
-    told = said(LOST, replace(LOST, active={2: Level.ADVISORY}, losses={2: (0.05, 0.01, 80.0)}))
-    assert told.state is State.ALARM and "at its highest, now advisory" in told.headline
+def test_a_loss_about_the_threshold_has_one_state_and_says_since_when_how_large_then_and_now() -> None:
+    told = said(LOST, replace(LOST, losses={2: (0.097, 0.003, 80.0)}))
+    since = "of its stiffness since the baseline, alarm since 2027-01-15 08:00 UTC"
+    assert told == Assessment(State.ALARM, f"Story 2 (left bearing) lost 12.4 ± 1.4 % {since}; now 9.7 ± 0.6 %.")
+    larger = said(LOST, replace(LOST, losses={2: (0.13, 0.003, 80.0)}))
+    assert "lost 13.0 ± 0.6 % of" in larger.headline and "now" not in larger.headline
+
+
+def test_an_alarm_that_fell_has_its_present_state_and_the_whole_recording_its_highest() -> None:
+    fell = LOST, replace(LOST, active={2: Level.WARNING}, losses={2: (0.05, 0.01, 80.0)})
+    told = said(*fell)
+    says = "lost 5.0 ± 2.0 % of its stiffness since the baseline; alarm of 12.4 ± 1.4 % since 2027-01-15 08:00 UTC is over."
+    assert told.state is State.WARNING and told.headline.endswith(says)
+    recorded = said(*fell, whole=True)
+    assert (
+        recorded.state is State.ALARM and "12.4 ± 1.4 %" in recorded.headline and "now 5.0 ± 2.0 %" in recorded.headline
+    )
+    again = said(LOST, *[fell[1]] * 11, LOST)
+    assert again.state is State.ALARM and again.headline.endswith("alarm since 2027-01-15 08:02 UTC.")
+
+
+def test_the_alarm_of_a_story_that_is_gone_states_no_size() -> None:
+    told = said(replace(WELL, active={WHOLE: Level.ALARM}, losses={WHOLE: (0.001, 0.003, 2.0)}))
+    assert told.state is State.ALARM
+    assert told.headline == "The alarm of every story stands from before; no window since says its size."
+
+
+def test_an_episode_states_the_latest_size_of_its_highest_level() -> None:
+    rises = replace(LOST, active={2: Level.WARNING}, losses={2: (0.08, 0.003, 80.0)})
+    (loss,) = course(rises, LOST, replace(LOST, losses={2: (0.097, 0.003, 80.0)})).losses
+    assert (loss.level, loss.ddi, loss.t_first_ns, loss.t_level_ns) == (Level.ALARM, 0.124, T0, T0 + HOP_NS)
 
 
 def test_a_named_finding_without_causes_is_a_doubt() -> None:

@@ -25,7 +25,7 @@ def finding(
 def course(*windows: WindowFacts) -> Course:
     out = Course()
     for window in windows:
-        out = follow(out, window, KNOWN.misfit)
+        out = follow(out, window, KNOWN)
     return out
 
 

@@ -15,6 +15,7 @@ from monitor.config import Configuration
 from monitor.core import Skipped, WindowResult
 from monitor.events import Event, LimitTable, compared, recognition, stage
 from monitor.events.ambient import AmbientReading, lasting_loss
+from monitor.events.limits import judge
 from monitor.events.motion import instrumental_intensity, integrated, response_spectrum
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import event_line, event_text, read_event, to_json
@@ -314,6 +315,11 @@ def test_sensors_that_saturate_give_lower_bounds_and_a_limit_that_is_possibly_ex
         again = read_event(line)
         assert again.saturated == event.saturated
         assert compared(again, LimitTable.model_validate(limit)).possibly.any()
+    lower = LimitTable.model_validate(limit | {"drift_ratio": 1e-7})
+    sure = judge(
+        told[1], replace(pipeline.site, settings=pipeline.site.settings.model_copy(update={"limits": (lower,)}))
+    )
+    assert sure.verdict == "inspect the joints" and all("drift ratio at least" in words for words in sure.exceeded)
     (alarm,) = pipeline.state.events.alarms
     assert alarm.unacknowledged and f"event {told[0].id} possibly exceeded a limit of the site: inspect" in alarm.says
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from monitor.core import BadInputError
+from monitor.damage import Known
 from monitor.publish.reports.period_data import read_results
 from monitor.publish.reports.period_report import read_period, write_period
 from monitor.publish.results.event_lines import event_line, event_text
@@ -179,7 +180,7 @@ def test_modes_of_windows_that_are_not_judged_are_drawn_and_the_model_s_keep_the
             {**line_of(SKIPPED[0]), "window": k, "t_end_ns": T0 + (k + 1) * HOP, **figures, "other_modes": [other]}
         )
     json_lines(tmp_path / "results.jsonl", rows)
-    found = read_results(tmp_path, None, None, 5.0)
+    found = read_results(tmp_path, None, None, Known((), True, 0.1, 5.0))
     assert sum(found.judged) == 0 and sum(found.refused) == 8
     curves = [(c.mode, c.latest, c.values) for c in found.common_modes()]
     assert curves == [(1, 1.23, 8), (2, 4.02, 8), (None, 6.68, 8), (4, 7.6, 8)]

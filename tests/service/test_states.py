@@ -20,6 +20,7 @@ from monitor.service.lease import FolderLease
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_window
 from monitor.service.outlets.zenoh import ZenohOut
+from monitor.service.web.snapshots import Snapshots
 from monitor.signals import Health, sensor_health
 from tests.support.frames import settings_of
 from tests.support.pages import Page
@@ -32,9 +33,13 @@ EXIT = {State.NORMAL: 0, State.ADVISORY: 10, State.WARNING: 10, State.ALARM: 10}
 """Exit codes of `status` and `fleet`; of the others 11."""
 
 
-def window(index: int, state: State) -> WindowResult:
-    """A window of three stories in that state: a loss of the middle story, a poor fit, or a story that is not seen."""
+def window(index: int, state: State, held: float | None = None) -> WindowResult:
+    """A window of three stories in that state: a loss of the middle story, a poor fit, or a story that is not seen.
+
+    The latest window shows a loss of `held`, at the same level.
+    """
     lost = {State.ADVISORY: 0.05, State.WARNING: 0.06, State.ALARM: 0.123}.get(state, 0.0)
+    lost = lost if held is None or index < COUNT - 1 else held
     active = {2: Level(state.value)} if lost else {}
     stiffness = np.array([2900.0, 1500.0, 1900.0])
     return window_result(
@@ -72,16 +77,16 @@ class Site(Session):
     _known = property(lambda self: KNOWN)  # type: ignore[assignment]
 
 
-@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize(("state", "held"), [*((state, None) for state in State), (State.ALARM, 0.097)])
 def test_a_state_reads_the_same_at_every_outlet(
-    state: State, tmp_path: Path, frame_text: str, cut: Cut, monkeypatch: pytest.MonkeyPatch
+    state: State, held: float | None, tmp_path: Path, frame_text: str, cut: Cut, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lines, metrics = Lines(), Metrics("bench", MetricsSettings())
     out = ZenohOut("bench", ZenohOutSettings(connect=("tcp/127.0.0.1:9",), connect_timeout_s=0.1))
     site = Site(settings_of(frame_text), None, (lines, metrics, out), None, tmp_path / "findings")
     try:
         channels = tuple(sensor_health.ChannelHealth(name, 0.0, 0.01, 0.05, 0, 0.0, 0.0, 1e-6) for name in CHANNELS)
-        results: list[WindowResult | Health] = [window(index, state) for index in range(COUNT)]
+        results: list[WindowResult | Health] = [window(index, state, held) for index in range(COUNT)]
         results.append(Health(T0_NS, T0_NS + 10**10, 100.0, 1000, 1.0, 0, 0.0, 0, channels))
         monkeypatch.setattr(site.pipeline, "push", lambda block: results)
         site.push(cut(np.zeros((1, 3)), 100.0)[0])
@@ -92,6 +97,12 @@ def test_a_state_reads_the_same_at_every_outlet(
     assert said.state is state
     if state is State.NORMAL:
         assert said.headline == "No loss above 3.4 % in any story."
+    if held is not None:
+        first = "Middle storey lost 12.3 ± 2.0 % of its stiffness since the baseline, alarm since 2026-01-01 00:00 UTC"
+        assert said.headline == f"{first}; now 9.7 ± 2.0 %."
+    levels = {json.loads(line)["alarm"]["level"] for line in lines.lines}
+    level = state.value if state in {State.ADVISORY, State.WARNING, State.ALARM} else "normal"
+    assert levels == {level}
 
     (tmp_path / "results.jsonl").write_text("\n".join(lines.lines) + "\n")
     summary = json.loads(to_json(site.content(1.0)))
@@ -117,6 +128,17 @@ def test_a_state_reads_the_same_at_every_outlet(
     gauges: list[Metric] = [family for family in metrics.collect() if family.name == "shm_state"]
     assert [s.labels for s in gauges[0].samples if s.value] == [{"state": state.value}]
 
+    of_stories = [s for family in metrics.collect() if family.name == "shm_alarm_level" for s in family.samples]
+    assert max(s.value for s in of_stories) == Level(level).rank
+
+    page = Snapshots("bench")
+    page.state(said)
+    page.window(json.loads(lines.lines[-1]))
+    page.summary(summary)
+    live = json.loads(page.status_answer().body)
+    assert {key: live[key] for key in said.content} == said.content
+    assert live["latest"]["level"] == level
+
     answered = json.loads(answer)
     assert {key: answered[key] for key in said.content} == said.content
     health = {"wall_ns": time.time_ns(), "source": {"connected": True}, "recorder": None, "failed": {}}
@@ -129,7 +151,8 @@ def test_a_state_reads_the_same_at_every_outlet(
 
     announced = [notice for notice in lines.notices if not notice.good]
     assert [n.title.startswith(state.words) for n in announced] == [True] * (state is not State.NORMAL)
-    assert all(n.text.splitlines() == [said.headline, *said.doubts] for n in announced)
+    present = said.headline.replace("; now 9.7 ± 2.0 %", "")  # a message says what was so when it was sent, once
+    assert all(n.text.splitlines() == [present, *said.doubts] for n in announced)
 
 
 def test_a_monitor_that_does_not_run_says_no_normal(tmp_path: Path) -> None:

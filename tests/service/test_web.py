@@ -228,6 +228,15 @@ def test_the_page_says_what_was_published_and_runs_nothing_of_it() -> None:
     assert ask("/api/v1/page?range_s=86400", If_None_Match=headers["etag"])[::2] == (304, b"")
     shown.finding({**FINDING, "t_ns": T0_NS + SECOND, "says": "Looser."})
     assert "Looser." in content(ask, "/api/v1/page?range_s=86400")["html"]
+    for condition, is_asked in (("active, unacknowledged", True), ("active, acknowledged", False)):
+        alarm = {**SUMMARY["alarm"], "conditions": {"2": condition}}
+        shown.summary({**SUMMARY, "event_alarms": [], "known": known, "alarm": alarm})
+        html = content(ask, "/api/v1/page?range_s=86400")["html"]
+        assert condition in html and ("Acknowledge:" in html) is is_asked
+    assert '<td class="" data-of="state"><span>alarm</span>' in html
+    shown.summary({**SUMMARY, "known": known, "alarm": {**SUMMARY["alarm"], "active": {"2": "warning"}}})
+    html = content(ask, "/api/v1/page?range_s=86400")["html"]
+    assert '<td class="" data-of="state"><span>warning</span>' in html, "the level that it has now"
     shown.summary({"alarms": [{"level": "alarm"}], "known": {"alarm_loss": "much"}})
     assert "Story 2 lost 10 %." in content(ask, "/api/v1/page?range_s=86400")["html"], "whatever an old file says"
     shown.summary({**SUMMARY, "known": known})

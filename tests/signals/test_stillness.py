@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from hypothesis import given, settings, strategies as st
 from monitor.core import STILL, Gap
 from monitor.model import Model
 from monitor.pipeline import Pipeline
-from monitor.signals import stillness
+from monitor.signals import sensor_health, stillness
 from monitor.signals.alignment import Piece
+from monitor.signals.sensor_health import HealthSettings, HealthState
 from tests.support.frames import settings_of
 from tests.support.samples import FRAME
 from tests.support.simulated import PAPER_FRAME, ambient, windows_of
@@ -30,13 +32,17 @@ def motion() -> np.ndarray:
 def told(values: np.ndarray, sizes: Sequence[int] = (500,)) -> list[str | None]:
     """What is said of the window that ends with each hop."""
     state, out, at, k, hop = stillness.start(values.shape[1]), [], 0, 0, round(HOP_S * RATE)
+    health, names = HealthState(), tuple(map(str, range(values.shape[1])))
     while at < len(values):
         part = values[at : at + min(sizes[k % len(sizes)], hop - at % hop)]
-        state = stillness.step(state, Piece(T0_NS + round(at / RATE * 1e9), part, None, RATE), HOP_S, WINDOW_S)
+        piece = Piece(T0_NS + round(at / RATE * 1e9), part, None, RATE)
+        state = stillness.step(state, piece, HOP_S, WINDOW_S)
+        health, _ = sensor_health.step(health, piece, 0, names, HealthSettings(), WINDOW_S)
         at, k = at + len(part), k + 1
         if at % hop == 0:
             end_ns = T0_NS + round(at / RATE * 1e9)
-            found = stillness.check(state, end_ns - round(WINDOW_S * 1e9), end_ns)
+            saturated = partial(sensor_health.saturated, health)
+            found = stillness.check(state, end_ns - round(WINDOW_S * 1e9), end_ns, saturated)
             out.append(None if found is None else found.reason)
     return out
 
@@ -52,6 +58,16 @@ def test_a_logger_that_dies_is_told_with_the_next_hop(
     assert said[:20] == [None] * 20
     assert all(reason is not None and reason.startswith(STILL) for reason in said[20:])
     assert "since 2026-01-01 00:01 UTC" in str(said[20])
+
+
+def test_sensors_at_the_ends_of_their_ranges_are_told_apart_from_a_logger_that_stood_still(motion: np.ndarray) -> None:
+    spoilt = motion.copy()
+    spoilt[10_100:10_400] = spoilt[10_099]
+    (still,) = set(told(spoilt)[20:-1]) - {None}
+    assert str(still).endswith("the logger stood still")
+    spoilt[10_100:10_400] = 2.0 * np.abs(motion).max() * np.array([1.0, -1.0, 1.0])
+    (ends,) = set(told(spoilt)[20:-1]) - {None}
+    assert str(ends).endswith("the logger stood still, or all sensors were at the ends of their ranges")
 
 
 def test_a_logger_that_stood_still_for_a_while_is_told_until_the_window_has_passed_it(motion: np.ndarray) -> None:
@@ -98,7 +114,7 @@ def test_a_stretch_of_one_sample_that_ends_a_rest_says_nothing() -> None:
     state = stillness.step(state, lone, HOP_S, WINDOW_S)
     state = stillness.step(state, Piece(T0_NS + 8 * 10**9, quiet[:1], Gap(T0_NS, 1.0, "lost"), RATE), HOP_S, WINDOW_S)
     assert [s.n for s in state.stretches] == [500, 40, 1]
-    assert stillness.check(state, T0_NS, T0_NS + 60 * 10**9) is None
+    assert stillness.check(state, T0_NS, T0_NS + 60 * 10**9, lambda begin_ns, end_ns: np.zeros(3, dtype=bool)) is None
 
 
 @given(sizes=st.lists(st.integers(1, 700), min_size=1, max_size=6))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, Level, WindowResult
 from monitor.damage import AlarmSettings, Baseline
 from monitor.pipeline import Pipeline
-from tests.damage.alarm_twin import HOP_S, MONTH, TWIN, WINDOW_S, episodes, evidence
+from tests.damage.alarm_twin import HOP_S, MONTH, SURE_STDS, TWIN, WINDOW_S, episodes, evidence
 from tests.statistics import figures
 from tests.statistics.estimates import configuration
 from tests.support.campaign import words
@@ -67,7 +67,7 @@ def ramp(onset_s: float, hops: int) -> Array:
 
 def delay(z: Array, story: int, first: int, settings: AlarmSettings) -> int:
     """Hops from `first` until the story's warning is confirmed, as `alarm.step` does it; the series' length if never."""
-    keeps = z[first:, story] >= settings.significance - settings.deadband
+    keeps = z[first:, story] >= settings.significance - SURE_STDS
     rises = z[first:, story] >= settings.significance
     need, since = int(np.ceil(settings.confirm_s / HOP_S)), None
     for k in range(keeps.size):
@@ -93,7 +93,7 @@ def detection(
         ddi, variance, common = TWIN.readings(hops, baseline_s, rng)
         onset = quiet_s - rng.uniform(0.0, HOP_S)
         ddi[:, story] += loss * ramp(onset, hops)
-        z = evidence(ddi, variance, common, settings.significance - settings.deadband)
+        z = evidence(ddi, variance, common, settings.significance - SURE_STDS)
         taken = first + delay(z, story, first, settings)
         end = WINDOW_S + HOP_S * taken
         delays.append(end - onset if end <= onset + within_s else np.inf)

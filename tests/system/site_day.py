@@ -80,7 +80,7 @@ min_free_gb = 0.0
 file_s = 600.0
 
 [alarm]
-clear_s = 60.0
+confirm_s = 10.0
 
 [watch]
 diagnose = false
@@ -339,8 +339,8 @@ class Day:
             self._start(stream)
         elif name == "reload":
             site = self._folder / "site.toml"
-            seconds = self._draw.randrange(60, 90)
-            site.write_text(re.sub(r"clear_s = \d+\.0", f"clear_s = {seconds}.0", site.read_text()))
+            seconds = self._draw.randrange(10, 20)
+            site.write_text(re.sub(r"confirm_s = \d+\.0", f"confirm_s = {seconds}.0", site.read_text()))
             running.send(signal.SIGHUP)
         elif name == "hang" and disk is not None:
             disk.hang()

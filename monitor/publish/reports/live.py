@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
+from monitor.core import Level
 from monitor.damage import Assessment, Course, LearnedRange, Loss, WindowFacts
 from monitor.events import EventAlarm
 from monitor.publish.page.sheet import Sheet
 from monitor.publish.reports.period_data import Grid, PeriodResults
 from monitor.publish.reports.period_notes import event_alarms
-from monitor.publish.reports.period_report import Live, Period, baseline_hz, hidden_losses, known_of, sheet
+from monitor.publish.reports.period_report import Live, Period, baseline_hz, conditions, hidden_losses, known_of, sheet
 from monitor.publish.results.event_lines import read_event
 
 _BINS = 360
@@ -33,14 +34,16 @@ def live_sheet(published: Mapping[str, Any], assessment: Assessment) -> Sheet:
         with suppress(ValueError, KeyError, TypeError, IndexError):
             results.add(row)
     known, losses, alarms = known_of({}), tuple[Loss, ...](), list[EventAlarm]()
-    learned, baseline = dict[str, LearnedRange](), dict[int, float]()
+    active = dict[int, Level]()
+    learned, baseline, present = dict[str, LearnedRange](), dict[int, float](), dict[int, str]()
     with suppress(KeyError, TypeError, ValueError, AttributeError):  # a summary of another version
         known, losses = known_of(summary), tuple(hidden_losses((), summary, 0, ends[-1]))
         learned = {str(n): LearnedRange(**r) for n, r in (summary.get("covariates_learned") or {}).items()}
-        alarms, baseline = event_alarms(summary), baseline_hz(summary)
+        active = {int(j): Level(level) for j, level in ((summary.get("alarm") or {}).get("active") or {}).items()}
+        alarms, baseline, present = event_alarms(summary), baseline_hz(summary), conditions(summary)
     judged = status.get("judged") or {}
     detectable = judged.get("detectable_loss")
-    facts = WindowFacts(ends[-1], 0.0, None, detectable=None if detectable is None else tuple(detectable))
+    facts = WindowFacts(ends[-1], 0.0, None, active, detectable=None if detectable is None else tuple(detectable))
     reasons = summary.get("skip_reasons") or {}
     course = Course(summary.get("windows") or 0, summary.get("skipped") or 0, reasons, judged=facts, losses=losses)
     events = []
@@ -54,7 +57,7 @@ def live_sheet(published: Mapping[str, Any], assessment: Assessment) -> Sheet:
         Period(
             status["site"], results, None, course, assessment, known, published["findings"], [],
             summary.get("thresholds") or {}, learned, events[::-1], alarms, str(summary.get("contact", "")), baseline,
-            live=live,
+            present, live=live,
         )
     )  # fmt: skip
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from monitor.core import Array, BadInputError, MissingInputError
-from monitor.damage import Course, follow
+from monitor.damage import Course, Known, follow
 from monitor.publish.results.files import RESULTS, closed_files, read_all_lines, read_lines
 from monitor.publish.results.lines import facts_of_line, read_line
 from monitor.publish.results.recorded_time import due_windows, reaches_between
@@ -229,14 +229,14 @@ def read_results(
     folder: Path,
     from_ns: int | None,
     to_ns: int | None,
-    misfit_limit: float,
+    known: Known,
     between: Sequence[tuple[int, int]] = (),
     window_s: float = 0.0,
 ) -> PeriodResults:
     """Read results.jsonl of a folder, and its closed months; windows belong to the period (UTC) in which they end.
 
     By default the period is that of the run.  A replay has times `between` its recordings, UTC in ns, and windows of
-    `window_s`. From a goodness of fit `misfit_limit` on, stiffness explains too little.
+    `window_s`.
 
     Raises MissingInputError if the file does not exist, BadInputError if no window ends in the period, the files hold no
     results, or a packed month is damaged.
@@ -255,7 +255,7 @@ def read_results(
             try:
                 line = read_line(raw)
                 if line["skipped"] is None or not reaches_between(line["t_end_ns"], window_s, between):
-                    course = follow(results.course, facts_of_line(line), misfit_limit)
+                    course = follow(results.course, facts_of_line(line), known)
                     results.add(line)
                     results.course = course
                     if line["skipped"] is None:

@@ -18,7 +18,7 @@ from urllib.parse import quote
 import numpy as np
 from pydantic import TypeAdapter
 
-from monitor.core import WHOLE, BadInputError, Level, Skipped
+from monitor.core import WHOLE, AlarmCondition, BadInputError, Level, Skipped
 from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, State, advice, assess, diagnosis_of, is_seen
 from monitor.events import Event, EventAlarm
 from monitor.publish.page.charts import Chart
@@ -78,6 +78,8 @@ class Period:
     """Whom to call, as `[site] contact` says."""
     baseline_hz: Mapping[int, float] = field(default_factory=dict)
     """Natural frequency at calibration, Hz, of modes by their number."""
+    conditions: Mapping[int, str] = field(default_factory=dict)
+    """Condition of the alarm of a story at the end, `core.AlarmCondition` in words."""
     pages: Mapping[str, Path] = field(default_factory=dict)
     """Place of the page of each event, which may be there."""
     live: Live | None = None
@@ -98,7 +100,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         summary = notes.read_summary(folder)
         known, between = known_of(summary), between_recordings(summary.get("recorded", ()))
         window_s = float(summary.get("window_s", 0.0))
-    results = read_results(folder, from_ns, to_ns, known.misfit, between, window_s)
+    results = read_results(folder, from_ns, to_ns, known, between, window_s)
     start, stop = results.grid.from_ns, results.grid.to_ns
     with _name_file_in_errors(folder / "health.jsonl"):
         health = notes.HealthFile(folder, start, stop)
@@ -127,13 +129,18 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     return Period(
         folder.resolve().name, results, quality, course, assessment, known, findings, decisions, thresholds, learned,
         events, alarms, str(summary.get("contact", "")), baseline_hz(summary),
-        {event.id: folder / "events" / f"{event.id}.html" for event in events},
+        conditions(summary), {event.id: folder / "events" / f"{event.id}.html" for event in events},
     )  # fmt: skip
 
 
 def baseline_hz(summary: Mapping[str, Any]) -> dict[int, float]:
     """Read the natural frequencies at calibration from the summary, by the modes' numbers."""
     return {int(mode): float(hz) for mode, hz in summary.get("baseline_frequencies_hz", {}).items()}
+
+
+def conditions(summary: Mapping[str, Any]) -> dict[int, str]:
+    """Read the conditions of the present alarms from the summary, by the stories' numbers."""
+    return {int(story): str(says) for story, says in ((summary.get("alarm") or {}).get("conditions") or {}).items()}
 
 
 def known_of(summary: Mapping[str, Any]) -> Known:
@@ -159,8 +166,9 @@ def hidden_losses(known: Sequence[Loss], summary: Mapping[str, Any], start: int,
         last, modal = a["t_last_ns"], bool(a.get("part"))
         story, size, std = ("part", "change", "change_std") if "part" in a else ("story", "ddi", "ddi_std")
         loss = Loss(
-            Level(a["level"]), a[story] or WHOLE, a[size], a[std], a.get("loss_n_per_m"), a["t_first_ns"], last, modal
-        )
+            Level(a["level"]), a[story] or WHOLE, a[size], a[std], a.get("loss_n_per_m"), a["t_first_ns"], last, modal,
+            a.get("t_level_ns"),
+        )  # fmt: skip
         same = [k for k in known if k.story == loss.story and (last is None or k.t_first_ns <= last)]
         same = [k for k in same if k.t_last_ns is None or k.t_last_ns >= loss.t_first_ns]
         if loss.t_first_ns <= stop and (last is None or last > start) and not same:
@@ -196,15 +204,22 @@ def _name(part: int, period: Period) -> str:
 
 
 def _standing(period: Period) -> list[Loss]:
-    """List the alarms that last, the gravest first."""
-    return sorted((a for a in period.course.losses if a.t_last_ns is None), key=lambda a: (-a.level.rank, -abs(a.ddi)))
+    """List the alarms that last, the gravest first, each with the level that it has now where the page is live."""
+    now = period.course.judged.active if period.live is not None and period.course.judged is not None else {}
+    lasting = (replace(a, level=now.get(a.story, a.level)) for a in period.course.losses if a.t_last_ns is None)
+    return sorted(lasting, key=lambda a: (-a.level.rank, -abs(a.ddi)))
+
+
+def _since(alarm: Loss) -> int:
+    """Return since when an alarm has been at its level, UTC in ns."""
+    return alarm.t_level_ns or alarm.t_first_ns
 
 
 def _head(page: Sheet, period: Period) -> None:
     """Say since when, how old the data are, what to do, and whom to call."""
     state, live = period.assessment.state, period.live
     standing = [a for a in _standing(period) if a.level.value == state.value]
-    since_ns = min((a.t_first_ns for a in standing), default=None if live is None else live.since_ns)
+    since_ns = min(map(_since, standing), default=None if live is None else live.since_ns)
     page.since = "" if since_ns is None else f"since {utc(since_ns)} UTC"
     if live is None:
         page.lead.append(("Data:", _span(period)))
@@ -218,7 +233,12 @@ def _head(page: Sheet, period: Period) -> None:
     page.lead.append(("What to do:", advice(state, places)))
     if state.rank > State.NOT_JUDGED.rank or period.contact:
         page.lead.append(("Call:", period.contact or "nobody is named; the site file may, as [site] contact."))
-    asked = [f"--story {a.story}" for a in standing] + [f"--event {a.id}" for a in events]
+    seen = {
+        story
+        for story, says in period.conditions.items()
+        if says in (AlarmCondition.ACKNOWLEDGED, AlarmCondition.LATCHED_ACKNOWLEDGED, AlarmCondition.SHELVED)
+    }
+    asked = [f"--story {a.story}" for a in standing if a.story not in seen] + [f"--event {a.id}" for a in events]
     if asked and state.rank >= State.WARNING.rank:
         page.lead.append(("Acknowledge:", f"shm-monitor ack SITE.toml {asked[0]} --who NAME"))
 
@@ -237,14 +257,14 @@ def _where(page: Sheet, period: Period) -> None:
     standing = {a.story: a for a in reversed(_standing(period))}
     if (every := standing.get(WHOLE)) is not None:
         name = period.known.parts.every.capitalize()
-        page.text(f"{name}: {every.level.value} since {utc(every.t_first_ns)} UTC.")
+        page.text(f"{name}: {every.level.value} since {utc(_since(every))} UTC.")
     rows = []
     for j, c in enumerate(r.ddi or r.changes, 1):
         alarm, (seen, says) = standing.get(j), _sight(j, period)
         state = alarm.level.value if alarm else "normal" if judged and seen else "not judged"
         size = with_interval(100 * c.latest, 100 * c.latest_half) if c.values else _UNKNOWN
         rank = (-alarm.level.rank, -abs(c.latest)) if alarm else (0, 0.0)
-        rows.append((rank, j, (_name(j, period), state, size, utc(alarm.t_first_ns) if alarm else "", says)))
+        rows.append((rank, j, (_name(j, period), state, size, utc(_since(alarm)) if alarm else "", says)))
     what = "#stiffness lost, %" if judged else "#lost against the structure file, %"
     head = ["story", "state", what, "@since, UTC", "what would be seen"]
     head = head if r.ddi else ["mode", "state", "#change, %", "@since, UTC"]
@@ -416,7 +436,9 @@ def _alarms(page: Sheet, period: Period) -> None:
     for i, e in enumerate(period.course.losses):
         later = (n.t_first_ns for n in period.course.losses[i + 1 :] if n.story == e.story)
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
-        actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
+        present = period.conditions.get(e.story, "") if e.t_last_ns is None else ""
+        actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or present
+        actions = actions or ("nobody yet" if period.live is None else _UNKNOWN)
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
         diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
         size = f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"

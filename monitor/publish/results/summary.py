@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import WHOLE, Gap, ModalEstimate, WindowResult
-from monitor.damage import Course, Loss, WindowFacts, follow
+from monitor.damage import Course, Known, Loss, WindowFacts, follow
 from monitor.signals import Health
 
 _SAME_MODE = 0.02
@@ -48,17 +48,15 @@ class Summary:
         """Count a gap."""
         self.gaps += 1
 
-    def window(
-        self, result: WindowResult, facts: WindowFacts, misfit: float, stated: WindowFacts | None = None
-    ) -> None:
-        """Count a window by what the state needs of its line; from a goodness of fit `misfit` on, stiffness explains too little.
+    def window(self, result: WindowResult, facts: WindowFacts, known: Known, stated: WindowFacts | None = None) -> None:
+        """Count a window by what the state needs of its line.
 
         What an earlier run `stated` of this window counts where it says otherwise of whether the window was judged, as when
         samples of the window were lost with that run.
         """
         if stated is not None and stated.skipped != facts.skipped:
             facts = stated
-        self.course = follow(self.course, facts, misfit)
+        self.course = follow(self.course, facts, known)
         if result.temperature is not None:
             degc = float(result.temperature.lagged_degc[0])
             low, high = self.temperature_range_degc or (degc, degc)

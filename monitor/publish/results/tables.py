@@ -90,7 +90,7 @@ def window_row(line: Mapping[str, Any], kept: Sequence[Field] = KEPT) -> Row:
 
 def alarm_row(episode: Mapping[str, Any]) -> Row:
     """Return the row of an alarm, given as in summary.json; see `History.episodes`."""
-    row = {key: value for key, value in episode.items() if key != "part"}
+    row = {key: value for key, value in episode.items() if key not in {"part", "t_level_ns"}}
     return row | {"story": episode.get("part", episode["story"]) or 0}
 
 

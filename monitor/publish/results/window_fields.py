@@ -229,7 +229,8 @@ FIELDS = (
     Field("alarm", Kind.ALARM, _alarm,
           "`normal`, `advisory` (significant, not confirmed), `warning` (confirmed), `alarm` (confirmed, 10 % or "
           "more), the stories and the reason; `active` has the level of each story (0: the structure as a whole) "
-          "or, without a model, of each mode and shape."),
+          "or, without a model, of each mode and shape. A level is held until the data surely say less "
+          "([alarms](alarms.md#levels))."),
     Field("channels_left_out", Kind.TEXTS, lambda r: [gone.channel for gone in r.left_out],
           "Channels of which no use was made.", shown=True),
     Field("left_out_reasons", Kind.TEXTS, lambda r: [gone.reason for gone in r.left_out],

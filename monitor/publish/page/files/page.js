@@ -18,7 +18,7 @@ let content = { charts: {} }, plots = [];
 
 function utc(seconds, fine = true) { return new Date(seconds * 1e3).toISOString().slice(0, fine ? 19 : 16).replace("T", " "); }
 const known = (x) => x !== null && x !== undefined;
-const number = (x) => String(+x.toPrecision(5));
+const number = (x) => (x !== 0 && (Math.abs(x) < 1e-3 || Math.abs(x) >= 1e6) ? (+x.toPrecision(4)).toExponential().replace("+", "") : String(+x.toPrecision(5)));
 
 /* Round times of each stretch [begin, end, from, to] (s since 1970; shares of the width) that fit: [share, label]. */
 function timeTicks(stretches, width) {
