@@ -35,7 +35,7 @@ def status(
     from monitor.service import status as reader
 
     folder = _folder(place)
-    found = reader.look(folder)
+    found = reader.look(folder) if place.is_dir() else reader.look(folder, str(place))
     text = reader.tell(found)
     if verify:
         found["ledger_lines"], unchanged = reader.verify_ledger(folder)

@@ -144,7 +144,7 @@ class Reader:
         self.opened = self.ended = False
         self.failure: Exception | None = None
         self.lost = 0
-        self.error = ""
+        self.error, self._again_s = "", 0.0
         self._received = 0
         self._busy = Busy() if busy is None else busy
         self._stop = threading.Event()
@@ -154,6 +154,11 @@ class Reader:
     def failed(self) -> str | None:
         """Words that say that the source's driver does not answer; None while it does, whether there are data or not."""
         return self._busy.overdue
+
+    @property
+    def next_try_s(self) -> float | None:
+        """Time until a lost source is opened again, s; None while it is open, or its driver connects it again."""
+        return max(0.0, self._again_s - time.monotonic()) if self.error else None
 
     def start(self) -> None:
         """Start reading."""
@@ -181,6 +186,7 @@ class Reader:
                 self.lost += 1
                 self.error = str(error)[:_MOST_TEXT] or type(error).__name__
                 wait_s = _LEAST_WAIT_S if self._received > before else min(2.0 * wait_s, _LONGEST_WAIT_S)
+                self._again_s = time.monotonic() + wait_s
                 _log.warning("source lost: %s; opening it again in %.1f s", self.error, wait_s)
             except Exception as error:  # noqa: BLE001 - the main thread raises it again
                 self.failure = error
