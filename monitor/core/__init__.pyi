@@ -1,4 +1,5 @@
 from .blas import single_blas_thread as single_blas_thread
+from .bounded_queue import BoundedQueue as BoundedQueue, Full as Full
 from .busy import Busy as Busy
 from .codec import decode as decode, encode as encode, from_plain as from_plain, to_plain as to_plain
 from .compilation import compiled as compiled
@@ -60,3 +61,11 @@ from .results import (
 )
 from .rounding import rounded as rounded
 from .settings import Settings as Settings, read_settings as read_settings, settings_problems as settings_problems
+from .worker import (
+    Hand as Hand,
+    Retry as Retry,
+    Work as Work,
+    Worker as Worker,
+    background as background,
+    by_hand as by_hand,
+)
