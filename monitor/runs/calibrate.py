@@ -62,10 +62,7 @@ def calibrate(
 ) -> tuple[Baseline, Update]:
     """Learn the healthy baseline, and the reference of later diagnoses, from recordings; return it with its model updating.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If a recording cannot be used, or no window can be identified.
+    Raises MissingInputError or BadInputError if a recording cannot be used, or no window can be identified.
     """
     healthy = _Pass(paths, config, on_progress, Step("evaluates the windows", then=_LEARNS))
     segments = _gather_hourly(healthy.blocks(on_warning), config, _learned_share(paths, config))
@@ -104,12 +101,7 @@ def calibrate_modes(
     """Learn the healthy modes of a structure without a model from recordings.
 
     The first pass chooses the modes of each window by themselves, and takes those that come again and again.  The second finds
-    these in each window, as every later window is evaluated, and learns from that.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If a recording cannot be used, or no window can be identified.
+    these in each window, as every later window is evaluated, and learns from that (errors as of `calibrate`).
     """
     first = _Pass(paths, config, on_progress, Step("looks for the modes", then="evaluates the windows with them"))
     first.read(on_warning)
@@ -207,10 +199,8 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
     Returned are the baseline with the changed drawing's updated model, what changed and what is left out, and whether the
     updating converged.
 
-    Raises
-    ------
-    MissingInputError, BadInputError, BadConfigurationError
-        If the file is no baseline, or one of other sensors, samples or numbers of masses and stiffnesses.
+    Raises MissingInputError, BadInputError or BadConfigurationError if the file is no baseline, or one of other sensors, samples
+    or numbers of masses and stiffnesses.
     """
     instrumented = config.instrumented()
     old, here = load_baseline(path, instrumented, config.updating, redrawn=True), Origin.of(instrumented)

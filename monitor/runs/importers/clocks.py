@@ -159,12 +159,7 @@ def best_shift(reference: Annotated[Array, "n"], readings: Annotated[Array, "m"]
     """Find the shift at which readings fit a reference best, by the correlation of both whitened (phase transform).
 
     All frequencies count alike: by the plain correlation a structure's record fits itself once a period of its mode.
-
-    Reference and readings are on the same step and without mean; lost ones are 0.
-
-    References
-    ----------
-    Knapp and Carter, The generalized correlation method for estimation of time delay, IEEE Trans. ASSP 24 (1976) 320-327.
+    Reference and readings are on the same step and without mean; lost ones are 0 (Knapp and Carter, IEEE Trans. ASSP 24, 1976).
 
     Examples
     --------
