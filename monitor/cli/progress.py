@@ -12,26 +12,20 @@ from contextlib import contextmanager, suppress
 
 from monitor.core import Step
 
-PIPE_EVERY_S = 60.0
+_PIPE_EVERY_S = 60.0
 """Time between two lines in a pipe; a shorter command says nothing there. [s; convention: one line a minute in a log]"""
-TERMINAL_EVERY_S = 1.0
+_TERMINAL_EVERY_S = 1.0
 """Time between two looks of the line on a terminal. [s; convention]"""
 
 
 class ProgressLine:
-    """Says how far a command is, each time `every_s` has passed; `clock` is in s, `write` takes what is shown."""
+    """Says how far a command is, each time it is due; `clock` is in s, `write` takes what is shown."""
 
     def __init__(
-        self,
-        command: str,
-        *,
-        is_terminal: bool,
-        clock: Callable[[], float],
-        write: Callable[[str], object],
-        every_s: float | None = None,
+        self, command: str, *, is_terminal: bool, clock: Callable[[], float], write: Callable[[str], object]
     ) -> None:
         self._command, self._is_terminal, self._clock, self._write = command, is_terminal, clock, write
-        self._every_s = every_s or (TERMINAL_EVERY_S if is_terminal else PIPE_EVERY_S)
+        self._every_s = _TERMINAL_EVERY_S if is_terminal else _PIPE_EVERY_S
         self._step = self._first = Step("")
         self._began_s = self._step_began_s = self._told_s = clock()
         self._is_shown = False
@@ -90,7 +84,7 @@ def progress(command: str, does: str = "") -> Iterator[ProgressLine]:
 
 
 @contextmanager
-def asked_by_timer(tell: Callable[[], None], every_s: float = TERMINAL_EVERY_S) -> Iterator[None]:
+def asked_by_timer(tell: Callable[[], None], every_s: float = _TERMINAL_EVERY_S) -> Iterator[None]:
     """Call a function every `every_s` until the block ends, in the main thread, between two steps of the interpreter."""
     if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
         yield

@@ -32,10 +32,7 @@ _WINDOWS = 4
 
 
 def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> str:
-    """Write a structure file that fits the modes, what is doubtful about it as comments; `mass_kg` is that of the whole.
-
-    Raises BadInputError if there is no mode to fit.
-    """
+    """Write a structure file that fits the modes, what is doubtful about it as comments; `mass_kg` is that of the whole."""
     sure = [mode for mode in found.modes if not mode.remark and _is_sure(mode)]
     modes = sure[: len(found.channels)]
     if not modes:

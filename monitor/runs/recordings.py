@@ -45,10 +45,7 @@ def read_topics(
     longest_s: float = _BLOCK_S,
     topic_map: Mapping[str, str] | None = None,
 ) -> Iterator[SampleBlock]:
-    """Read all samples of the topics of recordings in time order, small blocks joined to blocks of at most `longest_s`.
-
-    Raises MissingInputError or BadInputError if a recording is missing or unusable.
-    """
+    """Read all samples of the topics of recordings in time order, small blocks joined to blocks of at most `longest_s`."""
     with read_by_user():
         yield from read_recordings(
             list(paths), topics=topics, topic_map=topic_map or None, on_warning=on_warning, longest_s=longest_s

@@ -175,9 +175,8 @@ def pass_through(
 ) -> float:
     """Push all blocks through a session and wait for the findings; return the length of the data over the run time.
 
-    `speed` is a multiple of real time, by default as fast as possible; time without samples is not waited for.  Recordings
-    shorter than a window are welcome if `event_suffices` and they hold an event, as those of earthquakes do.  Raises
-    BadInputError if others are too short for one window, or the pipeline refuses the blocks.
+    `speed` is a multiple of real time, by default as fast as possible; time without samples is not waited for. Recordings
+    shorter than a window are welcome if `event_suffices` and they hold an event, as those of earthquakes do.
     """
     progress, started = Progress(on_progress, paths, session.config.topics), time.monotonic()
     for block in source:
