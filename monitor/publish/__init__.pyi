@@ -63,6 +63,7 @@ from .results.window_fields import (
     KEPT as KEPT,
     LINE_SCHEMA as LINE_SCHEMA,
     SHOWN as SHOWN,
+    Kind as Kind,
     window_line as window_line,
 )
 from .viewer.diagnosis_view import write_view as write_view
