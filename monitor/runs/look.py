@@ -38,9 +38,9 @@ from monitor.identification import (
     identify_modes,
 )
 from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, write_look
-from monitor.runs.importers import ImportedChannel, doubt_unit, import_files
 from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
+from monitor.runs.readers import ImportedChannel, Options, doubt_unit, import_files
 from monitor.runs.recordings import OnProgress, OnWarning, file_names, read_topics
 from monitor.signals import (
     Conditioner,
@@ -114,8 +114,7 @@ def look(
         info = import_files(
             list(paths),
             recording,
-            rate_hz=rate_hz,
-            unit=unit,
+            Options(rate_hz=rate_hz, unit=unit),
             ask_unit=lambda _: "m/s^2",  # the note says so
             on_warning=taken.append,
             on_channel=channels.append,

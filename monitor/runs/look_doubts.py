@@ -12,7 +12,7 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.publish import G_M_S2, LookedMode
-from monitor.runs.importers import GRAVITY_TOLERANCE
+from monitor.runs.readers.recording import GRAVITY_TOLERANCE
 from monitor.signals import FALSE_RATE, channel_relations, mains_hum, sensor_drift, sensor_health
 
 _STRONGEST_G = 2.0
