@@ -32,6 +32,7 @@ from .readers import (
     ImportedChannel as ImportedChannel,
     Options as Options,
     acceleration_unit as acceleration_unit,
+    as_recordings as as_recordings,
     explain_table as explain_table,
     import_files as import_files,
     zone_named as zone_named,

@@ -16,7 +16,6 @@ from typing import Annotated, Any
 import numpy as np
 
 from drivers.base import ACCELERATION, UNIT_OF, SampleBlock
-from drivers.mcap_records import MAGIC
 from monitor.core import (
     Array,
     BadInputError,
@@ -25,7 +24,6 @@ from monitor.core import (
     Skipped,
     Window,
     demand_place,
-    os_errors_of,
     write_atomically,
 )
 from monitor.identification import (
@@ -40,7 +38,7 @@ from monitor.identification import (
 from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, write_look
 from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
-from monitor.runs.readers import ImportedChannel, Options, doubt_unit, import_files
+from monitor.runs.readers import ImportedChannel, Options, are_recordings, doubt_unit, import_files
 from monitor.runs.recordings import OnProgress, OnWarning, file_names, read_topics
 from monitor.signals import (
     Conditioner,
@@ -49,7 +47,9 @@ from monitor.signals import (
     SegmentDesign,
     WindowGrid,
     alignment,
+    each_once,
     sensor_health,
+    times_held,
     transform,
     windows,
 )
@@ -101,7 +101,7 @@ def look(
 
     Raises BadInputError or MissingInputError if the files cannot be used; the message names them.
     """
-    if _are_recordings(paths):
+    if are_recordings(paths):
         if rate_hz is not None or unit is not None:
             raise BadInputError(
                 f"{paths[0]}: is a recording, which states its rate and unit: leave --rate and --unit out"
@@ -144,17 +144,6 @@ def look(
         return replace(found, files=tuple(map(str, paths)), doubts=doubts)
 
 
-def _are_recordings(paths: Sequence[Path]) -> bool:
-    """Check whether the files are recordings, and not tables to import."""
-    kinds = set()
-    for path in paths:
-        with os_errors_of(path), path.open("rb") as file:
-            kinds.add(file.read(len(MAGIC)) == MAGIC or path.suffix == ".mcap")
-    if len(kinds) > 1:
-        raise BadInputError(f"{file_names(paths)}: are recordings and tables; look at one kind at a time")
-    return kinds.pop()
-
-
 def _look(
     paths: Sequence[Path], notes: tuple[str, ...], on_warning: OnWarning, on_progress: OnProgress
 ) -> LookedRecording:
@@ -162,6 +151,10 @@ def _look(
     read = _Reader(paths, on_warning, on_progress)
     runs, rate_hz = read.runs, read.rate_hz
     longest = max(runs, key=lambda run: len(run.values))
+    held = times_held(longest.values)
+    if held > 1:
+        runs, rate_hz = [replace(run, values=each_once(run.values, held)) for run in runs], rate_hz / held
+        longest = max(runs, key=lambda run: len(run.values))
     if len(longest.values) < 2 * SsiSettings().block_rows * _LEAST_BLOCKS:
         raise BadInputError(
             f"{file_names(paths)}: the longest stretch without a gap has {len(longest.values)} samples, too few to look at; "
@@ -196,6 +189,7 @@ def _look(
             for a, b in pairwise(runs)
         ),
         truncated=read.truncated,
+        held=held,
         dropped=read.dropped,
         mean=mean,
         rms=rms,

@@ -10,9 +10,11 @@ import pytest
 from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
 from monitor.core import BadInputError
+from monitor.runs import look
 from monitor.runs.readers import ImportedChannel, explain_table
 from tests.runs.logger_files import START_NS, LoggerFile, lines, motion, packed, tables
 from tests.runs.reading import imported
+from tests.support.samples import Cli
 
 FILES = {one.name: one for one in (*tables(), *packed())}
 _STAMP_NS = 2_000_000
@@ -102,3 +104,28 @@ def test_the_guess_is_explained_with_reasons(tmp_path: Path) -> None:
     assert {what for what, *_ in rows} >= {"delimiter", "decimal mark", "first row", "column 1", "column 5"}
     assert all(why for *_, why in rows)
     assert any("'RECORD': counter of samples" in value for _, value, _ in rows)
+
+
+def test_a_logger_file_is_replayed_as_the_recording_that_import_makes_of_it(
+    tmp_path: Path, main: Cli, frame_text: str
+) -> None:
+    values = np.random.default_rng(5).normal(scale=0.1, size=(12_000, 3))
+    (tmp_path / "log.csv").write_text(
+        "t,a1 (g),a2 (g),a3 (g)\n" + lines([f"{k / 100:.2f}" for k in range(12_000)], values)
+    )
+    (tmp_path / "s.toml").write_text(frame_text + "\n[processing]\nwindow_s = 100.0\n")
+    imported([tmp_path / "log.csv"], tmp_path / "log.mcap")
+    for name in ("log.csv", "log.mcap"):
+        done = main("replay", tmp_path / name, "--structure", tmp_path / "s.toml", "--out", tmp_path / name[-3:])
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "csv" / "results.jsonl").read_text() == (tmp_path / "cap" / "results.jsonl").read_text()
+
+
+def test_readings_that_stand_twice_are_told_and_feign_no_mode(tmp_path: Path) -> None:
+    values = np.repeat(motion(100.0, 4000), 2, axis=0)
+    (tmp_path / "a.csv").write_text(
+        "t,a1 [m/s^2],a2 [m/s^2],a3 [m/s^2]\n" + lines([f"{k / 200:.4f}" for k in range(8000)], values)
+    )
+    found = look.look([tmp_path / "a.csv"])
+    assert any("each reading stands 2 times in a row: the sensors deliver 100 Hz" in doubt for doubt in found.doubts)
+    assert all(mode.frequency_hz < 50.0 for mode in found.modes)

@@ -2,7 +2,14 @@
 
 from monitor.runs.readers.base import Limits, Options
 from monitor.runs.readers.formats import explain_table
-from monitor.runs.readers.recording import ImportedChannel, acceleration_unit, doubt_unit, import_files
+from monitor.runs.readers.recording import (
+    ImportedChannel,
+    acceleration_unit,
+    are_recordings,
+    as_recordings,
+    doubt_unit,
+    import_files,
+)
 from monitor.runs.readers.stamps import zone_named
 
 __all__ = [
@@ -10,6 +17,8 @@ __all__ = [
     "Limits",
     "Options",
     "acceleration_unit",
+    "are_recordings",
+    "as_recordings",
     "doubt_unit",
     "explain_table",
     "import_files",

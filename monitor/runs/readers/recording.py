@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import numpy as np
 
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, TEMPERATURE, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
-from monitor.core import BadInputError, MissingInputError, WrongUsageError, utc
+from drivers.mcap_records import MAGIC
+from monitor.core import BadInputError, MissingInputError, WrongUsageError, os_errors_of, utc
 from monitor.runs.readers import can_log, clocks, formats, units
 from monitor.runs.readers.base import File, Limits, Options, read_bytes
 from monitor.runs.readers.table import KNOWN_UNITS, Array, OnWarning, Table, Ticks, in_order, in_si, meant_instead
@@ -148,6 +151,37 @@ def import_files(
         raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
     except RecordingError as error:
         raise BadInputError(str(error)) from error
+
+
+def are_recordings(paths: Sequence[Path]) -> bool:
+    """Check whether files are recordings, and not files of other formats; BadInputError where they are of both kinds."""
+    kinds = set()
+    for path in paths:
+        with os_errors_of(path), path.open("rb") as file:
+            kinds.add(file.read(len(MAGIC)) == MAGIC or path.suffix == ".mcap")
+    if len(kinds) > 1:
+        raise BadInputError(f"{', '.join(map(str, paths))}: are recordings and other files; give one kind at a time")
+    return kinds.pop()
+
+
+@contextmanager
+def as_recordings(
+    paths: Sequence[Path], options: Options = _PLAIN, on_warning: OnWarning = lambda _: None
+) -> Iterator[list[Path]]:
+    """Give recordings as they are, and files of any other format as one recording that lasts as long as the block.
+
+    Errors within the block name the files (errors as `import_files`).
+    """
+    if are_recordings(paths):
+        yield list(paths)
+        return
+    with TemporaryDirectory() as folder:
+        out = Path(folder, f"{paths[0].stem}.mcap")
+        import_files(list(paths), out, options, on_warning=on_warning)
+        try:
+            yield [out]
+        except BadInputError as error:
+            raise BadInputError(str(error).replace(str(out), ", ".join(map(str, paths)))) from error
 
 
 def _check(options: Options) -> None:
