@@ -113,7 +113,7 @@ def test_a_logger_file_is_replayed_as_the_recording_that_import_makes_of_it(
     (tmp_path / "log.csv").write_text(
         "t,a1 (g),a2 (g),a3 (g)\n" + lines([f"{k / 100:.2f}" for k in range(12_000)], values)
     )
-    (tmp_path / "s.toml").write_text(frame_text + "\n[processing]\nwindow_s = 100.0\n")
+    (tmp_path / "s.toml").write_text(frame_text)
     imported([tmp_path / "log.csv"], tmp_path / "log.mcap")
     for name in ("log.csv", "log.mcap"):
         done = main("replay", tmp_path / name, "--structure", tmp_path / "s.toml", "--out", tmp_path / name[-3:])
