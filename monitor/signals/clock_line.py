@@ -50,6 +50,8 @@ class SampleClock:
     """Standard deviation of the rate by the stamps, with the wander of their clock."""
     numbers: Annotated[Ticks, "n"]
     """Number of each sample from 0; what is missing leaves a jump."""
+    even_ns: Annotated[Ticks, "n"]
+    """Stamps without their jitter: evenly spaced in each run."""
     resolution_s: float
     """Step to which the stamps are cut."""
     jitter_s: float
@@ -101,8 +103,9 @@ def sample_clock(stamps_ns: Annotated[Ticks, "n"]) -> SampleClock:
     whole = float(round(rate))
     cut = min(_CUT_PERIOD, resolution / period) if float(np.std(residuals)) < 0.1 * resolution else 0.0
     meant = whole if whole and abs(rate - whole) <= max(2.0 * rate_std, max(_CRYSTAL, cut) * whole) else rate
+    even = stamps_ns - np.rint(residuals).astype(np.int64)
     return SampleClock(
-        meant, rate_std, numbers, resolution * 1e-9, float(np.std(residuals)) * 1e-9, int(np.count_nonzero(lost))
+        meant, rate_std, numbers, even, resolution * 1e-9, float(np.std(residuals)) * 1e-9, int(np.count_nonzero(lost))
     )
 
 

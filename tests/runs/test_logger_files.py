@@ -1,8 +1,12 @@
+# ruff: noqa: E501 - parts of a workbook stand in one line
 """Files as loggers write them are read with the right rate, unit, columns, start and readings, and what is odd is told."""
 
 from __future__ import annotations
 
+import zipfile
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +16,10 @@ from drivers.mcap_file import read_recordings
 from monitor.core import BadInputError
 from monitor.runs import look
 from monitor.runs.readers import ImportedChannel, explain_table
+from monitor.runs.recordings import read_topics
 from tests.runs.logger_files import START_NS, LoggerFile, lines, motion, packed, tables
 from tests.runs.reading import imported
+from tests.support.ros2 import record
 from tests.support.samples import Cli
 
 FILES = {one.name: one for one in (*tables(), *packed())}
@@ -129,3 +135,104 @@ def test_readings_that_stand_twice_are_told_and_feign_no_mode(tmp_path: Path) ->
     found = look.look([tmp_path / "a.csv"])
     assert any("each reading stands 2 times in a row: the sensors deliver 100 Hz" in doubt for doubt in found.doubts)
     assert all(mode.frequency_hz < 50.0 for mode in found.modes)
+
+
+def test_the_rate_of_ros_2_topics_is_that_of_all_stamps_and_jitter_loses_no_row(tmp_path: Path) -> None:
+    chance, rate_hz = np.random.default_rng(4), 98.7
+    stamps = {}
+    for topic in ("/i1", "/i2"):
+        t = np.sort(np.arange(3000) / rate_hz + chance.normal(scale=1.5e-3, size=3000))
+        t[1500:] += 20.0
+        stamps[topic] = [1_700_000_000 * 10**9 + round(x * 1e9) for x in t]
+    path = record(tmp_path / "a.mcap", stamps)
+    blocks = list(read_topics([path], (ACCELERATION,), lambda _: None, topic_map={"/i1": "a1", "/i2": "a2"}))
+    assert blocks[0].sample_rate_hz == pytest.approx(rate_hz, rel=5e-5)
+    assert sum(block.n_samples for block in blocks) == 3000
+    jumps = [b.sequence - a.sequence - a.n_samples for a, b in pairwise(blocks)]
+    assert sum(jump != 0 for jump in jumps) == 1 and sum(jumps) == pytest.approx(20.0 * rate_hz, abs=1.0)
+
+
+def workbook(path: Path, rows: list[list[Any]]) -> None:
+    """The least that is a workbook of one sheet."""
+
+    def cell(value: Any) -> str:
+        return f'<c t="inlineStr"><is><t>{value}</t></is></c>' if isinstance(value, str) else f"<c><v>{value!r}</v></c>"
+
+    sheet = "".join(f"<row>{''.join(map(cell, row))}</row>" for row in rows)
+    main_ns = 'xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"'
+    of_types, rels = (
+        "http://schemas.openxmlformats.org/package/2006",
+        "http://schemas.openxmlformats.org/officeDocument/2006/relationships",
+    )
+    form = "application/vnd.openxmlformats-officedocument.spreadsheetml"
+    with zipfile.ZipFile(path, "w") as book:
+        book.writestr(
+            "[Content_Types].xml",
+            f'<Types xmlns="{of_types}/content-types"><Default Extension="xml" ContentType="application/xml"/>'
+            '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+            f'<Override PartName="/xl/workbook.xml" ContentType="{form}.sheet.main+xml"/>'
+            f'<Override PartName="/xl/worksheets/sheet1.xml" ContentType="{form}.worksheet+xml"/></Types>',
+        )
+        book.writestr(
+            "_rels/.rels",
+            f'<Relationships xmlns="{of_types}/relationships"><Relationship Id="r1" Type="{rels}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
+        )
+        book.writestr(
+            "xl/workbook.xml",
+            f'<workbook {main_ns} xmlns:r="{rels}"><sheets><sheet name="Data" sheetId="1" r:id="r1"/></sheets></workbook>',
+        )
+        book.writestr(
+            "xl/_rels/workbook.xml.rels",
+            f'<Relationships xmlns="{of_types}/relationships"><Relationship Id="r1" Type="{rels}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
+        )
+        book.writestr("xl/worksheets/sheet1.xml", f"<worksheet {main_ns}><sheetData>{sheet}</sheetData></worksheet>")
+
+
+def test_a_workbook_is_read_as_a_table(tmp_path: Path) -> None:
+    pytest.importorskip("python_calamine")
+    rows = [
+        ["Time (s)", "a1 (g)", "a2 (g)", "a3 (g)"],
+        *([k / 100, *row] for k, row in enumerate((motion(100.0) / 9.80665).tolist())),
+    ]
+    workbook(tmp_path / "a.xlsx", rows)
+    info = imported([tmp_path / "a.xlsx"], tmp_path / "o.mcap")
+    assert (info.sample_rate_hz, info.channels[ACCELERATION], info.n_samples) == (100.0, ("a1", "a2", "a3"), 600)
+
+
+def test_tdms_states_names_units_rate_and_start(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    told = {
+        "wf_increment": 0.005,
+        "wf_start_offset": 0.0,
+        "wf_start_time": np.datetime64("2026-03-02T14:00:00"),
+        "unit_string": "g",
+    }
+    values = motion(200.0) / 9.80665
+    with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as file:
+        file.write_segment([nptdms.ChannelObject("Log", f"a{k + 1}", values[:, k], properties=told) for k in range(3)])
+    taken: list[ImportedChannel] = []
+    info = imported([tmp_path / "a.tdms"], tmp_path / "o.mcap", on_channel=taken.append)
+    assert (info.sample_rate_hz, info.t_start_ns, info.n_samples) == (200.0, START_NS, 600)
+    assert [(one.name, one.unit) for one in taken] == [("a1", "g"), ("a2", "g"), ("a3", "g")]
+
+
+@pytest.mark.parametrize(
+    ("form", "suffix"), [("SAC", "sac"), ("SLIST", "asc"), ("TSPAIR", "txt"), ("GSE2", "gse2"), ("MSEED", "x")]
+)
+def test_formats_of_seismology_are_read(form: str, suffix: str, tmp_path: Path) -> None:
+    obspy = pytest.importorskip("obspy")
+    counts = np.round(1e5 * motion(100.0)[:, 0]).astype(np.int32)
+    head = {
+        "network": "XX",
+        "station": "ROOF",
+        "channel": "HNZ",
+        "sampling_rate": 100.0,
+        "starttime": obspy.UTCDateTime(ns=START_NS),
+    }
+    data = counts.astype(np.float32) if form == "SAC" else counts
+    obspy.Stream([obspy.Trace(data, head)]).write(str(tmp_path / f"a.{suffix}"), format=form)
+    options = {"unit": "gal"} if form == "SAC" else {"scale": 1e-5}
+    info = imported([tmp_path / f"a.{suffix}"], tmp_path / "o.mcap", **options)
+    samples = np.concatenate([b.samples for b in read_recordings([tmp_path / "o.mcap"])])[:, 0]
+    assert (info.sample_rate_hz, info.t_start_ns, info.n_samples) == (100.0, START_NS, 600)
+    assert samples == pytest.approx(counts * (1e-2 if form == "SAC" else 1e-5), rel=1e-5)
