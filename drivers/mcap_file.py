@@ -19,7 +19,7 @@ from drivers.mcap_index import read_index
 from drivers.mcap_records import PARSE_ERRORS, McapFile, Message, Segment
 from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter, arrival, clock_of
 from drivers.merged import merged
-from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, split_target
+from drivers.ros2_imu import IMU_SCHEMAS, Evenly, ImuJoiner, ImuSample, decode_imu, split_target
 
 __all__ = [
     "McapWriter",
@@ -62,6 +62,7 @@ def read_recordings(
     topic_map: Mapping[str, str] | None = None,
     on_warning: OnWarning = lambda _: None,
     longest_s: float = 0.0,
+    evenly: Evenly | None = None,
 ) -> Iterator[SampleBlock]:
     """Read the blocks of all files in the order of their times, or of their arrival if they were recorded live.
 
@@ -75,6 +76,9 @@ def read_recordings(
     on_warning
         Called once for each file that ends early or has damaged chunks, which are left out, and for each ROS 2 topic with
         messages that came again, once all are read.
+    evenly
+        Finds rate (Hz) and evenly spaced stamps (ns) of all stamps of a ROS 2 topic; by default the stamps are taken as they are,
+        at the median of their steps.
     longest_s
         Greatest length, s, of the blocks to which consecutive blocks of `/acceleration` are joined; 0 joins none.
 
@@ -97,7 +101,7 @@ def read_recordings(
         names = ", ".join(str(survey.file.path) for survey in surveys)
         absent = ", ".join(sorted(topic_map.keys() - found_topics)) or ACCELERATION
         raise RecordingError(f"{names}: no messages of {absent}; the topics are {', '.join(sorted(found_topics))}")
-    blocks = _join_topics(surveys, topic_map, longest_s, on_warning)
+    blocks = _join_topics(surveys, topic_map, longest_s, on_warning, evenly)
     return merged(blocks, longest_s) if longest_s else blocks
 
 
@@ -165,6 +169,8 @@ class _Survey:
         self._topics = frozenset(topics)
         self._channels: dict[int, tuple[Channel, bool]] = {}
         self._axes = {topic: split_target(target)[1] for topic, target in topic_map.items()}
+        self.stamps: dict[str, list[int]] = {topic: [] for topic in topic_map}
+        """Stamps of the mapped ROS 2 topics, ns, in the file's order."""
 
     def run(self, on_warning: OnWarning) -> None:
         """Check the whole file, and find the segments with wanted messages."""
@@ -268,7 +274,9 @@ class _Survey:
     def _time_ns(self, message: Message, channel: Channel) -> tuple[int, None]:
         """Read the time by which a message is ordered, ns, without decoding its samples."""
         if channel.topic in self._axes:
-            return self._decode(message, channel)[0], None
+            t_ns = self._decode(message, channel)[0]
+            self.stamps[channel.topic].append(t_ns)
+            return t_ns, None
         return _order_ns(message, channel, codec.time_ns(message.data)), None
 
     def _decode(self, message: Message, channel: Channel) -> tuple[int, _Item]:
@@ -341,10 +349,16 @@ def _last_ns(block: SampleBlock) -> int:
 
 
 def _join_topics(
-    surveys: list[_Survey], topic_map: Mapping[str, str], longest_s: float, on_warning: OnWarning
+    surveys: list[_Survey],
+    topic_map: Mapping[str, str],
+    longest_s: float,
+    on_warning: OnWarning,
+    evenly: Evenly | None = None,
 ) -> Iterator[SampleBlock]:
     """Yield the blocks of all files in time order, and join the mapped ROS 2 topics to blocks."""
-    joiner = ImuJoiner(topic_map, ", ".join(str(survey.file.path) for survey in surveys)) if topic_map else None
+    stamps = {topic: [t for survey in surveys for t in survey.stamps[topic]] for topic in topic_map}
+    names = ", ".join(str(survey.file.path) for survey in surveys)
+    joiner = ImuJoiner(topic_map, names, stamps if evenly else {}, evenly) if topic_map else None
     for item in _merge_in_time_order(surveys, longest_s):
         if isinstance(item, SampleBlock):
             yield item
@@ -353,5 +367,4 @@ def _join_topics(
     if joiner:
         yield from joiner.finish()
         for topic, count in joiner.doubled.items():
-            names = ", ".join(str(survey.file.path) for survey in surveys)
             on_warning(f"{names}: {topic}: {count} messages that came again, with the same stamp, are left out")

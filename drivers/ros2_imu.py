@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import struct
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.base import ACCELERATION, RecordingError, SampleBlock
 
@@ -19,6 +21,10 @@ _NS = 1_000_000_000
 _AXES = {"x": 25, "y": 26, "z": 27}  # of 37 doubles: orientation 4+9, angular velocity 3+9, acceleration 3+9
 _RATE_SAMPLES = 256  # samples of a topic from which its rate is estimated
 _MAX_PENDING = 100_000  # samples of one topic that wait for the others; more means that another topic has ended
+
+
+Evenly = Callable[[NDArray[np.int64]], tuple[float, NDArray[np.int64]]]
+"""Finds rate (Hz) and evenly spaced stamps (ns) of the rising stamps of a topic; raises ValueError where they tell no rate."""
 
 
 class ImuSample(NamedTuple):
@@ -64,8 +70,16 @@ class ImuJoiner:
     `doubled`.  Topics that do not run at one rate on one clock, or whose stamps never agree, raise `RecordingError`.
     """
 
-    def __init__(self, topic_map: Mapping[str, str], where: str) -> None:
+    def __init__(
+        self,
+        topic_map: Mapping[str, str],
+        where: str,
+        stamps: Mapping[str, Sequence[int]] = MappingProxyType({}),
+        evenly: Evenly | None = None,
+    ) -> None:
         self._where = where
+        self._even: dict[str, dict[int, int]] = {}
+        """Of each topic: stamp -> evenly spaced stamp."""
         self._queues: dict[str, deque[ImuSample]] = {topic: deque() for topic in topic_map}
         self._channels = tuple(split_target(target)[0] for target in topic_map.values())
         self._latest: dict[str, ImuSample] = {}
@@ -75,6 +89,8 @@ class ImuJoiner:
         self._rows: list[list[float]] = []
         self._start_ns = self._last_ns = self._sequence = 0
         self._n_joined = 0
+        if evenly is not None:
+            self._space_evenly(stamps, evenly)
 
     def add(self, sample: ImuSample) -> Iterator[SampleBlock]:
         """Add one sample, and yield the blocks that it completes."""
@@ -87,7 +103,7 @@ class ImuJoiner:
         if latest is not None and sample.t_ns <= latest.t_ns:
             raise RecordingError(f"{place}: stamps do not rise at {sample.t_ns} ns; record stamped messages")
         self._latest[sample.topic] = sample
-        queue.append(sample)
+        queue.append(sample._replace(t_ns=self._even[sample.topic][sample.t_ns]) if self._even else sample)
         if len(queue) > _MAX_PENDING:
             others = ", ".join(topic for topic, waiting in self._queues.items() if not waiting) or "the others"
             remedy = "map only topics recorded at the same time"
@@ -110,6 +126,19 @@ class ImuJoiner:
                 f"{self._where}: the stamps of {topics} never agree within half a sample; set the clocks"
             )
 
+    def _space_evenly(self, stamps: Mapping[str, Sequence[int]], evenly: Evenly) -> None:
+        """Take the rate and the samples' times from all stamps of each topic."""
+        steps = {}
+        for topic, times in stamps.items():
+            rising = np.unique(np.array(times, dtype=np.int64))
+            try:
+                rate_hz, even = evenly(rising)
+            except ValueError as error:
+                raise RecordingError(f"{self._where}: topic {topic}: {error}") from error
+            steps[topic] = _NS / rate_hz
+            self._even[topic] = dict(zip(rising.tolist(), even.tolist(), strict=True))
+        self._agree(steps)
+
     def _estimate_step(self) -> None:
         """Estimate the sampling period, ns, as the median difference of the stamps."""
         steps = {}
@@ -120,6 +149,10 @@ class ImuJoiner:
                     f"{self._where}: topic {topic}: {len(queue)} Imu messages{again} are too few to join"
                 )
             steps[topic] = float(np.median(np.diff([sample.t_ns for sample in queue])))
+        self._agree(steps)
+
+    def _agree(self, steps: Mapping[str, float]) -> None:
+        """Take the sampling period, ns, of all topics, which must agree."""
         self._step_ns = min(steps.values())
         if max(steps.values()) > 1.02 * self._step_ns:
             rates = ", ".join(f"{topic} {_NS / step:.2f} Hz" for topic, step in steps.items())

@@ -15,7 +15,7 @@ from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
 from drivers.mcap_file import read_recordings
 from drivers.mcap_records import MAGIC
 from monitor.core import Array, BadInputError, MissingInputError, import_extra, read_by_user
-from monitor.runs import import_files
+from monitor.runs import Options, import_files
 
 _LEAST_FILLED = 0.1
 """Least share of a recording's time that must hold samples to be laid out as one array. [ratio; judgement: memory]"""
@@ -95,11 +95,8 @@ def read(
             import_files(
                 [path],
                 imported,
-                rate_hz=rate_hz,
-                unit=unit,
+                Options(rate_hz=rate_hz, unit=unit, start_ns=start_ns, unknown_start_ns=0),
                 ask_unit=lambda _: "m/s^2",
-                start_ns=start_ns,
-                unknown_start_ns=0,
                 on_warning=told.append,
             )
             return _gathered(imported, told.append)

@@ -24,20 +24,25 @@ def replay(
     baseline: Healthy = None,
     speed: Annotated[str, Option(help="'max', or a multiple of real time; gaps are not waited for.")] = "max",
     serve: Serve = None,
+    rate: Annotated[float | None, Option(min=0.001, max=1e7, help="Sample rate in Hz of a file without times.")] = None,
+    unit: Annotated[
+        str | None, Option(help="Unit of a file whose columns state none: m/s^2 (default), g, mg or gal.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run recordings through the monitor.  Writes results.jsonl, events.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor.config import configuration
     from monitor.publish import replay_text
-    from monitor.runs import load_healthy, replay as run
+    from monitor.runs import Options, as_recordings, load_healthy, replay as run
 
     spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
     pace, served = parse_speed(speed), address(serve)
     settings = configuration.load(structure)
     healthy = None if baseline is None else load_healthy(baseline, settings)
-    with no_empty_folder(out), progress("replay") as on_progress:
+    reading = as_recordings(recordings, Options(rate_hz=rate, unit=unit), warn)
+    with reading as paths, no_empty_folder(out), progress("replay") as on_progress:
         summary = run.replay(
-            recordings,
+            paths,
             settings,
             healthy,
             out,

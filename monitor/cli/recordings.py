@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
+from datetime import tzinfo
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -83,9 +84,12 @@ def simulate(
 def import_(
     files: Annotated[
         list[Path],
-        Argument(metavar="FILE...", help="CSV, NPZ, MAT, HDF5, UFF, MiniSEED, K-NET or CAN log; or one file a level."),
+        Argument(
+            metavar="FILE...",
+            help="Table of text, XLSX, NPZ, MAT, HDF5, UFF, TDMS, seismic record or CAN log; or one file a level.",
+        ),
     ],
-    out: Annotated[Path, Option(metavar="REC.mcap", help="Recording to write.")],
+    out: Annotated[Path | None, Option(metavar="REC.mcap", help="Recording to write.")] = None,
     rate: Annotated[
         float | None, Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
     ] = None,
@@ -102,15 +106,29 @@ def import_(
     force: Annotated[
         list[str], Option(metavar="NAME=FILE[:COLUMN]", help="A measured force in N, as [[inputs]] names it.")
     ] = [],  # noqa: B006
+    time: Annotated[str | None, Option(metavar="COLUMN", help="Column of the times, where it is not found.")] = None,
+    covariate: Annotated[
+        list[str], Option(metavar="NAME=[FILE:]COLUMN", help="A quantity to be kept beside, as temperature or wind.")
+    ] = [],  # noqa: B006
     start: Annotated[str | None, Option(help="UTC of the first sample, ISO 8601.")] = None,
+    timezone: Annotated[
+        str | None,
+        Option(metavar="ZONE", help="Zone of times that state none, as Europe/Zurich or +01:00; UTC by default."),
+    ] = None,
     dbc: Annotated[Path | None, Option(metavar="FILE.dbc", help="Layout of the frames of a CAN log.")] = None,
     bus: Annotated[str | None, Option(help="Bus of a CAN log of several, as the log names it.")] = None,
-    scale: Annotated[float | None, Option(min=1e-30, max=1e30, help="Of MiniSEED: m/s^2 of a count.")] = None,
+    scale: Annotated[
+        float | None, Option(min=1e-30, max=1e30, help="m/s^2 of a count, where a file holds counts.")
+    ] = None,
     inventory: Annotated[
-        Path | None, Option(metavar="STATION.xml", help="Of MiniSEED: the channels' sensitivities.")
+        Path | None, Option(metavar="STATION.xml", help="Of seismic formats: the channels' sensitivities.")
     ] = None,
     align: Annotated[
         bool, Option("--align", help="Shift files whose clocks do not agree until their readings fit the first file's.")
+    ] = False,
+    explain: Annotated[
+        bool,
+        Option("--explain", help="Print what each part of a table of text was taken for, and why; writes nothing."),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -119,25 +137,35 @@ def import_(
     Prints what was taken: start, rate, unit and level.
     """
     from drivers.base import UNIT_OF
-    from monitor.runs import ImportedChannel, import_files
+    from monitor.runs import ImportedChannel, Options, import_files
 
+    if explain:
+        _explain(files, time, as_json)
+        return
+    if out is None:
+        raise BadParameter("name a recording to write: --out REC.mcap")
     spare_inputs([out], [*files, dbc, inventory])
     taken: list[ImportedChannel] = []
     with progress("import") as on_progress:
         info = import_files(
             files,
             out,
-            rate_hz=rate,
-            unit=unit,
-            channels=_places("--channel", channel) or None,
-            ground=ground,
-            forces=_places("--force", force),
-            start_ns=time_ns("--start", start),
-            dbc=dbc,
-            bus=bus,
-            scale=scale,
-            inventory=inventory,
-            align=align,
+            Options(
+                rate_hz=rate,
+                unit=unit,
+                channels=_places("--channel", channel) or None,
+                time=time,
+                covariates=_places("--covariate", covariate) or None,
+                ground=ground,
+                forces=_places("--force", force),
+                start_ns=time_ns("--start", start),
+                zone=None if timezone is None else _zone(timezone),
+                dbc=dbc,
+                bus=bus,
+                scale=scale,
+                inventory=inventory,
+                align=align,
+            ),
             ask_unit=partial(_ask_unit, on_progress) if sys.stdin.isatty() and sys.stderr.isatty() else None,
             on_warning=warn,
             on_channel=taken.append,
@@ -148,7 +176,7 @@ def import_(
     text = [f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz from {start_text} in {out}: {names}"]
     for one in taken:
         origin = "by the column's name" if one.by_name else "stated in the file" if one.stated else "taken"
-        level = f"mean {one.mean:.4g}, RMS about it {one.rms:.4g} {UNIT_OF[one.topic]}"
+        level = f"mean {one.mean:.4g}, RMS about it {one.rms:.4g} {UNIT_OF.get(one.topic, one.unit)}"
         text.append(f"  {one.name}: {one.source}, unit {one.unit} ({origin}), {level}")
     content = {
         "recording": str(out),
@@ -159,6 +187,28 @@ def import_(
         "taken": [asdict(one) for one in taken],
     }
     say("\n".join(text), content, as_json)
+
+
+def _explain(files: list[Path], time: str | None, as_json: bool) -> None:
+    """Print how tables of text are read."""
+    from monitor.runs import explain_table
+
+    rows = {str(path): explain_table(path, time) for path in files}
+    lines = []
+    for path, found in rows.items():
+        wide = [max(len(row[k]) for row in found) for k in (0, 1)]
+        lines += [f"{path}:", *(f"  {a:<{wide[0]}}  {b:<{wide[1]}}  {why}" for a, b, why in found)]
+    say("\n".join(lines), {path: [list(row) for row in found] for path, found in rows.items()}, as_json)
+
+
+def _zone(name: str) -> tzinfo:
+    """Return the zone of a name."""
+    from monitor.runs import zone_named
+
+    zone = zone_named(name)
+    if zone is None:
+        raise BadParameter(f"--timezone {name}: no such zone; as Europe/Zurich, +01:00 or UTC")
+    return zone
 
 
 def _ask_unit(progress_line: ProgressLine, columns: Sequence[str]) -> str:

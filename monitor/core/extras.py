@@ -14,7 +14,7 @@ EXTRAS = {
     "notify": ("apprise",),
     "mqtt": ("paho",),
     "web": ("starlette",),
-    "formats": ("h5py", "pyuff"),
+    "formats": ("h5py", "nptdms", "pyuff", "python_calamine"),
     "seismic": ("obspy",),
     "plot": ("matplotlib",),
     "s3": ("s3fs", "botocore"),

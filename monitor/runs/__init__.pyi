@@ -26,13 +26,17 @@ from .event_page import (
 from .event_recordings import EventRecordings as EventRecordings
 from .exports.dataset import site_folders as site_folders, write_dataset as write_dataset
 from .exports.export import channels_of as channels_of, export as export, form_of as form_of
-from .importers import (
-    ImportedChannel as ImportedChannel,
-    acceleration_unit as acceleration_unit,
-    import_files as import_files,
-)
 from .object_storage import local_copies as local_copies
 from .online_diagnosis import longest_diagnosis_s as longest_diagnosis_s
+from .readers import (
+    ImportedChannel as ImportedChannel,
+    Options as Options,
+    acceleration_unit as acceleration_unit,
+    as_recordings as as_recordings,
+    explain_table as explain_table,
+    import_files as import_files,
+    zone_named as zone_named,
+)
 from .recent_blocks import RecentBlocks as RecentBlocks
 from .recordings import Progress as Progress, duration_s as duration_s
 from .session import Session as Session, SessionState as SessionState

@@ -16,7 +16,6 @@ from typing import Annotated, Any
 import numpy as np
 
 from drivers.base import ACCELERATION, UNIT_OF
-from drivers.mcap_records import MAGIC
 from monitor.core import (
     Array,
     BadInputError,
@@ -27,7 +26,6 @@ from monitor.core import (
     Step,
     Window,
     demand_place,
-    os_errors_of,
     write_atomically,
 )
 from monitor.identification import (
@@ -40,9 +38,9 @@ from monitor.identification import (
     identify_modes,
 )
 from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, write_look
-from monitor.runs.importers import ImportedChannel, doubt_unit, import_files
 from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
+from monitor.runs.readers import ImportedChannel, Options, are_recordings, doubt_unit, import_files
 from monitor.runs.recordings import OnWarning, Progress, file_names, read_topics
 from monitor.signals import (
     Conditioner,
@@ -51,7 +49,9 @@ from monitor.signals import (
     SegmentDesign,
     WindowGrid,
     alignment,
+    each_once,
     sensor_health,
+    times_held,
     transform,
     windows,
 )
@@ -104,7 +104,7 @@ def look(
 
     Raises BadInputError or MissingInputError if the files cannot be used; the message names them.
     """
-    if _are_recordings(paths):
+    if are_recordings(paths):
         if rate_hz is not None or unit is not None:
             raise BadInputError(
                 f"{paths[0]}: is a recording, which states its rate and unit: leave --rate and --unit out"
@@ -118,8 +118,7 @@ def look(
         info = import_files(
             list(paths),
             recording,
-            rate_hz=rate_hz,
-            unit=unit,
+            Options(rate_hz=rate_hz, unit=unit),
             ask_unit=lambda _: "m/s^2",  # the note says so
             on_warning=taken.append,
             on_channel=channels.append,
@@ -149,17 +148,6 @@ def look(
         return replace(found, files=tuple(map(str, paths)), doubts=doubts)
 
 
-def _are_recordings(paths: Sequence[Path]) -> bool:
-    """Check whether the files are recordings, and not tables to import."""
-    kinds = set()
-    for path in paths:
-        with os_errors_of(path), path.open("rb") as file:
-            kinds.add(file.read(len(MAGIC)) == MAGIC or path.suffix == ".mcap")
-    if len(kinds) > 1:
-        raise BadInputError(f"{file_names(paths)}: are recordings and tables; look at one kind at a time")
-    return kinds.pop()
-
-
 def _look(
     paths: Sequence[Path], notes: tuple[str, ...], on_warning: OnWarning, on_progress: OnProgress
 ) -> LookedRecording:
@@ -168,6 +156,10 @@ def _look(
     on_progress(Step(_IDENTIFIES))
     runs, rate_hz = read.runs, read.rate_hz
     longest = max(runs, key=lambda run: len(run.values))
+    held = times_held(longest.values)
+    if held > 1:
+        runs, rate_hz = [replace(run, values=each_once(run.values, held)) for run in runs], rate_hz / held
+        longest = max(runs, key=lambda run: len(run.values))
     if len(longest.values) < 2 * SsiSettings().block_rows * _LEAST_BLOCKS:
         raise BadInputError(
             f"{file_names(paths)}: the longest stretch without a gap has {len(longest.values)} samples, too few to look at; "
@@ -202,6 +194,7 @@ def _look(
             for a, b in pairwise(runs)
         ),
         truncated=read.truncated,
+        held=held,
         dropped=read.dropped,
         mean=mean,
         rms=rms,

@@ -12,7 +12,7 @@ import numpy as np
 
 from monitor.core import Array, ComplexArray
 from monitor.publish import G_M_S2, LookedMode
-from monitor.runs.importers import GRAVITY_TOLERANCE
+from monitor.runs.readers.recording import GRAVITY_TOLERANCE
 from monitor.signals import FALSE_RATE, channel_relations, mains_hum, sensor_drift, sensor_health
 
 _STRONGEST_G = 2.0
@@ -51,6 +51,8 @@ class Facts:
     gaps: tuple[tuple[np.datetime64, float], ...]
     truncated: bool
     """Whether the recording was too long to be read to its end."""
+    held: int
+    """How often each reading stands in a row in the recording, of which one is used."""
     dropped: int
     """Samples that were repeated, late or not finite."""
     mean: Annotated[Array, "c"]
@@ -144,6 +146,12 @@ def _of_stream(facts: Facts) -> Iterator[str]:
         yield (
             f"{len(facts.gaps)} {'gap' if len(facts.gaps) == 1 else 'gaps'}, the longest {length:.3g} s at {at}: the modes "
             f"are of the longest stretch without one, {facts.longest_s:.0f} of {facts.duration_s:.0f} s"
+        )
+    if facts.held > 1:
+        yield (
+            f"each reading stands {facts.held} times in a row: the sensors deliver {facts.rate_hz:g} Hz, and the recording says "
+            f"{facts.held * facts.rate_hz:g} Hz; one of each is used, since the others would feign modes above "
+            f"{facts.rate_hz / 2.0:g} Hz"
         )
     if facts.dropped:
         yield f"{facts.dropped} samples were repeated, late or no finite numbers, and are left out"

@@ -8,6 +8,9 @@ from math import inf
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_file import read_recordings, recorded_time
 from monitor.config import Configuration
@@ -15,6 +18,7 @@ from monitor.core import BadInputError, ModalEstimate, OnProgress, Step, read_by
 from monitor.identification import LEAST_PERIODS, LEAST_RECORD_S
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import recorded_stretches
+from monitor.signals import sample_clock
 
 OnWarning = Callable[[str], None]
 """Shows a warning to the user."""
@@ -48,8 +52,22 @@ def read_topics(
     """Read all samples of the topics of recordings in time order, small blocks joined to blocks of at most `longest_s`."""
     with read_by_user():
         yield from read_recordings(
-            list(paths), topics=topics, topic_map=topic_map or None, on_warning=on_warning, longest_s=longest_s
+            list(paths),
+            topics=topics,
+            topic_map=topic_map or None,
+            on_warning=on_warning,
+            longest_s=longest_s,
+            evenly=_evenly,
         )
+
+
+def _evenly(stamps_ns: NDArray[np.int64]) -> tuple[float, NDArray[np.int64]]:
+    """Find rate, Hz, and evenly spaced stamps, ns, of a topic's stamps; ValueError where they tell no rate."""
+    try:
+        found = sample_clock(stamps_ns)
+    except BadInputError as error:
+        raise ValueError(str(error)) from error
+    return found.rate_hz, found.even_ns
 
 
 class RecordedSpan(NamedTuple):

@@ -58,9 +58,10 @@ from drivers.zenoh_bus import ZenohSettings, ZenohSource
 from monitor.config import configuration
 from monitor.core import BadInputError, Level, UserError, encode
 from monitor.damage import load_baseline, save_baseline
-from monitor.runs import Session, import_files, ledger
+from monitor.runs import Session, ledger
 from monitor.service.outlets.notices import Told
 from tests.runs.hostile import seismic_file
+from tests.runs.reading import imported
 from tests.service import hostile
 from tests.support.frame_text import THREE_STORIES
 
@@ -424,7 +425,7 @@ def _imported(
     def run(data: bytes) -> None:
         path, out = _file("a" + suffix, data), scratch() / "out.mcap"
         try:
-            import_files([path], out, on_warning=lambda _: None, **options)
+            imported([path], out, on_warning=lambda _: None, **options)
         except UserError as refused:
             assert path.name in str(refused)
         out.unlink(missing_ok=True)

@@ -27,7 +27,7 @@ from drivers.mcap_file import read_recordings
 from monitor.config import Configuration, configuration
 from monitor.diagnosis import WitnessRecord, WitnessSensor, compare_witnesses
 from monitor.model import Condition, Model, ShearFrame
-from monitor.runs import diagnose, import_files
+from monitor.runs import Options, diagnose, import_files
 from monitor.signals import SegmentDesign, transform
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def import_all(folder: Path, kind: str, out: Path) -> None:
     places = {"a1": "floor3:Acc_X", "a2": "floor2:Acc_X", "a3": "floor1:Acc_X"}
     places |= {f"{x}{n}": f"{level}:{AXES[x][0]}" for n, (level, _) in LEVELS.items() for x in AXES}
     channels = {name: f"{kind}-northridge-{place}" for name, place in places.items()}
-    import_files(files, out, channels=channels, ground=f"{kind}-northridge-ground:Acc_X")
+    import_files(files, out, Options(channels=channels, ground=f"{kind}-northridge-ground:Acc_X"))
 
 
 def site(kind: str, base: Path | None = None) -> str:

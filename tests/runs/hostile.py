@@ -7,7 +7,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from monitor.core import UserError
-from monitor.runs.importers import seismic
+from monitor.runs.readers import seismic
 
 
 def seismic_file(path: Path, kind: str) -> None:

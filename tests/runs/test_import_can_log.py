@@ -12,7 +12,7 @@ from drivers import frames
 from drivers.can_open import CanSettings
 from drivers.mcap_file import read_recordings
 from monitor.core import BadInputError, MissingInputError
-from monitor.runs.importers import import_files
+from monitor.runs.readers import Options, import_files
 
 DBC = Path(__file__).parents[2] / "deploy" / "frame.dbc"
 T0 = 1_767_225_600
@@ -39,7 +39,7 @@ def write(path: Path, skip: range = range(0)) -> np.ndarray:
 def test_every_format_gives_the_same_samples_at_the_same_times(tmp_path: Path, suffix: str) -> None:
     log, out, warnings = tmp_path / f"x{suffix}", tmp_path / "o.mcap", []
     samples = write(log, skip=range(500, 520))
-    info = import_files([log], out, dbc=DBC, rate_hz=1024.0, on_warning=warnings.append)
+    info = import_files([log], out, Options(dbc=DBC, rate_hz=1024.0), on_warning=warnings.append)
     assert (info.n_samples, info.sample_rate_hz) == (1980, 1024.0)
     assert abs(info.t_start_ns - T0 * 10**9) < 1_000_000  # .asc and .trc say milliseconds
     for block in read_recordings([out]):
@@ -63,9 +63,9 @@ def test_what_is_missing_or_too_much_is_named(tmp_path: Path) -> None:
         ({"dbc": DBC, "rate_hz": 1024.0, "ground": "x"}, "no --channel"),
     ):
         with pytest.raises(BadInputError, match=reason):
-            import_files([log], tmp_path / "o.mcap", **options)  # type: ignore[arg-type]
+            import_files([log], tmp_path / "o.mcap", Options(**options))  # type: ignore[arg-type]
     with pytest.raises(MissingInputError, match="does not exist"):
-        import_files([log], tmp_path / "o.mcap", dbc=tmp_path / "none.dbc", rate_hz=1024.0)
+        import_files([log], tmp_path / "o.mcap", Options(dbc=tmp_path / "none.dbc", rate_hz=1024.0))
     assert not list(tmp_path.glob("*.mcap*"))
 
 
@@ -74,7 +74,7 @@ def test_what_is_missing_or_too_much_is_named(tmp_path: Path) -> None:
 def test_damaged_logs_are_one_message(tmp_path: Path, suffix: str, content: bytes) -> None:
     (tmp_path / f"x{suffix}").write_bytes(content)
     with pytest.raises(BadInputError, match=f"x{suffix}"):
-        import_files([tmp_path / f"x{suffix}"], tmp_path / "o.mcap", dbc=DBC, rate_hz=1024.0)
+        import_files([tmp_path / f"x{suffix}"], tmp_path / "o.mcap", Options(dbc=DBC, rate_hz=1024.0))
     assert not list(tmp_path.glob("*.mcap*"))
 
 
@@ -83,7 +83,9 @@ def test_a_log_cut_short_gives_what_it_holds(tmp_path: Path) -> None:
     raw = (tmp_path / "x.log").read_bytes()
     (tmp_path / "x.log").write_bytes(raw[: len(raw) // 2])
     warnings: list[str] = []
-    info = import_files([tmp_path / "x.log"], tmp_path / "o.mcap", dbc=DBC, rate_hz=1024.0, on_warning=warnings.append)
+    info = import_files(
+        [tmp_path / "x.log"], tmp_path / "o.mcap", Options(dbc=DBC, rate_hz=1024.0), on_warning=warnings.append
+    )
     assert 990 < info.n_samples < 1010
 
 
@@ -101,14 +103,14 @@ def test_a_log_of_two_buses_with_one_identifier_is_refused_without_a_choice(
                 time_s, content = T0 + k / 1024 + 1e-4 * bus, data[bus][k].tobytes()
                 writer(can.Message(time_s, arbitration_id=256, is_extended_id=False, channel=bus, data=content))
     with pytest.raises(BadInputError, match=rf"x{suffix}.*ACCEL3 \(0x100\).*buses {names[0]} and {names[1]}.*--bus"):
-        import_files([log], out, dbc=DBC, rate_hz=1024.0)
+        import_files([log], out, Options(dbc=DBC, rate_hz=1024.0))
     assert not out.exists()
     for bus, name in enumerate(names):
-        assert import_files([log], out, dbc=DBC, rate_hz=1024.0, bus=name).n_samples == 400
+        assert import_files([log], out, Options(dbc=DBC, rate_hz=1024.0, bus=name)).n_samples == 400
         taken = np.concatenate([block.samples for block in read_recordings([out])])
         np.testing.assert_array_equal(taken, np.float32(raw[bus] * 0.001))
     with pytest.raises(BadInputError, match=f"on bus can7, but on {names[0]}, {names[1]}"):
-        import_files([log], out, dbc=DBC, rate_hz=1024.0, bus="can7")
+        import_files([log], out, Options(dbc=DBC, rate_hz=1024.0, bus="can7"))
 
 
 def test_the_command_takes_a_bus(tmp_path: Path, main: Callable[..., subprocess.CompletedProcess[str]]) -> None:
@@ -124,4 +126,4 @@ def test_a_bus_is_of_logs_alone(tmp_path: Path) -> None:
         CanSettings(interface="socketcan", channel="can0", dbc="a.dbc", sample_rate_hz=1.0, bus="can0")
     (tmp_path / "a.csv").write_text("t,a1\n0,1\n1,2\n")
     with pytest.raises(BadInputError, match="--bus can0 is for CAN logs"):
-        import_files([tmp_path / "a.csv"], tmp_path / "o.mcap", bus="can0")
+        import_files([tmp_path / "a.csv"], tmp_path / "o.mcap", Options(bus="can0"))

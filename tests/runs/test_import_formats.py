@@ -20,8 +20,9 @@ import scipy.io
 from drivers.base import ACCELERATION, FORCE
 from drivers.mcap_file import RecordingInfo, read_recordings
 from monitor.core import BadInputError, UserError
-from monitor.runs.importers import ImportedChannel, import_files
-from monitor.runs.importers.clocks import best_shift
+from monitor.runs.readers import ImportedChannel, Options, import_files
+from monitor.runs.readers.clocks import best_shift
+from tests.runs.reading import imported
 from tests.support.samples import Cli
 
 h5py = pytest.importorskip("h5py")
@@ -39,7 +40,7 @@ def load(path: Path, **options: Any) -> tuple[RecordingInfo, np.ndarray, list[st
     taken: list[ImportedChannel] = []
     out = path.parent / "out.mcap"
     options = {"ask_unit": lambda _: "m/s^2", "start_ns": 0} | options
-    info = import_files([path], out, on_warning=warnings.append, on_channel=taken.append, **options)
+    info = imported([path], out, on_warning=warnings.append, on_channel=taken.append, **options)
     blocks = [block.samples for block in read_recordings([out]) if block.topic == ACCELERATION]
     return info, np.concatenate(blocks), warnings, taken
 
@@ -408,7 +409,7 @@ def test_files_are_aligned_by_what_they_hold(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"overlap: one.csv with three.csv \(10\.0 s\)\. .*--align"):
         import_files(files, tmp_path / "o.mcap")
     warnings: list[str] = []
-    import_files(files, tmp_path / "o.mcap", align=True, on_warning=warnings.append)
+    import_files(files, tmp_path / "o.mcap", Options(align=True), on_warning=warnings.append)
     assert "two.csv: clock shifted by +998.000 s to fit one.csv (correlation" in warnings[0]
     assert "three.csv: clock shifted by -14.000 s to fit one.csv (correlation -" in warnings[1]
     values = np.concatenate([b.samples for b in read_recordings([tmp_path / "o.mcap"])])
@@ -421,12 +422,12 @@ def test_what_fits_nowhere_or_nearly_as_well_elsewhere_is_said(tmp_path: Path) -
     rng = np.random.default_rng(5)
     files = [clocked(tmp_path / f"{name}.csv", 0.0, rng.normal(size=2500)) for name in ("one", "two")]
     with pytest.raises(BadInputError, match=r"two\.csv: its readings fit those of .*one\.csv nowhere"):
-        import_files(files, tmp_path / "o.mcap", align=True)
+        import_files(files, tmp_path / "o.mcap", Options(align=True))
     motion = rng.normal(size=2600)
     echo = motion[60:2560] + 0.9 * motion[:2500]
     files = [clocked(tmp_path / "one.csv", 0.0, motion[:2500]), clocked(tmp_path / "two.csv", 90.0, echo)]
     warnings: list[str] = []
-    import_files(files, tmp_path / "o.mcap", align=True, on_warning=warnings.append)
+    import_files(files, tmp_path / "o.mcap", Options(align=True), on_warning=warnings.append)
     assert "or by -0.600 s more, which fits nearly as well" in warnings[0]
 
 

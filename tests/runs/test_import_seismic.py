@@ -11,7 +11,8 @@ import pytest
 
 from drivers.mcap_file import read_recordings
 from monitor.core import BadInputError, UserError
-from monitor.runs.importers import import_files, seismic
+from monitor.runs.readers import Limits, Options, import_files, seismic
+from monitor.runs.readers.base import File
 
 HEAD = b"000001D " + b" " * 56
 T0 = "2026-01-01T00:00:00"
@@ -41,7 +42,7 @@ def read(path: Path) -> np.ndarray:
 
 def test_counts_are_scaled_and_keep_their_time(tmp_path: Path, counts: np.ndarray) -> None:
     file = miniseed(tmp_path / "a.mseed", counts)
-    info = import_files([file], tmp_path / "r.mcap", scale=1e-3)
+    info = import_files([file], tmp_path / "r.mcap", Options(scale=1e-3))
     assert info.channels["/acceleration"] == ("XX.ROOF..HNX", "XX.ROOF..HNY") and info.sample_rate_hz == 100.0
     assert info.t_start_ns == 1_767_225_600_000_000_000
     assert read(tmp_path / "r.mcap") == pytest.approx(1e-3 * counts, rel=1e-6)
@@ -49,7 +50,7 @@ def test_counts_are_scaled_and_keep_their_time(tmp_path: Path, counts: np.ndarra
 
 def test_what_lies_between_records_is_missing(tmp_path: Path, counts: np.ndarray) -> None:
     file, told = miniseed(tmp_path / "a.mseed", counts, slice(0, 200), slice(300, 500)), list[str]()
-    import_files([file], tmp_path / "r.mcap", scale=1.0, on_warning=told.append)
+    import_files([file], tmp_path / "r.mcap", Options(scale=1.0), on_warning=told.append)
     samples = read(tmp_path / "r.mcap")
     assert np.isnan(samples[200:300]).all() and samples[300:] == pytest.approx(counts[300:])
     assert any("missing" in text for text in told)
@@ -63,11 +64,11 @@ def test_records_of_text_are_left_out_and_counted(tmp_path: Path, counts: np.nda
     stream.write(str(tmp_path / "log.mseed"), format="MSEED")
     file = miniseed(tmp_path / "a.mseed", counts)
     file.write_bytes(file.read_bytes() + (tmp_path / "log.mseed").read_bytes())
-    info = import_files([file], tmp_path / "r.mcap", scale=1e-3, on_warning=told.append)
+    info = import_files([file], tmp_path / "r.mcap", Options(scale=1e-3), on_warning=told.append)
     assert info.channels["/acceleration"] == ("XX.ROOF..HNX", "XX.ROOF..HNY")
     assert any("XX.ROOF..LOG: 2 records of text are left out" in text for text in told)
     with pytest.raises(BadInputError, match=r"log\.mseed: holds no samples"):
-        import_files([tmp_path / "log.mseed"], tmp_path / "r.mcap", scale=1e-3)
+        import_files([tmp_path / "log.mseed"], tmp_path / "r.mcap", Options(scale=1e-3))
 
 
 def test_readings_that_fail_the_check_of_their_record_are_told(tmp_path: Path, counts: np.ndarray) -> None:
@@ -76,7 +77,7 @@ def test_readings_that_fail_the_check_of_their_record_are_told(tmp_path: Path, c
     raw = bytearray(file.read_bytes())
     raw[71] ^= 1  # the last value that the first record should reach
     file.write_bytes(raw)
-    import_files([file], tmp_path / "r.mcap", scale=1e-3, on_warning=told.append)
+    import_files([file], tmp_path / "r.mcap", Options(scale=1e-3), on_warning=told.append)
     assert any("Data integrity check" in text for text in told)
 
 
@@ -102,11 +103,11 @@ def test_an_inventory_tells_what_a_count_is(tmp_path: Path, counts: np.ndarray, 
     Inventory(networks=[Network("XX", [station])]).write(str(tmp_path / "s.xml"), format="STATIONXML")
     file = miniseed(tmp_path / "a.mseed", counts)
     if works:
-        import_files([file], tmp_path / "r.mcap", inventory=tmp_path / "s.xml")
+        import_files([file], tmp_path / "r.mcap", Options(inventory=tmp_path / "s.xml"))
         assert read(tmp_path / "r.mcap") == pytest.approx(counts / 4e5, rel=1e-6)
     else:
         with pytest.raises(BadInputError, match="no acceleration"):
-            import_files([file], tmp_path / "r.mcap", inventory=tmp_path / "s.xml")
+            import_files([file], tmp_path / "r.mcap", Options(inventory=tmp_path / "s.xml"))
 
 
 def test_k_net_is_read_by_its_own_scale(tmp_path: Path) -> None:
@@ -119,7 +120,7 @@ def test_k_net_is_read_by_its_own_scale(tmp_path: Path) -> None:
     assert info.channels["/acceleration"] == ("BO.AKT013..EW",) and info.sample_rate_hz == 100.0
     assert str(np.datetime64(info.t_start_ns, "ns"))[:19] == "1996-08-10T18:12:24"
     with pytest.raises(BadInputError, match="its own scale"):
-        import_files([file], tmp_path / "s.mcap", scale=1.0)
+        import_files([file], tmp_path / "s.mcap", Options(scale=1.0))
 
 
 @pytest.mark.parametrize("raw", [HEAD, b"Origin Time       1996\n" + b"nonsense\n" * 30])
@@ -127,22 +128,22 @@ def test_a_damaged_file_is_named(tmp_path: Path, raw: bytes) -> None:
     pytest.importorskip("obspy")
     (tmp_path / "a.x").write_bytes(raw)
     with pytest.raises(BadInputError, match=r"a\.x: (cannot be used as|holds no samples)"):
-        import_files([tmp_path / "a.x"], tmp_path / "r.mcap", scale=None if raw.startswith(b"O") else 1.0)
+        import_files([tmp_path / "a.x"], tmp_path / "r.mcap", Options(scale=None if raw.startswith(b"O") else 1.0))
 
 
 def test_without_obspy_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "obspy", None)  # as if it were not installed
     (tmp_path / "a.mseed").write_bytes(HEAD)
     with pytest.raises(UserError, match="shm-monitor\\[seismic\\]"):
-        import_files([tmp_path / "a.mseed"], tmp_path / "r.mcap", scale=1.0)
+        import_files([tmp_path / "a.mseed"], tmp_path / "r.mcap", Options(scale=1.0))
 
 
 def test_the_scale_is_for_counts_alone(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,a1 [g]\n0.00,0.1\n0.01,0.2\n0.02,0.1\n")
     with pytest.raises(BadInputError, match="for MiniSEED"):
-        import_files([tmp_path / "a.csv"], tmp_path / "r.mcap", scale=1.0)
+        import_files([tmp_path / "a.csv"], tmp_path / "r.mcap", Options(scale=1.0))
     with pytest.raises(BadInputError, match="--scale 0"):
-        import_files([tmp_path / "a.csv"], tmp_path / "r.mcap", scale=0.0)
+        import_files([tmp_path / "a.csv"], tmp_path / "r.mcap", Options(scale=0.0))
 
 
 def test_the_scale_leaves_other_files_beside_the_counts_alone(tmp_path: Path, counts: np.ndarray) -> None:
@@ -152,7 +153,10 @@ def test_the_scale_leaves_other_files_beside_the_counts_alone(tmp_path: Path, co
     chosen = {"low": "a.mseed:XX.ROOF..HNX", "top": "b.csv:top"}
     told = list[str]()
     import_files(
-        [file, tmp_path / "b.csv"], tmp_path / "r.mcap", scale=1e-3, unit="g", channels=chosen, on_warning=told.append
+        [file, tmp_path / "b.csv"],
+        tmp_path / "r.mcap",
+        Options(scale=1e-3, unit="g", channels=chosen),
+        on_warning=told.append,
     )
     samples = read(tmp_path / "r.mcap")
     assert samples[:, 0] == pytest.approx(1e-3 * counts[:, 0], rel=1e-6)
@@ -161,5 +165,8 @@ def test_the_scale_leaves_other_files_beside_the_counts_alone(tmp_path: Path, co
 
 
 def test_other_files_are_told_apart() -> None:
-    assert seismic.is_seismic(HEAD) and seismic.is_seismic(b"MS\x03") and seismic.is_seismic(b"Origin Time  2011")
-    assert not any(map(seismic.is_seismic, (b"", b"t,a1\n0,1\n", b"123456 1.0\n", io.BytesIO(b"PK\x03\x04").read())))
+    def is_mine(raw: bytes) -> bool:
+        return seismic.Seismic().is_mine(File(Path("a.dat"), raw, Options(), Limits(), lambda _: None))
+
+    assert is_mine(HEAD) and is_mine(b"MS\x03") and is_mine(b"Origin Time  2011")
+    assert not any(map(is_mine, (b"", b"t,a1\n0,1\n", b"123456 1.0\n", io.BytesIO(b"PK\x03\x04").read())))

@@ -7,8 +7,8 @@ import re
 import numpy as np
 
 from monitor.core import BadInputError, utc_ns
-from monitor.runs.importers.csv_table import Cells
-from monitor.runs.importers.table import OnWarning, Table
+from monitor.runs.readers.delimited import Text
+from monitor.runs.readers.table import OnWarning, Table
 
 _START = re.compile(r"StartTime:[\s,;]*(\d{4}-\d{2}-\d{2})_(\d{2}:\d{2}:\d{2})_(\d{3})\s*(\w*)")
 _HOURS = {"UTC": 0, "GMT": 0, "PST": -8, "PDT": -7, "MST": -7, "MDT": -6, "CST": -6, "CDT": -5, "EST": -5}
@@ -16,53 +16,53 @@ _HOURS |= {"EDT": -4, "CET": 1, "CEST": 2, "": 0}
 _WRAP = 1 << 32
 
 
-def is_xsens(cells: Cells) -> bool:
+def is_xsens(text: Text) -> bool:
     """Test whether the header is that of Xsens DOT."""
-    return {"PacketCounter", "SampleTimeFine"} <= set(cells.header)
+    return {"PacketCounter", "SampleTimeFine"} <= {column.name for column in text.dialect.columns}
 
 
-def to_table(cells: Cells, on_warning: OnWarning) -> Table:
-    """Convert cells to a table of accelerations (m/s^2) and rates of rotation (deg/s) on the sensor's own clock.
+def to_table(text: Text, on_warning: OnWarning) -> Table:
+    """Convert a text to a table of accelerations (m/s^2) and rates of rotation (deg/s) on the sensor's own clock.
 
     The default column is Acc_X.
     """
-    moved = tuple(name for name in cells.header if name.startswith("Acc_"))
+    header = [column.name for column in text.dialect.columns]
+    moved = tuple(name for name in header if name.startswith("Acc_"))
     if not moved:
-        raise BadInputError(f"{cells.path}: no Acc_ column; export the free or calibrated acceleration")
-    columns = (*moved, *(name for name in cells.header if name.startswith("Gyr_")))
-    values = cells.table([cells.header.index(name) for name in columns])
-    micros = cells.numbers(cells.header.index("SampleTimeFine"))
-    counter = cells.numbers(cells.header.index("PacketCounter"))
+        raise BadInputError(f"{text.path}: no Acc_ column; export the free or calibrated acceleration")
+    columns = (*moved, *(name for name in header if name.startswith("Gyr_")))
+    values = text.values([header.index(name) for name in columns], on_warning)
+    micros, counter = text.values([header.index("SampleTimeFine"), header.index("PacketCounter")], on_warning).T
     if not ((np.abs(micros) < 1e15).all() and (np.abs(counter) < 1e15).all()):
-        raise BadInputError(f"{cells.path}: empty or absurd cells in PacketCounter or SampleTimeFine")
+        raise BadInputError(f"{text.path}: empty or absurd cells in PacketCounter or SampleTimeFine")
     clock = micros.astype(np.int64)
     clock[1:] += _WRAP * np.cumsum(np.diff(clock) < -_WRAP // 2)
-    start_ns = _start_ns(cells, on_warning)
+    start_ns = _start_ns(text, on_warning)
     # The device writes the orientation before its first acceleration is available: that row is all zeros, even gravity.
     first = int(len(values) > 1 and not values[0, : len(moved)].any())
     if start_ns is not None:
         start_ns += 1000 * int(clock[first] - clock[0])
     return Table(
-        path=cells.path,
+        path=text.path,
         columns=columns,
         units=("m/s^2",) * len(moved) + ("deg/s",) * (len(columns) - len(moved)),
         values=values[first:],
-        default=("Acc_X",) if "Acc_X" in columns else moved[:1],
         time_ns=1000 * clock[first:],
         index=counter[first:].astype(np.int64),
         start_ns=start_ns,
+        chosen=("Acc_X",) if "Acc_X" in columns else moved[:1],
     )
 
 
-def _start_ns(cells: Cells, on_warning: OnWarning) -> int | None:
+def _start_ns(text: Text, on_warning: OnWarning) -> int | None:
     """Read the start time from the preamble, UTC in ns since 1970; None if it is not stated."""
-    found = next((match for line in cells.preamble if (match := _START.search(line))), None)
+    found = next((match for line in text.preamble if (match := _START.search(line))), None)
     if found is None:
         return None
     hours = _HOURS.get(found[4].upper())
     if hours is None:
-        on_warning(f"{cells.path}: unknown time zone {found[4]!r} in StartTime; taken as UTC")
+        on_warning(f"{text.path}: unknown time zone {found[4]!r} in StartTime; taken as UTC")
     try:
         return utc_ns(f"{found[1]}T{found[2]}.{found[3]}") - 3600 * (hours or 0) * 10**9
     except ValueError as error:
-        raise BadInputError(f"{cells.path}: StartTime {error}") from error
+        raise BadInputError(f"{text.path}: StartTime {error}") from error

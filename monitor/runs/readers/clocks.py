@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monitor.core import BadInputError
-from monitor.runs.importers.table import Array, OnWarning, Table, Ticks
+from monitor.runs.readers.table import Array, OnWarning, Table, Ticks
+from monitor.signals import sample_clock
 
 _LEAST_CORRELATION = 0.1
 """Whitened correlation below which a shift is not believed. [1; judgement: unlike records of 20 s at 100 Hz reach 0.06]"""
@@ -23,12 +23,54 @@ _MOST_ALIGNED = 1 << 24
 """Most samples of a file to be aligned. [samples; cost: half a GB of memory]"""
 
 
+def follow(tables: list[Table], on_warning: OnWarning) -> list[Table]:
+    """Join the tables of the same columns of which each begins after the one before has ended, as files of following days do."""
+    if len(tables) < 2 or any(table.start_ns is None for table in tables):
+        return tables
+    tables = [_with_clock(table) for table in tables]
+    if any(table.time_ns is None for table in tables):
+        return tables
+    by_start = sorted(tables, key=_begun_ns)
+    first = by_start[0]
+    for before, after in pairwise(by_start):
+        if (after.columns, after.units) != (before.columns, before.units) or _begun_ns(after) <= _ended_ns(before):
+            return tables
+    times = []
+    for table in by_start:
+        assert table.time_ns is not None
+        times.append(table.time_ns - table.time_ns[0] + (_begun_ns(table) - _begun_ns(first)))
+    on_warning(f"{', '.join(table.path.name for table in by_start)}: follow one another in time, and are joined")
+    return [
+        replace(first, values=np.concatenate([t.values for t in by_start]), time_ns=np.concatenate(times), index=None)
+    ]
+
+
+def _with_clock(table: Table) -> Table:
+    """Give a table that states start and rate the times that follow from them."""
+    if table.time_ns is not None or table.start_ns is None or table.rate_hz is None:
+        return table
+    steps = np.rint(np.arange(len(table.values)) * (1e9 / table.rate_hz)).astype(np.int64)
+    return replace(table, time_ns=table.start_ns + steps)
+
+
+def _begun_ns(table: Table) -> int:
+    assert table.start_ns is not None
+    return table.start_ns
+
+
+def _ended_ns(table: Table) -> int:
+    assert table.time_ns is not None
+    return _begun_ns(table) + int(table.time_ns[-1] - table.time_ns[0])
+
+
 def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annotated[Ticks, "n"] | None]:
     """Cut tables to their common samples, and return them with their common clock, ns; None without clocks.
 
     With clocks, only the samples whose times agree in all files within half a step are kept. Without clocks, all files are
     assumed to begin at the same time.
     """
+    if any(table.time_ns is not None for table in tables):
+        tables = [_with_clock(table) for table in tables]
     clocks = [table.time_ns for table in tables if table.time_ns is not None]
     if len(tables) == 1:
         return tables, tables[0].time_ns
@@ -36,13 +78,13 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
     if not clocks:
         if shortest != max(len(table.values) for table in tables):
             on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
-        return [_select_rows(table, np.arange(shortest)) for table in tables], None
+        return [table.rows(np.arange(shortest)) for table in tables], None
     if len(clocks) != len(tables):
         without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
         raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
     base = clocks[0]
-    steps = [float(np.median(np.diff(clock))) for clock in clocks]
-    if any((np.diff(clock) <= 0).any() for clock in clocks) or max(steps) > 1.02 * min(steps):
+    steps = [1e9 / sample_clock(clock).rate_hz for clock in clocks]
+    if any((np.diff(clock) < 0).any() for clock in clocks) or max(steps) > 1.02 * min(steps):
         each = "; ".join(
             f"{table.path}: {1e9 / step if step else 0:.2f} Hz" for table, step in zip(tables, steps, strict=True)
         )
@@ -68,25 +110,7 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
         )
     if keep.sum() < max(len(clock) for clock in clocks):
         on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
-    return [_select_rows(table, near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
-
-
-def _select_rows(table: Table, rows: Annotated[NDArray[np.int64], "n"]) -> Table:
-    """Select rows of a table; its start moves to the first of these rows."""
-    start = table.start_ns
-    if start is not None and table.time_ns is not None and len(rows):
-        start += int(table.time_ns[rows[0]] - table.time_ns[0])
-    return Table(
-        path=table.path,
-        columns=table.columns,
-        units=table.units,
-        values=table.values[rows],
-        default=table.default,
-        time_ns=None if table.time_ns is None else table.time_ns[rows],
-        index=None if table.index is None else table.index[rows],
-        start_ns=start,
-        rate_hz=table.rate_hz,
-    )
+    return [table.rows(near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
 
 
 def _overlaps(tables: Sequence[Table]) -> str:

@@ -12,7 +12,8 @@ from drivers.can_open import LOG_SUFFIXES, CanSettings
 from drivers.frames import FrameError
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from monitor.core import BadInputError, MissingInputError
-from monitor.runs.importers.table import OnWarning
+from monitor.runs.readers.base import Options
+from monitor.runs.readers.table import OnWarning
 
 _UNREPORTED_COUNTS = ("frames", "samples", "foreign", "overruns")
 """Counts that are no errors, or that other counts include."""
@@ -23,22 +24,21 @@ def is_log(path: Path) -> bool:
     return path.suffix.lower() in LOG_SUFFIXES
 
 
-def check_options(
-    files: list[Path], dbc: Path | None, channels: dict[str, str] | None, ground: str | None, start_ns: int | None
-) -> None:
-    """Raise BadInputError unless an import has one log with a DBC, and no option for what log and DBC already state."""
+def import_log(files: list[Path], out: Path, options: Options, on_warning: OnWarning) -> RecordingInfo:
+    """Write the samples of a log, at a nominal rate which is required, as a recording, and return its content.
+
+    Raises BadInputError if log or DBC cannot be used, or where no bus is named and two of the log carry the same identifier;
+    MissingInputError if one of them cannot be read.
+    """
+    path, dbc, rate_hz, bus = files[0], options.dbc, options.rate_hz, options.bus
+    if options.align:
+        raise BadInputError(f"{path}: --align is for several files with clocks of their own; this is a CAN log")
     if len(files) > 1:
-        raise BadInputError(f"{files[0]}: import CAN logs one by one")
+        raise BadInputError(f"{path}: import CAN logs one by one")
     if dbc is None:
-        raise BadInputError(f"{files[0]}: a CAN log needs --dbc FILE.dbc to say what its frames mean")
-    if channels or ground or start_ns is not None:
-        raise BadInputError(f"{files[0]}: its DBC names the channels and it has times: no --channel, --ground, --start")
-
-
-def import_log(
-    path: Path, out: Path, *, dbc: Path, rate_hz: float | None, bus: str | None, on_warning: OnWarning
-) -> RecordingInfo:
-    """Write the samples of a log, at a nominal rate which is required, as a recording, and return its content."""
+        raise BadInputError(f"{path}: a CAN log needs --dbc FILE.dbc to say what its frames mean")
+    if options.channels or options.forces or options.ground or options.start_ns is not None:
+        raise BadInputError(f"{path}: its DBC names the channels and it has times: no --channel, --ground, --start")
     if rate_hz is None:
         raise BadInputError(f"{path}: neither frames nor DBC tell the sample rate; give --rate HZ")
     if not rate_hz <= 1e6:

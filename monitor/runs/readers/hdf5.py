@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from monitor.core import import_extra
-from monitor.runs.importers.arrays import VALUE_BYTES, AnyArray, build_table
-from monitor.runs.importers.own_process import demand_room, hand_over, read_apart
-from monitor.runs.importers.table import OnWarning, Table
+from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, build_table
+from monitor.runs.readers.base import File
+from monitor.runs.readers.own_process import demand_room, hand_over, read_apart
+from monitor.runs.readers.table import Table
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCKS = (0, 512, 1024, 2048)
@@ -27,20 +28,24 @@ _LZF_RATIO = 132
 _WORDS = ("unit", "units", "channels")
 
 
-def is_hdf5(raw: bytes) -> bool:
-    """Test whether a file is HDF5, with MATLAB's header or without."""
-    return any(raw.startswith(MAGIC, at) for at in _USER_BLOCKS)
-
-
-def to_table(path: Path, most_bytes: int, on_warning: OnWarning, least_s: float) -> Table:
-    """Convert the datasets of a file to a table of at most `most_bytes`.
+class Hdf5:
+    """HDF5.
 
     A dataset's attribute `unit` or `units` is its unit; attributes `rate_hz`, `fs` or `dt` of the file are read too.  What lies
     in other files (external links and storage, virtual datasets) is never read.
     """
-    import_extra("h5py", f"{path}: HDF5 (MAT 7.3)")
-    arrays, units = read_apart(__name__, "HDF5", path, most_bytes, least_s)
-    return build_table(path, "HDF5", arrays, on_warning, units)
+
+    name = "HDF5"
+
+    def is_mine(self, file: File) -> bool:
+        """Test whether a file is of this format, with MATLAB's header or without."""
+        return any(file.raw.startswith(MAGIC, at) for at in _USER_BLOCKS)
+
+    def read(self, file: File) -> list[Table]:
+        """Convert the datasets; BadConfigurationError without the library h5py."""
+        import_extra("h5py", f"{file.path}: HDF5 (MAT 7.3)")
+        arrays, units = read_apart(__name__, self.name, file.path, file.most_bytes, file.limits.reader_s)
+        return [build_table(file.path, self.name, arrays, file.on_warning, units)]
 
 
 def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, str]]:

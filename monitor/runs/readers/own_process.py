@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import BadInputError
-from monitor.runs.importers.arrays import AnyArray
+from monitor.runs.readers.arrays import AnyArray
 
 _TOLD = "/told of the arrays"
 """Name of what the process tells besides the arrays; no array's name begins with a slash."""

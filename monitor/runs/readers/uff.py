@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import Any
 
 import numpy as np
 
 from monitor.core import BadInputError, import_extra
-from monitor.runs.importers.table import OnWarning, Table
+from monitor.runs.readers.arrays import VALUE_BYTES
+from monitor.runs.readers.base import File
+from monitor.runs.readers.own_process import Arrays, demand_room, hand_over, read_apart
+from monitor.runs.readers.table import OnWarning, Table
 
 _MARK = b"    -1"
+_LINE_BYTES = 57
+"""Memory that a line of text takes besides its characters. [bytes; measured: CPython 3.11]"""
 _TIME_RESPONSE = 1
 _ACCELERATION, _FORCE = 12, 13
 """Specific data types. [1; definition: universal dataset 58]"""
@@ -25,29 +31,51 @@ _DATES = ("%d-%b-%y %H:%M:%S", "%d-%b-%Y %H:%M:%S")
 _NONE = ("", "NONE", "none")
 
 
-def is_uff(raw: bytes) -> bool:
-    """Test whether the first lines are those of a universal file."""
-    first, _, rest = raw[:200].lstrip(b"\r\n").partition(b"\n")
-    return first.rstrip() == _MARK.rstrip() and rest[:6].strip().isdigit()
+class Uff:
+    """Universal files; a channel is named by its node and direction (``12z``) or its label."""
 
+    name = "UFF"
 
-def to_table(path: Path, raw: bytes, on_warning: OnWarning) -> Table:
-    """Convert the time responses of a file to a table; a channel is named by its node and direction (``12z``) or its label."""
-    pyuff = import_extra("pyuff", f"{path}: a universal file (UFF)")
-    with NamedTemporaryFile(suffix=".uff") as copy:  # the library reads files, by their bytes as they were checked
-        copy.write(raw)
-        copy.flush()
+    def is_mine(self, file: File) -> bool:
+        """Test whether the first lines are those of a universal file."""
+        first, _, rest = file.raw[:200].lstrip(b"\r\n").partition(b"\n")
+        return first.rstrip() == _MARK.rstrip() and rest[:6].strip().isdigit()
+
+    def read(self, file: File) -> list[Table]:
+        """Convert the time responses; BadConfigurationError without the library pyuff."""
+        import_extra("pyuff", f"{file.path}: a universal file (UFF)")
+        file.demand_room(len(file.raw) + _LINE_BYTES * file.raw.count(b"\n"))
+        if file.raw.count(_MARK) % 2:
+            raise BadInputError(f"{file.path}: damaged UFF: its last dataset has no end; the file was cut")
+        arrays, told = read_apart(__name__, self.name, file.path, file.most_bytes, file.limits.reader_s)
+        functions = [
+            {**json.loads(told[key]), "data": arrays[f"y{key}"], "x": arrays[f"x{key}"]} for key in told if key != "si"
+        ]
         try:
-            file = pyuff.UFF(copy.name)
-            kinds = [int(kind) for kind in file.get_set_types()]
-            system = [file.read_sets([k]) for k, kind in enumerate(kinds) if kind == 164]
-            functions = [file.read_sets([k]) for k, kind in enumerate(kinds) if kind == 58]
-        except Exception as error:
-            raise BadInputError(f"{path}: damaged UFF: {error}") from error
-    try:
-        return _build(path, functions, any(units.get("units_code") == _SI for units in system), on_warning)
-    except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise BadInputError(f"{path}: cannot be used as UFF: {error}") from error
+            return [_build(file.path, functions, told["si"] == "1", file.on_warning)]
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
+            raise BadInputError(f"{file.path}: cannot be used as UFF: {error}") from error
+
+
+def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
+    """Read the datasets 58 of a file: their arrays, and the other fields of each as JSON."""
+    import pyuff
+
+    file = pyuff.UFF(str(path))
+    kinds = [int(kind) for kind in file.get_set_types()]
+    si = any(file.read_sets([k]).get("units_code") == _SI for k, kind in enumerate(kinds) if kind == 164)
+    arrays: Arrays = {}
+    told = {"si": "1" if si else "0"}
+    held = 0
+    for k, kind in enumerate(kinds):
+        if kind == 58:
+            function = file.read_sets([k])
+            arrays[f"y{k}"], arrays[f"x{k}"] = np.asarray(function.pop("data")), np.asarray(function.pop("x"))
+            held += 2 * VALUE_BYTES * arrays[f"y{k}"].size
+            demand_room(held, most_bytes)
+            plain = {key: value for key, value in function.items() if isinstance(value, str | int | float)}
+            told[str(k)] = json.dumps(plain, default=float)
+    return arrays, told
 
 
 def _build(path: Path, functions: list[dict[str, Any]], si: bool, on_warning: OnWarning) -> Table:
@@ -78,7 +106,6 @@ def _build(path: Path, functions: list[dict[str, Any]], si: bool, on_warning: On
         columns=columns,
         units=tuple(_unit(f, si) for f in responses),
         values=np.column_stack([f["data"] for f in responses]).astype(np.float64),
-        default=columns,
         time_ns=None if even else np.rint(1e9 * x).astype(np.int64),
         start_ns=_start_ns(path, first, float(x[0]) if len(x) else 0.0, on_warning),
         rate_hz=_rounded(1.0 / float(first["abscissa_inc"])) if even else None,
@@ -119,3 +146,7 @@ def _start_ns(path: Path, function: dict[str, Any], begun_s: float, on_warning: 
         on_warning(f"{path}: its time {text} has no zone; taken as UTC")
         return round(moment.timestamp()) * 10**9 + round(1e9 * begun_s)
     return None
+
+
+if __name__ == "__main__":
+    sys.exit(hand_over(read, *sys.argv[1:]))

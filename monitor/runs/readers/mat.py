@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from monitor.runs.importers.arrays import VALUE_BYTES, AnyArray, build_table
-from monitor.runs.importers.own_process import demand_room, hand_over, read_apart
-from monitor.runs.importers.table import OnWarning, Table
+from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, build_table
+from monitor.runs.readers.base import File
+from monitor.runs.readers.own_process import demand_room, hand_over, read_apart
+from monitor.runs.readers.table import Table
 
 MAGIC = b"MATLAB 5.0 MAT-file"
 _COMPRESSED = 15
@@ -24,10 +25,19 @@ _WORDS = ("unit", "channels")
 """Variables that may hold words."""
 
 
-def to_table(path: Path, most_bytes: int, on_warning: OnWarning, least_s: float) -> Table:
-    """Convert the variables of a file to a table of at most `most_bytes`; structures, functions and objects are never read."""
-    arrays, units = read_apart(__name__, "MAT", path, most_bytes, least_s)
-    return build_table(path, "MAT", arrays, on_warning, units)
+class Mat:
+    """MATLAB files up to version 7."""
+
+    name = "MAT"
+
+    def is_mine(self, file: File) -> bool:
+        """Test whether a file is of this format, by its suffix too, since version 4 has no mark."""
+        return file.raw.startswith(MAGIC) or file.suffix == ".mat"
+
+    def read(self, file: File) -> list[Table]:
+        """Convert the variables; structures, functions and objects are never read."""
+        arrays, units = read_apart(__name__, self.name, file.path, file.most_bytes, file.limits.reader_s)
+        return [build_table(file.path, self.name, arrays, file.on_warning, units)]
 
 
 def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, str]]:

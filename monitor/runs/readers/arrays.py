@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import BadInputError
-from monitor.runs.importers.table import TICKS, Array, OnWarning, Table, tick_in_name, units_in_names
+from monitor.runs.readers.table import Array, OnWarning, Table
+from monitor.runs.readers.units import ACCELERATION, TIME, split_name, unit_of, units_in_names
 
 AnyArray = NDArray[np.generic]
 VALUE_BYTES = 8
@@ -43,11 +45,7 @@ def _build(path: Path, arrays: Mapping[str, AnyArray], on_warning: OnWarning, st
     """Build a table of arrays; raise ValueError, TypeError or OverflowError if they do not fit each other."""
     told = {name.rpartition("/")[2].casefold(): array for name, array in arrays.items()}
     clock = next(
-        (
-            _vector(array) * 1e-9 * (tick_in_name(name)[1] or TICKS["s"])
-            for name, array in told.items()
-            if _is_time(name)
-        ),
+        (_vector(array) * _tick_s(name) for name, array in told.items() if _is_time(name)),
         None,
     )
     if "samples" in told:
@@ -67,13 +65,20 @@ def _build(path: Path, arrays: Mapping[str, AnyArray], on_warning: OnWarning, st
         raise ValueError(f"times of shape {clock.shape} for {len(values)} samples")
     time_ns = None if clock is None else np.rint(clock * 1e9).astype(np.int64)
     whole = str(told["unit"].item()) if "unit" in told and told["unit"].size == 1 else ""
+    behind = units_in_names(columns)
+    units = tuple(unit or whole or named for unit, named in zip(column_units, behind, strict=True))
     return Table(
         path=path,
         columns=columns,
-        units=tuple(unit or whole or named for unit, named in zip(column_units, units_in_names(columns), strict=True)),
+        units=units,
+        by_name=tuple(bool(named) and unit == named for unit, named in zip(units, behind, strict=True)),
         values=values,
-        default=columns,
         time_ns=time_ns,
+        chosen=tuple(
+            name
+            for name, unit in zip(columns, units, strict=True)
+            if not unit or ((known := unit_of(unit)) is not None and known.quantity == ACCELERATION)
+        ),
         start_ns=int(time_ns[0]) if time_ns is not None and len(time_ns) and time_ns[0] > 10**18 else None,
         rate_hz=_rate_hz(told),
     )
@@ -81,7 +86,17 @@ def _build(path: Path, arrays: Mapping[str, AnyArray], on_warning: OnWarning, st
 
 def _is_time(name: str) -> bool:
     """Test whether an array is that of the times, by its own name in lower case."""
-    return tick_in_name(name)[0] in _TIME
+    return (
+        re.sub(r"[\s_.-]+(in[\s_]+)?[a-zµμ]+$", "", name) in _TIME
+        if _tick_s(name) != 1.0 or name[-2:] == "_s"
+        else name in _TIME
+    )
+
+
+def _tick_s(name: str) -> float:
+    """Return the unit of a time's name, s; 1 where it states none."""
+    unit = unit_of(split_name(name)[1])
+    return unit.factor if unit is not None and unit.quantity == TIME else 1.0
 
 
 def _rate_hz(told: Mapping[str, AnyArray]) -> float | None:

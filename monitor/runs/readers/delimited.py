@@ -1,0 +1,351 @@
+"""Reads delimited text by its guessed dialect (`dialect`); knows nothing of units but that of the times."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, tzinfo
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from monitor.core import BadInputError
+from monitor.runs.readers import stamps
+from monitor.runs.readers.dialect import Dialect, Role, guess, is_missing, is_number, split
+from monitor.runs.readers.table import Array, OnWarning, Table, Ticks
+from monitor.runs.readers.units import TIME
+
+_CHUNK_CELLS = 1 << 15
+"""Cells of the rows that are converted to numbers together. [count; cost: they take 3 MB]"""
+_FILLERS = (-7999.0, -9999.0, -99999.0, 9999.0, 99999.0, -6999.0, 7999.0)
+"""Numbers that loggers write for a missing reading. [numbers; Campbell: 7999 and -7999, others by convention]"""
+_ABSURD = 1e30
+"""Reading from which a number stands for none. [any unit; as floating point's largest]"""
+_APART = 10.0
+"""Ratio to all other readings from which such a number is none of them. [1; judgement]"""
+_SINCE_1970_S = (3e8, 4e9)
+"""Seconds since 1970 that are a date, of 1979 to 2096. [s; judgement]"""
+_SERIAL_DAYS = (
+    (3e4, 8e4, 25_569.0, "since 1900, as in spreadsheets"),
+    (7.2e5, 8e5, 719_529.0, "since year 0, as in MATLAB"),
+)
+"""Days that are a date: least, most, that of 1970, and in words. [days; 1982 to 2119]"""
+_LEAST_RATE_HZ = 5.0
+"""Rate below which a column of times without a unit is doubted. [Hz; judgement: no building is measured slower]"""
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Lines of a table of text, and how it is written."""
+
+    path: Path
+    lines: list[str]
+    """Rows of readings, each with its line break removed."""
+    numbers: list[int]
+    """Of each row, its line in the file from 1."""
+    dialect: Dialect
+    preamble: tuple[str, ...]
+
+    def cells(self, at: int) -> list[str]:
+        """Return the cells of a column."""
+        return [split(line, self.dialect.delimiter)[at] for line in self.lines]
+
+    def values(self, columns: Sequence[int], on_warning: OnWarning) -> Annotated[Array, "n columns"]:
+        """Convert columns to numbers, with NaN for missing readings, which are told; BadInputError where one is no number."""
+        out = np.empty((len(self.lines), len(columns)))
+        step = max(1, _CHUNK_CELLS // self.dialect.width)
+        words: Counter[str] = Counter()
+        for begin in range(0, len(self.lines), step):
+            rows = [split(line, self.dialect.delimiter) for line in self.lines[begin : begin + step]]
+            for at, column in enumerate(columns):
+                cells = [row[column] for row in rows]
+                try:
+                    out[begin : begin + len(rows), at] = np.array(
+                        [self._plain(cell) for cell in cells], dtype=np.float64
+                    )
+                except ValueError:
+                    out[begin : begin + len(rows), at] = [
+                        self._number(cell, begin + k, column, words) for k, cell in enumerate(cells)
+                    ]
+        if words:
+            told = ", ".join(
+                f"{word!r} {count} times" if word else f"{count} empty cells" for word, count in words.most_common(5)
+            )
+            on_warning(f"{self.path}: {words.total()} readings are missing: {told}")
+        return out
+
+    def _plain(self, cell: str) -> str:
+        """Write a number with a decimal point and without groups of digits."""
+        if self.dialect.thousands:
+            cell = cell.replace(self.dialect.thousands, "")
+        return cell.replace(",", ".") if self.dialect.decimal == "," else cell
+
+    def _number(self, cell: str, row: int, column: int, words: Counter[str]) -> float:
+        """Convert one cell, and count it where it stands for a missing reading."""
+        if is_missing(cell):
+            words[cell] += 1
+            return np.nan
+        try:
+            return float(self._plain(cell).replace("D", "e").replace("d", "e"))
+        except ValueError:
+            raise BadInputError(
+                f"{self.path}: line {self.numbers[row]}: {cell[:40]!r} in column {column + 1} is no number"
+            ) from None
+
+
+def decode(path: Path, raw: bytes) -> str:
+    """Decode a file's bytes: UTF-16 by its byte order mark or its zeros, else UTF-8, cp1252 or latin-1.
+
+    Raises BadInputError if the bytes are no text.
+    """
+    if not raw.strip():
+        raise BadInputError(f"{path}: is empty")
+    head = raw[:4096]
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return raw.decode("utf-16", errors="replace")
+    if b"\0" in head:
+        zeros = [sum(byte == 0 for byte in head[k::2]) for k in (0, 1)]
+        if max(zeros) > 0.8 * len(head) / 2 and min(zeros) == 0:
+            return raw.decode("utf-16-be" if zeros[0] > zeros[1] else "utf-16-le", errors="replace")
+    if b"\0" in raw:
+        raise BadInputError(
+            f"{path}: is no text table and no other known format (shm-monitor import --help lists them)"
+        )
+    for encoding in ("utf-8-sig", "cp1252"):
+        try:
+            return raw.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return raw.decode("latin-1")
+
+
+def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -> Text:
+    """Guess the dialect of a text and cut it into rows.
+
+    Headings that stand again among the rows, as of files that were joined, and a last row that was cut off are left out and
+    told.  Raises BadInputError if there is no table of numbers, or a row has another number of cells.
+    """
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    while lines and not lines[-1].strip(" ,;\t|"):
+        lines.pop()
+    dialect = guess(path, lines, time)
+    headings = {line.strip() for line in lines[: dialect.first] if line.strip()}
+    rows: list[str] = []
+    numbers: list[int] = []
+    again = 0
+    for number, line in enumerate(lines[dialect.first :], dialect.first + 1):
+        if not line.strip():
+            continue
+        cells = split(line, dialect.delimiter)
+        if len(cells) == dialect.width or (len(cells) > dialect.width and not any(cells[dialect.width :])):
+            if line.strip() in headings:
+                again += 1
+                continue
+            rows.append(line)
+            numbers.append(number)
+        elif line.strip() in headings:
+            again += 1
+        elif number == len(lines) and rows:
+            on_warning(f"{path}: line {number} is cut short and left out")
+        else:
+            raise BadInputError(f"{path}: line {number}: {len(cells)} cells where {dialect.width} are expected")
+    if again:
+        on_warning(f"{path}: {again} lines of headings stand again among the readings and are left out")
+    return Text(path, rows, numbers, dialect, tuple(lines[: dialect.first]))
+
+
+def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> Table:
+    """Convert a text to a table on its own clock (errors as of `cut`)."""
+    dialect, path = text.dialect, text.path
+    readings = dialect.of(Role.READING)
+    if not readings:
+        raise BadInputError(f"{path}: no column besides time and counter")
+    if left := [dialect.columns[at].name for at in dialect.of(Role.TEXT)]:
+        on_warning(f"{path}: left out, since they hold no numbers: {', '.join(left)}")
+    names = [dialect.columns[at].name for at in readings]
+    if len(set(names)) != len(names):
+        raise BadInputError(f"{path}: columns of the same name in the header: {', '.join(names)}")
+    clock = _clock(text, on_warning, zone)
+    values = text.values(readings, on_warning)
+    _leave_out_fillers(path, names, values, on_warning)
+    counters = dialect.of(Role.COUNTER)
+    index = text.values(counters[:1], on_warning)[:, 0] if counters else None
+    if index is not None and not (np.isfinite(index).all() and (np.diff(index) >= 1).all()):
+        index = None
+    return Table(
+        path=path,
+        columns=tuple(names),
+        units=tuple(dialect.columns[at].unit_text for at in readings),
+        by_name=tuple(dialect.columns[at].unit_by_name for at in readings),
+        values=values,
+        time_ns=clock.time_ns,
+        index=None if index is None else index.astype(np.int64),
+        start_ns=clock.start_ns,
+        rate_hz=dialect.rate_hz,
+        start_text=clock.start_text,
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Clock:
+    """Times of the rows."""
+
+    time_ns: Annotated[Ticks, "n"] | None
+    start_ns: int | None
+    start_text: str
+    """Time of the first row as written, where it has no zone."""
+
+
+def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
+    """Form the times of the rows from the columns that hold them."""
+    dialect, path = text.dialect, text.path
+    stated = _stated_start(text, zone)
+    at = next(iter(dialect.of(Role.STAMP)), None)
+    dated, clocked = dialect.of(Role.DATE), dialect.of(Role.CLOCK)
+    if at is not None:
+        texts = text.cells(at)
+    elif clocked:
+        pairs = [text.cells(column) for column in (*dated[:1], clocked[0])]
+        texts = [" ".join(cells) for cells in zip(*pairs, strict=True)]
+    elif ticking := dialect.of(Role.TIME):
+        return _ticking(text, ticking[0], stated, on_warning)
+    else:
+        return _Clock(None, *stated)
+    heading = dialect.columns[at if at is not None else clocked[0]]
+    try:
+        read = stamps.parse(texts, zone or stamps.zone_in(f"{heading.name} {heading.unit_text}"), path.name)
+    except ValueError as error:
+        (row,) = error.args
+        if not isinstance(row, int):
+            raise
+        raise BadInputError(f"{path}: line {text.numbers[row]}: {texts[row][:40]!r} is no date") from None
+    if read.has_date:
+        _tell_swapped(path, int(read.t_ns[0]), on_warning)
+    if read.is_doubtful:
+        on_warning(
+            f"{path}: {texts[0]!r} is read with the {read.order}; nothing tells whether day and month are exchanged: see --start"
+        )
+    elif read.order and "name" in read.order:
+        on_warning(f"{path}: {texts[0]!r} is read with the {read.order}")
+    t_ns = read.t_ns + _fractions_ns(text, on_warning)
+    if not read.has_date:
+        start_ns, start_text = stated
+        if start_ns is None:
+            on_warning(f"{path}: its times of day have no date, which --start states")
+        return _Clock(t_ns, start_ns, start_text)
+    return _Clock(t_ns, int(t_ns[0]), "" if read.has_zone else texts[0])
+
+
+def _tell_swapped(path: Path, start_ns: int, on_warning: OnWarning) -> None:
+    """Tell that the date in the file's name is the start with day and month exchanged."""
+    day = datetime.fromtimestamp(start_ns / 1e9, UTC).date()
+    named = re.search(r"(\d{4})-(\d{2})-(\d{2})", path.name)
+    if named and day.day != day.month and tuple(map(int, named.groups())) == (day.year, day.day, day.month):
+        on_warning(f"{path}: starts on {day}, but its name says {named[0]}: day and month seem swapped; see --start")
+
+
+def _stated_start(text: Text, zone: tzinfo | None) -> tuple[int | None, str]:
+    """Return the time of the first sample that lines above the table state, and how where it has no zone; None without."""
+    stated = text.dialect.start_text
+    if not stated:
+        return None, ""
+    try:
+        read = stamps.parse([stated], zone, text.path.name)
+    except ValueError:
+        return None, ""
+    return int(read.t_ns[0]), "" if read.has_zone else stated
+
+
+def _fractions_ns(text: Text, on_warning: OnWarning) -> Annotated[Ticks, "n"] | int:
+    """Return the fractions of a second that stand in a column of their own, ns."""
+    at = next(iter(text.dialect.of(Role.FRACTION)), None)
+    if at is None:
+        return 0
+    micro = text.dialect.columns[at].name.casefold().startswith(("u", "micro"))
+    return np.rint(text.values([at], on_warning)[:, 0]).astype(np.int64) * (1000 if micro else 10**6)
+
+
+def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: OnWarning) -> _Clock:
+    """Convert a column of numbers to times: by its unit, else by its size."""
+    column, path = text.dialect.columns[at], text.path
+    if column.unit is not None and column.unit.quantity != TIME:
+        raise BadInputError(
+            f"{path}: unknown unit {column.unit_text!r} of column {column.name!r}; give s, ms, us or ns"
+        )
+    if column.unit is None and column.unit_text:
+        raise BadInputError(
+            f"{path}: unknown unit {column.unit_text!r} of column {column.name!r}; give s, ms, us or ns"
+        )
+    numbers = text.values([at], on_warning)[:, 0]
+    if not np.isfinite(numbers).all():
+        bad = int(np.argmax(~np.isfinite(numbers)))
+        raise BadInputError(f"{path}: line {text.numbers[bad]}: no time in column {column.name!r}")
+    first = float(numbers[0])
+    low, high = _SINCE_1970_S
+    for least, most, zero, words in _SERIAL_DAYS:
+        if (
+            column.unit is None
+            and least < first < most
+            and (np.diff(numbers) < 1.0).all()
+            and not float(first).is_integer()
+        ):
+            on_warning(f"{path}: column {column.name!r} is taken as days {words}")
+            # Days with ten decimals are cut at 10 us.
+            t_ns = np.rint((numbers - np.floor(first)) * 86_400e6).astype(np.int64) * 1000
+            return _dated(t_ns + int(np.floor(first) - zero) * 86_400 * 10**9, f"{first:.6f}")
+    factor = (
+        column.unit.factor
+        if column.unit is not None
+        else next((tick for tick in (1.0, 1e-3, 1e-6, 1e-9) if low < first * tick < high), 1.0)
+    )
+    if np.abs(numbers).max() > 4e18 / (factor * 1e9):
+        raise BadInputError(f"{path}: column {column.name!r} holds no times: {numbers[np.argmax(np.abs(numbers))]:g}")
+    t_ns = _exact_ns(numbers, factor)
+    if low < first * factor < high:
+        return _dated(t_ns, "")
+    step = float(np.median(np.abs(np.diff(numbers)))) if len(numbers) > 1 else 0.0
+    if column.unit is None and step and step * factor > 1.0 / _LEAST_RATE_HZ and text.dialect.rate_hz is None:
+        on_warning(
+            f"{path}: column {column.name!r} states no unit and steps by {step:g}: in s that is {1.0 / step:.4g} Hz, "
+            f"in ms {1e3 / step:.4g} Hz; taken as s (write the unit into its heading, as '{column.name} [ms]', or give --rate)"
+        )
+    return _Clock(t_ns, *stated)
+
+
+def _dated(t_ns: Annotated[Ticks, "n"], text: str) -> _Clock:
+    """Form a clock whose times are dates; seconds since 1970 are UTC, as without `text`."""
+    return _Clock(t_ns, int(t_ns[0]), text)
+
+
+def _exact_ns(numbers: Annotated[Array, "n"], factor: float) -> Annotated[Ticks, "n"]:
+    """Convert times to ns without losing digits of large ones."""
+    ticks = round(factor * 1e9)
+    whole = np.floor(numbers)
+    return whole.astype(np.int64) * ticks + np.rint((numbers - whole) * ticks).astype(np.int64)
+
+
+def _leave_out_fillers(
+    path: Path, names: Sequence[str], values: Annotated[Array, "n c"], on_warning: OnWarning
+) -> None:
+    """Replace numbers that stand for no reading by NaN, and tell it."""
+    for at, name in enumerate(names):
+        column = values[:, at]
+        with np.errstate(invalid="ignore"):
+            absurd = np.abs(column) >= _ABSURD
+        if absurd.any():
+            on_warning(
+                f"{path}: {name}: {np.count_nonzero(absurd)} readings are missing: {column[absurd][0]:g} stands for them"
+            )
+            column[absurd] = np.nan
+        for filler in _FILLERS:
+            held = column == filler
+            rest = np.abs(column[~held & np.isfinite(column)])
+            if held.any() and rest.size and rest.max() * _APART < abs(filler):
+                on_warning(f"{path}: {name}: {np.count_nonzero(held)} readings are missing: {filler:g} stands for them")
+                column[held] = np.nan
+
+
+__all__ = ["Text", "cut", "decode", "is_number", "to_table"]

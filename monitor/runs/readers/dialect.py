@@ -1,0 +1,467 @@
+"""Guesses how a table of text is written, before any of it is converted: one value that says all of it, with the reasons."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from itertools import pairwise
+from pathlib import Path
+
+from monitor.core import BadInputError
+from monitor.runs.readers.stamps import CLOCK, DATE, DATED, looks_dated
+from monitor.runs.readers.units import TIME, Unit, split_name, unit_of, units_in_names
+
+MISSING = frozenset(
+    {
+        *(
+            "nan",
+            "na",
+            "n/a",
+            "#n/a",
+            "#na",
+            "null",
+            "none",
+            "nil",
+            "missing",
+            "invalid",
+            "nodata",
+            "no-data",
+            "?",
+            "*",
+        ),
+        *("-", "--", "---", "----", "error", "#value!", "#num!", "#div/0!", "1.#qnan", "-1.#ind", "1.#ind"),
+        *("ol", "over", "overrange", "underrange", "overload", "overflow", "inf", "+inf", "-inf", "1.#inf", "-1.#inf"),
+    }
+)
+"""Words for a reading that is missing, in lower case, without spaces. [words; conventions of loggers and spreadsheets]"""
+_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eEdD][+-]?\d+)?")
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([,.' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
+"""A number whose digits are set off in groups of three. [pattern]"""
+_TIME_NAME = re.compile(
+    r"(t|time.*|zeit.*|date.*|datum.*|stamp|timestamp.*|sampletimefine|elapsed.*|temps|tiempo|fecha.*|hora|epoch.*|utc.*"
+    r"|clock|x_value|seconds?|sec|ms|millis|micros|relative.?time|local.?time)",
+    re.IGNORECASE,
+)
+_COUNTER_NAME = re.compile(
+    r"(|#|index|idx|id|sample|samples|sample.?(no|nr|number|index)\.?|counter|count|packetcounter|nr\.?|no\.?|num|number|n|record"
+    r"|rec|row|line|point|scan|seq(uence)?)",
+    re.IGNORECASE,
+)
+_FRACTION_NAME = re.compile(r"(ms|msec|millis|milliseconds?|millisecond|micros|us|usec)", re.IGNORECASE)
+_MAGNITUDE_NAME = re.compile(
+    r".*(mag|magnitude|abs|absolute|total|resultant|norm|\|a\||vector|vsum|rms).*", re.IGNORECASE
+)
+_RATE_CELL = re.compile(r"(?:sr|rate|fs)?\s*[=:]?\s*([\d.]+)\s*(k?hz)", re.IGNORECASE)
+_RATE_LINE = re.compile(
+    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps)\b[^\d]{0,24}?(?:\(?\s*(k?hz|sps|samples/s\w*)\s*\)?)?"
+    r"[\s:=,;\t\"]+([\d.,]+)\s*(k?hz|sps)?",
+    re.IGNORECASE,
+)
+_STEP_LINE = re.compile(
+    r"(?:sampl\w*[\s_]*(?:interval|period|time|step)|time[\s_]*(?:step|interval)|interval|delta[\s_]?[xt]|dt|period)\b"
+    r"\s*[\[(]?\s*(s|sec|seconds|ms|msec|us)?\s*[\])]?[\s:=,;\t\"]+([\d.,eE+-]+)\s*(s|sec|seconds|ms|msec|us)?\b",
+    re.IGNORECASE,
+)
+_START_LINE = re.compile(
+    rf"(?:start|begin|trigger|record\w*|acqui\w*|date|time)[\w\s./-]*?[\s:=,;\t\"]+(?P<stamp>{DATED.pattern})",
+    re.IGNORECASE,
+)
+_UNIT_LINE = re.compile(r"(?:y_?)?units?(?:_label)?\b[\s:=,;\t\"]+([^\s,;\t\"]+(?: s-2)?)", re.IGNORECASE)
+_FEW = 3
+"""Lines of a table so short that the last one counts as well. [lines; judgement]"""
+_TAIL = 100
+"""Rows from the end that show the shape of a table. [rows; judgement: the head may be comments]"""
+_HEAD = 400
+"""Most lines before the rows that are looked at. [lines; judgement]"""
+_SHARE = 0.9
+"""Share of the rows that must fit. [ratio; judgement: a row in ten may be damaged]"""
+
+
+class Role(Enum):
+    """What a column holds."""
+
+    STAMP = "date and time"
+    DATE = "date"
+    CLOCK = "time of day"
+    TIME = "time"
+    FRACTION = "fraction of a second"
+    COUNTER = "counter of samples"
+    READING = "readings"
+    TEXT = "text"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a table of text."""
+
+    name: str
+    role: Role
+    unit: Unit | None
+    unit_text: str
+    """As the file writes it; empty where it states none."""
+    unit_by_name: bool
+    """Whether the unit is part of the name."""
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How a table of text is written."""
+
+    path: Path
+    delimiter: str | None
+    """Mark between cells; None for white space."""
+    decimal: str
+    thousands: str
+    first: int
+    """Index of the first row of readings among the lines."""
+    width: int
+    columns: tuple[Column, ...]
+    rate_hz: float | None = None
+    """As the lines before the rows state it."""
+    start_text: str = ""
+    """Time of the first sample as the lines before the rows state it."""
+    reasons: dict[str, str] = field(default_factory=dict)
+
+    def of(self, *roles: Role) -> list[int]:
+        """List the columns of these roles."""
+        return [at for at, column in enumerate(self.columns) if column.role in roles]
+
+    def explained(self) -> list[tuple[str, str, str]]:
+        """Return what was taken, for what, and the reason, for a table."""
+        shown = {None: "white space", "\t": "tab", ",": "comma", ";": "semicolon", "|": "stroke"}
+        rows = [
+            ("delimiter", shown.get(self.delimiter, str(self.delimiter)), self.reasons["delimiter"]),
+            ("decimal mark", {".": "point", ",": "comma"}[self.decimal], self.reasons["decimal"]),
+            ("first row", f"line {self.first + 1}", self.reasons["first"]),
+        ]
+        if self.thousands:
+            rows.append(("groups of digits", repr(self.thousands), self.reasons["decimal"]))
+        if self.rate_hz is not None:
+            rows.append(("rate", f"{self.rate_hz:g} Hz", self.reasons["rate"]))
+        if self.start_text:
+            rows.append(("start", self.start_text, self.reasons["start"]))
+        for at, column in enumerate(self.columns, start=1):
+            unit = f", {column.unit_text}" if column.unit_text else ""
+            rows.append((f"column {at}", f"{column.name!r}: {column.role.value}{unit}", column.why))
+        return rows
+
+
+def split(line: str, delimiter: str | None) -> list[str]:
+    """Split a line into cells; without a delimiter, at white space."""
+    if delimiter and '"' in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""])]
+    return [cell.strip(' \t"') for cell in (line.split(delimiter) if delimiter else line.split())]
+
+
+def is_missing(cell: str) -> bool:
+    """Test whether a cell is empty or a word for a missing reading."""
+    return not cell or cell.casefold().replace(" ", "") in MISSING
+
+
+def is_number(cell: str) -> bool:
+    """Test whether a cell is a number, with any decimal mark and with groups of digits or without."""
+    return _NUMBER.fullmatch(cell) is not None or _GROUPED.fullmatch(cell) is not None
+
+
+def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
+    """Guess how a table of text is written; `time` names the column of the times.
+
+    Raises BadInputError if there is no table of numbers.
+    """
+    tail = [line for line in lines[-_TAIL - 1 :] if line.strip(" \t,;|")]
+    tail = tail[:-1] if len(tail) > _FEW else tail  # the last line may be incomplete
+    try:
+        delimiter, width, why = _delimiter(path, tail)
+        first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width)), None)
+        if first is None:
+            raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
+        head = [split(line.lstrip("#%! "), delimiter) for line in lines[max(0, first - _HEAD) : first]]
+        rows = [
+            cells
+            for cells in (
+                split(line, delimiter)
+                for line in [*lines[first : first + _TAIL], *lines[max(first, len(lines) - _TAIL) :]]
+            )
+            if len(cells) >= width
+        ]
+    except csv.Error as error:
+        raise BadInputError(f"{path}: {error}") from error
+    if (
+        all(len(cells) > width or not cells[width - 1] for cells in rows)
+        and width > 1
+        and not any(c[width - 1] for c in rows)
+    ):
+        width -= 1  # rows end with a delimiter
+    decimal, thousands, why_decimal = _marks([cell for cells in rows for cell in cells[:width]], delimiter)
+    names, units, rate, used = _headings(path, head, width, rows)
+    reasons = {
+        "delimiter": why,
+        "decimal": why_decimal,
+        "first": f"the first line of {width} numbers, times or missing values",
+    }
+    rate_hz = rate
+    if rate is not None:
+        reasons["rate"] = "a row of rates stands above the columns"
+    preamble = [line for line in lines[max(0, first - _HEAD) : first]]
+    start_text = unit_text = day = clock = ""
+    for line in preamble:
+        if rate_hz is None and (found := _stated_rate(line)) is not None:
+            rate_hz, reasons["rate"] = found, f"stated: {line.strip()[:60]!r}"
+        if not start_text and (match := _START_LINE.search(line)) is not None:
+            start_text, reasons["start"] = match["stamp"].strip(), f"stated: {line.strip()[:60]!r}"
+        day = day or _value_of("date", DATE, line)
+        clock = clock or _value_of("time", CLOCK, line)
+        if not unit_text and (match := _UNIT_LINE.search(line)) is not None and unit_of(match[1]) is not None:
+            unit_text = match[1]
+    if not start_text and day and clock:
+        start_text, reasons["start"] = f"{day} {clock}", "date and time are stated above the table"
+    columns = _columns(names, units, rows, unit_text, used, time)
+    return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, reasons)
+
+
+def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, str]:
+    """Choose the mark by which most rows have one number of cells, all of them data; the widest of those."""
+    best: tuple[float, int, str | None] = (0.0, 0, None)
+    for mark in ("\t", ";", "|", ",", None):
+        if mark is not None and not any(mark in line for line in tail):
+            continue
+        cut = [split(line, mark) for line in tail]
+        widths = Counter(len(cells) for cells in cut if all(map(_is_data, cells)) and any(map(is_number, cells)))
+        if not widths:
+            continue
+        width, count = widths.most_common(1)[0]
+        share = count / len(tail)
+        if (round(min(share, _SHARE), 3), width) > best[:2]:
+            best = (round(min(share, _SHARE), 3), width, mark)
+    if best[0] < 0.5:
+        raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
+    return best[2], best[1], f"{best[1]} cells a row, all of them numbers, times or missing values"
+
+
+def _is_data(cell: str) -> bool:
+    """Test whether a cell may stand in a row of readings."""
+    return is_missing(cell) or is_number(cell) or looks_dated(cell)
+
+
+def _is_row(cells: Sequence[str], width: int) -> bool:
+    """Test whether cells are a row of readings."""
+    return len(cells) == width and all(map(_is_data, cells)) and any(map(is_number, cells))
+
+
+def _marks(cells: Sequence[str], delimiter: str | None) -> tuple[str, str, str]:
+    """Return decimal mark and mark of groups of three digits, once for the whole table, and the reason."""
+    if delimiter == "," and not any("," in cell for cell in cells):
+        return ".", "", "the comma stands between cells"
+    numbers = [cell for cell in cells if is_number(cell)]
+    both = [cell for cell in numbers if "," in cell and "." in cell]
+    if both:
+        decimal = max(both[0].rfind(","), both[0].rfind("."))
+        mark = both[0][decimal]
+        return mark, "," if mark == "." else ".", f"as in {both[0]!r}"
+    for other in ("'", " "):
+        if any(other in cell for cell in numbers):
+            return ("," if any("," in cell for cell in numbers) else "."), other, "groups of three digits"
+    commas = [cell for cell in numbers if "," in cell]
+    if not commas:
+        return ".", "", "no cell has a comma"
+    if any(cell.count(",") > 1 for cell in commas):
+        return ".", ",", f"as in {next(c for c in commas if c.count(',') > 1)!r}"
+    grouped = all(_GROUPED.fullmatch(cell) for cell in commas)
+    # Decimals fixed at three would leave no number without a comma; groups leave those below 1000 without one.
+    bare = [cell for cell in numbers if "," not in cell and "." not in cell]
+    small = any(abs(float(cell)) >= 100.0 for cell in bare if _NUMBER.fullmatch(cell))
+    if grouped and small and not any(cell.lstrip("+-").startswith("0") for cell in commas):
+        return ".", ",", f"{commas[0]!r} beside {bare[0]!r}: commas set off thousands"
+    return ",", "", f"as in {commas[0]!r}"
+
+
+def _headings(
+    path: Path, head: Sequence[Sequence[str]], width: int, rows: Sequence[Sequence[str]]
+) -> tuple[list[str], list[str], float | None, str]:
+    """Find names, units and rate among the rows above the readings: what each row is shows by its cells."""
+    near = [[*cells] for cells in head[-8:] if sum(bool(cell) for cell in cells) > 0]
+    names: list[str] = []
+    units = [""] * width
+    rate: float | None = None
+    for cells in reversed(near):
+        cells = [*cells[:width], *[""] * (width - len(cells))] if abs(len(cells) - width) <= 1 else cells
+        if len(cells) != width:
+            if names:
+                break
+            continue
+        filled = [cell for cell in cells if cell]
+        rates = [match for cell in filled if (match := _RATE_CELL.fullmatch(cell)) is not None]
+        if len(rates) == len(filled):
+            value = float(rates[0][1]) * (1e3 if rates[0][2].casefold() == "khz" else 1.0)
+            rate = value
+        elif 2 * sum(unit_of(cell) is not None for cell in filled) > len(filled) and not _are_names(filled, units):
+            units = [cell.strip("[](){} ") for cell in cells]
+        elif all(cell.casefold() in _PROCESSING for cell in filled):
+            continue
+        elif sum(is_number(cell) for cell in filled) * 2 > len(filled) and len(near) > 1:
+            continue  # numbers of channels or of sensors
+        elif not names:
+            names = cells
+            _demand_names(path, names)
+            if any(units):
+                break
+        elif not any(units) and 2 * sum(unit_of(cell) is not None for cell in filled) > len(filled):
+            units = cells
+        else:
+            break
+    short = bool(names) and names[-1] == "" and not any(unit_of(n) for n in names)
+    return (
+        _placed(names, width, rows) if short else (names or [f"column{at + 1}" for at in range(width)]),
+        units,
+        rate,
+        ("named in the heading" if names else "no heading"),
+    )
+
+
+_PROCESSING = frozenset({"smp", "avg", "max", "min", "std", "tot", "sample", "raw", ""})
+"""Words of the rows in which loggers state the processing. [words; Campbell TOA5]"""
+
+
+def _are_names(cells: Sequence[str], units: Sequence[str]) -> bool:
+    """Test whether cells that could be units are names: components, as E, N, Z."""
+    return (len(set(cells)) == len(cells) and all(len(cell) == 1 and cell.isupper() for cell in cells)) or any(units)
+
+
+def _demand_names(path: Path, names: Sequence[str]) -> None:
+    """Refuse a row of numbers and words as headings: it is a damaged row of readings, unless it begins with a time's name."""
+    if any(map(is_number, names)) and not any(_TIME_NAME.fullmatch(split_name(name)[0]) for name in names):
+        bad = next((name for name in names if name and not is_number(name)), names[0])
+        raise BadInputError(f"{path}: {bad[:40]!r} is no number, in the row above the first one of numbers alone")
+
+
+def _placed(names: list[str], width: int, rows: Sequence[Sequence[str]]) -> list[str]:
+    """Place headings, of which there is one too few: the column without one is the first, where that counts or is a time."""
+    given = names[:-1]
+    if any(_TIME_NAME.fullmatch(split_name(name)[0]) for name in given[:1]):
+        return [*given, f"column{width}"]
+    return ["", *given]
+
+
+def _value_of(name: str, pattern: re.Pattern[str], line: str) -> str:
+    """Return what a line before the rows states behind a name; empty where it states nothing of this form."""
+    match = re.match(
+        rf"[\s#\"]*(?:start|test|record\w*)?[\s_]*{name}[\s:=,;\t\"]+({pattern.pattern})", line, re.IGNORECASE
+    )
+    return "" if match is None else match[1]
+
+
+def _stated_rate(line: str) -> float | None:
+    """Return the rate, Hz, that a line before the rows states; None if it states none."""
+    if (match := _STEP_LINE.search(line)) is not None:
+        step = _plain(match[2])
+        unit = unit_of(match[3] or match[1] or "s")
+        if step and unit is not None and unit.quantity == TIME:
+            return round(1.0 / (step * unit.factor), 6)
+    if (match := _RATE_LINE.search(line)) is not None:
+        rate = _plain(match[2])
+        kilo = (match[1] or match[3] or "").casefold() == "khz"
+        return None if not rate else rate * (1e3 if kilo else 1.0)
+    return None
+
+
+def _plain(text: str) -> float | None:
+    """Convert a number of a line before the rows."""
+    try:
+        value = float(text.replace(",", ".").rstrip("."))
+    except ValueError:
+        return None
+    return value if value > 0.0 else None
+
+
+def _columns(
+    names: Sequence[str],
+    units: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    stated: str,
+    used: str,
+    time: str | None,
+) -> tuple[Column, ...]:
+    """Say what each column holds."""
+    behind = units_in_names(names)
+    cut = [split_name(name) for name in names]
+    found: list[Column] = []
+    for at, name in enumerate(names):
+        bare, unit_text, by_name = cut[at]
+        unit_text = units[at] or (behind[at] if by_name else unit_text)
+        by_name = by_name and bool(behind[at]) and not units[at]
+        bare = name.strip() if cut[at][2] else bare
+        unit = unit_of(unit_text) if unit_text else None
+        cells = [row[at] for row in rows if len(row) > at]
+        role, why = _role(bare, unit, cells, at, found, used, named=None if time is None else time in (name, bare))
+        if role is Role.READING and not unit_text and stated:
+            unit_text, unit, why = stated, unit_of(stated), f"{why}; its unit stands above the table"
+        found.append(
+            Column(
+                bare or f"column{at + 1}",
+                role,
+                unit,
+                unit_text if unit or units[at] or not by_name else "",
+                by_name,
+                why,
+            )
+        )
+    return tuple(found)
+
+
+def _role(
+    name: str, unit: Unit | None, cells: Sequence[str], at: int, before: Sequence[Column], used: str, named: bool | None
+) -> tuple[Role, str]:
+    """Say what a column holds, by its cells first and by its name then."""
+    filled = [cell for cell in cells if not is_missing(cell)]
+    whole = filled and sum(map(bool, map(DATED.fullmatch, filled))) >= _SHARE * len(filled)
+    if whole:
+        return Role.STAMP, f"dates and times, as {filled[0]!r}"
+    if filled and all(map(DATE.fullmatch, filled)):
+        return Role.DATE, f"dates, as {filled[0]!r}"
+    if filled and all(map(CLOCK.fullmatch, filled)):
+        return Role.CLOCK, f"times of day, as {filled[0]!r}"
+    if not any(map(is_number, filled)):
+        return Role.TEXT, f"no numbers, as {filled[0]!r}" if filled else "empty"
+    has_time = any(column.role in (Role.STAMP, Role.CLOCK, Role.TIME) for column in before)
+    if named:
+        return Role.TIME, "named as the times"
+    integers = [int(cell) for cell in filled if re.fullmatch(r"[+-]?\d+", cell)]
+    counts = len(integers) == len(filled) > 2 and sum(b - a == 1 for a, b in pairwise(integers)) >= 0.8 * (
+        len(filled) - 2
+    )
+    if (
+        has_time
+        and _FRACTION_NAME.fullmatch(name)
+        and len(integers) == len(filled)
+        and max(integers, default=1000) < 1_000_000
+    ):
+        return Role.FRACTION, "whole numbers below a second, named as a fraction, behind a time"
+    if (
+        named is None
+        and not has_time
+        and (
+            _TIME_NAME.fullmatch(
+                re.sub(r"[\s_.-]+$", "", name.removesuffix(unit.symbol if unit and unit.quantity == TIME else "\0"))
+            )
+            or (unit is not None and unit.quantity == TIME)
+        )
+    ):
+        return Role.TIME, "named as a time" if unit is None or unit.quantity != TIME else f"in {unit.symbol}"
+    if counts and (_COUNTER_NAME.fullmatch(name) or (at == 0 and used == "no heading")):
+        return Role.COUNTER, "whole numbers that count on"
+    if at == 0 and (used == "no heading" or not name) and _is_ramp(filled):
+        return Role.TIME, "rises by one step throughout"
+    return Role.READING, "numbers"
+
+
+def _is_ramp(cells: Sequence[str]) -> bool:
+    """Test whether numbers rise by much the same step throughout."""
+    values = [float(cell.replace(",", ".")) for cell in cells if _NUMBER.fullmatch(cell)]
+    half = len(values) // 2  # the head of the table, then its tail
+    steps = [b - a for a, b in pairwise(values[:half])]
+    return len(steps) > 2 and min(steps) > 0.0 and max(steps) < 3.0 * sorted(steps)[len(steps) // 2]

@@ -1,0 +1,554 @@
+"""Files of any format become one recording: read, put on one clock, chosen, converted, written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import numpy as np
+
+from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, TEMPERATURE, UNIT_OF, RecordingError, SampleBlock
+from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
+from drivers.mcap_records import MAGIC
+from monitor.core import BadInputError, MissingInputError, OnProgress, Step, WrongUsageError, os_errors_of, utc
+from monitor.runs.readers import can_log, clocks, formats, units
+from monitor.runs.readers.base import File, Limits, Options, read_bytes
+from monitor.runs.readers.table import KNOWN_UNITS, Array, OnWarning, Table, Ticks, in_order, in_si, meant_instead
+from monitor.runs.readers.units import G_M_S2, unit_of
+from monitor.signals import SampleClock, sample_clock
+
+GRAVITY_TOLERANCE = 0.03
+"""Distance of a mean from 1, relative, within which it may be gravity. [1; judgement: a sensor's offset and its tilt]"""
+_GRAVITY_UNITS = ("m/s^2", "g", "mg", "gal")
+"""Units of which a constant part of the size of gravity tells. [names; as of --unit]"""
+_RATES_HZ = (5.0, 1e5)
+"""Rates outside which a rate is doubted. [Hz; judgement: buildings, and impacts on machines]"""
+_LEVELS_M_S2 = (1e-9 * G_M_S2, 100.0 * G_M_S2)
+"""Levels outside which a unit is doubted. [m/s^2; judgement: below any sensor's noise, above any building's motion]"""
+_CONTRADICTED = 1e-3
+"""Difference, relative, from which a stated rate and that of the stamps are told to differ. [1; judgement: a poor clock's
+tolerance, ten times]"""
+
+
+_PLAIN, _LIMITS = Options(), Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedChannel:
+    """What was taken for a channel."""
+
+    topic: str
+    name: str
+    source: str
+    """As FILE:COLUMN."""
+    unit: str
+    """Of the column."""
+    stated: bool
+    """Whether the file states the unit."""
+    by_name: bool
+    """Whether it does so in the column's name."""
+    mean: float
+    """Mean of the finite readings, in the unit of the topic."""
+    rms: float
+    """About their mean, in the unit of the topic."""
+
+
+Place = tuple[Table, str]
+"""A column of a table."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Stream:
+    """Columns of one topic, and their readings in its unit."""
+
+    topic: str
+    unit: str
+    places: dict[str, Place]
+    values: Annotated[Array, "n c"]
+
+
+def acceleration_unit(text: str) -> bool:
+    """Return whether a text is a unit of acceleration."""
+    unit = unit_of(text)
+    return unit is not None and unit.quantity == units.ACCELERATION
+
+
+def import_files(
+    files: list[Path],
+    out: Path,
+    options: Options = _PLAIN,
+    *,
+    ask_unit: Callable[[Sequence[str]], str] | None = None,
+    on_warning: OnWarning = lambda _: None,
+    on_channel: Callable[[ImportedChannel], None] = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
+    limits: Limits = _LIMITS,
+) -> RecordingInfo:
+    """Write the readings of `files`, sampled at the same time, as one recording, and return the content of the recording.
+
+    Parameters
+    ----------
+    ask_unit
+        Asks the user for the unit of columns, given as "FILE:COLUMN", where neither files nor options state it; without it,
+        m/s^2 is taken with a warning.
+    on_channel
+        Told of each channel that was written; not of those of a CAN log.
+
+    Raises
+    ------
+    BadInputError
+        If the data cannot be used.
+    MissingInputError
+        If a file cannot be read, or `out` cannot be written.
+    WrongUsageError
+        If the option `unit` is no unit of acceleration.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder, "a.csv")
+    ...     _ = table.write_text("t,a1 [g]\\n0.00,0.1\\n0.01,0.2\\n0.02,0.1\\n")
+    ...     info = import_files([table], Path(folder, "a.mcap"), Options(start_ns=0))
+    >>> info.sample_rate_hz, info.channels["/acceleration"]
+    (100.0, ('a1',))
+    """
+    _check(options)
+    try:
+        if any(map(can_log.is_log, files)) and (options.dbc is not None or not _is_text(files[0])):
+            return can_log.import_log(files, out, options, on_warning)
+        if options.bus is not None:
+            raise BadInputError(f"--bus {options.bus} is for CAN logs; {files[0]} is none by its name")
+        if options.dbc is not None:
+            raise BadInputError(f"{options.dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
+        tables = _read(files, options, limits, on_warning, on_progress)
+        if options.align:
+            leading = {name: find_column(tables, place) for name, place in (options.channels or {}).items()}
+            moving = [place for place in leading.values() if place[0].quantity(place[1]) != units.ROTATION]
+            tables = clocks.align(tables, moving, on_warning)
+        tables, clock = clocks.join(tables, on_warning)
+        rate, numbers = _timing(tables, clock, options, on_warning)
+        start_ns = _start_ns(tables, options, on_warning)
+        # The time of the last sample must fit 64-bit nanoseconds, which a damaged counter violates.
+        if not 1e-3 <= rate <= 1e7 or start_ns + int(numbers[-1]) * 1e9 / rate > 4e18:
+            raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
+        streams, unit, is_taken = _streams(tables, options, ask_unit, on_warning)
+        _warn_of_missing(streams[0].values, numbers, rate, on_warning)
+        on_progress(Step("writes the recording"))
+        _write(out, streams, rate, numbers, start_ns)
+        taken = [_taken(stream, name, at, unit) for stream in streams for at, name in enumerate(stream.places)]
+        for one in taken:
+            on_channel(one)
+        if is_taken:
+            on_warning(doubt_unit(taken))
+        for doubt in _doubts(rate, taken):
+            on_warning(f"{files[0]}: {doubt}")
+        return recording_info(out)
+    except OSError as error:
+        raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
+    except RecordingError as error:
+        raise BadInputError(str(error)) from error
+
+
+def are_recordings(paths: Sequence[Path]) -> bool:
+    """Check whether files are recordings, and not files of other formats; BadInputError where they are of both kinds."""
+    kinds = set()
+    for path in paths:
+        with os_errors_of(path), path.open("rb") as file:
+            kinds.add(file.read(len(MAGIC)) == MAGIC or path.suffix == ".mcap")
+    if len(kinds) > 1:
+        raise BadInputError(f"{', '.join(map(str, paths))}: are recordings and other files; give one kind at a time")
+    return kinds.pop()
+
+
+@contextmanager
+def as_recordings(
+    paths: Sequence[Path], options: Options = _PLAIN, on_warning: OnWarning = lambda _: None
+) -> Iterator[list[Path]]:
+    """Give recordings as they are, and files of any other format as one recording that lasts as long as the block.
+
+    Errors within the block name the files (errors as `import_files`).
+    """
+    if are_recordings(paths):
+        yield list(paths)
+        return
+    with TemporaryDirectory() as folder:
+        out = Path(folder, f"{paths[0].stem}.mcap")
+        import_files(list(paths), out, options, on_warning=on_warning)
+        try:
+            yield [out]
+        except BadInputError as error:
+            raise BadInputError(str(error).replace(str(out), ", ".join(map(str, paths)))) from error
+
+
+def _check(options: Options) -> None:
+    """Refuse options that mean nothing."""
+    if options.rate_hz is not None and not (np.isfinite(options.rate_hz) and options.rate_hz > 0):
+        raise BadInputError(f"--rate {options.rate_hz}: must be a positive number of Hz")
+    if options.unit is not None and not acceleration_unit(options.unit):
+        raise WrongUsageError(f"--unit {options.unit!r}: known for acceleration: {KNOWN_UNITS[units.ACCELERATION]}")
+    if options.scale is not None and not (np.isfinite(options.scale) and options.scale != 0.0):
+        raise BadInputError(f"--scale {options.scale}: must be a number of m/s^2 a count, not 0")
+
+
+def _is_text(path: Path) -> bool:
+    """Test whether a file with the suffix of a CAN log is a table of text all the same."""
+    raw = read_bytes(path)[:4096]
+    first = raw.partition(b"\n")[0].strip()
+    logged = first.lower().startswith((b"date ", b"(", b";$fileversion", b"base ")) or b"\0" in raw
+    return bool(raw.strip()) and not logged
+
+
+def _read(
+    files: list[Path], options: Options, limits: Limits, on_warning: OnWarning, on_progress: OnProgress
+) -> list[Table]:
+    """Read all files; those that follow one another in time are one."""
+    tables: list[Table] = []
+    for number, path in enumerate(files):
+        on_progress(Step(f"reads {path.name}", number, len(files), "files", then="writes the recording"))
+        found = formats.read(File(path, read_bytes(path), options, limits, on_warning))
+        tables += [in_order(table, on_warning) for table in found]
+    counts = any(
+        table.is_scaled or any(table.quantity(column) == "counts" for column in table.columns) for table in tables
+    )
+    if (options.scale is not None or options.inventory is not None) and not counts:
+        raise BadInputError(
+            f"{', '.join(map(str, files))}: --scale and --inventory are for counts, as for MiniSEED, and none is here; "
+            "K-NET states its own scale, and --unit is for the others"
+        )
+    return clocks.follow(tables, on_warning)
+
+
+def _streams(
+    tables: list[Table],
+    options: Options,
+    ask_unit: Callable[[Sequence[str]], str] | None,
+    on_warning: OnWarning,
+) -> tuple[list[_Stream], str, bool]:
+    """Choose the columns of each topic and convert them; also the unit of those that state none, and whether it was taken."""
+    forces = {name: find_column(tables, place) for name, place in (options.forces or {}).items()}
+    covariates = {name: find_column(tables, place) for name, place in (options.covariates or {}).items()}
+    chosen, base = _choose(tables, options, [*forces.values(), *covariates.values()])
+    turning = {name: place for name, place in chosen.items() if place[0].quantity(place[1]) == units.ROTATION}
+    moving = {name: place for name, place in chosen.items() if name not in turning}
+    if not moving:
+        raise BadInputError(
+            f"{tables[0].path}: only rates of rotation are chosen; name a column of acceleration too, with --channel"
+        )
+    bare = [
+        f"{table.path.name}:{column}"
+        for table, column in [*moving.values(), *([] if base is None else [base])]
+        if not table.unit(column)
+    ]
+    unit, override = options.unit, None
+    strange = [c for t, c in moving.values() if t.unit(c) and t.quantity(c) not in (units.ACCELERATION, "counts")]
+    if unit is not None and strange:
+        override = unit
+        on_warning(
+            f"--unit {unit} is taken for {', '.join(strange)}, whose stated unit is no known one of acceleration"
+        )
+    elif unit is not None and not bare and options.scale is None:
+        on_warning(
+            f"--unit {unit} is not used: the files state the unit of every column, or --scale and --inventory do"
+        )
+    is_taken = bool(bare) and unit is None and ask_unit is None
+    unit = unit or (ask_unit(bare) if bare and ask_unit is not None else "m/s^2")
+
+    def acceleration(place: Place) -> Annotated[Array, "n"]:
+        table, column = place
+        if table.quantity(column) == "counts":
+            if options.scale is None:
+                raise BadInputError(f"{table.path}: {column} holds counts; give --scale M/S^2-A-COUNT, or --inventory")
+            return table.values[:, table.columns.index(column)] * options.scale
+        own = override if table.quantity(column) != units.ACCELERATION and table.unit(column) else None
+        return table.converted(column, units.ACCELERATION, unit, own)
+
+    streams = [_Stream(ACCELERATION, "m/s^2", moving, np.column_stack([acceleration(p) for p in moving.values()]))]
+    if base is not None:
+        streams.append(_Stream(GROUND, "m/s^2", {"ground": base}, acceleration(base)[:, None]))
+    for topic, places, quantity in ((FORCE, forces, units.FORCE), (ROTATION_RATE, turning, units.ROTATION)):
+        if places:
+            columns = [table.converted(column, quantity, "N") for table, column in places.values()]
+            streams.append(_Stream(topic, UNIT_OF[topic], places, np.column_stack(columns)))
+    used = [
+        *moving.values(),
+        *turning.values(),
+        *forces.values(),
+        *covariates.values(),
+        *([] if base is None else [base]),
+    ]
+    return streams + _others(tables, covariates, used, on_warning), unit, is_taken
+
+
+def _others(
+    tables: list[Table], covariates: dict[str, Place], used: list[Place], on_warning: OnWarning
+) -> list[_Stream]:
+    """Keep what is no acceleration: named covariates, and columns of another quantity, each as a topic of its own."""
+    left_out: list[str] = []
+    kept = dict(covariates)
+    for table in tables:
+        for column in table.columns:
+            if any(table is t and column == c for t, c in used):
+                continue
+            quantity = table.quantity(column)
+            if quantity and quantity != units.ACCELERATION and quantity != "counts":
+                kept.setdefault(column, (table, column))
+            else:
+                left_out.append(f"{table.path.name}:{column}" if len(tables) > 1 else column)
+    if left_out:
+        on_warning(
+            f"{tables[0].path}: left out: {', '.join(left_out)} (--channel and --covariate take columns by name)"
+        )
+    streams: list[_Stream] = []
+    for name, (table, column) in kept.items():
+        known = unit_of(table.unit(column))
+        values = table.values[:, table.columns.index(column)]
+        warm = known is not None and known.quantity == "temperature"
+        si = in_si(values, known) if known is not None and warm else values
+        unit = UNIT_OF[TEMPERATURE] if warm else (table.unit(column) or "1")
+        topic = TEMPERATURE if warm and not any(s.topic == TEMPERATURE for s in streams) else f"/{_slug(name)}"
+        streams.append(_Stream(topic, unit, {name: (table, column)}, si[:, None]))
+        if name not in covariates:
+            on_warning(f"{table.path}: {column} ({unit}) is kept as the covariate {topic}")
+    return streams
+
+
+def _slug(name: str) -> str:
+    """Return a name as part of a topic."""
+    return re.sub(r"[^a-z0-9]+", "_", name.casefold()).strip("_") or "covariate"
+
+
+def _choose(tables: list[Table], options: Options, inputs: list[Place]) -> tuple[dict[str, Place], Place | None]:
+    """Choose the column of each channel, by the channel's name, and the column of the base motion."""
+    base = find_column(tables, options.ground) if options.ground else None
+    if options.channels:
+        return {name: find_column(tables, place) for name, place in options.channels.items()}, base
+    rest = [(table, column) for table in tables for column in table.default]
+    if len(tables) == 1:
+        table = tables[0]
+        rest += [(table, c) for c in table.columns if c not in table.default and table.quantity(c) == units.ROTATION]
+    inputs = inputs if base is None else [base, *inputs]
+    rest = [pair for pair in rest if pair not in inputs]
+    if len(tables) > 1:
+        rest = [pair for pair in rest if all(pair[0] is not table for table, _ in inputs)]
+    if options.unit is not None and not rest and len(tables) == 1:
+        rest = [(tables[0], column) for column in tables[0].columns if (tables[0], column) not in inputs]
+    if not rest:
+        table = tables[0]
+        column = next((c for c in table.columns if table.unit(c)), table.columns[0])
+        if base is None and not inputs:
+            table.converted(column, units.ACCELERATION, "m/s^2")  # or says that its unit is another
+        raise BadInputError(
+            f"{table.path}: no column is left for the floors besides the ground; it has {', '.join(table.columns)}"
+        )
+    names = [column if len(tables) == 1 else table.names[0] for table, column in rest]
+    if len(set(names)) != len(names):
+        names = [column for _, column in rest]  # three components of one record, or several columns a file
+    if len(set(names)) != len(names):
+        names = [f"{table.names[0]}_{column}" for table, column in rest]
+    if len(set(names)) != len(names):
+        raise BadInputError(
+            f"several columns would be channel {max(names, key=names.count)!r}; name each: --channel NAME=FILE:COLUMN"
+        )
+    return dict(zip(names, rest, strict=True)), base
+
+
+def find_column(tables: list[Table], reference: str) -> Place:
+    """Find the column that "FILE", "FILE:COLUMN" or, with a single file, "COLUMN" denotes; BadInputError if there is none."""
+    exact = [(table, None) for table in tables if reference in table.names]
+    parts = [
+        (table, reference[len(name) + 1 :])
+        for table in tables
+        for name in dict.fromkeys(table.names)
+        if reference.startswith(name + ":")
+    ]
+    found = exact or parts[:1]
+    if not found and len(tables) == 1 and reference in tables[0].columns:
+        return tables[0], reference
+    if len(found) != 1:
+        what = "names several files" if found else "names no file"
+        files_text = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
+        meant = "" if found else meant_instead(reference, [name for table in tables for name in _references(table)])
+        raise BadInputError(
+            f"{reference!r} {what}{meant}; the files, with their columns, are {files_text}; "
+            f"write FILE:COLUMN, as {tables[0].names[0]}:{tables[0].columns[0]}"
+        )
+    table, column = found[0]
+    if column is None:
+        if len(table.default) != 1:
+            raise BadInputError(f"{table.path}: name a column: {', '.join(table.columns)}")
+        column = table.default[0]
+    table.unit(column)  # or there is no such column
+    return table, column
+
+
+def _references(table: Table) -> list[str]:
+    """List what may denote a file or a column of it."""
+    return [*table.names, *table.columns, *(f"{name}:{column}" for name in table.names for column in table.columns)]
+
+
+def _timing(
+    tables: list[Table], clock: Ticks | None, options: Options, on_warning: OnWarning
+) -> tuple[float, Annotated[Ticks, "n"]]:
+    """Return the sample rate in Hz and the number of every sample; what contradicts what is told."""
+    path, count = tables[0].path, len(tables[0].values)
+    by_file = next((table.rate_hz for table in tables if table.rate_hz), None)
+    stated = options.rate_hz or by_file
+    if clock is None:
+        if stated is None:
+            raise BadInputError(f"{path}: no time column tells the rate; give --rate HZ")
+        return stated, np.arange(count)
+    try:
+        found = sample_clock(clock)
+    except BadInputError as error:
+        if stated is None:
+            raise BadInputError(f"{path}: the time column is irregular: {error}; give --rate HZ") from error
+        on_warning(f"{path}: the time column is irregular and not used ({error}); samples run at {stated:g} Hz")
+        return stated, np.arange(count)
+    numbers = _counted(tables[0], found, on_warning)
+    _tell_clock(path, found, on_warning)
+    if stated is None:
+        return found.rate_hz, numbers
+    if abs(stated / found.rate_hz - 1.0) <= max(_CONTRADICTED, 3.0 * found.rate_std_hz / found.rate_hz):
+        return stated, numbers
+    whose = "--rate says" if options.rate_hz else "the file states"
+    on_warning(
+        f"{path}: the time column says {found.rate_hz:.6g} +- {max(found.rate_std_hz, 1e-6):.2g} Hz, {whose} {stated:g} Hz; "
+        f"{'--rate' if options.rate_hz else 'the time column'} is used: where it is wrong, so is every frequency by "
+        f"{100.0 * abs(stated / found.rate_hz - 1.0):.2g} %"
+    )
+    return (stated if options.rate_hz else found.rate_hz), numbers
+
+
+def _counted(table: Table, clock: SampleClock, on_warning: OnWarning) -> Annotated[Ticks, "n"]:
+    """Return the samples' numbers by the device's counter, where it has one that agrees with the clock, else by the clock."""
+    if table.index is None:
+        return clock.numbers
+    counter: Ticks = table.index - table.index[0]
+    if np.diff(counter).min(initial=1) < 1:
+        raise BadInputError(f"{table.path}: the packet counter does not rise; export it again")
+    length = int(clock.numbers[-1]) + 1
+    if abs(int(counter[-1]) + 1 - length) > max(1, length // 1000) and clock.pauses:
+        on_warning(
+            f"{table.path}: the counter goes on by {counter[-1]}, the times by {clock.numbers[-1]} samples; the times count"
+        )
+        return clock.numbers
+    return counter
+
+
+def _tell_clock(path: Path, clock: SampleClock, on_warning: OnWarning) -> None:
+    """Tell how far the stamps scatter, where that matters, and that the samples are taken as evenly spaced."""
+    step_s = 1.0 / clock.rate_hz
+    if clock.jitter_s > max(0.05 * step_s, 0.6 * clock.resolution_s):
+        on_warning(
+            f"{path}: the stamps scatter by {1e3 * clock.jitter_s:.3g} ms about {clock.rate_hz:.6g} +- "
+            f"{clock.rate_std_hz:.2g} Hz; the samples are taken as evenly spaced"
+        )
+
+
+def _start_ns(tables: list[Table], options: Options, on_warning: OnWarning) -> int:
+    """Return the time of the first sample, UTC in ns since 1970."""
+    if options.start_ns is not None:
+        return options.start_ns
+    for table in tables:
+        if table.start_ns is not None and table.start_ns >= 0:
+            if table.start_text:
+                on_warning(
+                    f"{table.path}: its time {table.start_text} has no zone; taken as UTC: {utc(table.start_ns, seconds=True)} "
+                    "(see --start and --timezone)"
+                )
+            return table.start_ns
+    if options.unknown_start_ns is None:
+        on_warning("no file tells when it was recorded; the recording begins in 1970 (see --start)")
+    return options.unknown_start_ns or 0
+
+
+def _taken(stream: _Stream, name: str, at: int, unit: str) -> ImportedChannel:
+    """Form what is told of a channel; `unit` is that of a column of acceleration whose file states none."""
+    table, column = stream.places[name]
+    readings = stream.values[:, at]
+    finite = readings[np.isfinite(readings)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        level = (float(finite.mean()), float(finite.std())) if len(finite) else (0.0, 0.0)
+    mean, rms = (value if np.isfinite(value) else 0.0 for value in level)
+    stated = table.unit(column)
+    taken = stated or (unit if stream.topic in (ACCELERATION, GROUND) else stream.unit)
+    return ImportedChannel(
+        stream.topic, name, f"{table.path.name}:{column}", taken, bool(stated), table.is_by_name(column), mean, rms
+    )
+
+
+def doubt_unit(channels: Sequence[ImportedChannel]) -> str:
+    """Say what it means that the columns whose file states no unit are taken as m/s^2, and what unit gravity shows.
+
+    Examples
+    --------
+    >>> text = doubt_unit([ImportedChannel("/acceleration", "a1", "a.csv:a1", "m/s^2", False, False, 0.999, 0.02)])
+    >>> text.partition(" (see --unit): ")[2]
+    'the RMS is then up to 0.02 m/s^2 (0.00204 g); if they are g, 0.196 m/s^2; the mean of a1 is 0.999, which is gravity in g'
+    """
+    bare = [one for one in channels if not one.stated and one.topic in (ACCELERATION, GROUND)]
+    rms = max(one.rms for one in bare)
+    text = (
+        f"no unit is stated of {', '.join(one.source for one in bare)}; taken as m/s^2 (see --unit): the RMS is then up to "
+        f"{rms:.3g} m/s^2 ({rms / G_M_S2:.3g} g{', more than gravity' if rms > G_M_S2 else ''}); "
+        f"if they are g, {rms * G_M_S2:.3g} m/s^2"
+    )
+    for one in bare:
+        for name in _GRAVITY_UNITS:
+            known = unit_of(name)
+            assert known is not None
+            if abs(abs(one.mean) * known.factor / G_M_S2 - 1.0) < GRAVITY_TOLERANCE:
+                return f"{text}; the mean of {one.name} is {one.mean:.4g}, which is gravity in {name}"
+    return text
+
+
+def _doubts(rate_hz: float, taken: Sequence[ImportedChannel]) -> list[str]:
+    """Say what is absurd of a rate and of levels, with the likely cause."""
+    doubts = []
+    if rate_hz < _RATES_HZ[0]:
+        doubts.append(f"{rate_hz:.4g} Hz is too slow for vibrations: are the times in ms, or means over seconds?")
+    if rate_hz > _RATES_HZ[1]:
+        doubts.append(f"{rate_hz:.4g} Hz is too fast for a structure: are the times in another unit?")
+    low, high = _LEVELS_M_S2
+    for one in taken:
+        if one.topic in (ACCELERATION, GROUND) and one.rms > 0.0 and not low < one.rms < high:
+            size = "more than 100 g" if one.rms > high else "below any sensor's noise"
+            doubts.append(
+                f"{one.name}: an RMS of {one.rms:.3g} m/s^2 is {size}: is the unit {one.unit}, or are these counts or volts?"
+            )
+    return doubts
+
+
+def _warn_of_missing(
+    samples: Annotated[Array, "n c"], numbers: Annotated[Ticks, "n"], rate_hz: float, on_warning: OnWarning
+) -> None:
+    """Warn of `samples` that are not finite, and of jumps in their `numbers`."""
+    if not np.isfinite(samples).all():
+        on_warning(f"{np.count_nonzero(~np.isfinite(samples))} samples are missing or no finite numbers")
+    gaps, lost = np.count_nonzero(np.diff(numbers) > 1), int(numbers[-1]) + 1 - len(numbers)
+    if gaps:
+        on_warning(f"{gaps} {'gap' if gaps == 1 else 'gaps'} between samples: {lost / rate_hz:.6g} s are missing")
+
+
+def _write(out: Path, streams: Sequence[_Stream], rate: float, numbers: Annotated[Ticks, "n"], start_ns: int) -> None:
+    """Write channels and samples of each topic in blocks of at most one second; a lost sample ends a block."""
+    limit = max(1, round(rate))
+    breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
+    with McapWriter(out) as writer:
+        for run in np.split(np.arange(len(numbers)), breaks):
+            for first in range(0, len(run), limit):
+                rows = run[first : first + limit]
+                number = int(numbers[rows[0]])
+                t_ns = start_ns + round(number * 1e9 / rate)
+                for stream in streams:
+                    with np.errstate(over="ignore"):  # beyond float32: infinite, as the pipeline expects
+                        block = stream.values[rows].astype(np.float32)
+                    writer.write(
+                        SampleBlock(stream.topic, t_ns, number, rate, tuple(stream.places), stream.unit, block)
+                    )

@@ -1,0 +1,213 @@
+"""Times as people and loggers write them: dates in any order, times of day with AM and PM, zones."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+Ticks = NDArray[np.int64]
+
+_MONTHS = {
+    name: at
+    for at, name in enumerate(
+        ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"], start=1
+    )
+}
+_MONTHS |= {
+    "mär": 3,
+    "mai": 5,
+    "okt": 10,
+    "dez": 12,
+    "fév": 2,
+    "avr": 4,
+    "août": 8,
+    "ene": 1,
+    "abr": 4,
+    "ago": 8,
+    "dic": 12,
+}
+_DATE = r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}|\d{1,2}[- .][A-Za-zäéû]{3,9}[- .]\d{2,4}|(?:19|20)\d{6}"
+_CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d{1,9})?)?(?:\s*[AaPp]\.?[Mm]\.?)?"
+_ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}:?\d{2}|[A-Z]{3,4}|\[[\w/]+\]))?"
+DATE = re.compile(_DATE)
+CLOCK = re.compile(_CLOCK)
+DATED = re.compile(rf"(?:{_DATE})[ T_,;]*\s*(?:{_CLOCK}){_ZONE}")
+"""A date with a time of day. [pattern]"""
+_PARTS = re.compile(rf"({_DATE})?[ T_,;]*\s*({_CLOCK})?({_ZONE})")
+_HOURS = {
+    "Z": 0,
+    "UTC": 0,
+    "GMT": 0,
+    "PST": -8,
+    "PDT": -7,
+    "MST": -7,
+    "MDT": -6,
+    "CST": -6,
+    "CDT": -5,
+    "EST": -5,
+    "EDT": -4,
+}
+_HOURS |= {"CET": 1, "CEST": 2, "MEZ": 1, "MESZ": 2, "BST": 1, "JST": 9, "HST": -10, "AKST": -9, "AKDT": -8, "NZST": 12}
+"""Zones by name, hours ahead of UTC. [h; convention: North American and European ones]"""
+_EPOCH = date(1970, 1, 1).toordinal()
+_DAY_NS = 86_400 * 10**9
+
+
+def looks_dated(cell: str) -> bool:
+    """Test whether a cell is a date, a time of day, or both."""
+    return any(pattern.fullmatch(cell) for pattern in (DATED, DATE, CLOCK))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Stamps:
+    """Times of the rows of a table."""
+
+    t_ns: Annotated[Ticks, "n"]
+    """UTC, ns since 1970; since the first midnight where there is no date."""
+    has_date: bool
+    has_zone: bool
+    order: str
+    """How a date is read, and why; empty where it can be read in one way."""
+    is_doubtful: bool
+    """Whether day and month could be exchanged."""
+
+
+def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> Stamps:
+    """Convert texts of one form to times; `zone` is theirs where they state none, `hint` has a date in ISO form or none.
+
+    A time of day without a date goes on past midnight.  Raises ValueError, with the index of the text, where one is no time.
+
+    Examples
+    --------
+    >>> stamps = parse(["3/2/2026 1:59:59.99 PM", "3/2/2026 2:00:00.00 PM"])
+    >>> np.diff(stamps.t_ns).tolist(), stamps.order
+    ([10000000], "month first, since the time is of AM and PM")
+    """
+    parts = []
+    for at, text in enumerate(texts):
+        match = _PARTS.fullmatch(text.strip())
+        if match is None or not (match[1] or match[2]):
+            raise ValueError(at)
+        parts.append(match)
+    dates = dict.fromkeys(match[1] for match in parts if match[1])
+    month_first, order, doubtful = _order(list(dates), any("m" in (match[2] or "").casefold() for match in parts), hint)
+    days = {text: _day(text, month_first) for text in dates}
+    zones: dict[str, int] = {}
+    out = np.empty(len(texts), dtype=np.int64)
+    day = 0
+    for at, match in enumerate(parts):
+        if match[1]:
+            found = days[match[1]]
+            if found is None:
+                raise ValueError(at)
+            day = found
+        named = (match[3] or "").strip()
+        if named not in zones:
+            zones[named] = _ahead_ns(named)
+        out[at] = day * _DAY_NS + _clock_ns(match[2]) - zones[named]
+    has_zone = any(match[3].strip() for match in parts if match[3])
+    if not dates:
+        out += _DAY_NS * np.concatenate(([0], np.cumsum(np.diff(out) < -_DAY_NS // 2)))
+    elif zone is not None and not has_zone:
+        out -= _local_ns(out, zone)
+    return Stamps(out, bool(dates), has_zone or zone is not None, order, doubtful)
+
+
+def _order(dates: Sequence[str], twelve_hours: bool, hint: str) -> tuple[bool, str, bool]:
+    """Return whether the month comes first, the reason, and whether it is in doubt; for dates such as 3/2/2026."""
+    pairs = [re.fullmatch(r"(\d{1,2})([-/.])(\d{1,2})[-/.]\d{2,4}", text) for text in dates]
+    ambiguous = [match for match in pairs if match is not None]
+    if not ambiguous:
+        return False, "", False
+    first, second = ({int(match[k]) for match in ambiguous} for k in (1, 3))
+    if max(first) > 12:
+        return False, f"day first, as in {ambiguous[0].string!r}", False
+    if max(second) > 12:
+        return True, f"month first, as in {ambiguous[0].string!r}", False
+    if len(second) > 1 == len(first):
+        return True, "month first, since the second number counts on", False
+    if len(first) > 1 == len(second):
+        return False, "day first, since the first number counts on", False
+    if twelve_hours:
+        return True, "month first, since the time is of AM and PM", False
+    if (named := re.search(r"(\d{4})-?(\d{2})-?(\d{2})", hint)) is not None:
+        pair = (int(ambiguous[0][1]), int(ambiguous[0][3]))
+        for month_first, (month, day) in ((True, pair), (False, pair[::-1])):
+            if (int(named[2]), int(named[3])) == (month, day):
+                return month_first, f"{'month' if month_first else 'day'} first, as the file's name says", False
+    if ambiguous[0][2] == ".":
+        return False, "day first, since points stand between", False
+    return True, "month first", ambiguous[0][1] != ambiguous[0][3]
+
+
+def _day(text: str, month_first: bool) -> int | None:
+    """Return the days since 1970 of a date; None if it is none."""
+    numbers = [text[:4], text[4:6], text[6:]] if re.fullmatch(r"\d{8}", text) else re.split(r"[-/. ]", text)
+    if len(numbers[0]) == 4:
+        year, month, day = numbers
+    elif month_first and numbers[1].isdigit():
+        month, day, year = numbers
+    else:
+        day, month, year = numbers
+    named = _MONTHS.get(month[:3].casefold()) if not month.isdigit() else int(month)
+    try:
+        full = int(year) + (0 if len(year) == 4 else 2000 if int(year) < 70 else 1900)
+        return date(full, named or 0, int(day)).toordinal() - _EPOCH
+    except ValueError:
+        return None
+
+
+def _clock_ns(text: str | None) -> int:
+    """Return the time of day, ns; a second may be 60, as before a carry."""
+    if not text:
+        return 0
+    half = text.casefold().replace(".m", "m").rstrip(".")
+    bare = re.sub(r"\s*[ap]\.?m\.?$", "", half)
+    parts = re.split(r"[:.,]", bare)
+    hours, minutes = int(parts[0]), int(parts[1])
+    seconds = int(parts[2]) if len(parts) > 2 else 0
+    fraction = int(parts[3][:9].ljust(9, "0")) if len(parts) > 3 else 0
+    if half != bare:
+        hours = hours % 12 + (12 if half.rstrip("m. ").endswith("p") else 0)
+    return ((hours * 60 + minutes) * 60 + seconds) * 10**9 + fraction
+
+
+def _ahead_ns(zone: str) -> int:
+    """Return by how much a named zone is ahead of UTC, ns; 0 for one that is not known."""
+    if (match := re.fullmatch(r"([+-])(\d{2}):?(\d{2})", zone)) is not None:
+        return (1 if match[1] == "+" else -1) * (int(match[2]) * 60 + int(match[3])) * 60 * 10**9
+    return _HOURS.get(zone.upper(), 0) * 3600 * 10**9
+
+
+def _local_ns(t_ns: Annotated[Ticks, "n"], zone: tzinfo) -> Annotated[Ticks, "n"]:
+    """Return by how much the times of a zone are ahead of UTC, ns; that of each hour, since it may change once a night."""
+    hours = t_ns // (3600 * 10**9)
+    ahead = {}
+    for hour in np.unique(hours).tolist():
+        local = datetime.fromtimestamp(hour * 3600, UTC).replace(tzinfo=zone)
+        ahead[hour] = int((local.utcoffset() or timedelta(0)) / timedelta(microseconds=1)) * 1000
+    return np.array([ahead[hour] for hour in hours.tolist()], dtype=np.int64)
+
+
+def zone_in(heading: str) -> tzinfo | None:
+    """Return the zone that a heading names, as in "Time (UTC)"; None without one."""
+    words = [w for w in re.findall(r"[A-Za-z]+", heading) if w.isupper() or w.casefold() in ("utc", "gmt")]
+    return next((zone_named(word) for word in words if word.upper() in _HOURS and word != "Z"), None)
+
+
+def zone_named(name: str) -> tzinfo | None:
+    """Return the zone of a name, as UTC, +01:00 or Europe/Zurich; None if there is none of it."""
+    from zoneinfo import ZoneInfo
+
+    if name.upper() in _HOURS or re.fullmatch(r"[+-]\d{2}:?\d{2}", name):
+        return timezone(timedelta(microseconds=_ahead_ns(name) // 1000))
+    try:
+        return ZoneInfo(name)
+    except (KeyError, ValueError, OSError):
+        return None

@@ -1,0 +1,181 @@
+"""Units as people write them: in a heading's brackets, behind a name, in a row of their own."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import radians
+from types import MappingProxyType
+
+G_M_S2 = 9.80665
+"""Standard gravity. [m/s^2; definition]"""
+ACCELERATION, ROTATION, FORCE, TIME = "acceleration", "a rate of rotation", "force", "time"
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """Unit of a quantity."""
+
+    symbol: str
+    """As it is told."""
+    quantity: str
+    factor: float
+    """To the unit in which the quantity is kept: m/s^2, rad/s, N, s, degC; 1 for any other."""
+    offset: float = 0.0
+    """Added after scaling."""
+
+
+_LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254, "ft": 0.3048})
+"""Lengths, m. [definition: SI, international inch and foot]"""
+_PER_S2 = r"(?:/\(?s(?:\^?2|/s)\)?|\*?s\^?-2|_s_?2|ps2|s2|/s/s)"
+_PER_LENGTH = re.compile(rf"({'|'.join(sorted(_LENGTHS, key=len, reverse=True))})\*?{_PER_S2}")
+_GRAVITY = re.compile(r"(m|milli|u|micro)?-?_?(?:g(?:'?s|n|_n|_?0|rav|ravity|-?force)?)")
+_PARTS = MappingProxyType({"": 1.0, "m": 1e-3, "milli": 1e-3, "u": 1e-6, "micro": 1e-6})
+_FIXED = MappingProxyType(
+    {
+        "gal": Unit("Gal", ACCELERATION, 1e-2),
+        "gals": Unit("Gal", ACCELERATION, 1e-2),
+        "mgal": Unit("mGal", ACCELERATION, 1e-5),
+        "rad/s": Unit("rad/s", ROTATION, 1.0),
+        "mrad/s": Unit("mrad/s", ROTATION, 1e-3),
+        "deg/s": Unit("deg/s", ROTATION, radians(1.0)),
+        "dps": Unit("deg/s", ROTATION, radians(1.0)),
+        "mdeg/s": Unit("mdeg/s", ROTATION, radians(1e-3)),
+        "n": Unit("N", FORCE, 1.0),
+        "kn": Unit("kN", FORCE, 1e3),
+        "lbf": Unit("lbf", FORCE, 4.4482216152605),
+        "s": Unit("s", TIME, 1.0),
+        "ms": Unit("ms", TIME, 1e-3),
+        "msec": Unit("ms", TIME, 1e-3),
+        "millis": Unit("ms", TIME, 1e-3),
+        "us": Unit("us", TIME, 1e-6),
+        "micros": Unit("us", TIME, 1e-6),
+        "ns": Unit("ns", TIME, 1e-9),
+        "min": Unit("min", TIME, 60.0),
+        "h": Unit("h", TIME, 3600.0),
+        "hours": Unit("h", TIME, 3600.0),
+        "days": Unit("d", TIME, 86400.0),
+        "degc": Unit("degC", "temperature", 1.0),
+        "celsius": Unit("degC", "temperature", 1.0),
+        "c": Unit("degC", "temperature", 1.0),
+        "k": Unit("K", "temperature", 1.0, -273.15),
+        "kelvin": Unit("K", "temperature", 1.0, -273.15),
+        "degf": Unit("degF", "temperature", 5.0 / 9.0, -32.0 * 5.0 / 9.0),
+    }
+)
+"""Units that are written in one way. [definition; conventions of loggers]"""
+_OTHERS = MappingProxyType(
+    {
+        **dict.fromkeys(("v", "mv", "uv", "mv/v", "volt", "volts"), "voltage"),
+        **dict.fromkeys(("m/s", "km/h", "mph", "knots", "kn/h", "mm/s", "cm/s", "in/s"), "speed"),
+        **dict.fromkeys(("m", "cm", "mm", "um", "in", "ft"), "displacement"),
+        **dict.fromkeys(("um/m", "ue", "ustrain", "microstrain", "strain", "m/m", "mm/m"), "strain"),
+        **dict.fromkeys(("counts", "count", "lsb", "adc", "digits", "raw"), "counts"),
+        **dict.fromkeys(("pa", "hpa", "kpa", "mpa", "bar", "mbar", "psi"), "pressure"),
+        **dict.fromkeys(("%", "%rh", "rh", "percent"), "share"),
+        **dict.fromkeys(("deg", "rad", "mrad", "mdeg"), "angle"),
+        **dict.fromkeys(
+            ("ma", "a", "hz", "khz", "w/m2", "w/m^2", "kg", "knm", "nm", "rpm", "rn", "ut", "db"), "quantity"
+        ),
+    }
+)
+"""Units of quantities that are kept as they are."""
+
+
+_SPELLINGS = tuple(
+    (re.compile(pattern), plain)
+    for pattern, plain in (
+        ("⁻²", "-2"),
+        ("²", "^2"),
+        ("[µμ]", "u"),
+        ("°", "deg"),
+        (r"\*\*", "^"),
+        ("[·⋅×]", "*"),
+        (r"\bseconds?\b|\bsec\b|(?<=[/*])sec", "s"),
+        (r"\b(milli|micro|nano)seconds?\b", lambda m: f"{'mun'[('milli', 'micro', 'nano').index(m[1])]}s"),
+        (r"degrees?", "deg"),
+        (r"met(er|re)s?", "m"),
+        (r"inch(es)?", "in"),
+        (r"\bfeet\b", "ft"),
+        (r"\bsquared?\b|(?<=s )sq\b", "^2"),
+        (r"\s+per\s+", "/"),
+    )
+)
+"""How units are spelt, and what is meant."""
+
+
+def unit_of(text: str) -> Unit | None:
+    """Return the unit that a text means; None if it means none that is known.
+
+    Examples
+    --------
+    >>> [unit_of(t).factor for t in ("m/sec^2", "cm s-2", "ft/s²", "g's", "milli-g")]
+    [1.0, 0.01, 0.3048, 9.80665, 0.00980665]
+    >>> unit_of("V").quantity, unit_of("floor")
+    ('voltage', None)
+    """
+    bare = text.strip().strip("[](){}").strip().casefold().removeprefix("in ")
+    for spelt, plain in _SPELLINGS:
+        bare = spelt.sub(plain, bare)
+    tight = re.sub(r"[\s.]+", "", bare)
+    if (match := _PER_LENGTH.fullmatch(tight)) is not None:
+        length = match[1]
+        return Unit(f"{length}/s^2", ACCELERATION, _LENGTHS[length])
+    if (match := _GRAVITY.fullmatch(tight)) is not None:
+        part = match[1] or ""
+        return Unit(f"{part[:1]}g", ACCELERATION, _PARTS[part] * G_M_S2)
+    if tight in _FIXED:
+        return _FIXED[tight]
+    return Unit(text.strip(), _OTHERS[tight], 1.0) if tight in _OTHERS else None
+
+
+_BEHIND = re.compile(r"(.+?)(?:[\s_/:.,-]+(?:in[\s_]+)?|\s*[\[({])([^\[\](){}]+?)[\])}]?\s*")
+"""A name, and what may be a unit behind it. [pattern]"""
+_BRACKETS = re.compile(r"(.*?)\s*[\[({]([^\[\](){}]*)[\])}]\s*(.*)")
+_ALONE = frozenset({"c", "k", "h", "n", "m", "v", "a", "in", "min", "s"})
+"""Units that a name may end with by chance."""
+
+
+def split_name(heading: str) -> tuple[str, str, bool]:
+    """Split a heading into name and unit; the last says that the unit is part of the name and not in brackets.
+
+    A unit is empty where the heading states none.
+
+    Examples
+    --------
+    >>> split_name("Mid span [g]"), split_name("ax_g"), split_name("time_ms"), split_name("roof")
+    (('Mid span', 'g', False), ('ax_g', 'g', True), ('time_ms', 'ms', True), ('roof', '', False))
+    """
+    heading = heading.strip()
+    if (match := _BRACKETS.fullmatch(heading)) is not None and (match[1] or match[3]):
+        name = " ".join(part for part in (match[1].rstrip(" ,:-"), match[3]) if part)
+        return name, match[2].strip(" -").removeprefix("in "), False
+    # The longest end that is a unit: "a m s-2" ends with "m s-2", not with "s-2".
+    for match in re.finditer(r"[\s_/:.,-]+(?:in[\s_]+)?", heading):
+        end = heading[match.end() :]
+        unit = unit_of(end) or unit_of(end.replace("_", "/"))
+        if match.start() and unit is not None:
+            by_chance = unit.quantity not in (ACCELERATION, ROTATION, TIME) and end.casefold() in _ALONE
+            if not by_chance:
+                return heading, end if end.casefold() == unit.symbol.casefold() else unit.symbol, True
+    return heading, "", False
+
+
+def units_in_names(headings: Sequence[str]) -> list[str]:
+    """Return the unit that each heading ends with, without brackets; empty where it ends with none.
+
+    A single letter is no unit where another heading differs in that letter alone.
+
+    Examples
+    --------
+    >>> units_in_names(["ax_g", "acc_y_mg", "Accel in g", "roof", "a_m_s2"]), units_in_names(["ch_f", "ch_g"])
+    (['g', 'mg', 'g', '', 'm/s^2'], ['', ''])
+    """
+    shared = Counter(name.strip()[:-1] for name in headings)
+    found = []
+    for heading in headings:
+        _, unit, by_name = split_name(heading)
+        found.append(unit if by_name and not (len(unit) == 1 and shared[heading.strip()[:-1]] > 1) else "")
+    return found

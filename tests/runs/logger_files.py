@@ -1,0 +1,364 @@
+# ruff: noqa: E501 - headings of files stand in one line
+"""Files as loggers, spreadsheets and phones write them, of one known motion: the same three channels, told in many ways."""
+
+from __future__ import annotations
+
+import bz2
+import csv
+import gzip
+import io
+import lzma
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+G = 9.80665
+START = datetime(2026, 3, 2, 14, 0, 0, tzinfo=UTC)
+START_NS = int(START.timestamp()) * 10**9
+N = 600
+
+
+def motion(rate_hz: float, n: int = N) -> np.ndarray:
+    """Three channels of two modes with noise, m/s^2."""
+    t = np.arange(n) / rate_hz
+    noise = np.random.default_rng(7).normal(scale=0.02, size=(n, 3))
+    first, second = np.sin(2.0 * np.pi * 2.0 * t), np.cos(2.0 * np.pi * 5.5 * t)
+    return np.column_stack([first + second, 0.7 * first - second, 0.3 * first + 0.5 * second]) + noise
+
+
+@dataclass(frozen=True)
+class LoggerFile:
+    """A file, and what is true of it."""
+
+    name: str
+    content: bytes
+    rate_hz: float
+    columns: int = 3
+    unit: str = "m/s^2"
+    start_ns: int | None = None
+    says: str = ""
+    """What must be told of it."""
+    options: dict[str, Any] | None = None
+    samples: int = N
+
+
+Cell = Callable[[float], str]
+
+
+def lines(
+    times: list[str],
+    values: np.ndarray,
+    *,
+    sep: str = ",",
+    end: str = "\n",
+    cell: Cell = lambda x: f"{x:.7f}",
+    tail: str = "",
+) -> str:
+    """Rows of a time and readings."""
+    return "".join(
+        sep.join([t, *map(cell, row)] if t else list(map(cell, row))) + tail + end
+        for t, row in zip(times, values, strict=True)
+    )
+
+
+def elapsed(rate_hz: float, form: str = "{:.6f}", scale: float = 1.0, n: int = N) -> list[str]:
+    return [form.format(scale * k / rate_hz) for k in range(n)]
+
+
+def dated(rate_hz: float, form: str, digits: int = 6, n: int = N) -> list[str]:
+    """Dates in a form of strftime, with the fraction of the second where it has %f, cut to so many digits."""
+    out = []
+    for k in range(n):
+        moment = START + timedelta(microseconds=round(1e6 * k / rate_hz))
+        out.append(moment.strftime(form.replace("%f", f"{moment.microsecond:06d}"[:digits])))
+    return out
+
+
+def cut_ms(rate_hz: float, n: int = N) -> list[str]:
+    return [f"{int(np.floor(1e3 * k / rate_hz + 1e-9)) / 1e3:.3f}" for k in range(n)]
+
+
+def comma(x: float) -> str:
+    return f"{x:.7f}".replace(".", ",")
+
+
+def quoted(text: str) -> str:
+    return "\n".join(",".join(f'"{cell}"' for cell in line.split(",")) for line in text.splitlines()) + "\n"
+
+
+def tables() -> Iterator[LoggerFile]:
+    """Tables of text."""
+    a = motion(100.0)
+    t = elapsed(100.0)
+    names = "t,a1,a2,a3\n"
+
+    def one(name: str, text: str | bytes, rate: float = 100.0, **more: Any) -> LoggerFile:
+        return LoggerFile(name, text.encode() if isinstance(text, str) else text, rate, **more)
+
+    plain = lines(t, a)
+    yield one("plain.csv", "time,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + plain)
+    yield one("g.csv", "time [s],a1 [g],a2 [g],a3 [g]\n" + lines(t, a / G), unit="g")
+    yield one("mg_names.csv", "time_s,ax_mg,ay_mg,az_mg\n" + lines(t, 1e3 * a / G), unit="mg")
+    yield one("in_g.csv", "Time,X in g,Y in g,Z in g\n" + lines(t, a / G), unit="g")
+    yield one("sec2.csv", "Time,X (m/sec^2),Y (m/sec^2),Z (m/sec^2)\n" + plain, unit="m/sec^2")
+    yield one("spaced_unit.csv", "Time,X [m s-2],Y [m s-2],Z [m s-2]\n" + plain, unit="m s-2")
+    yield one("feet.csv", "Time,X [ft/s^2],Y [ft/s^2],Z [ft/s^2]\n" + lines(t, a / 0.3048), unit="ft/s^2")
+    yield one(
+        "inches.txt", "Time\tX [in/s^2]\tY [in/s^2]\tZ [in/s^2]\n" + lines(t, a / 0.0254, sep="\t"), unit="in/s^2"
+    )
+    yield one("gal.csv", "Time;NS [Gal];EW [Gal];UD [Gal]\n" + lines(t, 100.0 * a, sep=";"), unit="Gal")
+    yield one("gs.csv", "Time,X (g's),Y (g's),Z (g's)\n" + lines(t, a / G), unit="g's")
+    yield one(
+        "german.csv",
+        "Zeit [s];a1 [m/s²];a2 [m/s²];a3 [m/s²]\r\n"
+        + lines([x.replace(".", ",") for x in t], a, sep=";", end="\r\n", cell=comma),
+        unit="m/s²",
+    )
+    yield one(
+        "cp1252.csv",
+        ("Zeit [s];a1 [m/s²];a2 [m/s²];a3 [m/s²]\n" + lines(t, a, sep=";", cell=comma)).encode("cp1252"),
+        unit="m/s²",
+    )
+    yield one("utf16.txt", ("t\ta1 (m/s^2)\ta2 (m/s^2)\ta3 (m/s^2)\n" + lines(t, a, sep="\t")).encode("utf-16"))
+    yield one("bom.csv", b"\xef\xbb\xbf" + ("t,a1 (g),a2 (g),a3 (g)\n" + lines(t, a / G)).encode(), unit="g")
+    yield one("quoted.csv", quoted("time,a1 (g),a2 (g),a3 (g)\n" + lines(t, a / G)), unit="g")
+    yield one("sep.csv", "sep=;\nt;a1 [g];a2 [g];a3 [g]\n" + lines(t, a / G, sep=";"), unit="g")
+    yield one(
+        "comments.txt",
+        "# logger 7, firmware 1.2\n# site: roof\n# t a1 a2 a3\n" + lines(t, a, sep=" "),
+        options={"unit": "m/s^2"},
+    )
+    yield one("spaces.txt", lines(t, a, sep="   "), options={"unit": "m/s^2"})
+    yield one("trailing.csv", "t,a1 [g],a2 [g],a3 [g]\n" + lines(t, a / G, tail=","), unit="g")
+    yield one("trailing_both.csv", "t,a1 [g],a2 [g],a3 [g],\n" + lines(t, a / G, tail=","), unit="g")
+    yield one("units_row.csv", "Time,Acc1,Acc2,Acc3\ns,g,g,g\n" + lines(t, a / G), unit="g")
+    yield one("units_brackets_row.csv", "Time,Acc1,Acc2,Acc3\n[s],[g],[g],[g]\n\n" + lines(t, a / G), unit="g")
+    yield one("units_above.csv", "s;g;g;g\nTime;Acc1;Acc2;Acc3\n" + lines(t, a / G, sep=";"), unit="g")
+    yield one(
+        "rates_row.txt",
+        "TIME\tAcc1\tAcc2\tAcc3\nsec\tg\tg\tg\nSR=100 Hz\tSR=100 Hz\tSR=100 Hz\tSR=100 Hz\n"
+        + lines(t, a / G, sep="\t"),
+        unit="g",
+    )
+    yield one(
+        "sensors_row.csv", "Time,Acc1,Acc2,Acc3\ns,g,g,g\nID,4711,4712,4713\n" + lines(t, a / G), unit="g", samples=N
+    )
+    toa5 = '"TOA5","s","CR6","1","CR6.Std.10","CPU:p.CR6","5","Accel"\n"TIMESTAMP","RECORD","X","Y","Z"\n"TS","RN","m/s^2","m/s^2","m/s^2"\n"","","Smp","Smp","Smp"\n'
+    stamps = dated(100.0, "%Y-%m-%d %H:%M:%S.%f", 2)
+    yield one(
+        "toa5.dat",
+        toa5
+        + "".join(
+            f'"{s}",{k},{r[0]:.6f},{r[1]:.6f},{r[2]:.6f}\n' for k, (s, r) in enumerate(zip(stamps, a, strict=True))
+        ),
+        start_ns=START_NS,
+    )
+    yield one("fewer.csv", "a1 (g),a2 (g),a3 (g)\n" + lines(t, a / G), unit="g")
+    yield one(
+        "counter.csv",
+        "sample,time_ms,a1_g,a2_g,a3_g\n"
+        + "".join(f"{k},{10 * k}," + ",".join(f"{v:.7f}" for v in r / G) + "\n" for k, r in enumerate(a)),
+        unit="g",
+    )
+    yield one("enz.csv", "time,E (m/s^2),N (m/s^2),Z (m/s^2)\n" + plain)
+    yield one("no_time.csv", "Sample rate: 100 Hz\nUnit: g\nE,N,Z\n" + lines([""] * N, a / G), unit="g")
+    yield one(
+        "rate_line.txt",
+        "Logger X\nSampling Frequency (Hz): 100\nChannels: 3\n\nA1 (g)\tA2 (g)\tA3 (g)\n"
+        + lines([""] * N, a / G, sep="\t"),
+        unit="g",
+    )
+    yield one(
+        "interval_line.txt", "Sample Interval (s), 0.01\nA1 (g),A2 (g),A3 (g)\n" + lines([""] * N, a / G), unit="g"
+    )
+    yield one(
+        "start_line.txt",
+        "Start Time: 2026-03-02 14:00:00\nRate: 100 Hz\nA1 (g),A2 (g),A3 (g)\n" + lines([""] * N, a / G),
+        unit="g",
+        start_ns=START_NS,
+    )
+    yield one(
+        "iso.csv",
+        "timestamp,a1 [g],a2 [g],a3 [g]\n" + lines(dated(100.0, "%Y-%m-%dT%H:%M:%S.%fZ", 3), a / G),
+        unit="g",
+        start_ns=START_NS,
+    )
+    yield one(
+        "zone.csv",
+        "timestamp,a1 [g],a2 [g],a3 [g]\n" + lines([s + "+00:00" for s in dated(100.0, "%Y-%m-%dT%H:%M:%S.%f")], a / G),
+        unit="g",
+        start_ns=START_NS,
+    )
+    yield one(
+        "us.csv",
+        "Date,a1 [g],a2 [g],a3 [g]\n" + lines(dated(100.0, "%m/%d/%Y %I:%M:%S.%f %p", 3), a / G),
+        unit="g",
+        start_ns=START_NS,
+    )
+    yield one(
+        "dots.csv",
+        "Datum;a1 [g];a2 [g];a3 [g]\n" + lines(dated(100.0, "%d.%m.%Y %H:%M:%S,%f", 3), a / G, sep=";", cell=comma),
+        unit="g",
+        start_ns=START_NS,
+    )
+    yield one(
+        "months.csv",
+        "Time,a1 [g],a2 [g],a3 [g]\n" + lines(dated(100.0, "%d-%b-%Y %H:%M:%S.%f", 3), a / G),
+        unit="g",
+        start_ns=START_NS,
+    )
+    two = [s.replace(" ", ",") for s in dated(100.0, "%Y-%m-%d %H:%M:%S.%f", 3)]
+    yield one("two_columns.csv", "Date,Time,a1 [g],a2 [g],a3 [g]\n" + lines(two, a / G), unit="g", start_ns=START_NS)
+    three = [f"{s[:-4]},{int(s[-3:])}" for s in dated(100.0, "%Y-%m-%d %H:%M:%S.%f", 3)]
+    yield one("fraction.csv", "Time,ms,a1 [g],a2 [g],a3 [g]\n" + lines(three, a / G), unit="g", start_ns=START_NS)
+    yield one(
+        "of_day.csv",
+        "Time,a1 [g],a2 [g],a3 [g]\n" + lines(dated(100.0, "%H:%M:%S.%f", 3), a / G),
+        unit="g",
+        says="no date",
+    )
+    epoch = START.timestamp()
+    yield one(
+        "unix.csv",
+        "time,a1 [g],a2 [g],a3 [g]\n" + lines([f"{epoch + k / 100:.2f}" for k in range(N)], a / G),
+        unit="g",
+        start_ns=START_NS,
+    )
+    for unit, factor in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        moments = [
+            str(round((epoch * 100 + k) * factor / 100)) if unit != "ns" else str(START_NS + k * 10**7)
+            for k in range(N)
+        ]
+        yield one(
+            f"unix_{unit}.csv", "timestamp,a1 [g],a2 [g],a3 [g]\n" + lines(moments, a / G), unit="g", start_ns=START_NS
+        )
+    days = epoch / 86400.0 + 25569.0
+    yield one(
+        "serial.csv",
+        "Date,a1 [g],a2 [g],a3 [g]\n" + lines([f"{days + k / 8.64e6:.11f}" for k in range(N)], a / G),
+        unit="g",
+        start_ns=START_NS,
+    )
+    yield one(
+        "datenum.csv",
+        "Time,a1 [g],a2 [g],a3 [g]\n" + lines([f"{days + 693960.0 + k / 8.64e6:.11f}" for k in range(N)], a / G),
+        unit="g",
+        start_ns=START_NS,
+    )
+    for rate in (60.0, 120.0, 128.0, 150.0, 256.0, 400.0, 512.0):
+        yield one(
+            f"cut_{rate:.0f}.csv",
+            names.replace("a1,a2,a3", "a1 [g],a2 [g],a3 [g]") + lines(cut_ms(rate), motion(rate) / G),
+            rate,
+            unit="g",
+        )
+    paused = [
+        f"{float(x) + (7.3 if k >= 250 else 0.0) + (41.0 if k >= 500 else 0.0):.3f}"
+        for k, x in enumerate(cut_ms(120.0))
+    ]
+    yield one(
+        "pauses.csv", "t,a1 [g],a2 [g],a3 [g]\n" + lines(paused, motion(120.0) / G), 120.0, unit="g", says="2 gaps"
+    )
+    jitter = np.arange(N) / 104.2 + np.random.default_rng(3).normal(scale=1.2e-3, size=N)
+    phone = [f"{x:.6f}" for x in np.maximum.accumulate(jitter - jitter[0])]
+    yield one(
+        "phone.csv", "time (s),x (m/s^2),y (m/s^2),z (m/s^2)\n" + lines(phone, motion(104.2)), 104.2, says="scatter"
+    )
+    wide = np.column_stack([a, np.sqrt((a**2).sum(axis=1))])
+    head = '"Time (s)","Acceleration x (m/s^2)","Acceleration y (m/s^2)","Acceleration z (m/s^2)","Absolute acceleration (m/s^2)"\n'
+    yield one("magnitude.csv", head + lines(t, wide))
+    warm = np.column_stack([a / G, np.full(N, 21.5)])
+    yield one(
+        "temperature.csv",
+        "t,a1 [g],a2 [g],a3 [g],Temp [degC]\n" + lines(t, warm),
+        unit="g",
+        says="covariate /temperature",
+    )
+    holed = plain.splitlines(keepends=True)
+    for k, word in ((100, ""), (200, "---"), (300, "NULL"), (400, "NaN"), (450, "Overrange")):
+        cells = holed[k].split(",")
+        holed[k] = ",".join([cells[0], word, *cells[2:]])
+    yield one("holes.csv", "t,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + "".join(holed), says="5 readings are missing")
+    filled = a.copy()
+    filled[50:53, 1] = -7999.0
+    yield one("fillers.csv", "t,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + lines(t, filled), says="-7999")
+    grouped = "".join(
+        f"{x};{1e6 * r[0]:,.1f};{1e6 * r[1]:,.1f};{1e6 * r[2]:,.1f}\n" for x, r in zip(t, a / G, strict=True)
+    )
+    yield one("thousands.csv", "t;a1 [ug];a2 [ug];a3 [ug]\n" + grouped, unit="ug")
+    points = grouped.replace(",", "_").replace(".", ",").replace("_", ".")
+    yield one("points.csv", "t;a1 [ug];a2 [ug];a3 [ug]\n" + points, unit="ug")
+    whole = "".join(
+        f"{x};{round(1e6 * r[0]):,};{round(1e6 * r[1]):,};{round(1e6 * r[2]):,}\n"
+        for x, r in zip(t, a / G, strict=True)
+    )
+    yield one("whole_thousands.csv", "t;a1 [ug];a2 [ug];a3 [ug]\n" + whole, unit="ug")
+    yield one(
+        "joined.csv",
+        "t,a1 [g],a2 [g],a3 [g]\n"
+        + lines(t[:300], a[:300] / G)
+        + "t,a1 [g],a2 [g],a3 [g]\n"
+        + lines(t[300:], a[300:] / G),
+        unit="g",
+        says="headings stand again",
+    )
+    doubled = "".join(row * 2 for row in plain.splitlines(keepends=True))
+    yield one("doubled.csv", "t,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + doubled, says="600 rows stand twice")
+    block = plain.splitlines(keepends=True)
+    yield one(
+        "again.csv",
+        "t,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + "".join([*block[:400], *block[300:]]),
+        says="100 rows stand twice",
+    )
+    yield one(
+        "disorder.csv",
+        "t,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + "".join([*block[:300:2], *block[1:300:2], *block[300:]]),
+        says="order",
+    )
+    yield one("cut_off.csv", "t,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + plain + "6.00,0.1", says="cut short")
+    yield one("blank_lines.csv", "t,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + "\n".join(plain.splitlines(keepends=True)))
+    yield one("mac.csv", ("t,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + plain).replace("\n", "\r"))
+    yield one("stroke.txt", "t|a1 [g]|a2 [g]|a3 [g]\n" + lines(t, a / G, sep="|"), unit="g")
+    yield one("log_named.log", "t,a1 [g],a2 [g],a3 [g]\n" + lines(t, a / G), unit="g")
+    yield one("asc_named.asc", "t\ta1 [g]\ta2 [g]\ta3 [g]\n" + lines(t, a / G, sep="\t"), unit="g")
+    lvm = "LabVIEW Measurement\t\nSeparator\tTab\nX_Columns\tNo\nDate\t2026/03/02\nTime\t14:00:00\n***End_of_Header***\t\n\t\nChannels\t3\t\t\t\nSamples\t600\t600\t600\t\nDate\t2026/03/02\t2026/03/02\t2026/03/02\t\nTime\t14:00:00\t14:00:00\t14:00:00\t\nY_Unit_Label\tg\tg\tg\t\nX_Dimension\tTime\tTime\tTime\t\nX0\t0.0E+0\t0.0E+0\t0.0E+0\t\nDelta_X\t0.01\t0.01\t0.01\t\n***End_of_Header***\t\t\t\t\nX_Value\tA1\tA2\tA3\tComment\n"
+    yield one("labview.lvm", lvm + "".join("\t" + "\t".join(f"{v:.7f}" for v in r) + "\t\n" for r in a / G), unit="g")
+    exponents = lines(t, a / G, cell=lambda x: f"{x:.6E}")
+    yield one("exponents.csv", "t,a1 [g],a2 [g],a3 [g]\n" + exponents, unit="g")
+    yield one(
+        "fortran.txt",
+        "t a1 a2 a3\n" + lines(t, a, sep=" ", cell=lambda x: f"{x:.6E}".replace("E", "D")),
+        options={"unit": "m/s^2"},
+    )
+    at2 = "PEER NGA STRONG MOTION DATABASE RECORD\nSomewhere, 3/2/2026, ROOF, 90\nACCELERATION TIME SERIES IN UNITS OF G\nNPTS=    600, DT=   .0100 SEC\n"
+    flat = a[:, 0] / G
+    yield one(
+        "record.AT2",
+        at2 + "\n".join("  ".join(f"{v: .7E}" for v in flat[k : k + 5]) for k in range(0, N, 5)) + "\n",
+        unit="g",
+        columns=1,
+    )
+
+
+def packed() -> Iterator[LoggerFile]:
+    """Tables that are packed, and workbooks."""
+    text = ("t,a1 [g],a2 [g],a3 [g]\n" + lines(elapsed(100.0), motion(100.0) / G)).encode()
+    for name, raw in (
+        ("p.csv.gz", gzip.compress(text)),
+        ("p.csv.bz2", bz2.compress(text)),
+        ("p.csv.xz", lzma.compress(text)),
+    ):
+        yield LoggerFile(name, raw, 100.0, unit="g")
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("inner.csv", text)
+    yield LoggerFile("p.zip", buffer.getvalue(), 100.0, unit="g")
+
+
+def as_rows(content: bytes) -> list[list[str]]:
+    """Cells of a comma-separated table."""
+    return list(csv.reader(io.StringIO(content.decode())))

@@ -1,0 +1,238 @@
+# ruff: noqa: E501 - parts of a workbook stand in one line
+"""Files as loggers write them are read with the right rate, unit, columns, start and readings, and what is odd is told."""
+
+from __future__ import annotations
+
+import zipfile
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.base import ACCELERATION
+from drivers.mcap_file import read_recordings
+from monitor.core import BadInputError
+from monitor.runs import look
+from monitor.runs.readers import ImportedChannel, explain_table
+from monitor.runs.recordings import read_topics
+from tests.runs.logger_files import START_NS, LoggerFile, lines, motion, packed, tables
+from tests.runs.reading import imported
+from tests.support.ros2 import record
+from tests.support.samples import Cli
+
+FILES = {one.name: one for one in (*tables(), *packed())}
+_STAMP_NS = 2_000_000
+"""Serial days are cut at some microseconds, stamps at milliseconds. [ns]"""
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
+    file = FILES[name]
+    place, told, taken = tmp_path / file.name, list[str](), list[ImportedChannel]()
+    place.write_bytes(file.content)
+    info = imported(
+        [place], tmp_path / "o.mcap", on_warning=told.append, on_channel=taken.append, **(file.options or {})
+    )
+    samples = np.concatenate([b.samples for b in read_recordings([tmp_path / "o.mcap"]) if b.topic == ACCELERATION])
+    true = motion(file.rate_hz)[:, : file.columns]
+    assert info.sample_rate_hz == pytest.approx(file.rate_hz, rel=1e-4 if "scatter" in file.says else 2e-5)
+    assert samples.shape == true.shape and float(np.nanstd(samples - true)) < 2e-4
+    if file.options is None:
+        assert {one.unit for one in taken if one.topic == ACCELERATION} == {file.unit}
+    if file.start_ns is not None:
+        assert abs(info.t_start_ns - file.start_ns) < _STAMP_NS
+    assert file.says in " ".join(told)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("t,a1 [V],a2 [V]\n" + "".join(f"{k / 100},{k % 7},{k % 5}\n" for k in range(50)), "has unit 'V'.*--unit"),
+        ("t [parsec],a1\n0.00,1\n0.01,2\n0.02,3\n", "unknown unit 'parsec'"),
+        ("a,b\nx,y\nu,v\n", "no rows of numbers"),
+        ("Date,a1 [g]\n31/31/2026 10:00:00,1\n31/31/2026 10:00:01,2\n31/31/2026 10:00:02,3\n", "is no date"),
+    ],
+    ids=["volts", "tick", "words", "date"],
+)
+def test_what_cannot_be_meant_is_refused_plainly(content: str, reason: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(content)
+    with pytest.raises(BadInputError, match=reason):
+        imported([tmp_path / "a.csv"], tmp_path / "o.mcap")
+
+
+def test_volts_are_taken_as_acceleration_when_the_user_says_so(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,a1 [V]\n" + "".join(f"{k / 100},{k % 7}\n" for k in range(50)))
+    told: list[str] = []
+    imported([tmp_path / "a.csv"], tmp_path / "o.mcap", unit="g", channels={"top": "a1"}, on_warning=told.append)
+    assert any("--unit g is taken for a1" in text for text in told)
+
+
+def test_day_and_month_that_could_be_exchanged_are_told(tmp_path: Path) -> None:
+    rows = lines([f"3/2/2026 14:00:{k / 100:05.2f}" for k in range(300)], motion(100.0, 300))
+    (tmp_path / "a.csv").write_text("Date,a1 (g),a2 (g),a3 (g)\n" + rows)
+    told: list[str] = []
+    info = imported([tmp_path / "a.csv"], tmp_path / "o.mcap", on_warning=told.append)
+    assert info.t_start_ns == START_NS and any("day and month are exchanged" in text for text in told)
+
+
+def test_files_of_following_days_are_joined_in_time_and_files_of_one_time_are_channels(tmp_path: Path) -> None:
+    values = motion(100.0)
+    for name, begin in (("day1.csv", 0), ("day2.csv", 300)):
+        stamps = [f"2026-03-02 14:00:{(begin + k) / 100:05.2f}" for k in range(300)]
+        (tmp_path / name).write_text(
+            "time,a1 (m/s^2),a2 (m/s^2),a3 (m/s^2)\n" + lines(stamps, values[begin : begin + 300])
+        )
+    told: list[str] = []
+    info = imported([tmp_path / "day2.csv", tmp_path / "day1.csv"], tmp_path / "o.mcap", on_warning=told.append)
+    assert (info.n_samples, info.duration_s, info.t_start_ns) == (600, 6.0, START_NS)
+    assert any("follow one another in time" in text for text in told)
+    (tmp_path / "roof.csv").write_text("time,a (m/s^2)\n" + lines([f"{k / 100}" for k in range(300)], values[:300, :1]))
+    (tmp_path / "base.csv").write_text(
+        "time,a (m/s^2)\n" + lines([f"{k / 100}" for k in range(300)], values[:300, 1:2])
+    )
+    beside = imported([tmp_path / "roof.csv", tmp_path / "base.csv"], tmp_path / "b.mcap")
+    assert beside.channels[ACCELERATION] == ("roof", "base")
+
+
+def test_a_time_without_a_unit_that_gives_an_absurd_rate_is_doubted(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time,a1 (g)\n" + "".join(f"{5 * k},{k % 7}\n" for k in range(300)))
+    told: list[str] = []
+    imported([tmp_path / "a.csv"], tmp_path / "o.mcap", on_warning=told.append)
+    assert any("in s that is 0.2 Hz, in ms 200 Hz" in text for text in told)
+
+
+def test_the_guess_is_explained_with_reasons(tmp_path: Path) -> None:
+    file: LoggerFile = FILES["toa5.dat"]
+    (tmp_path / "a.dat").write_bytes(file.content)
+    rows = explain_table(tmp_path / "a.dat")
+    assert {what for what, *_ in rows} >= {"delimiter", "decimal mark", "first row", "column 1", "column 5"}
+    assert all(why for *_, why in rows)
+    assert any("'RECORD': counter of samples" in value for _, value, _ in rows)
+
+
+def test_a_logger_file_is_replayed_as_the_recording_that_import_makes_of_it(
+    tmp_path: Path, main: Cli, frame_text: str
+) -> None:
+    values = np.random.default_rng(5).normal(scale=0.1, size=(12_000, 3))
+    (tmp_path / "log.csv").write_text(
+        "t,a1 (g),a2 (g),a3 (g)\n" + lines([f"{k / 100:.2f}" for k in range(12_000)], values)
+    )
+    (tmp_path / "s.toml").write_text(frame_text)
+    imported([tmp_path / "log.csv"], tmp_path / "log.mcap")
+    for name in ("log.csv", "log.mcap"):
+        done = main("replay", tmp_path / name, "--structure", tmp_path / "s.toml", "--out", tmp_path / name[-3:])
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "csv" / "results.jsonl").read_text() == (tmp_path / "cap" / "results.jsonl").read_text()
+
+
+def test_readings_that_stand_twice_are_told_and_feign_no_mode(tmp_path: Path) -> None:
+    values = np.repeat(motion(100.0, 4000), 2, axis=0)
+    (tmp_path / "a.csv").write_text(
+        "t,a1 [m/s^2],a2 [m/s^2],a3 [m/s^2]\n" + lines([f"{k / 200:.4f}" for k in range(8000)], values)
+    )
+    found = look.look([tmp_path / "a.csv"])
+    assert any("each reading stands 2 times in a row: the sensors deliver 100 Hz" in doubt for doubt in found.doubts)
+    assert all(mode.frequency_hz < 50.0 for mode in found.modes)
+
+
+def test_the_rate_of_ros_2_topics_is_that_of_all_stamps_and_jitter_loses_no_row(tmp_path: Path) -> None:
+    chance, rate_hz = np.random.default_rng(4), 98.7
+    stamps = {}
+    for topic in ("/i1", "/i2"):
+        t = np.sort(np.arange(3000) / rate_hz + chance.normal(scale=1.5e-3, size=3000))
+        t[1500:] += 20.0
+        stamps[topic] = [1_700_000_000 * 10**9 + round(x * 1e9) for x in t]
+    path = record(tmp_path / "a.mcap", stamps)
+    blocks = list(read_topics([path], (ACCELERATION,), lambda _: None, topic_map={"/i1": "a1", "/i2": "a2"}))
+    assert blocks[0].sample_rate_hz == pytest.approx(rate_hz, rel=5e-5)
+    assert sum(block.n_samples for block in blocks) == 3000
+    jumps = [b.sequence - a.sequence - a.n_samples for a, b in pairwise(blocks)]
+    assert sum(jump != 0 for jump in jumps) == 1 and sum(jumps) == pytest.approx(20.0 * rate_hz, abs=1.0)
+
+
+def workbook(path: Path, rows: list[list[Any]]) -> None:
+    """The least that is a workbook of one sheet."""
+
+    def cell(value: Any) -> str:
+        return f'<c t="inlineStr"><is><t>{value}</t></is></c>' if isinstance(value, str) else f"<c><v>{value!r}</v></c>"
+
+    sheet = "".join(f"<row>{''.join(map(cell, row))}</row>" for row in rows)
+    main_ns = 'xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"'
+    of_types, rels = (
+        "http://schemas.openxmlformats.org/package/2006",
+        "http://schemas.openxmlformats.org/officeDocument/2006/relationships",
+    )
+    form = "application/vnd.openxmlformats-officedocument.spreadsheetml"
+    with zipfile.ZipFile(path, "w") as book:
+        book.writestr(
+            "[Content_Types].xml",
+            f'<Types xmlns="{of_types}/content-types"><Default Extension="xml" ContentType="application/xml"/>'
+            '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+            f'<Override PartName="/xl/workbook.xml" ContentType="{form}.sheet.main+xml"/>'
+            f'<Override PartName="/xl/worksheets/sheet1.xml" ContentType="{form}.worksheet+xml"/></Types>',
+        )
+        book.writestr(
+            "_rels/.rels",
+            f'<Relationships xmlns="{of_types}/relationships"><Relationship Id="r1" Type="{rels}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
+        )
+        book.writestr(
+            "xl/workbook.xml",
+            f'<workbook {main_ns} xmlns:r="{rels}"><sheets><sheet name="Data" sheetId="1" r:id="r1"/></sheets></workbook>',
+        )
+        book.writestr(
+            "xl/_rels/workbook.xml.rels",
+            f'<Relationships xmlns="{of_types}/relationships"><Relationship Id="r1" Type="{rels}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
+        )
+        book.writestr("xl/worksheets/sheet1.xml", f"<worksheet {main_ns}><sheetData>{sheet}</sheetData></worksheet>")
+
+
+def test_a_workbook_is_read_as_a_table(tmp_path: Path) -> None:
+    pytest.importorskip("python_calamine")
+    rows = [
+        ["Time (s)", "a1 (g)", "a2 (g)", "a3 (g)"],
+        *([k / 100, *row] for k, row in enumerate((motion(100.0) / 9.80665).tolist())),
+    ]
+    workbook(tmp_path / "a.xlsx", rows)
+    info = imported([tmp_path / "a.xlsx"], tmp_path / "o.mcap")
+    assert (info.sample_rate_hz, info.channels[ACCELERATION], info.n_samples) == (100.0, ("a1", "a2", "a3"), 600)
+
+
+def test_tdms_states_names_units_rate_and_start(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    told = {
+        "wf_increment": 0.005,
+        "wf_start_offset": 0.0,
+        "wf_start_time": np.datetime64("2026-03-02T14:00:00"),
+        "unit_string": "g",
+    }
+    values = motion(200.0) / 9.80665
+    with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as file:
+        file.write_segment([nptdms.ChannelObject("Log", f"a{k + 1}", values[:, k], properties=told) for k in range(3)])
+    taken: list[ImportedChannel] = []
+    info = imported([tmp_path / "a.tdms"], tmp_path / "o.mcap", on_channel=taken.append)
+    assert (info.sample_rate_hz, info.t_start_ns, info.n_samples) == (200.0, START_NS, 600)
+    assert [(one.name, one.unit) for one in taken] == [("a1", "g"), ("a2", "g"), ("a3", "g")]
+
+
+@pytest.mark.parametrize(
+    ("form", "suffix"), [("SAC", "sac"), ("SLIST", "asc"), ("TSPAIR", "txt"), ("GSE2", "gse2"), ("MSEED", "x")]
+)
+def test_formats_of_seismology_are_read(form: str, suffix: str, tmp_path: Path) -> None:
+    obspy = pytest.importorskip("obspy")
+    counts = np.round(1e5 * motion(100.0)[:, 0]).astype(np.int32)
+    head = {
+        "network": "XX",
+        "station": "ROOF",
+        "channel": "HNZ",
+        "sampling_rate": 100.0,
+        "starttime": obspy.UTCDateTime(ns=START_NS),
+    }
+    data = counts.astype(np.float32) if form == "SAC" else counts
+    obspy.Stream([obspy.Trace(data, head)]).write(str(tmp_path / f"a.{suffix}"), format=form)
+    options = {"unit": "gal"} if form == "SAC" else {"scale": 1e-5}
+    info = imported([tmp_path / f"a.{suffix}"], tmp_path / "o.mcap", **options)
+    samples = np.concatenate([b.samples for b in read_recordings([tmp_path / "o.mcap"])])[:, 0]
+    assert (info.sample_rate_hz, info.t_start_ns, info.n_samples) == (100.0, START_NS, 600)
+    assert samples == pytest.approx(counts * (1e-2 if form == "SAC" else 1e-5), rel=1e-5)
