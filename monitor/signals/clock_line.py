@@ -23,9 +23,9 @@ _STAYS = 5
 """Stamps that must follow late for a jump, and not one late stamp. [stamps; judgement]"""
 _HUBER = 1.345
 """Residuals, over their scatter, from which they count less. [1; Huber: 95 % efficient at normal scatter]"""
-_ROUNDS = 8
+_FIT_ROUNDS = 8
 """Most rounds of the weighted fit. [count; cost: three suffice]"""
-_PIECES = 8
+_SLOPE_PIECES = 8
 """Pieces whose own slopes show how far a clock wanders. [count; judgement: their scatter is then known within a quarter]"""
 _CRYSTAL = 2e-5
 """Distance from a whole rate within which the whole rate is meant. [1; convention: tolerance of quartz crystals]"""
@@ -226,7 +226,7 @@ def _pooled(
     weight = np.ones(len(x))
     lengths = np.diff([*first, len(x)])
     slope, residuals, square = 0.0, y, 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(_FIT_ROUNDS):
         total = np.add.reduceat(weight, first)
         away_x = x - np.repeat(np.add.reduceat(weight * x, first) / total, lengths)
         away_y = y - np.repeat(np.add.reduceat(weight * y, first) / total, lengths)
@@ -250,7 +250,7 @@ def _wander(x: Annotated[Array, "n"], residuals: Annotated[Array, "n"], first: A
     """Return the standard deviation of the common slope that the slopes of pieces show; 0 where these are too short."""
     slopes, squares = [], []
     for begin, end in pairwise([*first.tolist(), len(x)]):
-        for piece in np.array_split(np.arange(begin, end), max(1, round(_PIECES * (end - begin) / len(x)))):
+        for piece in np.array_split(np.arange(begin, end), max(1, round(_SLOPE_PIECES * (end - begin) / len(x)))):
             away = x[piece] - x[piece].mean() if len(piece) else x[:0]
             if (square := float(away @ away)) > 0.0:
                 slopes.append(float(away @ residuals[piece]) / square)

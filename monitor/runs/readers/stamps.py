@@ -87,7 +87,7 @@ def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> S
     --------
     >>> stamps = parse(["3/2/2026 1:59:59.99 PM", "3/2/2026 2:00:00.00 PM"])
     >>> np.diff(stamps.t_ns).tolist(), stamps.order
-    ([10000000], "month first, since the time is of AM and PM")
+    ([10000000], 'month first, since the time is of AM and PM')
     """
     parts = []
     for at, text in enumerate(texts):
