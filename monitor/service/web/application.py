@@ -30,14 +30,8 @@ from monitor.service.web.snapshots import ENDPOINTS, PARTS, Answer, Range, Schem
 API = "/api/v1"
 """Beginning of the paths of the endpoints. [name; contract]"""
 _NAMES = "page.js live.js page.css icon.svg uplot.js uplot.css uplot-LICENSE.txt"
-_FILES = {f"/{name}": name for name in _NAMES.split()}
-"""Path -> file of a page. [none; definition]"""
-_KINDS = {
-    ".js": "text/javascript",
-    ".css": "text/css",
-    ".svg": "image/svg+xml",
-    ".txt": "text/plain",
-}
+"""Files of the pages, each at its own path. [names; definition]"""
+_KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".txt": "text/plain"}
 """Suffix of a page's file -> its type. [none; definition]"""
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
@@ -69,18 +63,17 @@ def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
     A request for data must hold the field ``Authorization: Bearer TOKEN``.  Without a token anyone may read, but only by a
     name of this machine's own, so that a page from elsewhere cannot lead a browser here by a name of its own.
     """
-    routes = [Route(path, _page(page_file(name), _KINDS[Path(name).suffix])) for path, name in _FILES.items()]
-    interface = describe()
-    pages = {"/": live_page(), "/api": api_page(interface)}
-    routes += [Route(path, _page(html.encode(), "text/html")) for path, html in pages.items()]
-    page = LivePage(snapshots)
-    routes += [
-        Route(f"{API}/page", _endpoint(page.answer, Shown)),
-        Route(f"{API}/report", _endpoint(page.report, Shown)),
-    ]
-    for name in ENDPOINTS:
-        routes.append(Route(f"{API}/{name}", _endpoint(partial(snapshots.answer, name), *_ASKED.get(name, ()))))
-    routes.append(Route("/openapi.json", _page(json.dumps(interface).encode(), "application/json")))
+    interface, page = describe(), LivePage(snapshots)
+    files: dict[str, tuple[bytes | str, str]] = {
+        **{f"/{name}": (page_file(name), _KINDS[Path(name).suffix]) for name in _NAMES.split()},
+        "/": (live_page(), "text/html"),
+        "/api": (api_page(interface), "text/html"),
+        "/openapi.json": (json.dumps(interface), "application/json"),
+    }
+    endpoints = {name: _endpoint(partial(snapshots.answer, name), *_ASKED.get(name, ())) for name in ENDPOINTS}
+    endpoints |= {"page": _endpoint(page.answer, Shown), "report": _endpoint(page.report, Shown)}
+    routes = [Route(path, _page(*file)) for path, file in files.items()]
+    routes += [Route(f"{API}/{name}", endpoint) for name, endpoint in endpoints.items()]
     middleware = [
         Middleware(_Guard, token=token),
         # No threads: what compression costs counts in the server's share of a core.
@@ -124,7 +117,7 @@ class _Guard:
         return _error(401, "a token is needed: Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"})
 
 
-def _page(content: bytes, kind: str) -> Callable[[Request], Awaitable[Response]]:
+def _page(content: bytes | str, kind: str) -> Callable[[Request], Awaitable[Response]]:
     async def answer(_: Request) -> Response:
         return Response(content, media_type=kind)
 
