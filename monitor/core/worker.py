@@ -109,8 +109,11 @@ class Worker(Generic[T]):
     `put` and `offer` leave it items; it begins with `start`.  A piece that raises an error of `retry` is done again after a pause
     that grows, with what it needs opened anew; so is `idle` or `open` with any other error.  Any other error of an item costs
     that item, or ends the work where `ends_on_error`.  An error is logged, and told in `failed` until a later piece is done.
-    Once it is to end, it does the items that wait, up to the first error of `retry`.
+    Once it is to end, it does the items that wait, up to the first error of `retry`.  Within ``Worker.by_hand(clock)`` workers
+    get no thread.
     """
+
+    by_hand = staticmethod(by_hand)
 
     def __init__(
         self,

@@ -6,11 +6,12 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from drivers.base import Source
+from drivers.base import SampleBlock, Source
 from monitor.runs import warm_up
 from monitor.service import systemd
 from monitor.service.outlets import Outlet
 from monitor.service.site import Site
+from monitor.service.threads import BlockQueue
 
 
 class Daemon(Site):
@@ -36,8 +37,9 @@ class Daemon(Site):
         clock: Callable[[], float] = time.monotonic,
         tick_s: float = 0.2,
         quiet_s: float = 10.0,
+        queue: BlockQueue[SampleBlock] | None = None,
     ) -> None:
-        super().__init__(path, source, outlets, clock=clock, quiet_s=quiet_s, warm=warm_up)
+        super().__init__(path, source, outlets, clock=clock, quiet_s=quiet_s, queue=queue, warm=warm_up)
         self._tick_s = tick_s
 
     def run(self) -> None:

@@ -45,7 +45,7 @@ from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.requests import Request
 from monitor.service.status import look, tell, troubles_of
-from monitor.service.threads import BlockQueue, Reader
+from monitor.service.threads import BlockQueue
 from tests.support.frames import settings_of
 from tests.support.full_disk import no_room
 from tests.support.results import alarm, damage_reading
@@ -167,8 +167,7 @@ def test_a_stream_faster_than_the_monitor_waits_and_loses_nothing(site: Path, re
             time.sleep(0.1)
             most[0] = max(most[0], len(daemon.reader.queue))
 
-    daemon = Daemon(site, source, [Slow()])
-    daemon.reader = Reader(source, BlockQueue(most_blocks=10))
+    daemon = Daemon(site, source, [Slow()], queue=BlockQueue(most_blocks=10))
     daemon.run()
     told = summary(site.parent / "out")
     assert told["quality"]["samples"] >= len(record) - round(10 * RATE) and told["gaps"] == 0

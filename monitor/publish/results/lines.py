@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import NoneType
 from typing import Any
 
 from monitor.core import WHOLE, Alarm, Level, finish, parse_json, partial
 from monitor.damage import AlarmState, Parts, State, WindowFacts, hold
-from monitor.publish.results.window_fields import LINE_SCHEMA, announced
-
-_KINDS: dict[str, type] = {
-    "array": list,
-    "boolean": bool,
-    "null": NoneType,
-    "number": float,
-    "object": dict,
-    "string": str,
-}
-"""Type of JSON schema -> type of its values, but for integers. [none; definition]"""
+from monitor.publish.results.window_fields import announced, checked_line
 
 
 def alarm_line(alarm: Alarm) -> dict[str, Any]:
@@ -87,30 +75,10 @@ def read_line(text: str | bytes, defaults: Mapping[str, Any] | None = None) -> d
     line = parse_json(text)
     if isinstance(line, dict):
         line = {**(defaults or {}), **line}
-    if not _fits(line, LINE_SCHEMA):
-        raise ValueError("it is not as `LINE_SCHEMA` says")
-    return dict(line)
-
-
-def _fits(value: Any, schema: Mapping[str, Any]) -> bool:
-    """Return whether a value has the types of a JSON schema, its numbers are finite, and its integers fit into 64 bits."""
-    kinds = schema.get("type", [])
-    if not any(_is_of(value, kind) for kind in ([kinds] if isinstance(kinds, str) else kinds)):
-        return not kinds
-    if isinstance(value, dict):
-        parts = schema.get("properties", {})
-        return set(schema.get("required", ())) <= value.keys() and all(
-            _fits(v, parts.get(k, {})) for k, v in value.items()
-        )
-    return not isinstance(value, list) or all(_fits(v, schema.get("items", {})) for v in value)
-
-
-def _is_of(value: Any, kind: str) -> bool:
-    if isinstance(value, int) and not isinstance(value, bool):
-        return kind in {"integer", "number"} and -(1 << 63) <= value < 1 << 63
-    if isinstance(value, float) and not math.isfinite(value):
-        return False
-    return isinstance(value, _KINDS.get(kind, ()))
+    try:
+        return checked_line(line)
+    except ValueError as error:
+        raise ValueError("it is not as `LINE_SCHEMA` says") from error
 
 
 def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:

@@ -9,59 +9,71 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Annotated, Any, NotRequired
 
 import numpy as np
+from annotated_types import Interval
+from pydantic import ConfigDict, FiniteFloat, TypeAdapter, WithJsonSchema
+from typing_extensions import TypedDict
 
 from monitor.core import WHOLE, Alarm, AlarmCondition, ComplexArray, ModalReading, OtherMode, WindowResult, rounded
 from monitor.damage import LEVEL, drift_m, modal_parts
 
-_NUMBER: dict[str, Any] = {"type": ["number", "null"]}
-_NUMBERS: dict[str, Any] = {"type": ["array", "null"], "items": _NUMBER}
-_INTEGERS: dict[str, Any] = {"type": ["array", "null"], "items": {"type": "integer"}}
-_TEXTS: dict[str, Any] = {"type": ["array", "null"], "items": {"type": "string"}}
+_Integer = Annotated[int, Interval(ge=-(1 << 63), lt=1 << 63), WithJsonSchema({"type": "integer"})]
+_Numbers = list[FiniteFloat | None] | None
+_STRICT = ConfigDict(strict=True, extra="allow")
 
 
-_ALARM = {
-    "level": {"type": "string"},
-    "stories": _INTEGERS,
-    "reason": {"type": "string"},
-    "active": {"type": "object", "additionalProperties": {"type": "string"}},
-    "shelved": _INTEGERS,
-    "changed": _TEXTS,
-}
-_SHAPES = {"type": "array", "items": {"type": ["array", "null"]}}
+class _Alarm(TypedDict, total=False):
+    __pydantic_config__ = _STRICT  # type: ignore[misc]
+    level: str
+    stories: list[_Integer] | None
+    reason: str
+    active: dict[str, str]
+    shelved: list[_Integer] | None
+    changed: list[str] | None
+
+
+def _brief(schema: Any) -> Any:
+    """Write a schema without titles, and what may be null by two types: more readers know that."""
+    if isinstance(schema, list):
+        return [_brief(one) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if "anyOf" in schema:
+        value, null = schema["anyOf"]
+        return {**_brief(value), "type": [value["type"], null["type"]]}
+    return {key: _brief(value) for key, value in schema.items() if key != "title"}
 
 
 class Kind(Enum):
-    """Kind of a field's values, with their JSON schema.
+    """Kind of a field's values: their type, and the JSON schema that follows from it.
 
     A new field is of a kind that may be null: lines of before have no value of it.
     """
 
+    type: Any
     schema: dict[str, Any]
-    NEVER_NULL_INTEGER = "an integer", {"type": "integer"}
-    NEVER_NULL_NUMBER = "a number", {"type": "number"}
-    INTEGER = "an integer or null", {"type": ["integer", "null"]}
-    NUMBER = "a number or null", _NUMBER
-    FLAG = "true, false or null", {"type": ["boolean", "null"]}
-    TEXT = "text or null", {"type": ["string", "null"]}
-    NUMBERS = "numbers", _NUMBERS
-    INTEGERS = "integers", _INTEGERS
-    TEXTS = "texts", _TEXTS
-    SHAPES = (
-        "for each mode, a pair of real and imaginary part for each channel",
-        {"type": ["array", "null"], "items": _SHAPES},
-    )
-    MODES = "modes", {"type": ["array", "null"], "items": {"type": "object"}}
-    BY_NAME = "numbers by name", {"type": "object", "additionalProperties": _NUMBER}
-    LISTS_BY_NAME = "lists of numbers by name", {"type": ["object", "null"], "additionalProperties": _NUMBERS}
-    ALARM = "an alarm", {"type": "object", "properties": _ALARM}
+    NEVER_NULL_INTEGER = "an integer", _Integer
+    NEVER_NULL_NUMBER = "a number", FiniteFloat
+    INTEGER = "an integer or null", _Integer | None
+    NUMBER = "a number or null", FiniteFloat | None
+    FLAG = "true, false or null", bool | None
+    TEXT = "text or null", str | None
+    NUMBERS = "numbers", _Numbers
+    INTEGERS = "integers", list[_Integer] | None
+    TEXTS = "texts", list[str] | None
+    SHAPES = "for each mode, a pair of real and imaginary part for each channel", list[list[_Numbers]] | None
+    MODES = "modes", list[dict[str, Any]] | None
+    BY_NAME = "numbers by name", dict[str, FiniteFloat | None]
+    LISTS_BY_NAME = "lists of numbers by name", dict[str, _Numbers] | None
+    ALARM = "an alarm", _Alarm
 
-    def __new__(cls, words: str, schema: dict[str, Any]) -> Kind:
+    def __new__(cls, words: str, kind_of_value: Any) -> Kind:
         """Make a kind whose value is its words."""
         kind = object.__new__(cls)
-        kind._value_, kind.schema = words, schema
+        kind._value_, kind.type = words, kind_of_value
+        kind.schema = _brief(TypeAdapter(kind_of_value).json_schema())
         return kind
 
 
@@ -242,6 +254,16 @@ LINE_SCHEMA: dict[str, Any] = {
     "required": ["t_end_ns", "alarm", "skipped"],
 }
 """JSON schema of a line. [none; definition]"""
+_Line = TypedDict(  # type: ignore[misc]
+    "_Line", {f.key: f.kind.type if f.key in LINE_SCHEMA["required"] else NotRequired[f.kind.type] for f in FIELDS}
+)
+_Line.__pydantic_config__ = _STRICT  # type: ignore[attr-defined]
+_LINE = TypeAdapter(_Line)
+
+
+def checked_line(line: object) -> dict[str, Any]:
+    """Return a line that is as `LINE_SCHEMA` says, its numbers finite and its integers of 64 bits; else raise ValueError."""
+    return dict(_LINE.validate_python(line))
 
 
 def window_line(result: WindowResult) -> dict[str, Any]:
