@@ -33,6 +33,15 @@ _MAX_ROWS = 200
 """Largest number of rows of a table."""
 _UNKNOWN = "–"
 _TIME = "time, UTC"
+_OF_CHANNEL = {
+    "rms_m_s2": "#RMS, m/s²",
+    "peak_m_s2": "#peak, m/s²",
+    "spikes": "#spikes",
+    "stuck_s": "#stuck, s",
+    "clipped_samples": "#clipped samples",
+    "noise_floor": "#noise, m/s²/√Hz",
+}
+"""Key of a channel's quality -> heading of its column. [names]"""
 _UNITS = {"temperature": "degC", "level": "m"}
 """Units of the covariates that are not named in the site file. [units; definition]"""
 
@@ -278,8 +287,8 @@ def _trust(page: Sheet, period: Period) -> None:
     page.section("Can it be trusted", "trust")
     page.items(period.assessment.doubts, "doubts")
     shown = []
-    if q is not None and q.availability is not None:
-        shown.append((f"{100 * q.availability:.2f} %", "of the samples due came"))
+    if q is not None and q.table["availability"] is not None:
+        shown.append((f"{100 * q.table['availability']:.2f} %", "of the samples due came"))
     if period.live is None:
         apart = ", the time between recordings apart" if r.between else ""
         evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s{apart}"
@@ -528,24 +537,21 @@ def _sensors(page: Sheet, period: Period) -> None:
         page.note("No record of the sensors' quality in this period.")
         return
     page.note(f"From {q.says}.")
-    availability = "not known" if q.availability is None else f"{100 * q.availability:.3f} %"
-    stream = [("samples that came", availability), ("gaps", str(q.gaps)), ("lost, s", f"{q.lost_s:.6g}")]
-    page.table([], [*stream, ("samples dropped (repeated, late, not finite)", str(q.overlaps))])
-    head = ["channel", "#RMS, m/s²", "#peak, m/s²", "#spikes", "#stuck, s", "#clipped samples", "#noise, m/s²/√Hz"]
-    channels = [
-        (c.name, f"{c.rms_m_s2:.4g}", _known(c.peak_m_s2), str(c.spikes), f"{c.stuck_s:g}", f"{c.clipped:.0f}",
-         _known(c.noise_floor))
-        for c in q.channels
-    ]  # fmt: skip
-    columns = [i for i in range(len(head)) if any(c[i] != _UNKNOWN for c in channels)]  # a replay knows no peaks
-    page.table([head[i] for i in columns], [[c[i] for i in columns] for c in channels])
+    t, came = q.table, q.table["availability"]
+    stream = [("samples that came", "not known" if came is None else f"{100 * came:.3f} %"), ("gaps", str(t["gaps"]))]
+    stream += [("lost, s", f"{t['lost_s']:.6g}"), ("samples dropped (repeated, late, not finite)", str(t["overlaps"]))]
+    page.table([], stream)
+    channels = t["channels"].items()
+    keys = [key for key in _OF_CHANNEL if any(c.get(key) is not None for _, c in channels)]  # a replay knows no peaks
+    rows = [(name, *(_known(c.get(key)) for key in keys)) for name, c in channels]
+    page.table(["channel", *(_OF_CHANNEL[key] for key in keys)], rows)
     clocks = [(node, f"{1e3 * offset:.3g}", f"{drift:.3g}") for node, offset, drift in q.clocks]
     page.table(["clock", "#largest offset, ms", "#drift, ppm"], clocks)
 
 
 def _known(value: float | None) -> str:
     """Write a number, or a dash where it is not known."""
-    return _UNKNOWN if value is None else f"{value:.4g}"
+    return _UNKNOWN if value is None else str(value) if isinstance(value, int) else f"{value:.4g}"
 
 
 def _findings(page: Sheet, period: Period) -> None:
