@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -169,7 +169,7 @@ def read_decisions(folder: Path, health: HealthFile, n_modes: int = 0) -> list[D
     return out
 
 
-def requests_for(episode: Loss, decisions: list[Decision], following_ns: float) -> list[Decision]:
+def requests_for(episode: Loss, decisions: Sequence[Decision], following_ns: float) -> list[Decision]:
     """Select what operators requested of an alarm's story, from the alarm's beginning to the story's next alarm."""
     return [d for d in decisions if d.story == episode.story and episode.t_first_ns <= d.t_ns < following_ns]
 

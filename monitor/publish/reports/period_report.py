@@ -69,20 +69,20 @@ class Period:
 
     name: str
     results: PeriodResults
-    quality: Quality | None
     course: Course
     """The windows and all alarm episodes, those included that a higher alarm of another story hid in the lines."""
     assessment: Assessment
     known: Known
-    findings: list[dict[str, Any]]
-    decisions: list[Decision]
-    thresholds: Mapping[str, float]
+    quality: Quality | None = None
+    findings: Sequence[Mapping[str, Any]] = ()
+    decisions: Sequence[Decision] = ()
+    events: Sequence[Event] = ()
+    event_alarms: Sequence[EventAlarm] = ()
+    """Of these events, and of earlier ones those that nobody has acknowledged."""
+    thresholds: Mapping[str, float] = field(default_factory=dict)
     """`alarm_loss`, `min_loss`, `significance`; empty where the run did not record them."""
     learned: Mapping[str, LearnedRange] = field(default_factory=dict)
     """Range of each covariate at calibration."""
-    events: list[Event] = field(default_factory=list)
-    event_alarms: list[EventAlarm] = field(default_factory=list)
-    """Of these events, and of earlier ones those that nobody has acknowledged."""
     contact: str = ""
     """Whom to call, as `[site] contact` says."""
     baseline_hz: Mapping[int, float] = field(default_factory=dict)
@@ -118,8 +118,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         losses = results.course.losses
         losses = (*losses, *hidden_losses(losses, summary, start, stop))
         course = replace(results.course, losses=tuple(sorted(losses, key=lambda loss: loss.t_first_ns)))
-        thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
-        learned = {str(n): LearnedRange(**r) for n, r in summary.get("covariates_learned", {}).items()}
+        told = told_in(summary)
         events = notes.read_events(folder)
         began_ns = {event.id: event.begin_ns for event in events}
         alarms = [a for a in notes.event_alarms(summary) if began_ns.get(a.id, start) <= stop]
@@ -135,21 +134,23 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     with _name_file_in_errors(folder / "results.jsonl"):
         exceeded = [alarm.says for alarm in alarms if alarm.unacknowledged]
         assessment = assess(course, known, findings, exceeded=exceeded, whole=True)
+    pages = {event.id: folder / "events" / f"{event.id}.html" for event in events}
     return Period(
-        folder.resolve().name, results, quality, course, assessment, known, findings, decisions, thresholds, learned,
-        events, alarms, str(summary.get("contact", "")), baseline_hz(summary),
-        conditions(summary), {event.id: folder / "events" / f"{event.id}.html" for event in events},
+        folder.resolve().name, results, course, assessment, known, quality, events=events, event_alarms=alarms,
+        pages=pages, findings=findings, decisions=decisions, **told,
     )  # fmt: skip
 
 
-def baseline_hz(summary: Mapping[str, Any]) -> dict[int, float]:
-    """Read the natural frequencies at calibration from the summary, by the modes' numbers."""
-    return {int(mode): float(hz) for mode, hz in summary.get("baseline_frequencies_hz", {}).items()}
-
-
-def conditions(summary: Mapping[str, Any]) -> dict[int, str]:
-    """Read the conditions of the present alarms from the summary, by the stories' numbers."""
-    return {int(story): str(says) for story, says in ((summary.get("alarm") or {}).get("conditions") or {}).items()}
+def told_in(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Read from the summary what the page shows as it stands there, by the fields of a `Period`."""
+    present = (summary.get("alarm") or {}).get("conditions") or {}
+    return {
+        "thresholds": {str(name): float(value) for name, value in summary.get("thresholds", {}).items()},
+        "learned": {str(n): LearnedRange(**r) for n, r in (summary.get("covariates_learned") or {}).items()},
+        "contact": str(summary.get("contact", "")),
+        "baseline_hz": {int(k): float(hz) for k, hz in summary.get("baseline_frequencies_hz", {}).items()},
+        "conditions": {int(story): str(says) for story, says in present.items()},
+    }
 
 
 def known_of(summary: Mapping[str, Any]) -> Known:
