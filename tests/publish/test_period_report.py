@@ -252,8 +252,8 @@ def test_without_a_baseline_nothing_reads_as_an_all_clear(tmp_path: Path) -> Non
 def test_a_period_is_cut_out_and_reads_alike(months: Path, tmp_path: Path) -> None:
     period = read_period(months, T0 + 10 * DAY, T0 + 20 * DAY)
     assert (period.course.windows, period.results.due, period.course.losses, period.findings) == (1440, 1440, (), [])
-    assert period.quality.gaps == 10
-    assert np.isclose(period.quality.availability, 0.990099, atol=1e-6)
+    assert period.quality.table["gaps"] == 10
+    assert np.isclose(period.quality.table["availability"], 0.990099, atol=1e-6)
     write_period(tmp_path / "r.html", period)
     said = parsed(tmp_path / "r.html").words
     assert said.index("not judged") < said.index("Stiffness lost since the baseline"), (
@@ -290,10 +290,10 @@ def test_the_time_between_the_recordings_of_a_replay_is_not_due_and_that_of_a_da
         (tmp_path / "summary.json").write_text(json.dumps(summary | told))
         period = read_period(tmp_path, None, None)
         assert (sum(period.results.judged), period.results.due) == (20, due)
-        assert period.quality is not None and period.quality.gaps == gaps
+        assert period.quality is not None and period.quality.table["gaps"] == gaps
         write_period(tmp_path / "r.html", period)
-    assert period.quality.lost_s == pytest.approx(6.0)
-    assert period.quality.availability == pytest.approx(came_s / (came_s + 6.0))
+    assert period.quality.table["lost_s"] == pytest.approx(6.0)
+    assert period.quality.table["availability"] == pytest.approx(came_s / (came_s + 6.0))
     said = parsed(tmp_path / "r.html").words
     assert "of 20 windows due" in said and "the time between recordings apart" in said
     assert "the monitor did not run" not in said

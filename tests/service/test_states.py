@@ -135,7 +135,7 @@ def test_a_state_reads_the_same_at_every_outlet(
     page.state(said)
     page.window(json.loads(lines.lines[-1]))
     page.summary(summary)
-    live = json.loads(page.status_answer().body)
+    live = json.loads(page.answer("status").body)
     assert {key: live[key] for key in said.content} == said.content
     assert live["latest"]["level"] == level
 

@@ -20,6 +20,7 @@ import pytest
 
 from monitor import publish
 from monitor.config import configuration, security_check
+from monitor.core import utc
 from monitor.damage import Assessment, State
 from monitor.publish import pack_month
 from monitor.service.outlets import make_outlets
@@ -376,11 +377,14 @@ def test_a_monitor_that_went_silent_is_not_normal() -> None:
     shown.state(Assessment(State.NORMAL, "No change."))
     assert content(ask, "/api/v1/status")["monitor"] == "starting"
     shown.health(HEALTH)
+    shown.window(line(3))
     tag = ask("/api/v1/status")[1]["etag"]
     now[0] = 61.0
     code, _, body = ask("/api/v1/status", If_None_Match=tag)
     told = json.loads(body)
     assert (code, told["state"], told["monitor"]) == (200, "not_judged", "silent")
+    html = content(ask, "/api/v1/page")["html"]
+    assert 'class="state not_judged"' in html and f"since {utc(T0_NS + 3 * SECOND, seconds=True)} UTC" in html
 
 
 def json_lines(path: Path, rows: list[Any]) -> None:

@@ -7,12 +7,12 @@ from contextlib import suppress
 from typing import Any
 
 from monitor.core import Level
-from monitor.damage import Assessment, Course, LearnedRange, Loss, WindowFacts
+from monitor.damage import Assessment, Course, Loss, WindowFacts
 from monitor.events import EventAlarm
 from monitor.publish.page.sheet import Sheet
 from monitor.publish.reports.period_data import Grid, PeriodResults
 from monitor.publish.reports.period_notes import event_alarms
-from monitor.publish.reports.period_report import Live, Period, baseline_hz, conditions, hidden_losses, known_of, sheet
+from monitor.publish.reports.period_report import Live, Period, hidden_losses, known_of, sheet, told_in
 from monitor.publish.results.event_lines import read_event
 
 _BINS = 360
@@ -33,14 +33,17 @@ def live_sheet(published: Mapping[str, Any], assessment: Assessment) -> Sheet:
     for row in rows:
         with suppress(ValueError, KeyError, TypeError, IndexError):
             results.add(row)
-    known, losses, alarms = known_of({}), tuple[Loss, ...](), list[EventAlarm]()
-    active = dict[int, Level]()
-    learned, baseline, present = dict[str, LearnedRange](), dict[int, float](), dict[int, str]()
+    known, losses, alarms, active, as_told = (
+        known_of({}),
+        tuple[Loss, ...](),
+        list[EventAlarm](),
+        dict[int, Level](),
+        {},
+    )
     with suppress(KeyError, TypeError, ValueError, AttributeError):  # a summary of another version
         known, losses = known_of(summary), tuple(hidden_losses((), summary, 0, ends[-1]))
-        learned = {str(n): LearnedRange(**r) for n, r in (summary.get("covariates_learned") or {}).items()}
         active = {int(j): Level(level) for j, level in ((summary.get("alarm") or {}).get("active") or {}).items()}
-        alarms, baseline, present = event_alarms(summary), baseline_hz(summary), conditions(summary)
+        alarms, as_told = event_alarms(summary), told_in(summary)
     judged = status.get("judged") or {}
     detectable = judged.get("detectable_loss")
     facts = WindowFacts(ends[-1], 0.0, None, active, detectable=None if detectable is None else tuple(detectable))
@@ -55,9 +58,8 @@ def live_sheet(published: Mapping[str, Any], assessment: Assessment) -> Sheet:
     live = Live(status["monitor"], age_s, since_ns, _facts(status), _stream(told), _sensors(told))
     return sheet(
         Period(
-            status["site"], results, None, course, assessment, known, published["findings"], [],
-            summary.get("thresholds") or {}, learned, events[::-1], alarms, str(summary.get("contact", "")), baseline,
-            present, live=live,
+            status["site"], results, course, assessment, known, findings=published["findings"], events=events[::-1],
+            event_alarms=alarms, live=live, **as_told,
         )
     )  # fmt: skip
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,31 +28,13 @@ SENSORS = ("channel", "in use", "#RMS, m/s²", "#peak, m/s²", "#noise floor, m/
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelQuality:
-    """Quality of one channel; None where a quantity was not recorded."""
-
-    name: str
-    rms_m_s2: float
-    spikes: int
-    stuck_s: float
-    clipped: float
-    """Number of clipped samples."""
-    peak_m_s2: float | None = None
-    noise_floor: float | None = None
-    """Median, m/s^2/sqrt(Hz)."""
-
-
-@dataclass(frozen=True, slots=True)
 class Quality:
     """Quality of the sensors and of the stream."""
 
     says: str
     """Source and span of the figures in words."""
-    availability: float | None
-    gaps: int
-    lost_s: float
-    overlaps: int
-    channels: tuple[ChannelQuality, ...]
+    table: Mapping[str, Any]
+    """As `quality` of summary.json; of a channel `peak_m_s2` and `noise_floor` (median, m/s^2/sqrt(Hz)) where they are known."""
     clocks: tuple[tuple[str, float, float], ...] = ()
     """Sensor node, largest offset in s, latest drift in ppm."""
 
@@ -108,17 +90,13 @@ class HealthFile:
         """Sum up the period's quality; return None without a line in the period."""
         if not self._ends:
             return None
-        total = self._total
-        floors = {name: float(np.median(seen)) if seen else None for name, seen in self._floors.items()}
-        channels = tuple(
-            replace(channel, peak_m_s2=self._peaks[channel.name], noise_floor=floors[channel.name])
-            for channel in _channels(total.content())
-        )
+        table = self._total.content()
+        for name, channel in table["channels"].items():
+            floors = self._floors[name]
+            channel |= {"peak_m_s2": self._peaks[name], "noise_floor": float(np.median(floors)) if floors else None}
         ends = [utc(t) for t in (min(self._ends), max(self._ends))]
         says = f"health.jsonl, {len(self._ends)} spans that end from {ends[0]} to {ends[1]} UTC"
-        share = total.seconds / max(total.seconds + total.lost_s, 1e-9)
-        clocks = tuple((node, *c) for node, c in self._clocks.items())
-        return Quality(says, share, total.gaps, total.lost_s, total.overlaps, channels, clocks)
+        return Quality(says, table, tuple((node, *c) for node, c in self._clocks.items()))
 
     def data_ns(self, wall_ns: int) -> int:
         """Convert wall-clock time to the data's time, both UTC in ns, since a stream may run faster than the clock."""
@@ -150,15 +128,8 @@ def summary_quality(summary: dict[str, Any]) -> Quality | None:
         lost_s = max(0.0, lost_s - 1e-9 * sum(end - begin for begin, end in between))
         availability = came_s / (came_s + lost_s)
     says = "summary.json, the whole run" + (" without the time between its recordings" if between else "")
-    return Quality(
-        says, availability, max(0, table["gaps"] - len(between)), lost_s, table["overlaps"], _channels(table)
-    )
-
-
-def _channels(table: Mapping[str, Any]) -> tuple[ChannelQuality, ...]:
-    """List the channels of the table `quality`."""
-    keys = ("rms_m_s2", "spikes", "stuck_s", "clipped_samples")
-    return tuple(ChannelQuality(name, *(c[key] for key in keys)) for name, c in table["channels"].items())
+    told = {"availability": availability, "lost_s": lost_s, "gaps": max(0, table["gaps"] - len(between))}
+    return Quality(says, table | told)
 
 
 def read_findings(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]]:
@@ -198,7 +169,7 @@ def read_decisions(folder: Path, health: HealthFile, n_modes: int = 0) -> list[D
     return out
 
 
-def requests_for(episode: Loss, decisions: list[Decision], following_ns: float) -> list[Decision]:
+def requests_for(episode: Loss, decisions: Sequence[Decision], following_ns: float) -> list[Decision]:
     """Select what operators requested of an alarm's story, from the alarm's beginning to the story's next alarm."""
     return [d for d in decisions if d.story == episode.story and episode.t_first_ns <= d.t_ns < following_ns]
 

@@ -33,6 +33,15 @@ _MAX_ROWS = 200
 """Largest number of rows of a table."""
 _UNKNOWN = "–"
 _TIME = "time, UTC"
+_OF_CHANNEL = {
+    "rms_m_s2": "#RMS, m/s²",
+    "peak_m_s2": "#peak, m/s²",
+    "spikes": "#spikes",
+    "stuck_s": "#stuck, s",
+    "clipped_samples": "#clipped samples",
+    "noise_floor": "#noise, m/s²/√Hz",
+}
+"""Key of a channel's quality -> heading of its column. [names]"""
 _UNITS = {"temperature": "degC", "level": "m"}
 """Units of the covariates that are not named in the site file. [units; definition]"""
 
@@ -60,20 +69,20 @@ class Period:
 
     name: str
     results: PeriodResults
-    quality: Quality | None
     course: Course
     """The windows and all alarm episodes, those included that a higher alarm of another story hid in the lines."""
     assessment: Assessment
     known: Known
-    findings: list[dict[str, Any]]
-    decisions: list[Decision]
-    thresholds: Mapping[str, float]
+    quality: Quality | None = None
+    findings: Sequence[Mapping[str, Any]] = ()
+    decisions: Sequence[Decision] = ()
+    events: Sequence[Event] = ()
+    event_alarms: Sequence[EventAlarm] = ()
+    """Of these events, and of earlier ones those that nobody has acknowledged."""
+    thresholds: Mapping[str, float] = field(default_factory=dict)
     """`alarm_loss`, `min_loss`, `significance`; empty where the run did not record them."""
     learned: Mapping[str, LearnedRange] = field(default_factory=dict)
     """Range of each covariate at calibration."""
-    events: list[Event] = field(default_factory=list)
-    event_alarms: list[EventAlarm] = field(default_factory=list)
-    """Of these events, and of earlier ones those that nobody has acknowledged."""
     contact: str = ""
     """Whom to call, as `[site] contact` says."""
     baseline_hz: Mapping[int, float] = field(default_factory=dict)
@@ -109,8 +118,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         losses = results.course.losses
         losses = (*losses, *hidden_losses(losses, summary, start, stop))
         course = replace(results.course, losses=tuple(sorted(losses, key=lambda loss: loss.t_first_ns)))
-        thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
-        learned = {str(n): LearnedRange(**r) for n, r in summary.get("covariates_learned", {}).items()}
+        told = told_in(summary)
         events = notes.read_events(folder)
         began_ns = {event.id: event.begin_ns for event in events}
         alarms = [a for a in notes.event_alarms(summary) if began_ns.get(a.id, start) <= stop]
@@ -126,21 +134,23 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     with _name_file_in_errors(folder / "results.jsonl"):
         exceeded = [alarm.says for alarm in alarms if alarm.unacknowledged]
         assessment = assess(course, known, findings, exceeded=exceeded, whole=True)
+    pages = {event.id: folder / "events" / f"{event.id}.html" for event in events}
     return Period(
-        folder.resolve().name, results, quality, course, assessment, known, findings, decisions, thresholds, learned,
-        events, alarms, str(summary.get("contact", "")), baseline_hz(summary),
-        conditions(summary), {event.id: folder / "events" / f"{event.id}.html" for event in events},
+        folder.resolve().name, results, course, assessment, known, quality, events=events, event_alarms=alarms,
+        pages=pages, findings=findings, decisions=decisions, **told,
     )  # fmt: skip
 
 
-def baseline_hz(summary: Mapping[str, Any]) -> dict[int, float]:
-    """Read the natural frequencies at calibration from the summary, by the modes' numbers."""
-    return {int(mode): float(hz) for mode, hz in summary.get("baseline_frequencies_hz", {}).items()}
-
-
-def conditions(summary: Mapping[str, Any]) -> dict[int, str]:
-    """Read the conditions of the present alarms from the summary, by the stories' numbers."""
-    return {int(story): str(says) for story, says in ((summary.get("alarm") or {}).get("conditions") or {}).items()}
+def told_in(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Read from the summary what the page shows as it stands there, by the fields of a `Period`."""
+    present = (summary.get("alarm") or {}).get("conditions") or {}
+    return {
+        "thresholds": {str(name): float(value) for name, value in summary.get("thresholds", {}).items()},
+        "learned": {str(n): LearnedRange(**r) for n, r in (summary.get("covariates_learned") or {}).items()},
+        "contact": str(summary.get("contact", "")),
+        "baseline_hz": {int(k): float(hz) for k, hz in summary.get("baseline_frequencies_hz", {}).items()},
+        "conditions": {int(story): str(says) for story, says in present.items()},
+    }
 
 
 def known_of(summary: Mapping[str, Any]) -> Known:
@@ -278,8 +288,8 @@ def _trust(page: Sheet, period: Period) -> None:
     page.section("Can it be trusted", "trust")
     page.items(period.assessment.doubts, "doubts")
     shown = []
-    if q is not None and q.availability is not None:
-        shown.append((f"{100 * q.availability:.2f} %", "of the samples due came"))
+    if q is not None and q.table["availability"] is not None:
+        shown.append((f"{100 * q.table['availability']:.2f} %", "of the samples due came"))
     if period.live is None:
         apart = ", the time between recordings apart" if r.between else ""
         evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s{apart}"
@@ -528,24 +538,21 @@ def _sensors(page: Sheet, period: Period) -> None:
         page.note("No record of the sensors' quality in this period.")
         return
     page.note(f"From {q.says}.")
-    availability = "not known" if q.availability is None else f"{100 * q.availability:.3f} %"
-    stream = [("samples that came", availability), ("gaps", str(q.gaps)), ("lost, s", f"{q.lost_s:.6g}")]
-    page.table([], [*stream, ("samples dropped (repeated, late, not finite)", str(q.overlaps))])
-    head = ["channel", "#RMS, m/s²", "#peak, m/s²", "#spikes", "#stuck, s", "#clipped samples", "#noise, m/s²/√Hz"]
-    channels = [
-        (c.name, f"{c.rms_m_s2:.4g}", _known(c.peak_m_s2), str(c.spikes), f"{c.stuck_s:g}", f"{c.clipped:.0f}",
-         _known(c.noise_floor))
-        for c in q.channels
-    ]  # fmt: skip
-    columns = [i for i in range(len(head)) if any(c[i] != _UNKNOWN for c in channels)]  # a replay knows no peaks
-    page.table([head[i] for i in columns], [[c[i] for i in columns] for c in channels])
+    t, came = q.table, q.table["availability"]
+    stream = [("samples that came", "not known" if came is None else f"{100 * came:.3f} %"), ("gaps", str(t["gaps"]))]
+    stream += [("lost, s", f"{t['lost_s']:.6g}"), ("samples dropped (repeated, late, not finite)", str(t["overlaps"]))]
+    page.table([], stream)
+    channels = t["channels"].items()
+    keys = [key for key in _OF_CHANNEL if any(c.get(key) is not None for _, c in channels)]  # a replay knows no peaks
+    rows = [(name, *(_known(c.get(key)) for key in keys)) for name, c in channels]
+    page.table(["channel", *(_OF_CHANNEL[key] for key in keys)], rows)
     clocks = [(node, f"{1e3 * offset:.3g}", f"{drift:.3g}") for node, offset, drift in q.clocks]
     page.table(["clock", "#largest offset, ms", "#drift, ppm"], clocks)
 
 
 def _known(value: float | None) -> str:
     """Write a number, or a dash where it is not known."""
-    return _UNKNOWN if value is None else f"{value:.4g}"
+    return _UNKNOWN if value is None else str(value) if isinstance(value, int) else f"{value:.4g}"
 
 
 def _findings(page: Sheet, period: Period) -> None:

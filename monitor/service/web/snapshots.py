@@ -295,7 +295,9 @@ class Snapshots:
     def published(self) -> tuple[Assessment, dict[str, Any]]:
         """Return what the page shows (`publish.live_sheet`) beside the windows, status and sensors."""
         with self._lock:
-            content = {"summary": self._summary, "since_ns": self._since_ns}
+            is_as_told = self._shown.state is self._assessment.state
+            since_ns = self._since_ns if is_as_told else (self._last["latest"] or {}).get("t_end_ns")
+            content = {"summary": self._summary, "since_ns": since_ns}
             lists = {"events": list(self._events.values()), "findings": list(self._findings.values())}
             return self._shown, content | lists
 
