@@ -284,7 +284,7 @@ class Host:
             assert place.out is not None
             if place.store is not None:
                 place.due_s = now + max(_LOOK_S, place.store.every_s)
-            is_held = running(place.out) is not False or (place.store is not None and place.store.is_held())
+            is_held = running(place.out) is not False or (place.store is not None and place.store.lease.is_held())
         except UserError:  # which is told when it is started
             return True
         place.free_s = None if is_held else now if place.free_s is None else place.free_s
@@ -294,7 +294,7 @@ class Host:
         is_taken = place.free_s is not None and (self._first(place.path) or now - place.free_s >= _FREE_S)
         place.is_told = place.is_told or not is_taken
         if is_taken and place.was_held:
-            has_read = has_ended(place.out) if place.store is None else place.store.has_ended()
+            has_read = has_ended(place.out) if place.store is None else place.store.lease.has_ended()
             if has_read:  # by its own account there is nothing to take over
                 self._schedule.call(partial(self._over, place, ""))
                 return False

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
 from monitor.config import Configuration
-from monitor.core import InUseError, MissingInputError, UserError
+from monitor.core import MissingInputError, UserError
 from monitor.publish import EVENTS
 from monitor.service import restart
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.component import Every
 from monitor.service.daemon_health import HealthLines, Vitals
 from monitor.service.history import History
+from monitor.service.lease import FolderLease
 from monitor.service.site_store import SiteStore
 from monitor.service.storage import EventsFile, ResultsFile, Storage
 from monitor.service.threads import Chores, Recording
@@ -38,9 +38,9 @@ class Claim:
 
     def __init__(self, out: Path, settings: Configuration, undo: ExitStack) -> None:
         restart.make_private(out / "state", out)
-        self._out, self._file = out, out / "state" / "lock"
-        self._lock = restart.lock(self._file, out)
-        undo.callback(os.close, self._lock)
+        self._lease = FolderLease(out)
+        self._lease.acquire()
+        undo.callback(self._lease.release)
         restart.note_site(out / "state", settings)
         self.store: SiteStore | None = None
         self.lost: UserError | None = None
@@ -48,11 +48,11 @@ class Claim:
     def holds(self) -> bool:
         """Look whether the folder is still this site's, and note its loss (in a thread that may wait for the disk)."""
         try:
-            restart.demand_lock(self._lock, self._file, self._out)
+            self._lease.renew()
         except UserError as error:
             self.lost = error
             if self.store is not None:
-                self.store.is_lost = True  # the copy keeps what the folder had
+                self.store.lost = error  # the copy keeps what the folder had
         return self.lost is None
 
     def watch(self, chores: Chores, now: float) -> None:
@@ -64,12 +64,12 @@ class Claim:
         self._look(now)
         if self.lost is not None:
             raise self.lost
-        if self.store is not None and self.store.is_lost:
-            raise InUseError(self.store.failed)
+        if self.store is not None and self.store.lost is not None:
+            raise self.store.lost
 
     def close(self, timeout_s: float) -> None:
         """Give the folder up."""
-        os.close(self._lock)
+        self._lease.release()
 
 
 class SiteFiles:

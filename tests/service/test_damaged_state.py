@@ -22,7 +22,7 @@ from monitor.core import MissingInputError
 from monitor.publish import read_line, read_period
 from monitor.service import status
 from monitor.service.daemon import Daemon
-from monitor.service.restart import lock
+from monitor.service.lease import FolderLease
 from monitor.service.status import DOWN, HEALTHY, TROUBLE, look, tell
 from tests.support.damages import DAMAGES, DEEP
 from tests.support.live_site import RATE
@@ -223,9 +223,10 @@ def test_the_status_of_files_with_wrong_types_is_an_answer(stopped: Path, name: 
 @pytest.fixture
 def locked(stopped: Path) -> Iterator[Path]:
     """The folder of a daemon that holds its lock and says nothing more."""
-    handle = lock(stopped / "state" / "lock", stopped)
+    lease = FolderLease(stopped)
+    lease.acquire()
     yield stopped
-    os.close(handle)
+    lease.release()
 
 
 def put_last(out: Path, **values: Any) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import threading
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from drivers.base import SampleBlock, SourceHealth
 from monitor.core import Busy
 from monitor.service.daemon_health import Vitals
-from monitor.service.restart import lock
+from monitor.service.lease import FolderLease
 from monitor.service.status import look, tell, troubles_of
 from monitor.service.threads import Reader
 from tests.support.waiting import until
@@ -58,11 +57,12 @@ def test_the_status_tells_what_the_source_says(
     line = Vitals(tmp_path).line(None, Reader(Fixed(health)), None, ())
     (tmp_path / "state").mkdir()
     (tmp_path / "health.jsonl").write_text(json.dumps(line) + "\n")
-    handle = lock(tmp_path / "state" / "lock", tmp_path)  # as the daemon that runs
+    lease = FolderLease(tmp_path)
+    lease.acquire()  # as the daemon that runs
     try:
         assert f"source    {row}" in tell(look(tmp_path))
     finally:
-        os.close(handle)
+        lease.release()
     assert troubles_of(line) == troubles
 
 
