@@ -22,11 +22,6 @@ _log = logging.getLogger(__name__)
 _MOST_TEXT = 300
 
 
-def background(work: Callable[[], None], name: str) -> threading.Thread:
-    """Create a thread that knows the context in which it is created, as the site's name in the log, and ends with the process."""
-    return threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True)
-
-
 @dataclass(frozen=True)
 class Work(Generic[T]):
     """What a worker does, each piece in its thread; what it need not do is None."""
@@ -146,7 +141,8 @@ class Worker(Generic[T]):
         if self._hand is not None:
             self._hand.workers.append(self)
             return
-        thread = background(self._run, self.name)
+        # It knows the context in which it is begun, as the site's name in the log.
+        thread = threading.Thread(target=copy_context().run, args=(self._run,), name=self.name, daemon=True)
         thread.start()
         self._thread = thread
 
