@@ -285,7 +285,6 @@ def _warm_up(warm: Callable[[], object], health: HealthLines) -> None:
 
 
 def _blocks(settings: Configuration, files: SiteFiles, out: Path) -> RecordedBlocks | None:
-    """Return the store of the latest blocks on the disk, where they are recorded."""
     if not settings.recorder.enabled:
         return None
     return RecordedBlocks(out / "recordings", files.recording, longest_diagnosis_s(settings))
