@@ -88,8 +88,10 @@ class RequestHandler:
     def finish(self, session: Session, timeout_s: float) -> None:
         """Apply the batch whose ledger lines are being written, if they are within `timeout_s`; `close` answers it."""
         batch = self._batch
-        if batch is not None and not batch.applied and batch.written.wait(timeout_s):
-            self._apply(session, batch)
+        if batch is not None and not batch.applied:
+            self._chores.settle(timeout_s)
+            if batch.written.is_set():
+                self._apply(session, batch)
 
     def close(self) -> None:
         """Answer the present batch as far as it was applied; the rest is left unanswered."""

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import logging
-import os
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -21,8 +18,6 @@ from monitor.config import Configuration
 from monitor.core import (
     BadConfigurationError,
     BadInputError,
-    InUseError,
-    MissingInputError,
     os_errors_of,
     parse_json,
     set_aside,
@@ -57,10 +52,6 @@ _KEYED = (
 )
 """Tables of the site file on which the results depend, besides the structure.  Limits of alarm, quality and watch may change."""
 _MOST_LINES_BYTES = 64 << 20
-_LOCK_MODE = 0o600
-_LOCK_WAIT_S, _LOCK_POLL_S = 1.0, 0.02
-"""Time for which the lock is asked for, and pause between two attempts: `status`, run by the owner or root, holds it for
-microseconds.  [s; judgement]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,50 +223,6 @@ class Checkpointer:
         if damaged:
             _log.warning("%s: %d damaged lines are left out", self._out / "results.jsonl", damaged)
         return found
-
-
-def lock(path: Path, out: Path) -> int:
-    """Lock the output folder `out` by a file, whose folder is created, and return the descriptor; the lock ends with the process.
-
-    Only its owner may open the file, so that nobody who may merely read the folder can hold the lock.  MissingInputError tells
-    that the folder cannot be written; InUseError that another daemon holds the lock.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, _LOCK_MODE)
-        os.fchmod(handle, _LOCK_MODE)  # whatever the umask
-    except OSError as error:
-        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
-    deadline = time.monotonic() + _LOCK_WAIT_S
-    while True:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            if time.monotonic() >= deadline:
-                os.close(handle)
-                says = f"{out}: another daemon writes here; name another dir under [output]"
-                raise InUseError(says) from error
-            time.sleep(_LOCK_POLL_S)
-        else:
-            return handle
-
-
-def demand_lock(handle: int, path: Path, out: Path) -> None:
-    """Check that the file at `path` is the one that `lock` has locked for the output folder `out`; it may wait for the disk.
-
-    MissingInputError tells that it was removed, as with the folder; InUseError that another one stands there.  A disk that does
-    not answer tells neither.
-    """
-    try:
-        is_own = os.path.samestat(os.stat(path), os.fstat(handle))
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise MissingInputError(f"{out}: was removed while a daemon wrote here, which ends; start it again") from error
-    except OSError:
-        return
-    if not is_own:
-        raise InUseError(
-            f"{out}: was removed and made anew while a daemon wrote here, which ends; another may write here now"
-        )
 
 
 def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:

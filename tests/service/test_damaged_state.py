@@ -21,13 +21,12 @@ from drivers.base import SampleBlock
 from monitor.core import MissingInputError
 from monitor.publish import read_line, read_period
 from monitor.service import status
-from monitor.service.daemon import Daemon
-from monitor.service.restart import lock
+from monitor.service.lease import FolderLease
 from monitor.service.status import DOWN, HEALTHY, TROUBLE, look, tell
 from tests.support.damages import DAMAGES, DEEP
 from tests.support.live_site import RATE
 from tests.support.samples import Cli, Cut
-from tests.support.site import SITE, Scripted, all_lines, lines, run_until, summary
+from tests.support.site import SITE, Daemon, Scripted, all_lines, lines, run_until, summary
 
 S = 10**9
 
@@ -223,9 +222,10 @@ def test_the_status_of_files_with_wrong_types_is_an_answer(stopped: Path, name: 
 @pytest.fixture
 def locked(stopped: Path) -> Iterator[Path]:
     """The folder of a daemon that holds its lock and says nothing more."""
-    handle = lock(stopped / "state" / "lock", stopped)
+    lease = FolderLease(stopped)
+    lease.acquire()
     yield stopped
-    os.close(handle)
+    lease.release()
 
 
 def put_last(out: Path, **values: Any) -> None:

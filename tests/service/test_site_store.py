@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import random
-import re
 import shutil
 import threading
-from collections.abc import Callable, Iterator
-from io import BytesIO
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,68 +15,11 @@ import numpy as np
 import pytest
 
 from monitor.core import InUseError, MissingInputError
-from monitor.service.site_store import OBJECT_BYTES, SiteStore
+from monitor.service.lease import FolderLease
+from monitor.service.objects import OBJECT_BYTES
+from monitor.service.site_store import SiteStore
+from tests.support.bucket import MANIFEST, Bucket, Clock, Machine, away, content, copied, exceptions, no_failure
 from tests.support.waiting import until
-
-exceptions = pytest.importorskip("botocore.exceptions")
-
-
-class Bucket:
-    """Storage in memory with the interface of the client; `fail` may raise before or after a call takes effect."""
-
-    class exceptions:
-        ClientError = exceptions.ClientError
-
-    def __init__(self) -> None:
-        self.objects: dict[str, bytes] = {}
-        self.calls: list[str] = []
-        self.fail: Callable[[str, bool], None] = lambda call, is_done: None
-
-    def _error(self, code: str, call: str) -> Exception:
-        return exceptions.ClientError({"Error": {"Code": code, "Message": code}}, call)
-
-    def get_object(self, *, Bucket: str, Key: str, Range: str = "bytes=0-") -> dict[str, Any]:
-        self.fail("get", False)
-        if Key not in self.objects:
-            raise self._error("NoSuchKey", "GetObject")
-        first, _, last = Range.removeprefix("bytes=").partition("-")
-        data = self.objects[Key][int(first) : int(last) + 1 if last else None]
-        return {"Body": BytesIO(data), "ETag": _tag(self.objects[Key])}
-
-    def put_object(
-        self, *, Bucket: str, Key: str, Body: bytes, IfMatch: str | None = None, IfNoneMatch: str | None = None
-    ) -> dict[str, Any]:
-        self.fail("put", False)
-        self.calls.append(Key)
-        if IfMatch is not None and Key not in self.objects:
-            raise self._error("NoSuchKey", "PutObject")
-        if IfNoneMatch is not None and Key in self.objects:
-            raise self._error("PreconditionFailed", "PutObject")
-        if IfMatch is not None and _tag(self.objects[Key]) != IfMatch:
-            raise self._error("PreconditionFailed", "PutObject")
-        self.objects[Key] = Body
-        self.fail("put", True)
-        return {"ETag": _tag(Body)}
-
-    def delete_object(self, *, Bucket: str, Key: str) -> dict[str, Any]:
-        self.fail("delete", False)
-        self.objects.pop(Key, None)
-        return {}
-
-    def get_paginator(self, _: str) -> Bucket:
-        return self
-
-    def paginate(self, *, Bucket: str, Prefix: str) -> Iterator[dict[str, Any]]:
-        self.fail("list", False)
-        yield {"Contents": [{"Key": key} for key in sorted(self.objects) if key.startswith(Prefix)]}
-
-
-def _tag(data: bytes) -> str:
-    return hashlib.md5(data, usedforsecurity=False).hexdigest()
-
-
-def away(call: str, is_done: bool) -> None:
-    raise exceptions.EndpointConnectionError(endpoint_url="s3")
 
 
 @pytest.fixture
@@ -87,131 +27,101 @@ def bucket() -> Bucket:
     return Bucket()
 
 
-def by_hand(*_: object) -> threading.Thread:
-    """Nothing is stored but by `push`."""
-    return threading.Thread()
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
 @pytest.fixture
 def clock() -> Clock:
     return Clock()
 
 
-Machine = Callable[..., SiteStore]
+Machines = Callable[..., Machine]
 
 
 @pytest.fixture
-def machine(tmp_path: Path, bucket: Bucket, clock: Clock) -> Machine:
-    def on(name: str, *, at_work: bool = False) -> SiteStore:
-        (tmp_path / name / "state").mkdir(parents=True, exist_ok=True)
-        (tmp_path / name / "state" / "lock").touch()
-        folder = tmp_path / name
-        made = SiteStore("s3://bucket/city", "tower", folder, 5.0, clock=clock, client=lambda: bucket, thread=by_hand)
-        if at_work:
-            made.open(wait=False)
-        return made
+def machine(tmp_path: Path, bucket: Bucket, clock: Clock) -> Machines:
+    def on(name: str, *, at_work: bool = False) -> Machine:
+        made = Machine(tmp_path / name, bucket, clock)
+        return made.open() if at_work else made
 
     return on
 
 
-def content(folder: Path) -> dict[str, bytes]:
-    """What another machine should have of a folder."""
-    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
-    own = re.compile(r"state/(lock|owner|history\.db.*)|superseded/.*|.*\.fetched")
-    return {name: path.read_bytes() for name, path in files.items() if not own.fullmatch(name)}
-
-
-def silent(store: SiteStore, clock: Clock) -> None:
+def silent(one: Machine, clock: Clock) -> None:
     """Let the monitor be unheard of for long enough, as another sees it."""
-    assert store.is_held()
+    assert one.store.lease.is_held()
     clock.now_s += 14.0
-    assert store.is_held()
+    assert one.store.lease.is_held()
     clock.now_s += 1.0
-    assert not store.is_held()
+    assert not one.store.lease.is_held()
 
 
-def test_another_machine_goes_on_with_the_same_files(machine: Machine, tmp_path: Path, clock: Clock) -> None:
+def test_another_machine_goes_on_with_the_same_files(machine: Machines, tmp_path: Path, clock: Clock) -> None:
     a, b = machine("a", at_work=True), machine("b")
     for name, data in {"results.jsonl": b"one\n", "state/checkpoint": b"x" * 99, "recordings/1.mcap.part": b""}.items():
         (tmp_path / "a" / name).parent.mkdir(exist_ok=True)
         (tmp_path / "a" / name).write_bytes(data)
     (tmp_path / "a" / "state" / "history.db").write_bytes(b"stays here")
     a.push()
-    assert a.failed is None
+    assert a.store.failed is None
     with pytest.raises(InUseError, match="is at work"):
-        b.open(wait=False)
+        b.open()
     silent(b, clock)
-    b.open(wait=False)
-    assert content(tmp_path / "b") == content(tmp_path / "a") != {}
+    b.open()
+    assert b.content() == a.content() != {}
     assert not (tmp_path / "b" / "state" / "history.db").exists()
     (tmp_path / "b" / "results.jsonl").write_bytes(b"one\ntwo\n")
     b.push()
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\nalone\n")
     a.push()
-    assert a.is_lost and "taken over" in str(a.failed)
-    b.push("released")
+    assert a.store.lost is not None and "taken over" in str(a.store.failed)
+    b.close()
     a = machine("a", at_work=True)
     assert (tmp_path / "a" / "results.jsonl").read_bytes() == b"one\ntwo\n"
     (aside,) = (tmp_path / "a" / "superseded").iterdir()
     assert content(aside) == {"results.jsonl": b"one\nalone\n"}, "what it alone had is kept"
 
 
-def copied(source: Path, target: Path) -> None:
-    shutil.rmtree(target, ignore_errors=True)
-    shutil.copytree(source, target)
-
-
-def test_a_copy_of_the_folder_is_no_right_to_the_site(machine: Machine, tmp_path: Path) -> None:
+def test_a_copy_of_the_folder_is_no_right_to_the_site(machine: Machines, tmp_path: Path) -> None:
     a = machine("a", at_work=True)
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
     a.push()
     copied(tmp_path / "a", tmp_path / "b")
     with pytest.raises(InUseError, match=rf"process {os.getpid()}\) is at work, in another folder"):
-        machine("b").open(wait=False)
+        machine("b").open()
     a.push()
-    assert not a.is_lost and a.failed is None
+    assert a.store.lost is None and a.store.failed is None
 
 
-def test_of_two_copies_of_a_folder_that_has_left_the_site_one_has_it(machine: Machine, tmp_path: Path) -> None:
+def test_of_two_copies_of_a_folder_that_has_left_the_site_one_has_it(machine: Machines, tmp_path: Path) -> None:
     a = machine("a", at_work=True)
-    a.push("released")
+    a.close()
     copied(tmp_path / "a", tmp_path / "b")
     first, second = machine("b"), machine("a")
-    first.open(wait=False)
+    first.open()
     with pytest.raises(InUseError, match="is at work"):
-        second.open(wait=False)
+        second.open()
 
 
 def test_of_two_copies_that_begin_while_the_storage_is_away_one_ends(
-    machine: Machine, tmp_path: Path, bucket: Bucket
+    machine: Machines, tmp_path: Path, bucket: Bucket
 ) -> None:
     a = machine("a", at_work=True)
-    a.push("released")
+    a.close()
     copied(tmp_path / "a", tmp_path / "b")
 
     bucket.fail = away
     first, second = machine("a"), machine("b")
-    first.open(wait=False)
-    second.open(wait=False)
-    bucket.fail = lambda call, is_done: None
+    first.open()
+    second.open()
+    bucket.fail = no_failure
     for store in (first, second, first):
         store.push()
-    assert not first.is_lost and first.failed is None
-    assert second.is_lost and "went on from other files" in str(second.failed)
+    assert first.store.lost is None and first.store.failed is None
+    assert second.store.lost is not None and "went on from other files" in str(second.store.failed)
 
 
 @pytest.mark.parametrize("is_away", [False, True])
 @pytest.mark.parametrize("is_same_run", [False, True])
 def test_a_folder_restored_from_an_older_copy_deletes_nothing_that_is_newer(
-    machine: Machine, tmp_path: Path, bucket: Bucket, clock: Clock, is_same_run: bool, is_away: bool
+    machine: Machines, tmp_path: Path, bucket: Bucket, clock: Clock, is_same_run: bool, is_away: bool
 ) -> None:
     """Either the copy was made in the run that then died, or before; the storage may be away when the restored one begins."""
     folder = tmp_path / "a"
@@ -220,7 +130,7 @@ def test_a_folder_restored_from_an_older_copy_deletes_nothing_that_is_newer(
     a.push()
     copied(folder, tmp_path / "backup")
     if not is_same_run:
-        a.push("released")
+        a.close()
         a = machine("a", at_work=True)
     (folder / "results.jsonl").write_bytes(b"one\ntwo\n")
     (folder / "recordings").mkdir()
@@ -231,20 +141,20 @@ def test_a_folder_restored_from_an_older_copy_deletes_nothing_that_is_newer(
     if is_away:
         bucket.fail = away
         early = machine("a", at_work=True)
-        bucket.fail = lambda call, is_done: None
+        bucket.fail = no_failure
         early.push()
-        assert early.is_lost and "went on from other files" in str(early.failed)
+        assert early.store.lost is not None and "went on from other files" in str(early.store.failed)
     again = machine("a")
-    if again.is_held():  # a lock that is another file
+    if again.store.lease.is_held():  # a lock that is another file
         clock.now_s += 15.0
-    again.open(wait=False)
+    again.open()
     assert content(folder) == newest
     again.push()
-    assert again.failed is None and content(folder) == newest
+    assert again.store.failed is None and content(folder) == newest
 
 
 def test_the_lease_is_renewed_while_a_file_hangs_and_its_loss_is_heard(
-    machine: Machine, tmp_path: Path, clock: Clock
+    machine: Machines, tmp_path: Path, clock: Clock
 ) -> None:
     """A pipe that nobody writes to stands for a file of a disk that hangs."""
     a, b = machine("a", at_work=True), machine("b")
@@ -253,37 +163,38 @@ def test_the_lease_is_renewed_while_a_file_hangs_and_its_loss_is_heard(
     storing = threading.Thread(target=a.push, daemon=True)
     storing.start()
     for _ in range(8):
-        assert b.is_held()
+        assert b.store.lease.is_held()
         clock.now_s += 5.0
         a.renew()
-    assert storing.is_alive() and not a.is_lost and a.failed is None
+    assert storing.is_alive() and a.store.lost is None
+    assert str(a.store.failed).startswith("does not answer for "), "that nothing is stored is told, and no doubt"
     silent(b, clock)  # its machine was stopped
-    b.open(wait=False)
+    b.open()
     a.renew()
-    assert a.is_lost and "taken over" in str(a.failed)
+    assert a.store.lost is not None and "taken over" in str(a.store.failed)
     with pipe.open("wb"):
         storing.join(10.0)
-    assert not storing.is_alive() and not b.is_lost
+    assert not storing.is_alive() and b.store.lost is None
     b.push()
-    assert b.failed is None, "what hung has written nothing beside it"
+    assert b.store.failed is None, "what hung has written nothing beside it"
 
 
 def test_what_the_lease_hears_of_another_s_manifest_lets_no_writer_over_it(
-    machine: Machine, tmp_path: Path, clock: Clock
+    machine: Machines, tmp_path: Path, clock: Clock
 ) -> None:
     """The storing thread is between two calls while the lease's hears that the site was taken over."""
     a, b = machine("a", at_work=True), machine("b")
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
     silent(b, clock)
-    b.open(wait=False)
+    b.open()
     a.renew()
-    assert a.is_lost
-    a.is_lost = False  # it had asked before
+    assert a.store.lost is not None
+    a.store.lost = None  # it had asked before
     a.push()
-    assert a.is_lost and "taken over" in str(a.failed)
+    assert a.store.lost is not None and "taken over" in str(a.store.failed)
     b.renew()
     b.push()
-    assert not b.is_lost and b.failed is None
+    assert b.store.lost is None and b.store.failed is None
 
 
 def test_the_lease_has_a_thread_of_its_own(tmp_path: Path, bucket: Bucket) -> None:
@@ -305,12 +216,12 @@ def test_the_lease_has_a_thread_of_its_own(tmp_path: Path, bucket: Bucket) -> No
     assert manifest()["state"] == "released"
 
 
-def test_a_monitor_that_has_left_the_site_says_no_more_that_it_is_at_work(machine: Machine, clock: Clock) -> None:
+def test_a_monitor_that_has_left_the_site_says_no_more_that_it_is_at_work(machine: Machines, clock: Clock) -> None:
     a = machine("a", at_work=True)
-    a.push("released")
+    a.close()
     clock.now_s += 60.0
     a.renew()
-    assert not machine("b").is_held()
+    assert not machine("b").store.lease.is_held()
 
 
 def test_a_thread_stores_what_has_changed_at_once_where_asked_and_at_the_end(tmp_path: Path, bucket: Bucket) -> None:
@@ -323,18 +234,19 @@ def test_a_thread_stores_what_has_changed_at_once_where_asked_and_at_the_end(tmp
     store.settle(60.0)
     assert stored() == b"one\n" and store.failed is None
     bucket.fail = away
+    (tmp_path / "results.jsonl").write_bytes(b"one\ntw")
     store.settle(60.0)
     assert store.failed is not None
     store.settle(3600.0)  # waits for nothing
-    bucket.fail = lambda call, is_done: None
+    bucket.fail = no_failure
     (tmp_path / "results.jsonl").write_bytes(b"one\ntwo\n")
     store.close("ended", 60.0)
     assert stored() == b"one\ntwo\n" and store.failed is None
-    assert SiteStore("s3://bucket", "tower", tmp_path / "b", 60.0, client=lambda: bucket).has_ended()
+    assert SiteStore("s3://bucket", "tower", tmp_path / "b", 60.0, client=lambda: bucket).lease.has_ended()
 
 
 def test_a_restart_on_the_same_machine_waits_for_nobody_and_keeps_what_is_newer(
-    machine: Machine, tmp_path: Path, bucket: Bucket
+    machine: Machines, tmp_path: Path, bucket: Bucket
 ) -> None:
     a = machine("a", at_work=True)
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n" * 1000)
@@ -344,16 +256,16 @@ def test_a_restart_on_the_same_machine_waits_for_nobody_and_keeps_what_is_newer(
     again = machine("a", at_work=True)
     before = len(bucket.objects)
     again.push()
-    assert content(tmp_path / "a") == {"results.jsonl": b"one\n" * 1000 + b"two\n"}
+    assert a.content() == {"results.jsonl": b"one\n" * 1000 + b"two\n"}
     added = [key for key in bucket.objects if bucket.objects[key] == b"two\n"]
     assert len(bucket.objects) == before + 1 and len(added) == 1, "what was stored is known by its checksum"
 
 
 def test_a_file_that_grows_is_stored_in_few_parts(
-    machine: Machine, tmp_path: Path, bucket: Bucket, clock: Clock
+    machine: Machines, tmp_path: Path, bucket: Bucket, clock: Clock
 ) -> None:
     a, b, sent = machine("a"), machine("b"), 0
-    a.open(wait=False)
+    a.open()
     for k in range(256):
         with (tmp_path / "a" / "results.jsonl").open("ab") as file:
             file.write(f"{k:09d}\n".encode())
@@ -363,17 +275,19 @@ def test_a_file_that_grows_is_stored_in_few_parts(
         sent += len(bucket.objects[bucket.calls[0]])
     assert len(bucket.objects) <= 1 + 9 and sent <= 2560 * 9
     silent(b, clock)
-    b.open(wait=False)
-    assert content(tmp_path / "b") == content(tmp_path / "a")
+    b.open()
+    assert b.content() == a.content()
 
 
 def test_while_much_is_stored_or_fetched_the_monitor_is_heard_of(
-    machine: Machine, tmp_path: Path, bucket: Bucket, clock: Clock
+    machine: Machines, tmp_path: Path, bucket: Bucket, clock: Clock
 ) -> None:
     heard: list[float] = []
 
     def slow(call: str, is_done: bool) -> None:
         clock.now_s += 2.0
+        if call == "get":
+            b.renew()
         if is_done and bucket.calls[-1].endswith("manifest.json"):
             heard.append(clock.now_s)
 
@@ -381,39 +295,40 @@ def test_while_much_is_stored_or_fetched_the_monitor_is_heard_of(
     (tmp_path / "a" / "recordings").mkdir()
     (tmp_path / "a" / "recordings" / "1.mcap").write_bytes(bytes(8 * OBJECT_BYTES + 1))
     bucket.fail = slow
-    a.push("released")
-    b.open(wait=False)
+    a.close()
+    b.open()
     assert len(heard) >= 8 and max(np.diff([0.0, *heard, clock.now_s])) < 15.0, (
         "sooner than another one would take the site"
     )
-    assert content(tmp_path / "b") == content(tmp_path / "a")
+    assert b.content() == a.content()
 
 
 def test_without_the_storage_a_site_goes_on_where_its_files_are(
-    machine: Machine, tmp_path: Path, bucket: Bucket
+    machine: Machines, tmp_path: Path, bucket: Bucket
 ) -> None:
     a, b = machine("a", at_work=True), machine("b")
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
     a.push()
     bucket.fail = away
+    a.write("results.jsonl", b"one\nmore\n")
     a.push()
-    assert a.failed is not None and "endpoint" in a.failed and not a.is_lost
-    assert b.is_held(), "nobody knows"
+    assert a.store.failed is not None and "endpoint" in a.store.failed and a.store.lost is None
+    assert b.store.lease.is_held(), "nobody knows"
     with pytest.raises(MissingInputError, match=r"s3://bucket/city/tower: .*endpoint"):
-        b.open(wait=False)
+        b.open()
     a = machine("a", at_work=True)
     a.push()
-    assert a.failed is not None and not a.is_lost
+    assert a.store.failed is not None and a.store.lost is None
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\ntwo\n")
-    bucket.fail = lambda call, is_done: None
-    a.push("released")
-    assert a.failed is None
-    b.open(wait=False)
-    assert content(tmp_path / "b") == {"results.jsonl": b"one\ntwo\n"}
+    bucket.fail = no_failure
+    a.close()
+    assert a.store.failed is None
+    b.open()
+    assert b.content() == {"results.jsonl": b"one\ntwo\n"}
 
 
 def test_files_that_another_machine_went_on_from_are_not_gone_on_from_where_the_storage_fails(
-    machine: Machine, bucket: Bucket
+    machine: Machines, bucket: Bucket
 ) -> None:
     def refuse(call: str, is_done: bool) -> None:
         if call == "put":
@@ -421,52 +336,52 @@ def test_files_that_another_machine_went_on_from_are_not_gone_on_from_where_the_
 
     for name in ("a", "b"):
         store = machine(name)
-        store.open(wait=False)
-        store.push("released")
+        store.open()
+        store.close()
     bucket.fail = refuse
     with pytest.raises(MissingInputError, match="endpoint"):
-        machine("a").open(wait=False)
+        machine("a").open()
 
 
 def test_files_that_are_missing_or_damaged_there_are_told_and_nobody_goes_on_without_them(
-    machine: Machine, tmp_path: Path, bucket: Bucket
+    machine: Machines, tmp_path: Path, bucket: Bucket
 ) -> None:
     a, b = machine("a", at_work=True), machine("b")
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
-    a.push("released")
+    a.close()
     (key,) = (key for key in bucket.objects if not key.endswith("manifest.json"))
     bucket.objects[key] = b"two\n"
     for says in ("not as it was stored", "is missing"):
         with pytest.raises(MissingInputError, match=says):
-            b.open(wait=False)
+            b.open()
         assert not (tmp_path / "b" / "state" / "owner").exists()
         bucket.objects.pop(key, None)
         site_store_released(bucket)
-    bucket.objects["city/tower/manifest.json"] = b"{"
+    bucket.objects[MANIFEST] = b"{"
     with pytest.raises(MissingInputError, match=r"manifest.json is damaged"):
-        b.open(wait=False)
+        b.open()
 
 
 def site_store_released(bucket: Bucket) -> None:
     """Have the manifest say that its monitor has stopped."""
-    name = "city/tower/manifest.json"
+    name = MANIFEST
     bucket.objects[name] = bucket.objects[name].replace(b'"state":"held"', b'"state":"released"')
 
 
 @pytest.mark.parametrize("name", ["../x", "/etc/x", "state/lock", "state/owner"])
-def test_a_manifest_names_files_of_the_site_alone(machine: Machine, bucket: Bucket, tmp_path: Path, name: str) -> None:
+def test_a_manifest_names_files_of_the_site_alone(machine: Machines, bucket: Bucket, tmp_path: Path, name: str) -> None:
     a, b = machine("a", at_work=True), machine("b")
     (tmp_path / "a" / "results.jsonl").write_bytes(b"one\n")
-    a.push("released")
-    place = "city/tower/manifest.json"
+    a.close()
+    place = MANIFEST
     bucket.objects[place] = bucket.objects[place].replace(b"results.jsonl", name.encode())
     with pytest.raises(MissingInputError, match="is no file of a site"):
-        b.open(wait=False)
+        b.open()
 
 
 @pytest.mark.parametrize("seed", [*range(5), *(pytest.param(k, marks=pytest.mark.slow) for k in range(5, 20))])
 def test_whatever_fails_a_machine_that_takes_over_has_what_was_stored_last(
-    machine: Machine, tmp_path: Path, bucket: Bucket, clock: Clock, seed: int
+    machine: Machines, tmp_path: Path, bucket: Bucket, clock: Clock, seed: int
 ) -> None:
     """Files grow, are replaced and vanish while every fifth call fails, before or after it took effect."""
     chance = random.Random(seed)
@@ -477,7 +392,7 @@ def test_whatever_fails_a_machine_that_takes_over_has_what_was_stored_last(
 
     names = ["a", "b"]
     store = machine(names[0])
-    store.open(wait=False)
+    store.open()
     store.push()
     folder = tmp_path / names[0]
     stored: list[dict[str, bytes]] = [content(folder)]
@@ -494,22 +409,224 @@ def test_whatever_fails_a_machine_that_takes_over_has_what_was_stored_last(
             path.with_name("new").replace(path)
         bucket.fail = sometimes
         store.push()
-        bucket.fail = lambda call, is_done: None
-        assert not store.is_lost
+        store.renew()
+        bucket.fail = no_failure
+        assert store.store.lost is None
         # A write whose answer was lost may have arrived all the same.
-        stored = [content(folder)] if store.failed is None else [*stored, content(folder)]
+        stored = [content(folder)] if store.store.failed is None else [*stored, content(folder)]
         if chance.random() < 0.1:  # the machine restarts
             store = machine(names[0])
-            store.open(wait=False)
+            store.open()
         elif chance.random() < 0.1:  # the machine dies
             names.reverse()
             store, folder = machine(names[0]), tmp_path / names[0]
             silent(store, clock)
-            store.open(wait=False)
+            store.open()
             assert content(folder) in stored
             stored = [content(folder)]
     store.push()
-    machine(names[0]).open(wait=False)  # what nothing refers to is removed
-    manifest = json.loads(bucket.objects["city/tower/manifest.json"])
+    machine(names[0]).open()  # what nothing refers to is removed
+    manifest = json.loads(bucket.objects[MANIFEST])
     referred = {part[0] for file in manifest["files"].values() for part in file["parts"]}
     assert {key.rpartition("/")[2] for key in bucket.objects} == {"manifest.json"} | referred
+
+
+# --- copies, restored parts, clones, and storages that lose or misremember ---------------------------------------------
+
+
+def test_a_folder_of_hard_links_is_the_same_folder(tmp_path: Path) -> None:
+    first, second = FolderLease(tmp_path / "a"), FolderLease(tmp_path / "b")
+    first.acquire()
+    (tmp_path / "b" / "state").mkdir(parents=True)
+    os.link(tmp_path / "a" / "state" / "lock", tmp_path / "b" / "state" / "lock")
+    with pytest.raises(InUseError, match="another daemon writes here"):
+        second.acquire()
+    first.release()
+    second.acquire()
+    second.release()
+
+
+@pytest.mark.parametrize("is_away", [False, True])
+@pytest.mark.parametrize("part", ["recordings", "recordings/1.mcap", "results.jsonl", "findings/page.html", "state"])
+def test_a_part_of_a_folder_that_is_restored_deletes_nothing_that_is_newer(
+    machine: Machines, tmp_path: Path, bucket: Bucket, clock: Clock, part: str, is_away: bool
+) -> None:
+    """The rest of the folder is the latest, so that it looks like that of the monitor that wrote last."""
+    a = machine("a", at_work=True)
+    old = {
+        "results.jsonl": b"one\n",
+        "recordings/1.mcap": b"da",
+        "findings/page.html": b"old",
+        "state/checkpoint": b"1",
+    }
+    new = {"results.jsonl": b"one\ntwo\n", "recordings/1.mcap": b"data", "findings/page.html": b"new page"}
+    new |= {"state/checkpoint": b"2", "recordings/2.mcap": b"more"}
+    for name, data in old.items():
+        a.write(name, data)
+        os.utime(a.folder / name, ns=(10**18, 10**18))
+    a.push()
+    copied(a.folder, tmp_path / "backup")
+    for name, data in new.items():
+        a.write(name, data)
+    a.push()
+    newest = a.content()
+    source, target = tmp_path / "backup" / part, a.folder / part
+    copied(source, target) if source.is_dir() else shutil.copy2(source, target)
+    (a.folder / "state" / "lock").touch()
+    bucket.fail = away if is_away else no_failure
+    again = machine("a")
+    if again.store.lease.is_held():  # a lock that is another file
+        clock.now_s += 15.0
+    again.open()
+    bucket.fail = no_failure
+    again.push()
+    if again.store.lost is not None:  # it had begun with a state that was older
+        again = machine("a", at_work=True)
+    kept = [again.content(), *map(content, (a.folder / "superseded").glob("*"))]
+    for name, data in newest.items():
+        assert any(found.get(name) == data for found in kept), name
+    if not is_away:
+        assert again.content() == newest
+    assert again.store.failed is None
+
+
+def test_a_file_that_was_lost_in_the_storage_as_well_keeps_nobody_from_storing(
+    machine: Machines, bucket: Bucket
+) -> None:
+    a = machine("a", at_work=True)
+    a.write("recordings/1.mcap", b"data")
+    a.push()
+    for name in [name for name in bucket.objects if name != MANIFEST]:
+        del bucket.objects[name]
+    (a.folder / "recordings" / "1.mcap").unlink()
+    again = machine("a", at_work=True)
+    again.write("results.jsonl", b"one\n")
+    again.push()
+    assert again.store.failed is None and again.content() == {"results.jsonl": b"one\n"}
+
+
+def test_a_recording_that_got_its_name_and_lines_that_got_a_file_of_their_own_are_not_fetched_again(
+    machine: Machines,
+) -> None:
+    a = machine("a", at_work=True)
+    a.write("recordings/1.mcap.part", b"data")
+    a.write("results.jsonl", b"one\n")
+    a.push()
+    (a.folder / "recordings" / "1.mcap.part").rename(a.folder / "recordings" / "1.mcap")
+    (a.folder / "results.jsonl").rename(a.folder / "results-2026-10.jsonl")
+    a.write("results.jsonl", b"")
+    again = machine("a", at_work=True)
+    assert again.content() == {"recordings/1.mcap": b"data", "results-2026-10.jsonl": b"one\n", "results.jsonl": b""}
+
+
+def test_a_renewal_after_a_write_without_an_answer_keeps_what_was_written(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    def lose_answer(call: str, is_done: bool) -> None:
+        if is_done and bucket.calls[-1] == MANIFEST:
+            raise exceptions.ReadTimeoutError(endpoint_url="s3")
+
+    a, b = machine("a", at_work=True), machine("b")
+    a.write("results.jsonl", b"one\n")
+    bucket.fail = lose_answer
+    a.push()
+    bucket.fail = no_failure
+    clock.now_s += 5.0
+    a.renew()
+    silent(b, clock)
+    assert b.open().content() == {"results.jsonl": b"one\n"}
+
+
+def test_of_a_machine_that_was_cloned_while_it_ran_one_ends(machine: Machines, bucket: Bucket, clock: Clock) -> None:
+    """The clone has the owner's name, and writes the next manifest."""
+    a = machine("a", at_work=True)
+    written = json.loads(bucket.objects[MANIFEST])
+    bucket.objects[MANIFEST] = json.dumps(
+        written | {"number": written["number"] + 1, "written": "by the clone"}
+    ).encode()
+    clock.now_s += 5.0
+    a.renew()
+    assert "taken over" in str(a.store.lost)
+
+
+def test_a_monitor_says_that_another_machine_may_have_the_site_as_soon_as_one_may(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    assert b.store.lease.is_held()
+    clock.now_s += 14.9
+    assert a.store.failed is None and b.store.lease.is_held(), "its machine stood still, and nobody could ask for long"
+    clock.now_s += 0.1
+    assert "another machine may monitor the site" in str(a.store.failed) and not b.store.lease.is_held()
+    a.renew()
+    assert a.store.failed is None
+
+
+def test_a_standby_waits_where_the_bucket_was_emptied_and_its_owner_stores_all_anew(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    a.write("results.jsonl", b"one\n")
+    a.push()
+    assert b.store.lease.is_held()
+    bucket.objects.clear()
+    assert b.store.lease.is_held()
+    with pytest.raises(InUseError, match="a monitor is at work"):
+        b.open()
+    clock.now_s += 5.0
+    for piece in (a.renew, a.push, a.renew):
+        piece()
+    assert a.store.failed is None and b.store.lease.is_held()
+    a.close()
+    assert b.open().content() == {"results.jsonl": b"one\n"}
+
+
+def test_an_older_manifest_that_somebody_put_back_costs_no_newer_file(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    a.write("results.jsonl", b"one\n")
+    a.push()
+    before = dict(bucket.objects)
+    a.write("results.jsonl", b"one\ntwo\n")
+    a.push()
+    bucket.objects |= {MANIFEST: before[MANIFEST]}
+    clock.now_s += 5.0
+    for piece in (a.renew, a.push, a.renew):
+        piece()
+    assert a.store.lost is None and a.store.failed is None
+    a.close()
+    assert b.open().content() == {"results.jsonl": b"one\ntwo\n"}
+
+
+def test_who_was_stopped_while_it_tidied_up_deletes_nothing_of_the_one_that_took_over(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    a.write("results.jsonl", b"one\n")
+    a.close()
+
+    def stop(call: str, is_done: bool) -> None:
+        if call == "list" and is_done:
+            bucket.fail = no_failure
+            silent(a, clock)
+            a.open()
+            a.write("results.jsonl", b"one\n" + bytes(9) + b"\n")
+            a.push()
+
+    bucket.fail = stop
+    b.open()
+    b.renew()
+    assert b.store.lost is not None
+    a.close()
+    assert machine("c", at_work=True).content() == a.content()
+
+
+def test_a_small_file_that_was_replaced_within_a_tick_of_the_clock_is_stored(machine: Machines, clock: Clock) -> None:
+    a, b = machine("a", at_work=True), machine("b")
+    for data in (b"1", b"2"):
+        a.write("state/alarms", data)
+        os.utime(a.folder / "state" / "alarms", ns=(10**18, 10**18))
+        a.push()
+    silent(b, clock)
+    assert b.open().content() == {"state/alarms": b"2"}

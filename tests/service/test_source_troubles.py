@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import threading
 from pathlib import Path
@@ -13,10 +12,11 @@ import pytest
 from drivers.base import SampleBlock, SourceError, SourceHealth
 from monitor.core import Busy
 from monitor.service.daemon_health import Vitals
-from monitor.service.restart import lock
+from monitor.service.lease import FolderLease
 from monitor.service.status import look, tell, troubles_of
 from monitor.service.threads import Reader
 from monitor.service.web.snapshots import Snapshots
+from tests.support.site import Scripted
 from tests.support.waiting import until
 
 REFUSED = "a block of /acceleration is refused, 7 so far: unknown unit 'g'"
@@ -60,11 +60,12 @@ def test_the_status_tells_what_the_source_says(
     line = Vitals(tmp_path).line(None, Reader(Fixed(health)), None, ())
     (tmp_path / "state").mkdir()
     (tmp_path / "health.jsonl").write_text(json.dumps(line) + "\n")
-    handle = lock(tmp_path / "state" / "lock", tmp_path)  # as the daemon that runs
+    lease = FolderLease(tmp_path)
+    lease.acquire()  # as the daemon that runs
     try:
         assert re.search(f"source    {row}", tell(look(tmp_path)))
     finally:
-        os.close(handle)
+        lease.release()
     said = troubles_of(line)
     assert len(said) == len(troubles)
     assert all(re.fullmatch(pattern, text) for pattern, text in zip(troubles, said, strict=True))
@@ -95,11 +96,12 @@ def test_a_source_that_is_lost_is_told_everywhere_with_its_reason_since_when_and
     assert again["source"]["away_since_ns"] == line["source"]["away_since_ns"]
     (tmp_path / "state").mkdir()
     (tmp_path / "health.jsonl").write_text(json.dumps(line) + "\n")
-    handle = lock(tmp_path / "state" / "lock", tmp_path)  # as the daemon that runs
+    lease = FolderLease(tmp_path)
+    lease.acquire()  # as the daemon that runs
     try:
         found = look(tmp_path)
     finally:
-        os.close(handle)
+        lease.release()
     page = Snapshots("bench")
     page.health(line)
     assert found["troubles"] == [f"source: {says}"] == json.loads(page.status_answer().body)["troubles"]
@@ -112,11 +114,12 @@ def test_blocks_that_are_refused_stand_beside_what_is_blocked(tmp_path: Path) ->
     line = vitals.line(None, Reader(Fixed(SourceHealth(True, {}))), None, ())
     (tmp_path / "state").mkdir()
     (tmp_path / "health.jsonl").write_text(json.dumps(line) + "\n")
-    handle = lock(tmp_path / "state" / "lock", tmp_path)  # as the daemon that runs
+    lease = FolderLease(tmp_path)
+    lease.acquire()  # as the daemon that runs
     try:
         monitor = tell(look(tmp_path)).splitlines()[1]
     finally:
-        os.close(handle)
+        lease.release()
     assert monitor.endswith("; blocks refused: 1, the latest: channels b1 are none of the structure's")
 
 
@@ -129,6 +132,18 @@ def test_a_block_that_the_monitor_refuses_is_told_with_its_reason(
     line = vitals.line(None, Reader(Fixed(SourceHealth(True, {}))), None, ())
     assert caplog.messages == ["a block is refused, 1 so far: channels b1 are none of the structure's"]
     assert line["source"]["trouble"] == "a block is refused, 3 so far: channels b1 are none of the structure's"
+
+
+def test_a_source_that_cannot_be_closed_ends_reading_all_the_same(caplog: pytest.LogCaptureFixture) -> None:
+    class Stuck(Scripted):
+        def close(self) -> None:
+            raise RuntimeError("the bus is gone")
+
+    reader = Reader(Stuck([]))
+    reader.start()
+    until(lambda: reader.queue.over, "it has ended")
+    assert reader.ended and reader.failure is None
+    until(lambda: "source: not closed" in caplog.messages, "it is logged")
 
 
 def test_a_source_that_does_not_answer_when_it_is_opened_is_told() -> None:

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +20,14 @@ import pytest
 from drivers.base import SampleBlock
 from monitor.config import configuration
 from monitor.core import BadConfigurationError, InUseError, MissingInputError
-from monitor.service import Daemon, site as site_module
+from monitor.service import site as site_module
+from monitor.service.lease import FolderLease
 from monitor.service.outlets import Outlet, make_outlets
-from monitor.service.restart import lock
 from monitor.service.status import running
 from tests.support.live_rig import Command
 from tests.support.live_site import RATE
 from tests.support.samples import Cut
-from tests.support.site import SITE, Scripted, run_until, write
+from tests.support.site import SITE, Daemon, Scripted, run_until, write
 from tests.support.strangers import as_a_stranger
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
@@ -58,9 +58,10 @@ def start(site: Path, **environment: str) -> subprocess.Popen[str]:
 def held(site: Path) -> Iterator[Path]:
     """The output folder, locked by another daemon."""
     out = site.parent / "out"
-    handle = lock(out / "state" / "lock", out)
+    lease = FolderLease(out)
+    lease.acquire()
     yield out
-    os.close(handle)
+    lease.release()
 
 
 def test_a_second_daemon_ends_with_78_and_leaves_no_trace(site: Path, held: Path) -> None:
@@ -129,7 +130,7 @@ def test_the_lock_can_be_opened_by_its_owner_alone(held: Path) -> None:
     path = held / "state" / "lock"
     path.chmod(0o644)  # as others may have left it
     with pytest.raises(Exception, match="another daemon"):
-        lock(path, held)
+        FolderLease(held).acquire()
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert running(held)
 
@@ -142,7 +143,9 @@ def test_a_stranger_who_may_read_the_folder_cannot_hold_its_lock() -> None:
         with tempfile.TemporaryDirectory() as name:
             out, path = Path(name), Path(name) / "state" / "lock"
             out.chmod(0o755)
-            os.close(lock(path, out))
+            lease = FolderLease(out)
+            lease.acquire()
+            lease.release()
             with as_a_stranger():
                 assert path.exists()
                 with pytest.raises(PermissionError):
@@ -151,10 +154,12 @@ def test_a_stranger_who_may_read_the_folder_cannot_hold_its_lock() -> None:
         os.umask(before)
 
 
-def remove(out: Path) -> None:
+def remove(out: Path, then: Callable[[], object] = lambda: None) -> None:
     """A folder under the daemon that fills it, once its first checkpoint is written."""
     until((out / "state" / "checkpoint").exists, "the first checkpoint")
-    shutil.rmtree(out.rename(out.with_name("gone")), ignore_errors=True)
+    gone = out.rename(out.with_name("gone"))
+    then()
+    shutil.rmtree(gone, ignore_errors=True)
 
 
 @pytest.mark.parametrize("is_over", [True, False])
@@ -162,18 +167,18 @@ def test_a_folder_that_another_daemon_began_anew_is_left_alone(
     site: Path, record: np.ndarray, cut: Cut, is_over: bool
 ) -> None:
     """The first daemon ends, while data may still come and where they have ended."""
-    out, handles = site.parent / "out", list[int]()
+    out = site.parent / "out"
+    other = FolderLease(out)
 
     def script() -> Iterator[SampleBlock]:
         yield from cut(record[:2600], RATE)
-        remove(out)
-        handles.append(lock(out / "state" / "lock", out))
+        remove(out, other.acquire)
         (out / "summary.json").write_text("another's")
 
     source = Scripted(script(), hold=None if is_over else threading.Event())
     with pytest.raises(InUseError, match=f"{out}: was removed and made anew"):
         Daemon(site, source, clock=lambda: 10.0 * time.monotonic()).run()
-    os.close(handles[0])
+    other.release()
     assert (out / "summary.json").read_text() == "another's"
     assert not [name for name in ("results.jsonl", "health.jsonl", "state/checkpoint") if (out / name).exists()]
 
@@ -230,12 +235,14 @@ def test_state_and_requests_are_their_owner_s_whatever_the_umask(site: Path, rec
 
 def test_a_look_at_the_status_keeps_no_daemon_from_starting(tmp_path: Path) -> None:
     """Who may open the lock, as root, and holds it for a moment, is waited for."""
-    path = tmp_path / "state" / "lock"
-    os.close(lock(path, tmp_path))
+    path, lease = tmp_path / "state" / "lock", FolderLease(tmp_path)
+    lease.acquire()
+    lease.release()
     hold = "import fcntl, sys, time; f = open(sys.argv[1]); fcntl.flock(f, fcntl.LOCK_SH); print(flush=True); time.sleep(0.3)"
     with subprocess.Popen([sys.executable, "-c", hold, str(path)], stdout=subprocess.PIPE) as reader:
         reader.stdout.readline()
-        os.close(lock(path, tmp_path))
+        lease.acquire()
+        lease.release()
 
 
 @pytest.mark.parametrize("after_s", [0.0, 3.0])

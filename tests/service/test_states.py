@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import json
-import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -18,10 +17,10 @@ from monitor.damage import Known, State
 from monitor.publish import read_period, replay_text, to_json, write_period
 from monitor.runs import Session
 from monitor.service import ZenohOutSettings, fleet, outlets, status, text
+from monitor.service.lease import FolderLease
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_window
 from monitor.service.outlets.zenoh import ZenohOut
-from monitor.service.restart import lock
 from monitor.signals import Health, sensor_health
 from tests.support.frames import settings_of
 from tests.support.results import alarm, damage_reading, modal_estimate, stiffness_estimate, window_result
@@ -107,9 +106,10 @@ def test_a_state_reads_the_same_at_every_outlet(
     (tmp_path / "state").mkdir()
     health = {"wall_ns": time.time_ns(), "source": {"connected": True}, "recorder": None, "failed": {}}
     (tmp_path / "health.jsonl").write_text(json.dumps(health) + "\n")
-    held = lock(tmp_path / "state" / "lock", tmp_path)
+    lease = FolderLease(tmp_path)
+    lease.acquire()
     running = status.look(tmp_path)
-    os.close(held)
+    lease.release()
     assert {key: running[key] for key in said.content} == said.content
     assert (running["monitor"], running["exit_code"]) == ("running", EXIT.get(state, 11))
     assert status.tell(running).splitlines()[0] == f"state     {state.words.upper()}: {said.headline}"

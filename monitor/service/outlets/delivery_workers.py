@@ -219,7 +219,7 @@ class AddressWorker:
         self._failing_since_s: float | None = None
         self._closing = False
         self._process = deliveries.new()
-        self._worker = Worker(f"notify {number}", Work(idle=self._deliver), clock=clock)
+        self._worker = Worker(f"notify {number}", Work[None](idle=self._deliver), clock=clock)
         self._worker.start()
         self.wake, self.join = self._worker.wake, self._worker.join
 
@@ -313,7 +313,7 @@ class HeartbeatWorker:
         self._windows = self._windows_sent = 0
         self._failing_since_s: float | None = None
         self._process = deliveries.new()
-        self._worker = Worker("heartbeat", Work(idle=self._beat), clock=clock)
+        self._worker = Worker("heartbeat", Work[None](idle=self._beat), clock=clock)
 
     @property
     def failed(self) -> str | None:

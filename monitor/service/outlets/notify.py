@@ -138,7 +138,7 @@ class Notifier(Outlet):
         self._heartbeat = HeartbeatWorker(lambda: any(w.blocked for w in self._workers.values()), clock, deliveries)
         self._outbox: Outbox | None = None
         self._data_s = clock()
-        self._storing = Worker("outbox", Work(idle=self._store, finish=self._store), clock=clock)
+        self._storing = Worker("outbox", Work[None](idle=self._store, finish=self._store), clock=clock)
 
     @property
     def failed(self) -> str | None:
