@@ -47,7 +47,7 @@ from monitor.service import restart
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
 from monitor.service.history import History
-from monitor.service.lease import FolderLease
+from monitor.service.lease import FolderLease, Lease
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.recorded_blocks import RecordedBlocks
 from monitor.service.reload import Reloaded, reread
@@ -137,7 +137,7 @@ class Site(Publisher):
         with ExitStack() as undo:
             # Before anything of this daemon can be seen from outside.
             restart.make_private(self.out / "state", self.out)
-            self._lease = FolderLease(self.out)
+            self._lease: Lease = FolderLease(self.out)
             self._lease.acquire()
             undo.callback(self._lease.release)
             restart.note_site(self.out / "state", settings)
