@@ -1,4 +1,4 @@
-"""The right to write a site, of a folder and of its copy in object storage: of two who ask one has it, and who lost it hears so."""
+"""The right to write a site, by its folder or its copy: of two who ask one has it, and who has lost it hears so."""
 
 from __future__ import annotations
 
