@@ -44,7 +44,7 @@ class BoundedQueue(Generic[T]):
     ) -> None:
         self._most, self._most_bytes, self._full = most, most_bytes, full
         self._size, self._tell, self._clock = size, tell, clock
-        self._items: dict[object, tuple[T, float]] = {}
+        self._items: dict[object, tuple[T, float, int]] = {}
         self._bytes, self.dropped = 0, 0
         self.is_closed = self.is_losing = self._is_lifted = False
         self.changed = threading.Condition()
@@ -59,7 +59,7 @@ class BoundedQueue(Generic[T]):
                 self._pop()
                 self.dropped += 1
             if self._has_room(item, key):
-                self._append(item, key, arrived_s)
+                self._append(item, key, arrived_s, self._size(item))
                 return True
             self.dropped += 1
             return False
@@ -69,13 +69,13 @@ class BoundedQueue(Generic[T]):
         with self.changed:
             if not self._has_room(item, key):
                 return False
-            self._append(item, key, self._clock())
+            self._append(item, key, self._clock(), self._size(item))
             return True
 
     def append(self, item: T) -> None:
-        """Append an item whether there is room or not."""
+        """Append an item without a size, whether there is room or not."""
         with self.changed:
-            self._append(item, None, self._clock())
+            self._append(item, None, self._clock(), 0)
 
     def take(self, timeout_s: float) -> tuple[T, float] | None:
         """Remove and return the next item and its time of arrival, s.
@@ -130,17 +130,17 @@ class BoundedQueue(Generic[T]):
     def __len__(self) -> int:
         return len(self._items)
 
-    def _append(self, item: T, key: object, arrived_s: float) -> None:
+    def _append(self, item: T, key: object, arrived_s: float, size: int) -> None:
         key = object() if key is None else key
         if key in self._items:
-            self._bytes -= self._size(self._items[key][0])
-        self._items[key] = item, arrived_s
-        self._bytes += self._size(item)
+            self._bytes -= self._items[key][2]
+        self._items[key] = item, arrived_s, size
+        self._bytes += size
         self.changed.notify_all()
         self._tell()
 
     def _pop(self) -> tuple[T, float]:
-        item, arrived_s = self._items.pop(next(iter(self._items)))
-        self._bytes -= self._size(item)
+        item, arrived_s, size = self._items.pop(next(iter(self._items)))
+        self._bytes -= size
         self.changed.notify_all()
         return item, arrived_s

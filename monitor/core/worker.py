@@ -22,12 +22,7 @@ _log = logging.getLogger(__name__)
 _MOST_TEXT = 300
 
 
-def background(work: Callable[[], None], name: str) -> threading.Thread:
-    """Create a thread that knows the context in which it is created, as the site's name in the log, and ends with the process."""
-    return threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True)
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Work(Generic[T]):
     """What a worker does, each piece in its thread; what it need not do is None."""
 
@@ -109,8 +104,11 @@ class Worker(Generic[T]):
     `put` and `offer` leave it items; it begins with `start`.  A piece that raises an error of `retry` is done again after a pause
     that grows, with what it needs opened anew; so is `idle` or `open` with any other error.  Any other error of an item costs
     that item, or ends the work where `ends_on_error`.  An error is logged, and told in `failed` until a later piece is done.
-    Once it is to end, it does the items that wait, up to the first error of `retry`.
+    Once it is to end, it does the items that wait, up to the first error of `retry`.  Within ``Worker.by_hand(clock)`` workers
+    get no thread.
     """
+
+    by_hand = staticmethod(by_hand)
 
     def __init__(
         self,
@@ -137,12 +135,16 @@ class Worker(Generic[T]):
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin to work."""
+        """Begin to work, unless it has begun."""
+        if self._thread is not None or (self._hand is not None and self in self._hand.workers):
+            return
         if self._hand is not None:
             self._hand.workers.append(self)
             return
-        self._thread = background(self._run, self.name)
-        self._thread.start()
+        # It knows the context in which it is begun, as the site's name in the log.
+        thread = threading.Thread(target=copy_context().run, args=(self._run,), name=self.name, daemon=True)
+        thread.start()
+        self._thread = thread
 
     @property
     def failed(self) -> str | None:
@@ -162,7 +164,7 @@ class Worker(Generic[T]):
             continue
         losing, has_it = self.queue.is_losing, self.queue.put(item, key)
         if self.queue.is_losing and not losing:
-            _log.error("%s: %d items wait; some are lost from here on", self.name, len(self.queue))
+            _log.warning("%s: %d wait; some are lost from here on", self.name, len(self.queue))
         return has_it
 
     def offer(self, item: T, key: object = None) -> bool:
@@ -184,7 +186,7 @@ class Worker(Generic[T]):
     def wait_for(self, done: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until a piece of work has made `done` true, for at most `timeout_s`; return whether it is."""
         if self._thread is None:
-            while not done() and self._hand is not None and self.step():
+            while not done() and self._hand is not None and self in self._hand.workers and self.step():
                 continue
             return done()
         with self.queue.changed:
@@ -243,12 +245,12 @@ class Worker(Generic[T]):
 
     def _run(self) -> None:
         """Do pieces of work when they are due, to the end (the thread's work)."""
-        changed = self.queue.changed
         while not self.over:
             if not self.step():
-                with changed:
+                with self.queue.changed:
                     due_s = self.due_in_s
-                    changed.wait_for(lambda: self.due_in_s <= 0.0, None if math.isinf(due_s) else due_s)
+                    if due_s > 0.0:
+                        self.queue.changed.wait(None if math.isinf(due_s) else due_s)
 
     def _next(self) -> Callable[[], None]:
         """Return the piece of work that is due."""
@@ -295,7 +297,13 @@ class Worker(Generic[T]):
         is_expected = isinstance(error, self.retry.of)
         text = f"{type(error).__name__}: {error}"[:_MOST_TEXT]
         if text != self._error:
-            _log.error("%s: %s", self.name, text, exc_info=None if is_expected else error)
+            _log.log(
+                logging.WARNING if is_expected else logging.ERROR,
+                "%s: %s",
+                self.name,
+                text,
+                exc_info=None if is_expected else error,
+            )
         self._error = text
         if self._ends_on_error and not is_expected:
             self.failure = error

@@ -12,7 +12,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
-from monitor.core import UserError, demand_place, parse_json, write_atomically
+from monitor.core import UserError, Work, Worker, demand_place, parse_json, write_atomically
 from monitor.damage import load_baseline
 from monitor.diagnosis import Request
 from monitor.runs.recordings import OnWarning
@@ -71,15 +70,13 @@ class DiagnosisQueue:
         self._structure, self._healthy, self._folder = structure, healthy, folder
         self._time_limit_s = time_limit_s
         self._scratch = tempfile.TemporaryDirectory(prefix="shm-diagnosis-", ignore_cleanup_errors=True)
-        self._jobs: SimpleQueue[tuple[_Job, Iterable[SampleBlock]] | None] = SimpleQueue()
         self._ready: SimpleQueue[tuple[int, dict[str, Any]]] = SimpleQueue()
         self._pending: dict[int, Request] = {}
         self.submitted = 0
         """Number of requests so far; a finding's id is the number of its request."""
         self._process: subprocess.Popen[bytes] | None = None
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="diagnoser", daemon=True)
-        self._thread.start()
+        self._worker = Worker("diagnoser", Work(self._do))
+        self._worker.start()
         for old in folder.glob("*.json"):
             old.unlink()
 
@@ -93,7 +90,7 @@ class DiagnosisQueue:
         self.submitted += 1
         self._pending[self.submitted] = request
         recording = Path(self._scratch.name) / f"{self.submitted:03d}.mcap"
-        self._jobs.put((_Job(self.submitted, request, recording, recording.with_suffix(".json")), blocks))
+        self._worker.put((_Job(self.submitted, request, recording, recording.with_suffix(".json")), blocks))
 
     def poll(self) -> list[dict[str, Any]]:
         """Return the findings that became ready; never waits."""
@@ -109,29 +106,26 @@ class DiagnosisQueue:
         """Wait for the findings of all requests, or until `stop` returns True, and return them."""
         found = self.poll()
         while self._pending and not stop():
-            time.sleep(_POLL_S)
+            self._worker.wait_for(lambda: not self._ready.empty(), _POLL_S)
             found += self.poll()
         return found
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Stop the diagnosis that still runs; wait no longer than `timeout_s`."""
-        self._closing.set()
-        self._jobs.put(None)
+        self._worker.ask_to_end(at_once=True)
         if self._process is not None:
             self._process.kill()
-        self._thread.join(timeout_s)
+        self._worker.join(timeout_s)
         self._scratch.cleanup()
 
-    def _work(self) -> None:
-        """Run the jobs of the queue until it is closed."""
-        while (item := self._jobs.get()) is not None and not self._closing.is_set():
-            job, blocks = item
-            try:
-                error = self._run(job, blocks)
-            except OSError as failure:
-                error = f"{failure.filename or job.recording}: {failure.strerror or failure}"
-            if not self._closing.is_set():
-                self._ready.put((job.number, self._collect(job, error)))
+    def _do(self, item: tuple[_Job, Iterable[SampleBlock]]) -> None:
+        job, blocks = item
+        try:
+            error = self._run(job, blocks)
+        except OSError as failure:
+            error = f"{failure.filename or job.recording}: {failure.strerror or failure}"
+        if not self._worker.queue.is_closed:
+            self._ready.put((job.number, self._collect(job, error)))
 
     def _run(self, job: _Job, blocks: Iterable[SampleBlock]) -> str:
         """Run one diagnosis in a process, and return why it failed, or an empty text."""
@@ -152,7 +146,7 @@ class DiagnosisQueue:
         with job.recording.with_suffix(".log").open("wb") as log:
             process = subprocess.Popen([*command, *healthy], stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         self._process = process
-        if self._closing.is_set():  # `close` may have run before the process existed
+        if self._worker.queue.is_closed:  # `close` may have run before the process existed
             process.kill()
         try:
             process.wait(self._time_limit_s)
@@ -180,7 +174,6 @@ class DiagnosisQueue:
 
 
 def _last_line(log: Path) -> str:
-    """Return the last line that a diagnosis wrote to its log."""
     try:
         lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     except OSError:

@@ -6,40 +6,40 @@ the clock (`drivers.live`).
 
 from __future__ import annotations
 
+import json
+import logging
 import math
 import shutil
 import statistics
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from drivers.base import ACCELERATION, SampleBlock, SourceHealth
 from drivers.recent import Recent
 from drivers.recorder import RecorderHealth
+from monitor.service.appended_lines import AppendedLines
 from monitor.service.boot import boot_time
-from monitor.service.threads import Reader
+from monitor.service.component import Way
+from monitor.service.threads import Chores, Reader
+
+if TYPE_CHECKING:
+    from monitor.service.publication import Publication
+    from monitor.service.request_handler import RequestHandler
+
+_log = logging.getLogger(__name__)
 
 LATENCY_MS = (5, 10, 20, 50, 100, 200, 500, 1000)
 """Upper edges of the bins of the latency histogram; one more bin holds the rest. [ms]"""
 _RECENT = 1000
 """Number of latest windows over which the median latency is taken."""
 _MOST_TEXT = 300
-
-
-class Way(Protocol):
-    """Output of the daemon: a file, the viewer or an outlet."""
-
-    @property
-    def failed(self) -> str | None:
-        """Reason for which the output is blocked; None or empty if it is not."""
-
-    @property
-    def dropped(self) -> int:
-        """Number of items lost since the start because too many waited."""
+_CHECK_S = 1.0
+"""Interval at which the outputs are asked whether they fail, so that a line of health tells a failure soon. [s; judgement]"""
 
 
 class Vitals:
@@ -136,6 +136,74 @@ class Vitals:
             }
         )
         return {"t_ns": stream.get("t_end_ns"), "stream": stream or None, "channels": channels, **own}
+
+
+class HealthLines:
+    """Lines of health.jsonl: at least every `quiet_s`, and when a part fails or the age of the data changes the state.
+
+    Until `begin` is called they say that the site starts.
+    """
+
+    name = "health.jsonl"
+
+    def __init__(
+        self, file: AppendedLines, vitals: Vitals, chores: Chores, clock: Callable[[], float], quiet_s: float
+    ) -> None:
+        self.way, self._vitals, self._chores, self._clock, self.quiet_s = file, vitals, chores, clock, quiet_s
+        self._publication: Publication | None = None
+        self._told_s = self._checked_s = clock()
+        self._failed: set[str] = set()
+        self._was_late = False
+
+    def begin(
+        self, publication: Publication, requests: RequestHandler, ways: Callable[[], Sequence[tuple[str, Way]]]
+    ) -> None:
+        """Tell from now on of a site that runs; `ways` lists every part that may be blocked, with its name."""
+        self._publication, self._requests, self._ways = publication, requests, ways
+
+    def tell_start(self) -> None:
+        """Write a line that says that the daemon starts."""
+        self._told_s = self._clock()
+        self.way.write(json.dumps(self._vitals.line(None, None, None, ()), allow_nan=False))
+
+    def step(self, now: float) -> None:
+        """Write and publish a line if one is due at `now`, s."""
+        assert self._publication is not None
+        is_late = self._publication.evaluation.is_late
+        if is_late != self._was_late or now - self._told_s >= self.quiet_s or self._failures_changed(now):
+            self._was_late = is_late
+            self.tell(None)
+
+    def close(self, timeout_s: float) -> None:
+        """Write the last line."""
+        self.tell(None)
+
+    def tell(self, span: dict[str, Any] | None) -> None:
+        """Write and publish a line, with the sensors' health of a span if one ended."""
+        if (publication := self._publication) is None:
+            if self._clock() - self._told_s >= self.quiet_s:
+                self.tell_start()
+            return
+        evaluation = publication.evaluation
+        publication.publish_state()
+        self._told_s = self._checked_s = self._clock()
+        self._chores.do("free space", self._vitals.look_at_disk)
+        line = self._vitals.line(span, evaluation.reader, publication.files.recording.health(), self._ways())
+        line |= {"ledger_head": self._requests.head, "data_age_s": evaluation.age_s}
+        line["web"] = next((outlet.url for outlet in publication.outlets if outlet.url), None)
+        for name in line["failed"].keys() - self._failed:
+            _log.warning("blocked: %s: %s", name, line["failed"][name])
+        self._failed = set(line["failed"])
+        self.way.write(json.dumps(line, allow_nan=False))
+        for outlet in publication.outlets:
+            outlet.health_line(line)
+
+    def _failures_changed(self, now: float) -> bool:
+        """Return whether other parts fail than the latest line says; they are asked every `_CHECK_S`."""
+        if now - self._checked_s < _CHECK_S:
+            return False
+        self._checked_s = now
+        return failures(self._ways()).keys() != self._failed
 
 
 def failures(ways: Iterable[tuple[str, Way]]) -> dict[str, str]:

@@ -10,7 +10,6 @@ import contextlib
 import json
 import logging
 import sqlite3
-import threading
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -18,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from monitor.config import StateSettings
-from monitor.core import Busy, set_aside as rename_aside
+from monitor.core import Retry, Work, Worker, set_aside as rename_aside
 from monitor.publish import KEPT, Field, Kind
-from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
@@ -44,7 +42,6 @@ ITEMS = {Kind.NUMBERS: "REAL", Kind.INTEGERS: "INTEGER", Kind.TEXTS: "TEXT"}
 
 
 def _column(field: Field) -> str:
-    """Declare the column of a window's field."""
     return f"{field.key} {_SQL.get(field.kind, 'TEXT')}"
 
 
@@ -107,21 +104,20 @@ class History:
         """Time between two gaps up to which they are one row: no window moves on between them."""
         self._keep = {t: (int(full[t]), int(settings.keep_days * per_day[t])) for t in full}
         self._rows: deque[tuple[str, Row]] = deque()
-        self._wake = threading.Event()
-        self._closing = threading.Event()
         self._stored_alarms: dict[tuple[int | None, int], Row] = {}
         self._inserted = 0
         self.dropped, self._losing = 0, False
-        self._failure: str | None = None
-        self._busy = Busy()
-        self._thread = background(self._work, "history")
+        self._database: sqlite3.Connection | None = None
+        work = Work[None](idle=self._write_all, finish=self._write_all, shut=self._shut)
+        retry = Retry((sqlite3.Error, OSError), pace.retry_s, pace.retry_s)
+        self._worker = Worker("history", work, retry=retry)
         if self._enabled:
-            self._thread.start()
+            self._worker.start()
 
     @property
     def failed(self) -> str | None:
         """Why rows wait; None if none do."""
-        return self._busy.overdue or self._failure
+        return self._worker.failed
 
     def window(self, line: Mapping[str, Any]) -> None:
         """Store the result of a window, given as its line of results.jsonl, and with `state` the structure's."""
@@ -168,13 +164,9 @@ class History:
 
     def close(self, timeout_s: float) -> None:
         """Write the rows that wait, for at most `timeout_s`."""
-        self._closing.set()
-        self._wake.set()
-        if self._enabled:
-            self._thread.join(timeout_s)
+        self._worker.close(timeout_s)
 
     def _put(self, table: str, row: Row) -> None:
-        """Queue a row, or count it as dropped if the queue is full."""
         if len(self._rows) >= self._pace.most_queued:
             if not self._losing:
                 _log.error("%s: %d rows wait; rows are lost from here on", self._path, len(self._rows))
@@ -182,44 +174,33 @@ class History:
             self.dropped += 1
         elif self._enabled:
             self._rows.append((table, row))
-            self._wake.set()
+            self._worker.wake(self._pace.commit_s)  # many rows are collected for one transaction
 
-    def _work(self) -> None:
-        """Write the queued rows until the history is closed (the thread's work)."""
-        database: sqlite3.Connection | None = None
-        while self._rows or not self._closing.is_set():
-            self._wake.wait()
-            self._closing.wait(self._pace.commit_s)  # collect many rows for one transaction
-            self._wake.clear()
-            try:
-                with self._busy:
-                    database = open_database(self._path, wait_s=self._pace.lock_s) if database is None else database
-                    self._write(database)
-                self._failure, self._losing = None, False
-            except (sqlite3.Error, OSError) as error:
-                self._note_failure(str(error))
-                if database is not None:
-                    database.close()
-                database = None
-                if is_damage(error) and set_aside(self._path, str(error)):
-                    self._wake.set()
-                    continue
-                if self._closing.is_set():
-                    return
-                self._closing.wait(self._pace.retry_s)
-                self._wake.set()
-        if database is not None:
-            database.close()
+    def _write_all(self) -> None:
+        """Write the rows that wait; a damaged database is set aside, and they go into a new one."""
+        try:
+            self._write()
+        except sqlite3.Error as error:
+            if not is_damage(error):
+                raise
+            self._shut()
+            if not set_aside(self._path, str(error)):
+                raise
+            self._write()
 
-    def _note_failure(self, reason: str) -> None:
-        """Keep the reason of a failure, and log it if it is a new one."""
-        if self._failure != reason:
-            _log.warning("%s: %s; %d rows wait", self._path, reason, len(self._rows))
-        self._failure = reason
+    def _shut(self) -> None:
+        if self._database is not None:
+            self._database.close()
+        self._database = None
 
-    def _write(self, database: sqlite3.Connection) -> None:
+    def _write(self) -> None:
         """Write all queued rows in one transaction; now and then remove old rows."""
         batch = list(self._rows)
+        if not batch:
+            return
+        if self._database is None:
+            self._database = open_database(self._path, wait_s=self._pace.lock_s)
+        database = self._database
         with database:
             for table, row in batch:
                 try:
@@ -230,6 +211,7 @@ class History:
                     _log.warning("%s: a row of %s is left out: %s", self._path, table, error)
         for _ in batch:
             self._rows.popleft()
+        self._losing = False
         self._inserted += len(batch)
         if self._inserted >= _LIMIT_EVERY:
             self._inserted = 0
@@ -359,5 +341,4 @@ def _statement(table: str, names: tuple[str, ...]) -> str:
 
 
 def _text(value: Any) -> str | None:
-    """Encode a list, or values by name, as compact JSON; None stays None."""
     return None if value is None else json.dumps(value, separators=(",", ":"))

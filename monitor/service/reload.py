@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, UserError
-from monitor.runs import ledger
+from monitor.runs import Session, ledger
 from monitor.service.outlets import Outlet, make_outlets, prepare_change
+from monitor.service.request_handler import RequestHandler
+from monitor.service.threads import Chores
 
 _log = logging.getLogger(__name__)
 
@@ -28,6 +31,41 @@ class Reloaded:
     """Settings to continue with."""
     apply: Callable[[], None]
     """Gives the running outlets their new settings; it waits for no disk."""
+
+
+class Reloading:
+    """Settings of a running site, which are read again where that was asked for; `step` continues with those that were read."""
+
+    def __init__(
+        self, path: Path, settings: Configuration, out: Path, outlets: Sequence[Outlet], chores: Chores
+    ) -> None:
+        self._path, self.settings, self._out, self._outlets, self._chores = path, settings, out, outlets, chores
+        self._requested = self._rereading = False
+        self._reloaded: Reloaded | None = None
+
+    def ask(self) -> None:
+        """Have the site file read again by a later `step`; a signal handler may call this."""
+        self._requested = True
+
+    def step(self, session: Session, requests: RequestHandler) -> None:
+        """Have the file read, or continue with what was read."""
+        if self._rereading:
+            return
+        if (reloaded := self._reloaded) is not None:
+            self._reloaded = None
+            reloaded.apply()
+            self.settings = reloaded.settings
+            session.reconfigure(self.settings)
+        elif self._requested:
+            self._requested, self._rereading = False, True
+            self._chores.do("reload", partial(self._reread, requests))
+
+    def _reread(self, requests: RequestHandler) -> None:
+        try:
+            self._reloaded = reread(self._path, self.settings, self._outlets, self._out)
+            requests.read_head()
+        finally:
+            self._rereading = False
 
 
 def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: Path) -> Reloaded | None:

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from monitor.core import BoundedQueue, Full, Hand, Retry, Work, Worker, by_hand
+from monitor.core import BoundedQueue, Full, Retry, Work, Worker
+from monitor.core.worker import Hand
 
 
 @dataclass
@@ -51,7 +52,7 @@ class Bench:
 @pytest.fixture
 def bench() -> Iterator[Bench]:
     clock = Clock()
-    with by_hand(clock) as hand:
+    with Worker.by_hand(clock) as hand:
         yield Bench(clock, hand)
 
 
@@ -96,7 +97,7 @@ def test_what_finds_no_room_is_counted_and_logged_once(
         worker.put(k)
     bench.go_on()
     assert bench.did == kept and worker.dropped == 3
-    assert [r.levelno for r in caplog.records] == [logging.ERROR]
+    assert [r.levelno for r in caplog.records] == [logging.WARNING]
 
 
 def test_an_offer_that_finds_no_room_is_refused_and_not_counted(bench: Bench) -> None:
@@ -199,6 +200,16 @@ def test_in_a_thread_what_was_left_is_settled_and_a_full_queue_makes_wait() -> N
     goes_on.set()
     putting.join(10.0)
     assert worker.settle(10.0) and did == [0, 1, 2]
+    assert worker.close(10.0)
+
+
+def test_a_thread_that_waits_without_end_is_idle_soon_after_it_was_woken() -> None:
+    called = threading.Semaphore(0)
+    worker = Worker("bench", Work[None](idle=called.release))
+    worker.start()
+    assert called.acquire(timeout=10.0)
+    worker.wake(0.01)
+    assert called.acquire(timeout=10.0)
     assert worker.close(10.0)
 
 

@@ -5,22 +5,25 @@ The only clock is the data's: all results lie on the timeline ``time``, in UTC.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.base import ClockHealth
-from monitor.core import Gap, Samples, WindowResult
+from monitor.core import BoundedQueue, Full, Gap, Samples, WindowResult, Work, Worker
 from monitor.damage import Assessment
 from monitor.events import Event
 from monitor.publish.base import Publisher
-from monitor.publish.viewer.queue import Worker
 from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Clocks, Scene
 from monitor.signals import Health
 
 if TYPE_CHECKING:
-    from monitor.publish.viewer.picture import Item
+    from monitor.publish.viewer.output import Output
+    from monitor.publish.viewer.picture import Item, ResultDrawing
+
+_log = logging.getLogger(__name__)
 
 
 class RerunPublisher(Publisher):
@@ -36,7 +39,15 @@ class RerunPublisher(Publisher):
     ) -> None:
         self._scene, self._file, self._serve = scene, file, serve
         self._timeout_s, self._queue_size = 10.0, queue_size
-        self._worker: Worker[Item] = Worker("rerun", self._run, queue_size, lossless)
+        self._held: list[Item] = []
+        """What came before the first result: no viewer can join, so Rerun, which takes a second to load, waits for it."""
+        self._output: Output | None = None
+        self._picture: ResultDrawing | None = None
+        self._cancelled, self._late = False, ""
+        queue = BoundedQueue["Item"](queue_size, full=Full.WAIT if lossless else Full.REFUSE)
+        work = Work(self._draw, open=None if serve is None else self._begin, finish=self._finish, shut=self._shut)
+        self._worker = Worker("the Rerun view", work, queue, ends_on_error=True)
+        self._worker.start()
 
     @property
     def dropped(self) -> int:
@@ -46,7 +57,7 @@ class RerunPublisher(Publisher):
     @property
     def failed(self) -> str | None:
         """Reason why nothing is published any more; None without an error."""
-        return self._worker.failed
+        return self._late or self._worker.failed
 
     def samples(self, samples: Samples) -> None:
         """Publish conditioned samples, m/s^2, in blocks of any size."""
@@ -83,42 +94,49 @@ class RerunPublisher(Publisher):
     def close(self, timeout_s: float = 10.0) -> None:
         """Publish the waiting results, and finish the file; give up after `timeout_s`."""
         self._timeout_s = timeout_s
-        self._worker.close(timeout_s)
+        if not self._worker.close(timeout_s):
+            self._cancelled, self._late = True, f"not finished within {timeout_s:g} s"
+            self._worker.ask_to_end(at_once=True)
+            _log.error("the Rerun view is %s", self._late)
 
     def abort(self, timeout_s: float = 10.0) -> None:
         """Stop at once and leave no file."""
-        self._worker.close(timeout_s, cancel=True)
+        self._cancelled = True
+        self._worker.ask_to_end(at_once=True)
+        self._worker.join(timeout_s)
 
-    def _run(self, take: Callable[[], Item | None]) -> None:
-        """Do the work of the thread: open, draw until the queue is closed, finish."""
-        held: list[Item] = []
-        if self._serve is None:  # no viewer can join: Rerun, which takes a second to load, waits for something to draw
-            held = self._until_first_result(take)
-            if self._worker.cancelled:
-                return
+    def _begin(self) -> None:
         from monitor.publish.viewer.output import Output
         from monitor.publish.viewer.picture import ResultDrawing
 
-        output = Output(self._scene.name, self._file, self._serve)
-        try:
-            block_s = LIVE_BLOCK_S if self._serve else FILE_BLOCK_S
-            picture = ResultDrawing(self._scene, output.stream, block_s, thin=self._file is not None)
-            picture.begin()
-            for early in held:
-                picture.draw(early)
-            while (item := take()) is not None:
-                picture.draw(item)
-            picture.finish()
-            if not self._worker.cancelled:
-                output.close(self._timeout_s)
-        finally:
-            output.abandon()
+        self._output = Output(self._scene.name, self._file, self._serve)
+        block_s = LIVE_BLOCK_S if self._serve else FILE_BLOCK_S
+        picture = self._picture = ResultDrawing(self._scene, self._output.stream, block_s, thin=self._file is not None)
+        picture.begin()
+        for early in self._held:
+            picture.draw(early)
+        self._held.clear()
 
-    def _until_first_result(self, take: Callable[[], Item | None]) -> list[Item]:
-        """Hold what comes before the first result, no more than the queue's size."""
-        held: list[Item] = []
-        while len(held) < self._queue_size and (item := take()) is not None:
-            held.append(item)
-            if not isinstance(item, Samples | Health | Assessment):
-                break
-        return held
+    def _draw(self, item: Item) -> None:
+        if self._picture is not None:
+            self._picture.draw(item)
+            return
+        self._held.append(item)
+        if len(self._held) >= self._queue_size or not isinstance(item, Samples | Health | Assessment):
+            self._begin()
+
+    def _finish(self) -> None:
+        """Draw what is left, and give the file its name, unless it is not to be left."""
+        if self._cancelled:
+            return
+        if self._picture is None:
+            self._begin()
+        assert self._output is not None
+        assert self._picture is not None
+        self._picture.finish()
+        if not self._cancelled:
+            self._output.close(self._timeout_s)
+
+    def _shut(self) -> None:
+        if self._output is not None:
+            self._output.abandon()

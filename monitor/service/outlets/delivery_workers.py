@@ -1,4 +1,4 @@
-"""Workers that deliver messages and the heartbeat: a thread for each address, so that none waits for another.
+"""Workers that deliver messages and the heartbeat: one for each address, so that none waits for another.
 
 A delivery runs in a process (`monitor.service.outlets.delivery`), which is ended at its deadline.
 """
@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from monitor.core import Busy
+from monitor.core import Retry, Work, Worker
 from monitor.service.outlets.outbox import Message, Outbox
-from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
@@ -134,16 +133,72 @@ def send_test(urls: Sequence[str], beats: Sequence[str], site: str) -> list[Tria
 
 
 def _name(number: int, url: str) -> str:
-    """Return number and kind of an address, without any other part of it."""
     scheme = re.match(r"(\w+)://", url)
     return f"address {number}" + (f" ({scheme[1]})" if scheme else "")
 
 
+class Order:
+    """Which message of the outbox an address is to receive next, and when.
+
+    Half of the messages in an hour are kept for urgent ones.  A message that was refused often steps aside, since the address
+    may refuse that message alone.  Where the one behind it is refused as well the address takes none, and all keep their order.
+    """
+
+    def __init__(self, outbox: Outbox, key: str, deliveries: Deliveries, clock: Callable[[], float]) -> None:
+        self._outbox, self._key, self._clock = outbox, key, clock
+        self._set_aside, self._longest_s = deliveries.set_aside, deliveries.resend_s[1]
+        self.retry = Retry((), *deliveries.resend_s)
+        self._tried: str | None = None
+        """Subject of the latest message that was refused: what supersedes it is another try of the same."""
+        self._refusals: dict[str, int] = {}
+        self._aside_until_s: dict[str, float] = {}
+        self._lately: list[str] = []
+        self._may_set_aside = True
+        self._sent_s: deque[float] = deque()
+
+    def first(self, most_per_hour: int) -> tuple[Message | None, float]:
+        """Return the next message, None if none waits, and when it is due."""
+        now = self._clock()
+        while self._sent_s and now - self._sent_s[0] >= _HOUR_S:
+            self._sent_s.popleft()
+        aside = [subject for subject, until_s in self._aside_until_s.items() if until_s > now]
+        message = self._outbox.first(self._key, aside, self._lately)
+        if message is None:
+            message = self._outbox.first(self._key)
+            return message, now if message is None else self._aside_until_s[message.subject]
+        most = most_per_hour if message.notice.urgent else -(-most_per_hour // 2)
+        if len(self._sent_s) >= most:
+            return message, self._sent_s[-most] + _HOUR_S
+        # A message that goes before the one that was refused is tried at once.
+        return message, self.retry.due_s if message.subject == self._tried else now
+
+    def taken(self, message: Message, began_s: float) -> None:
+        """Note that a message was delivered; those that were refused before are tried again, now that the address takes some."""
+        self._sent_s.append(began_s)
+        self.retry.worked()
+        self._refusals.pop(message.subject, None)
+        self._lately = [*(kind for kind in self._lately if kind != message.notice.kind), message.notice.kind]
+        self._aside_until_s.clear()
+        self._may_set_aside = True
+        self._outbox.delivered(message, self._key)
+
+    def refused(self, message: Message) -> None:
+        """Note a failed attempt, and when the next is due."""
+        subject, now = message.subject, self._clock()
+        if subject != self._tried:
+            self.retry.worked()
+        self.retry.again(now)
+        self._tried = subject
+        self._refusals[subject] = refusals = self._refusals.get(subject, 0) + 1
+        if subject in self._aside_until_s or (refusals >= self._set_aside and self._may_set_aside):
+            self._aside_until_s[subject] = now + self._longest_s
+            self._may_set_aside = False
+
+
 class AddressWorker:
-    """Delivery of messages to one address, in the order of `Outbox.first`, each tried again until it is delivered.
+    """Delivery of messages to one address, in their `Order`, each tried again until it is delivered.
 
     The address, an apprise URL, holds secrets and is neither logged nor shown; to people its number in the list names it.
-    Half of the messages in an hour are kept for urgent ones.
     """
 
     def __init__(
@@ -156,29 +211,21 @@ class AddressWorker:
         clock: Callable[[], float],
         deliveries: Deliveries = Deliveries(),
     ) -> None:
-        self._deliveries = deliveries
         self._url, self._outbox, self._site, self._clock = url, outbox, site, clock
         self.key = hashlib.sha256(url.encode()).hexdigest()[:12]
         self.number, self.most_per_hour = number, most_per_hour
-        self._tried: str | None = None
-        """Subject of the latest message that was refused: what supersedes it is another try of the same."""
-        self._refusals: dict[str, int] = {}
-        self._aside_until_s: dict[str, float] = {}
-        self._lately: list[str] = []
-        self._may_set_aside = True
-        self._due_s = self._wait_s = 0.0
+        self._order = Order(outbox, self.key, deliveries, clock)
         self._failing_since_s: float | None = None
-        self._sent_s: deque[float] = deque()
         self._closing = False
-        self._busy = Busy(clock)
         self._process = deliveries.new()
-        self._thread = background(self._work, f"notify {number}")
-        self._thread.start()
+        self._worker = Worker(f"notify {number}", Work[None](idle=self._deliver), clock=clock)
+        self._worker.start()
+        self.wake, self.join = self._worker.wake, self._worker.join
 
     @property
     def failed(self) -> str | None:
         """Since when a delivery has been going on, once an attempt has failed or does not end; None if all is well."""
-        since_s, overdue = self._failing_since_s, self._busy.overdue
+        since_s, overdue = self._failing_since_s, self._worker.busy.overdue
         if since_s is not None:
             return f"delivery to {self._name} has taken {self._clock() - since_s:.0f} s"
         return None if overdue is None else f"{self._name} {overdue}"
@@ -190,14 +237,9 @@ class AddressWorker:
 
     def close(self) -> None:
         """Try once what waits, then end; `stop` ends at once."""
-        with self._outbox.changed:
-            self._closing = True
-            self._due_s = 0.0
-            self._outbox.changed.notify_all()
-
-    def join(self, timeout_s: float) -> None:
-        """Wait for the end for at most `timeout_s`."""
-        self._thread.join(timeout_s)
+        self._order.retry.worked()
+        self._closing = True
+        self.wake()
 
     def stop(self) -> None:
         """End the present delivery, then the worker; what waits stays in the outbox."""
@@ -206,81 +248,31 @@ class AddressWorker:
 
     @property
     def _name(self) -> str:
-        """Number and kind of the address, without any other part of it."""
         return _name(self.number, self._url)
 
-    def _work(self) -> None:
-        """Deliver messages until closed (the thread's work)."""
-        while (message := self._next()) is not None:
-            began_s = self._clock()
-            with self._busy:
-                is_delivered = self._process.run(self._job(message)) == 0
-            if is_delivered:
-                self._sent_s.append(began_s)
-                self._due_s = self._wait_s = 0.0
-                self._failing_since_s = None
-                self._taken(message)
-            elif self._closing:
-                return
-            else:
-                self._failed(message, began_s)
-
-    def _next(self) -> Message | None:
-        """Wait for the next message that is due; None if the worker is to end."""
-        with self._outbox.changed:
-            while True:
-                message, due_s = self._first()
-                wait_s = due_s - self._clock()
-                if message is not None and wait_s <= 0.0:
-                    return message
-                if self._closing:
-                    return None
-                self._outbox.changed.wait(min(wait_s, _LOOK_S) if message is not None else None)
-
-    def _first(self) -> tuple[Message | None, float]:
-        """Return the next message, None if none waits, and when it is due."""
-        now = self._clock()
-        while self._sent_s and now - self._sent_s[0] >= _HOUR_S:
-            self._sent_s.popleft()
-        aside = [subject for subject, until_s in self._aside_until_s.items() if until_s > now]
-        message = self._outbox.first(self.key, aside, self._lately)
-        if message is None:
-            message = self._outbox.first(self.key)
-            return message, now if message is None else self._aside_until_s[message.subject]
-        most = self.most_per_hour if message.notice.urgent else -(-self.most_per_hour // 2)
-        if len(self._sent_s) >= most:
-            return message, self._sent_s[-most] + _HOUR_S
-        # A message that goes before the one that was refused is tried at once.
-        return message, self._due_s if message.subject == self._tried else now
-
-    def _taken(self, message: Message) -> None:
-        """Note that a message was delivered; those that were refused before are tried again, now that the address takes some."""
-        self._refusals.pop(message.subject, None)
-        self._lately = [*(kind for kind in self._lately if kind != message.notice.kind), message.notice.kind]
-        self._aside_until_s.clear()
-        self._may_set_aside = True
-        self._outbox.delivered(message, self.key)
-
-    def _failed(self, message: Message, began_s: float) -> None:
-        """Note a failed attempt, and when the next is due.
-
-        A message that was refused often steps aside, since the address may refuse that message alone.  Where the one behind it
-        is refused as well the address takes none, and all keep their order.
-        """
-        subject = message.subject
-        first_s, longest_s = self._deliveries.resend_s
-        self._wait_s = first_s if subject != self._tried else min(max(first_s, 2.0 * self._wait_s), longest_s)
-        self._tried, self._due_s = subject, self._clock() + self._wait_s
-        self._refusals[subject] = refusals = self._refusals.get(subject, 0) + 1
-        if subject in self._aside_until_s or (refusals >= self._deliveries.set_aside and self._may_set_aside):
-            self._aside_until_s[subject] = self._clock() + longest_s
-            self._may_set_aside = False
-        if self._failing_since_s is None:
-            self._failing_since_s = began_s
-            _log.error("notifications: %s does not take message %d; %d wait", self._name, message.id, len(self._outbox))
+    def _deliver(self) -> float | None:
+        """Deliver the next message if it is due; return after how many seconds to look again."""
+        message, due_s = self._order.first(self.most_per_hour)
+        began_s = self._clock()
+        if message is None or due_s > began_s:
+            if self._closing:
+                self._worker.ask_to_end()
+            return None if message is None else min(due_s - began_s, _LOOK_S)
+        if self._process.run(self._job(message)) == 0:
+            self._failing_since_s = None
+            self._order.taken(message, began_s)
+        elif self._closing:
+            self._worker.ask_to_end()
+        else:
+            self._order.refused(message)
+            if self._failing_since_s is None:
+                self._failing_since_s = began_s
+                _log.error(
+                    "notifications: %s does not take message %d; %d wait", self._name, message.id, len(self._outbox)
+                )
+        return 0.0
 
     def _job(self, message: Message) -> dict[str, Any]:
-        """Describe a delivery for the process."""
         notice, lines = message.notice, [message.notice.text or message.notice.title]
         if earlier := self._outbox.superseded(message, self.key):
             titles = Counter(m.notice.title for m in earlier)
@@ -313,15 +305,12 @@ class HeartbeatWorker:
         self._blocked, self._clock = blocked, clock
         self._url: str | None = None
         self._blocked_url: str | None = None
-        self._every_s = 0.0
+        self._every_s, self._due_s = 0.0, float("-inf")
         self._head: str | None = None
-        self._due_s = float("-inf")
         self._windows = self._windows_sent = 0
         self._failing_since_s: float | None = None
-        self._stopped = False
-        self._changed = threading.Condition()
         self._process = deliveries.new()
-        self._thread: threading.Thread | None = None
+        self._worker = Worker("heartbeat", Work[None](idle=self._beat), clock=clock)
 
     @property
     def failed(self) -> str | None:
@@ -331,19 +320,16 @@ class HeartbeatWorker:
 
     def change(self, url: str | None, blocked_url: str | None, every_s: float) -> None:
         """Set the URL, the one to fetch in its place while messages do not get out, and the interval, s."""
-        with self._changed:
-            self._url, self._blocked_url, self._every_s = url, blocked_url, every_s
-            self._failing_since_s = None
-            self._changed.notify_all()
-        if url is not None and self._thread is None:
-            self._thread = background(self._work, "heartbeat")
-            self._thread.start()
+        self._url, self._blocked_url, self._every_s = url, blocked_url, every_s
+        self._failing_since_s = None
+        if url is not None:
+            self._worker.start()
+        self._worker.wake()
 
     def window(self) -> None:
         """Note that a window was produced."""
-        with self._changed:
-            self._windows += 1
-            self._changed.notify_all()
+        self._windows += 1
+        self._worker.wake()
 
     def vouch(self, head: str | None) -> None:
         """Set the ledger's head that heartbeats carry."""
@@ -351,33 +337,22 @@ class HeartbeatWorker:
 
     def stop(self) -> None:
         """End the worker and the present attempt."""
-        with self._changed:
-            self._stopped = True
-            self._changed.notify_all()
+        self._worker.ask_to_end()
         self._process.stop()
 
-    def _work(self) -> None:
-        """Send heartbeats until stopped (the thread's work)."""
-        while (url := self._next()) is not None:
-            began_s = self._clock()
-            if self._process.run({"url": url}) == 0:
-                self._due_s, self._failing_since_s = began_s + self._every_s, None
-                continue
-            if self._failing_since_s is None and not self._stopped:
-                self._failing_since_s = began_s
-                _log.warning("heartbeat not heard")
-            self._due_s, self._windows_sent = began_s + min(_UNHEARD_S, self._every_s), -1
-
-    def _next(self) -> str | None:
-        """Wait for the next heartbeat that is due and return its URL; None if the worker is to end."""
-        with self._changed:
-            while not self._stopped:
-                url = self._blocked_url if self._blocked() else self._url
-                wait_s = self._due_s - self._clock()
-                if url is None or self._windows == self._windows_sent:
-                    wait_s = _LOOK_S
-                elif wait_s <= 0.0:
-                    self._windows_sent = self._windows
-                    return _with_head(url, self._head)
-                self._changed.wait(min(wait_s, _LOOK_S))
-            return None
+    def _beat(self) -> float:
+        """Send a heartbeat if one is due; return after how many seconds to look again."""
+        url, began_s = self._blocked_url if self._blocked() else self._url, self._clock()
+        if url is None or self._windows == self._windows_sent:
+            return _LOOK_S
+        if began_s < self._due_s:
+            return min(self._due_s - began_s, _LOOK_S)
+        self._windows_sent = self._windows
+        if self._process.run({"url": _with_head(url, self._head)}) == 0:
+            self._due_s, self._failing_since_s = began_s + self._every_s, None
+            return 0.0
+        if self._failing_since_s is None and not self._worker.queue.is_closed:
+            self._failing_since_s = began_s
+            _log.warning("heartbeat not heard")
+        self._due_s, self._windows_sent = began_s + min(_UNHEARD_S, self._every_s), -1
+        return 0.0

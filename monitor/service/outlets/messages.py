@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import logging
+import math
 import re
-import threading
 import time
 from abc import abstractmethod
-from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from monitor.core import Busy, Gap, WindowResult
+from monitor.core import BoundedQueue, Full, Gap, Retry, WindowResult, Work, Worker
 from monitor.damage import Assessment, modal_parts
 from monitor.events import Event
 from monitor.publish import alarm_line, to_json
 from monitor.service.outlets.base import Outlet
-from monitor.service.threads import background
 
-_log = logging.getLogger(__name__)
-_RETRY_S = (0.5, 30.0)
-"""Pause before joining a network again: the first, and the longest, which each failure doubles up to. [s; cost]"""
+_LASTING_S = 30.0
+"""Time for which a network must have been joined, so that it is joined again at once after a failure. [s; cost]"""
 
 
 class _Prefixed(Protocol):
@@ -36,75 +32,72 @@ class Messages(Outlet, Generic[S]):
     """Publish results as JSON texts under the names results, alarm, state, event, gap, health and finding.
 
     The names begin with the settings' prefix, by default that of the site.  No method but `close` waits, and none raises.  A
-    class of one network says how texts are sent (`_publish`), and starts `_thread`, which sends them, as the last thing that
-    its constructor does.  While the network fails, `failed` gives the reason, which is logged once; joining is tried again
-    without end.  Beyond `queue_size` waiting messages the oldest are discarded and counted in `dropped`.
+    class of one network says how it is joined, how texts are sent and how it is left, and starts `_worker`, which does that, as
+    the last thing that its constructor does.  While the network fails, `failed` gives the reason, which is logged once; joining
+    is tried again without end, and the message that met the failure is sent again.  Beyond `queue_size` waiting messages the
+    oldest are discarded and counted in `dropped`.
     """
 
     network: ClassVar[str]
-    dropped: int = 0
 
     def __init__(self, site: str, settings: S, folder: Path = Path(), *, queue_size: int = 256) -> None:
         self.prefix = settings.prefix or site_prefix(site)
         self._settings, self._folder = settings, folder
         self._alarm: tuple[Any, ...] = ()
-        self._waiting: deque[tuple[str, str]] = deque(maxlen=queue_size)
-        self._changed = threading.Condition()
-        self._ends_s: float | None = None
-        """When the outlet must have ended, by a clock that nobody sets; None while it is open."""
-        self._failure: str | None = None
-        self._busy = Busy()
-        self._thread = background(self._run, f"{self.network.lower()}-out")
+        self._ends_s = math.inf
+        """When the outlet must have ended, by a clock that nobody sets."""
+        self._joined_s = math.inf
+        """When the network was joined last."""
+        queue = BoundedQueue[tuple[str, str]](queue_size, full=Full.OLDEST)
+        work = Work(self._do, self._send_first, self._begin, finish=self._say_farewell, shut=self._leave)
+        self._worker = Worker(self.network, work, queue, retry=Retry((Exception,)))
 
     @abstractmethod
-    def _publish(self) -> None:
-        """Join the network and publish the queued messages until the outlet is closed; raise where the network fails."""
+    def _join(self) -> None:
+        """Join the network; raise where it fails."""
+
+    @abstractmethod
+    def _send(self, name: str, text: str) -> None:
+        """Publish a text under a name; raise where the network fails."""
+
+    @abstractmethod
+    def _say_farewell(self) -> None:
+        """Say that nothing follows, if the network is joined."""
+
+    @abstractmethod
+    def _leave(self) -> None:
+        """Leave the network, if it is joined."""
 
     @property
     def failed(self) -> str | None:
         """Reason for which nothing can be published at present; None if everything is published."""
-        return self._busy.overdue or self._failure
+        return self._worker.failed
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages lost since the start because too many waited."""
+        return self._worker.dropped
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Publish the messages that wait and leave the network, for at most `timeout_s`."""
-        with self._changed:
-            self._ends_s = time.monotonic() + timeout_s
-            self._changed.notify_all()
-        self._thread.join(timeout_s)
-
-    @property
-    def _is_closed(self) -> bool:
-        return self._ends_s is not None
+        self._ends_s = time.monotonic() + timeout_s
+        self._worker.close(timeout_s)
 
     def _put(self, name: str, text: str) -> None:
-        """Queue a text to be published under a name; never wait."""
-        with self._changed:
-            self.dropped += len(self._waiting) == self._waiting.maxlen
-            self._waiting.append((name, text))
-            self._changed.notify_all()
+        self._worker.put((name, text))
 
-    def _take(self) -> tuple[Any, str] | None:
-        """Wait for what is to be sent next: name and text; None if the outlet is closed and nothing waits."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._is_closed)
-            return self._waiting.popleft() if self._waiting else None
+    def _begin(self) -> None:
+        self._join()
+        self._joined_s = time.monotonic()
 
-    def _run(self) -> None:
-        """Publish until closed; join the network again after a failure (the thread's work)."""
-        pause = _RETRY_S[0]
-        while True:
-            begun = time.monotonic()
-            try:
-                self._publish()
-            except Exception as error:  # noqa: BLE001 - no failure of the network may reach the monitor
-                if self._failure is None:
-                    _log.error("nothing is published over %s for now: %s", self.network, error)
-                self._failure = f"{type(error).__name__}: {error}"
-            if self._is_closed:
-                return
-            pause = _RETRY_S[0] if time.monotonic() - begun > _RETRY_S[1] else min(2 * pause, _RETRY_S[1])
-            with self._changed:
-                self._changed.wait_for(lambda: self._is_closed, pause)
+    def _do(self, message: tuple[str, str]) -> None:
+        self._send_first()
+        self._send(*message)
+        if time.monotonic() - self._joined_s > _LASTING_S:
+            self._worker.retry.worked()
+
+    def _send_first(self) -> None:
+        """Do what goes before any message."""
 
     def window(self, result: WindowResult, line: str) -> None:
         """Publish a window's line of results.jsonl, and its alarm if that changed."""

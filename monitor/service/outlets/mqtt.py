@@ -35,36 +35,39 @@ class MqttOut(Messages[MqttOutSettings]):
     def __init__(self, site: str, settings: MqttOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
         super().__init__(site, settings, folder, queue_size=queue_size)
         self._connection: Connection | None = None
-        self._thread.start()
+        self._worker.start()
 
     @property
     def failed(self) -> str | None:
         """Reason for which nothing can be published at present, also one that the broker gave; None if all is published."""
         connection = self._connection
         told = None if connection is None else connection.problem or connection.refused
-        return self._failure or told or self._busy.overdue
+        return told or super().failed
 
-    def _publish(self) -> None:
-        """Connect and publish the queued messages until the outlet is closed."""
+    def _join(self) -> None:
+        """Connect, and say that the outlet is at work; the broker says else when the connection breaks."""
         alive = f"{self.prefix}/alive"
         connection = Connection(self._settings, self._folder, client_id("results", self.prefix), will=(alive, b"false"))
         connection.open()
-        self._failure, self._connection = None, connection
-        try:
-            self._send(connection, "alive", "true")
-            while (queued := self._take()) is not None:
-                with self._busy:
-                    self._send(connection, *queued)
-            self._send(connection, "alive", "false")
-        finally:
-            self._connection = None
-            connection.close()
+        self._connection = connection
+        self._send("alive", "true")
 
-    def _send(self, connection: Connection, name: str, text: str) -> None:
+    def _send(self, name: str, text: str) -> None:
         """Publish a message, and wait until the broker has it; raise SourceError if the connection has failed for good."""
+        connection = self._connection
+        assert connection is not None
         identifier = connection.publish(f"{self.prefix}/{name}", text, retain=name in _RETAINED)
         while not connection.wait_until_published(identifier, _WAIT_S):
             if connection.ended:
                 raise SourceError(str(connection.problem))
-            if self._ends_s is not None and time.monotonic() >= self._ends_s:
+            if time.monotonic() >= self._ends_s:
                 return
+
+    def _say_farewell(self) -> None:
+        if self._connection is not None:
+            self._send("alive", "false")
+
+    def _leave(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()

@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 import os
 import re
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,14 +19,13 @@ from typing import Any
 
 from pydantic import Field
 
-from monitor.core import Busy, WindowResult, missing_extra
+from monitor.core import WindowResult, Work, Worker, missing_extra
 from monitor.events import Event
 from monitor.service.outlets import notices
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.delivery_workers import AddressWorker, Deliveries, HeartbeatWorker
 from monitor.service.outlets.notices import NoticeSettings
 from monitor.service.outlets.outbox import Outbox
-from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 _RETRY_SAVE_S = 10.0
@@ -115,7 +113,6 @@ def _expanded(place: str, url: str, problems: list[str]) -> str:
 
 
 def _known(url: str) -> bool:
-    """Return whether apprise knows the service of a URL."""
     import apprise
 
     logging.getLogger("apprise").setLevel(logging.CRITICAL + 1)  # it logs addresses, which hold secrets
@@ -139,15 +136,13 @@ class Notifier(Outlet):
         self._workers: dict[str, AddressWorker] = {}
         self._heartbeat = HeartbeatWorker(lambda: any(w.blocked for w in self._workers.values()), clock, deliveries)
         self._outbox: Outbox | None = None
-        self._saving = Busy(clock)
         self._data_s = clock()
-        self._closed = threading.Event()
-        self._storing = background(self._store, "outbox")
+        self._storing = Worker("outbox", Work[None](idle=self._store, finish=self._store), clock=clock)
 
     @property
     def failed(self) -> str | None:
         """Addresses that cannot be reached, or why messages cannot be stored; None if all is well."""
-        stored = None if self._outbox is None else self._saving.overdue or self._outbox.failed
+        stored = None if self._outbox is None else self._storing.failed or self._outbox.failed
         of_workers = (worker.failed for worker in self._workers.values())
         reasons = [self._to.left_out, stored, self._heartbeat.failed, *of_workers]
         return "; ".join(reason for reason in reasons if reason) or None
@@ -195,11 +190,7 @@ class Notifier(Outlet):
         for worker in workers:
             worker.join(max(0.0, end_s - (1.0 - _CLOSING_SHARE) * timeout_s - time.monotonic()))
             worker.stop()
-        if self._outbox is not None:
-            self._closed.set()
-            with self._outbox.changed:
-                self._outbox.changed.notify_all()
-            self._storing.join(max(0.0, end_s - time.monotonic()))
+        self._storing.close(max(0.0, end_s - time.monotonic()))
 
     def _begun(self) -> Outbox:
         """Return the outbox; the first call reads it and starts the threads.
@@ -207,13 +198,12 @@ class Notifier(Outlet):
         Not earlier, so that a daemon that may not use the folder does not touch it.
         """
         if self._outbox is None:
-            self._outbox = Outbox(self._place)
+            self._outbox = Outbox(self._place, tell=self._tell)
             self._set_workers(self._outbox)
             self._storing.start()
         return self._outbox
 
     def _set_workers(self, outbox: Outbox) -> None:
-        """Start workers for new addresses and stop those of removed ones."""
         before, workers = dict(self._workers), dict[str, AddressWorker]()
         for number, url in enumerate(self._to.urls, start=1):
             most = self._settings.most_per_hour
@@ -229,19 +219,17 @@ class Notifier(Outlet):
         self._heartbeat.change(self._to.heartbeat_url, self._to.heartbeat_blocked_url, self._settings.heartbeat_s)
 
     def _add(self, outbox: Outbox, told: notices.Told, found: Sequence[notices.Notice]) -> None:
-        """Log notices and queue them for every address."""
         for notice in found:
             _log.warning("%s%s", notice.title, f": {notice.text}" if notice.text else "")
         outbox.add(told, found, [worker.key for worker in self._workers.values()])
 
-    def _store(self) -> None:
-        """Write the outbox after each change until closed (the thread's work)."""
-        outbox = self._outbox
-        assert outbox is not None
-        while not self._closed.is_set():
-            outbox.wait_for_change(self._closed.is_set)
-            with self._saving:
-                outbox.save()
-            if outbox.failed:
-                self._closed.wait(_RETRY_SAVE_S)
-        outbox.save()
+    def _tell(self) -> None:
+        self._storing.wake()
+        for worker in self._workers.values():
+            worker.wake()
+
+    def _store(self) -> float | None:
+        """Write the outbox if it changed (in the thread that stores); where the disk does not accept it, again after a pause."""
+        assert self._outbox is not None
+        self._outbox.save()
+        return _RETRY_SAVE_S if self._outbox.failed else None

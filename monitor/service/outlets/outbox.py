@@ -54,16 +54,16 @@ class Outbox:
     The announced state `told` and the messages change together, so that no crash can make them inconsistent.  Changes are made
     in memory, by any thread, and never wait for the disk; `save` writes them.  A file that cannot be read is renamed.  If the
     disk does not accept the file, the messages stay in memory and `failed` says so.  Beyond `most` messages those that are
-    superseded are given up first, then the oldest of the least urgent, and counted in `dropped`.  The lock of `changed` guards
-    the messages, and it is notified of each change.
+    superseded are given up first, then the oldest of the least urgent, and counted in `dropped`.  `tell` is called after each
+    change.
     """
 
-    def __init__(self, path: Path, most: int = MOST_MESSAGES) -> None:
-        self._path, self._most = path, most
+    def __init__(self, path: Path, most: int = MOST_MESSAGES, tell: Callable[[], None] = lambda: None) -> None:
+        self._path, self._most, self._tell = path, most, tell
         self._messages: list[Message] = []
         self._next_id = 1
         self._unsaved = False
-        self.changed = threading.Condition()
+        self._lock = threading.RLock()
         self.told = Told()
         self.dropped = 0
         self.failed: str | None = None
@@ -78,7 +78,7 @@ class Outbox:
         notices = list(notices)
         if not notices and told == self.told:
             return
-        with self.changed:
+        with self._lock:
             # Times change with every window; their change alone is not worth a write.
             self._unsaved |= bool(notices) or replace(told, **_NO_TIMES) != replace(self.told, **_NO_TIMES)
             self.told = told
@@ -86,7 +86,7 @@ class Outbox:
                 self._messages += [Message(self._next_id, when, notice, tuple(to))] if to else []
                 self._next_id += 1
             self._give_up()
-            self.changed.notify_all()
+            self._tell()
 
     def first(self, key: str, but: Collection[str] = (), lately: Sequence[str] = ()) -> Message | None:
         """Return the message that the address `key` is to receive next, of no subject of `but`; None if there is none.
@@ -100,17 +100,17 @@ class Outbox:
             turn = lately.index(notice.kind) if notice.kind in lately else -1
             return not notice.urgent, turn, notice.rank, -message.id
 
-        with self.changed:
+        with self._lock:
             return min((m for m in self._messages if key in m.to and m.subject not in but), key=place, default=None)
 
     def superseded(self, message: Message, key: str) -> list[Message]:
         """Return what the address `key` has not received of the earlier messages on the subject of `message`, oldest first."""
-        with self.changed:
+        with self._lock:
             return [m for m in self._messages if key in m.to and m.subject == message.subject and m.id < message.id]
 
     def delivered(self, message: Message, key: str) -> None:
         """Record that the address `key` has received a message, and with it those that it supersedes."""
-        with self.changed:
+        with self._lock:
             self._keep(
                 replace(m, to=tuple(k for k in m.to if k != key))
                 if m.subject == message.subject and m.id <= message.id
@@ -121,17 +121,12 @@ class Outbox:
     def only(self, keys: Iterable[str]) -> None:
         """Keep only messages to the addresses with these keys, because the other addresses were removed."""
         known = set(keys)
-        with self.changed:
+        with self._lock:
             self._keep(replace(m, to=tuple(k for k in m.to if k in known)) for m in self._messages)
-
-    def wait_for_change(self, stopped: Callable[[], bool]) -> None:
-        """Wait for a change that is not on the disk, or until `stopped` returns True when `changed` is notified."""
-        with self.changed:
-            self.changed.wait_for(lambda: self._unsaved or stopped())
 
     def save(self) -> None:
         """Write the present messages if the file holds others; one thread at a time may call this."""
-        with self.changed:
+        with self._lock:
             if not self._unsaved:
                 return
             self._unsaved = False
@@ -151,7 +146,7 @@ class Outbox:
         kept = [m for m in messages if m.to]
         self._unsaved |= kept != self._messages
         self._messages = kept
-        self.changed.notify_all()
+        self._tell()
 
     def _give_up(self) -> None:
         """Remove and count the messages beyond the limit: superseded ones, then of the least urgent kind, the oldest."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -53,13 +54,18 @@ class ZenohOut(Messages[ZenohOutSettings]):
         self._answers: deque[tuple[zenoh.Query, str | None]] = deque()
         self._limit = RateLimit()
         self._latest: dict[str, str] = {}
+        self._lock = threading.Lock()
+        """Held while requests or the latest messages are looked at; no holder waits."""
+        self._session: zenoh.Session | None = None
+        self._publishers: dict[str, ext.AdvancedPublisher] = {}
+        self._ending = ExitStack()
         self._heard_s: float | None = None
         """When the latest line of health came, by a clock that nobody sets."""
-        self._thread.start()
+        self._worker.start()
 
     def known_event(self, line: str) -> None:
         """Answer queries of the state with an event of an earlier run, until there is another."""
-        with self._changed:
+        with self._lock:
             self._latest.setdefault("event", line)
 
     def health_line(self, line: Mapping[str, Any]) -> None:
@@ -69,7 +75,7 @@ class ZenohOut(Messages[ZenohOutSettings]):
 
     def take_requests(self) -> list[Request]:
         """Return the operators' requests that wait, oldest first; called by the thread that owns the alarms."""
-        with self._changed:
+        with self._lock:
             waiting = list(self._requests)
             self._requests.clear()
         self._taken = [query for _, query in waiting]
@@ -77,27 +83,27 @@ class ZenohOut(Messages[ZenohOutSettings]):
 
     def answer_requests(self, answers: Sequence[Answer]) -> None:
         """Have the answers sent to the askers."""
-        with self._changed:
-            self._answers.extend(zip(self._taken, (answer.refusal for answer in answers), strict=True))
-            self._changed.notify_all()
+        self._answers.extend(zip(self._taken, (answer.refusal for answer in answers), strict=True))
         self._taken = []
+        self._worker.wake()
 
     def refuse_requests(self, reason: str) -> None:
         """Refuse the requests that wait."""
         self.answer_requests([Answer(reason)] * len(self.take_requests()))
 
     def _put(self, name: str, text: str) -> None:
-        with self._changed:
+        with self._lock:
             self._latest[name] = text
         super()._put(name, text)
 
-    def _publish(self) -> None:
-        """Open a session and publish the queued messages until the outlet is closed."""
+    def _join(self) -> None:
         session, callbacks = open_session(self._settings, self._folder), Callbacks()
         with ExitStack() as ending:
             ending.callback(callbacks.join)
             ending.callback(leave, session)
-            publishers = {name: self._publisher(session, name, kept) for name, kept in (_CACHES | _STATE_CACHE).items()}
+            self._publishers = {
+                name: self._publisher(session, name, kept) for name, kept in (_CACHES | _STATE_CACHE).items()
+            }
             # Declared in this order, so that who finds the monitor alive, or its state, can ask it too.
             for entity in (
                 session.declare_queryable(f"{self.prefix}/ack", callbacks.of(self._on_request)),
@@ -105,20 +111,31 @@ class ZenohOut(Messages[ZenohOutSettings]):
                 session.liveliness().declare_token(f"{self.prefix}/alive/monitor"),
             ):
                 ending.callback(entity.undeclare)
-            self._failure = None
-            while (queued := self._take()) is not None:
-                place, text = queued
-                with self._busy:
-                    if isinstance(place, str):
-                        publishers[place].put(text)
-                    else:
-                        self._reply(place, text)
-            with self._changed:  # a query that is let go ends without an answer
-                self._requests.clear()
-                self._taken.clear()
-            # This query ends after everything that was published before it.
-            for _ in session.get(f"{self.prefix}/closing", timeout=1.0):
+            self._session, self._ending = session, ending.pop_all()
+
+    def _send_first(self) -> None:
+        while self._answers:
+            query, refusal = self._answers.popleft()
+            self._reply(query, _answer_text(refusal))
+
+    def _send(self, name: str, text: str) -> None:
+        self._publishers[name].put(text)
+
+    def _say_farewell(self) -> None:
+        """Let the requests go, and wait for what was published."""
+        self._send_first()
+        with self._lock:  # a query that is let go ends without an answer
+            self._requests.clear()
+            self._taken.clear()
+        if self._session is not None:
+            for _ in self._session.get(
+                f"{self.prefix}/closing", timeout=1.0
+            ):  # ends after all that was published before
                 pass
+
+    def _leave(self) -> None:
+        self._session = None
+        self._ending.close()
 
     def _publisher(self, session: zenoh.Session, name: str, kept: int) -> ext.AdvancedPublisher:
         return ext.declare_advanced_publisher(
@@ -133,21 +150,12 @@ class ZenohOut(Messages[ZenohOutSettings]):
             publisher_detection=True,
         )
 
-    def _take(self) -> tuple[str | zenoh.Query, str] | None:
-        """Wait for what is to be sent next: key or query, and text; None if the outlet is closed and nothing waits."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._answers or self._is_closed)
-            if self._answers:
-                query, refusal = self._answers.popleft()
-                return query, _answer_text(refusal)
-        return super()._take()
-
     def answer(self) -> str:
         """Write the answer to a query of the state: the state of the structure, and the latest of every other key.
 
         How long no line of health has come, ``silent_s``, is said by this clock, for that of who asks may be wrong.
         """
-        with self._changed:
+        with self._lock:
             latest = [f'"{name}": {self._latest.get(name, "null")}' for name in _CACHES]
             if self._heard_s is not None:
                 latest.append(f'"silent_s": {time.monotonic() - self._heard_s:.1f}')
@@ -179,7 +187,7 @@ class ZenohOut(Messages[ZenohOutSettings]):
             request = Request.model_validate_json(payload.to_bytes())
         except ValidationError as error:
             return "; ".join(settings_problems(error))
-        with self._changed:
+        with self._lock:
             if len(self._requests) >= self._settings.max_requests:
                 return "too many requests wait"
             refusal = self._limit.refusal(request.who)
