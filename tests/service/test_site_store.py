@@ -478,6 +478,24 @@ def test_a_part_of_a_folder_that_is_restored_deletes_nothing_that_is_newer(
     assert again.store.failed is None
 
 
+def test_a_copy_that_was_made_while_the_storage_failed_is_older_than_what_was_stored_later(
+    machine: Machines, tmp_path: Path, bucket: Bucket, clock: Clock
+) -> None:
+    a = machine("a", at_work=True)
+    a.write("state/checkpoint", b"2")
+    bucket.fail = away
+    a.push()
+    copied(a.folder, tmp_path / "backup")
+    a.write("state/checkpoint", b"3")
+    bucket.fail = no_failure
+    a.push()
+    copied(tmp_path / "backup", a.folder)
+    again = machine("a")
+    if again.store.lease.is_held():  # a lock that is another file
+        clock.now_s += 15.0
+    assert again.open().content() == {"state/checkpoint": b"3"}
+
+
 def test_a_file_that_was_lost_in_the_storage_as_well_keeps_nobody_from_storing(
     machine: Machines, bucket: Bucket
 ) -> None:
