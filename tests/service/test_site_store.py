@@ -481,9 +481,13 @@ def test_a_part_of_a_folder_that_is_restored_deletes_nothing_that_is_newer(
 def test_a_copy_that_was_made_while_the_storage_failed_is_older_than_what_was_stored_later(
     machine: Machines, tmp_path: Path, bucket: Bucket, clock: Clock
 ) -> None:
+    def refuse_manifest(call: str, is_done: bool) -> None:
+        if call == "put" and not is_done and bucket.calls[-1] != MANIFEST:
+            raise exceptions.EndpointConnectionError(endpoint_url="s3")
+
     a = machine("a", at_work=True)
     a.write("state/checkpoint", b"2")
-    bucket.fail = away
+    bucket.fail = refuse_manifest
     a.push()
     copied(a.folder, tmp_path / "backup")
     a.write("state/checkpoint", b"3")
