@@ -48,7 +48,7 @@ class Mirror:
         self._known: dict[str, tuple[int, int]] = {}
         """Number of the file and CRC-32 of its end, as it was stored, for files that this run stored."""
 
-    def store(self, present: Manifest, put: Callable[[Files], object]) -> dict[str, StoredFile]:
+    def store(self, present: Manifest, put: Callable[[Files], None]) -> dict[str, StoredFile]:
         """Store what has changed since a manifest, and return the files; `put` is told them as far as they are stored.
 
         Checkpoints come first: the other files may be newer than these, as after a kill, but never older.

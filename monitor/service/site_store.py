@@ -9,6 +9,7 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -134,14 +135,14 @@ class SiteStore:
             self.lease.regain()
             self._fetch(is_running=True)
         assert self.lease.present is not None
-        self._commit(self._mirror.store(self.lease.present, lambda files: self.lease.is_due and self._commit(files)))
+        self._commit(self._mirror.store(self.lease.present, partial(self._commit, is_all=False)))
         if self._last is not None:
             self.lease.release(self._last)
 
-    def _commit(self, files: Files) -> None:
-        """Have the manifest name other files, all or those stored so far; the folder notes before that it has them."""
+    def _commit(self, files: Files, *, is_all: bool = True) -> None:
+        """Have the manifest name other files, those stored so far if it is time; the folder notes before that it has them."""
         before = self.lease.present
-        if before is None or files == before.files:
+        if before is None or files == before.files or not (is_all or self.lease.is_due):
             self.lease.renew()
             return
         generation = max(self._note.read().generation, before.generation) + 1
