@@ -10,7 +10,7 @@ import pytest
 
 from monitor.core import InUseError, MissingInputError
 from monitor.service.lease import FolderLease, Lease
-from tests.support.bucket import Bucket, Clock, Machine
+from tests.service.bucket import Bucket, Clock, Machine
 
 Leases = Callable[[str], Lease]
 

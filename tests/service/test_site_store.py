@@ -17,7 +17,7 @@ import pytest
 from monitor.core import InUseError, MissingInputError
 from monitor.service.objects import OBJECT_BYTES
 from monitor.service.site_store import SiteStore
-from tests.support.bucket import MANIFEST, Bucket, Clock, Machine, away, content, copied, exceptions, no_failure
+from tests.service.bucket import MANIFEST, Bucket, Clock, Machine, away, content, copied, exceptions, no_failure
 from tests.support.waiting import until
 
 
