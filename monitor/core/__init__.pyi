@@ -65,5 +65,4 @@ from .worker import (
     Retry as Retry,
     Work as Work,
     Worker as Worker,
-    background as background,
 )

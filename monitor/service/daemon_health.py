@@ -39,9 +39,9 @@ LATENCY_MS = (5, 10, 20, 50, 100, 200, 500, 1000)
 _RECENT = 1000
 """Number of latest windows over which the median latency is taken."""
 _MOST_TEXT = 300
+_STARTING = "the monitor is starting"
 _CHECK_S = 1.0
 """Interval at which the outputs are asked whether they fail, so that a line of health tells a failure soon. [s; judgement]"""
-_STARTING = "the monitor is starting"
 
 
 class Vitals:

@@ -121,7 +121,6 @@ class History:
         self._worker.close(timeout_s)
 
     def _put(self, table: str, row: Row) -> None:
-        """Queue a row, or count it as dropped if the queue is full."""
         if len(self._rows) >= self._pace.most_queued:
             if not self._losing:
                 _log.error("%s: %d rows wait; rows are lost from here on", self._path, len(self._rows))

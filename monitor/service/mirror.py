@@ -69,11 +69,11 @@ class Mirror:
         return files
 
     def fetch(self, files: Files, *, is_ours: bool, is_running: bool) -> None:
-        """Have the folder hold what is newer in the storage; of what it holds otherwise nothing is lost.
+        """Have the folder hold what is newer in the storage.
 
-        Another machine's files replace those of the folder, which are put aside.  Of the files of the folder's own monitor
-        (`is_ours`) those are fetched that it lacks, as where a part of it was restored, or the power failed; one that does not go
-        on from what is stored, or that a monitor `is_running` may write, stays, and the stored one is put aside.
+        Another machine's files replace those of the folder, which are put aside.  Of its own monitor's (`is_ours`) those are
+        fetched that it lacks; one that does not go on from the stored one, or that a monitor `is_running` may write, stays, and
+        the stored one is put aside.
         """
         aside = self._out / SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
         present: dict[str, tuple[int, int]] = {}

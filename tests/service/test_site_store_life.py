@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from monitor.core import InUseError, MissingInputError
-from tests.support.bucket import MANIFEST, Bucket, Clock, Machine, exceptions, no_failure
+from tests.service.bucket import MANIFEST, Bucket, Clock, Machine, exceptions, no_failure
 
 EVERY_S = 5.0
 PARTS = [".", "state", "recordings", "results.jsonl", "state/checkpoint"]

@@ -83,12 +83,7 @@ def addresses(settings: NotifySettings, folder: Path) -> Addresses:
     left_out = f"[notify] sends no message: it {missing}" if urls and (missing := missing_extra("notify")) else None
     if left_out is None:
         problems += [f"{place}: {_UNKNOWN_URL}" for place, url in urls if url and not _known(url)]
-    beats: list[str | None] = []
-    for place in ("heartbeat_url", "heartbeat_blocked_url"):
-        text = getattr(settings, place)
-        beats.append(None if text is None else _expanded(place, text, problems))
-        if beats[-1] and not beats[-1].startswith(("http://", "https://")):
-            problems.append(f"{place}: no http:// or https:// URL")
+    beats = [_beat(place, getattr(settings, place), problems) for place in ("heartbeat_url", "heartbeat_blocked_url")]
     if problems:
         raise ValueError("\n".join(problems))
     usable = () if left_out else tuple(dict.fromkeys(url for _, url in urls))
@@ -112,8 +107,14 @@ def _expanded(place: str, url: str, problems: list[str]) -> str:
     return "" if missing else _VARIABLE.sub(lambda match: os.environ[match[1]], url)
 
 
+def _beat(place: str, text: str | None, problems: list[str]) -> str | None:
+    url = None if text is None else _expanded(place, text, problems)
+    if url and not url.startswith(("http://", "https://")):
+        problems.append(f"{place}: no http:// or https:// URL")
+    return url
+
+
 def _known(url: str) -> bool:
-    """Return whether apprise knows the service of a URL."""
     import apprise
 
     logging.getLogger("apprise").setLevel(logging.CRITICAL + 1)  # it logs addresses, which hold secrets
@@ -205,7 +206,6 @@ class Notifier(Outlet):
         return self._outbox
 
     def _set_workers(self, outbox: Outbox) -> None:
-        """Start workers for new addresses and stop those of removed ones."""
         before, workers = dict(self._workers), dict[str, AddressWorker]()
         for number, url in enumerate(self._to.urls, start=1):
             most = self._settings.most_per_hour
@@ -221,13 +221,11 @@ class Notifier(Outlet):
         self._heartbeat.change(self._to.heartbeat_url, self._to.heartbeat_blocked_url, self._settings.heartbeat_s)
 
     def _add(self, outbox: Outbox, told: notices.Told, found: Sequence[notices.Notice]) -> None:
-        """Log notices and queue them for every address."""
         for notice in found:
             _log.warning("%s%s", notice.title, f": {notice.text}" if notice.text else "")
         outbox.add(told, found, [worker.key for worker in self._workers.values()])
 
     def _tell(self) -> None:
-        """Have what changed in the outbox stored and delivered."""
         self._storing.wake()
         for worker in self._workers.values():
             worker.wake()
