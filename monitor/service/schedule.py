@@ -46,7 +46,7 @@ class Runner:
     site: Site
     queue: BlockQueue[SampleBlock]
     ended: Callable[[], None]
-    begun_s: float = 0.0
+    begun_s: float = float("inf")
     credit_s: float = 0.0
     """Time from which its next block is due by the data before it."""
     stepped_s: float = float("-inf")
