@@ -46,7 +46,7 @@ class Runner:
     site: Site
     queue: BlockQueue[SampleBlock]
     ended: Callable[[], None]
-    begun_s: float = 0.0
+    begun_s: float = float("inf")
     credit_s: float = 0.0
     """Time from which its next block is due by the data before it."""
     stepped_s: float = float("-inf")
@@ -130,8 +130,8 @@ class Schedule:
 
     def turn(self) -> float:
         """Evaluate the block that is due first, or wait for one; look after some sites, and return the time, s."""
-        if not self._line:
-            self._wake.wait(self._spare_s())
+        if not self._line and not self._is_step_due():
+            self._wake.wait(self._tick_s)
         self._wake.clear()
         while self._arrived:
             self._go_on(self._arrived.popleft())
@@ -144,12 +144,10 @@ class Schedule:
             self._step(self._rounds.popleft(), now)
         return now
 
-    def _spare_s(self) -> float:
-        """Return the time until a site is to be looked after, `_tick_s` at most, s."""
-        if not self._rounds:
-            return self._tick_s
-        left_s = self._rounds[0].stepped_s + max(self._step_s, self._tick_s) - self._clock()
-        return min(max(left_s, 0.0), self._tick_s)
+    def _is_step_due(self) -> bool:
+        """Return whether a site is to be looked after though no block comes."""
+        due_s = max(self._step_s, self._tick_s)
+        return bool(self._rounds) and self._clock() - self._rounds[0].stepped_s >= due_s
 
     def _go_on(self, runner: Runner) -> None:
         """Put a site in line if a block of it waits; end it if its queue is over."""

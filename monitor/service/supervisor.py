@@ -10,7 +10,9 @@ import resource
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from contextvars import copy_context
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,6 +71,7 @@ class Policy:
 
 
 ALONE = Policy(shared=False)
+"""How `run` treats its one site."""
 
 
 class Standby:
@@ -145,23 +148,22 @@ class Place:
         self._forget()
 
     def open(self) -> None:
-        """Open the site."""
+        """Open the site, unless it is to end."""
+        if self._is_to_end:
+            return
         (settings, standby), host, shared = self._load(), self._host, self._host.policy.shared
         for other in host.present:
             if other.name == settings.site_name and other.runner is not None:
                 says = f"the name {other.name!r} is that of {other.path}; give each site a [site] name of its own"
                 raise BadConfigurationError(f"{self.path}: {says}")
         self.name = settings.site_name
-        if shared:
-            logs.site_name.set(self.name)
+        logs.site_name.set(self.name)
         self.metrics = None if host.metrics is None else host.metrics.outlet(self.name)
-        given = {"outlets": () if self.metrics is None else (self.metrics,), "warm": host.warm_up, **host.options}
+        outlets = () if self.metrics is None else (self.metrics,)
+        options: dict[str, Any] = {"outlets": outlets, "warm": host.warm_up, "clock": host.clock, **host.options}
         most_bytes = _MOST_BYTES if shared else _MOST_BYTES_ALONE
-        queue: BlockQueue[SampleBlock] = BlockQueue(
-            _MOST_BLOCKS, most_bytes, lambda: host.schedule.tell_arrival(runner)
-        )
-        how: dict[str, Any] = {"clock": host.clock, "queue": queue, "store": standby.store}
-        site = Site(self.path, lean=shared, viewer=not shared, **how, **given)
+        queue = BlockQueue[SampleBlock](_MOST_BLOCKS, most_bytes, lambda: host.schedule.tell_arrival(runner))
+        site = Site(self.path, queue=queue, store=standby.store, lean=shared, viewer=not shared, **options)
         self.runner = runner = Runner(self.name, site, queue, self.worker.wake)
 
     def _load(self) -> tuple[Configuration, Standby]:
@@ -201,7 +203,7 @@ class Place:
     def _watch(self) -> float | None:
         """Start a site that stands by once nobody else monitors it."""
         try:
-            _, standby = self._load()
+            standby = self._standby or self._load()[1]
             was_held, free_s = standby.was_held, standby.look()
             if standby.was_held and not was_held:
                 _log.warning("%s stands by: another daemon monitors it", self.name)
@@ -218,16 +220,13 @@ class Place:
         """Open the site, unless it is, and have it evaluated."""
         self.error = None
         try:
-            if self.runner is None:
-                with self._host.opening:
-                    if self._is_to_end:
-                        return 0.0
-                    self.open()
+            if self.runner is None:  # in one thread for all, whose stack grows deep
+                self._host.opener.submit(copy_context().run, self.open).result()
         except Exception as error:  # noqa: BLE001 - whatever fails of a site may not reach the others
             self._note(error)
             return self._wait()
-        runner = self.runner
-        assert runner is not None
+        if (runner := self.runner) is None:
+            return 0.0
         self.state = State.RUNNING
         try:
             runner.site.start()
@@ -326,7 +325,7 @@ class Host:
         self._named, self._folders = [p for p in places if not p.is_dir()], [p for p in places if p.is_dir()]
         self.places: dict[Path, Place] = {}
         self._stop_s = float("inf")
-        self.opening, self.ending = threading.Lock(), threading.Semaphore(_ENDERS)
+        self.opener, self.ending = ThreadPoolExecutor(1, "opener"), threading.Semaphore(_ENDERS)
         self._warmed: set[object] = set()
         self.metrics: HostMetrics | None = None
         if metrics is not None:
@@ -336,7 +335,7 @@ class Host:
         if not policy.shared:
             self.places = {path: Place(path, self, None) for path in self._named}
             for place in self.places.values():
-                place.open()
+                copy_context().run(place.open)
 
     def run(self) -> None:
         """Monitor until SIGTERM or SIGINT arrives, or, where only files are named, until all sources have ended.
@@ -357,6 +356,7 @@ class Host:
                 self._loop()
             finally:
                 looker.ask_to_end(at_once=True)
+                self.opener.shutdown(wait=False, cancel_futures=True)
                 if self.metrics is not None:
                     self.metrics.close(1.0)
         for place in self.places.values():

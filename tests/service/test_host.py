@@ -251,7 +251,7 @@ def test_a_site_that_cannot_start_is_tried_again_after_pauses_that_grow(
         return [r.getMessage() for r in caplog.records if "again" in r.getMessage()]
 
     def clock() -> float:
-        if len(told()) == 2 and not ended:
+        if not ended and len(told()) == 2:
             ended.append(True)
             ask_to_end()
         return time.monotonic()
