@@ -26,7 +26,7 @@ import numpy as np
 
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceHealth
 from monitor.config import configuration
-from monitor.core import Hand, by_hand
+from monitor.core import Hand, UserError, by_hand
 from monitor.damage import save_baseline
 from monitor.model import simulate
 from monitor.pipeline import Pipeline
@@ -354,6 +354,22 @@ class Monitor:
                 self.work(chance.choice([0, 3, 10, 100]))
         return True
 
+    def rest(self) -> None:
+        """Let a while pass without data."""
+        assert self.site is not None
+        with self.by_hand():
+            for _ in range(5):
+                self.world.clock.now_s += HOP_S / 5
+                self.site.step(self.world.clock())
+                self.work(100)
+
+    def close(self) -> None:
+        """End after an error, as a daemon does."""
+        assert self.site is not None
+        self.source.at_end = True
+        self.site.close()
+        self.world.disk.end(self.life)
+
     def end(self, *, at_end: bool = False) -> None:
         """End as after SIGTERM, or after the last sample."""
         assert self.site is not None
@@ -367,6 +383,7 @@ class Monitor:
             self.site.stop_reading()
         self.site.finish()
         self.site.close()
+        self.world.disk.end(self.life)
 
     def bury(self) -> None:
         """Close what a life that was cut off held; nothing of it is heard."""
@@ -374,6 +391,7 @@ class Monitor:
         if self.site is not None:
             with suppress(Exception):
                 self.site.close()
+        self.world.disk.end(self.life)
 
 
 class World:
@@ -415,11 +433,19 @@ class World:
                 monitor.end()
                 self._count(monitor.life, None)
                 return None
-        except Killed:
-            self.die(monitor)
+        except Killed as end:
+            assert monitor.life.died_at == str(end)
+        except UserError as error:
+            self._refused(monitor, error)
             return None
         self.die(monitor)
         return None
+
+    def _refused(self, monitor: Monitor, error: UserError) -> None:
+        """Close a monitor that does not begin, or ends, because another may have the site or nobody knows."""
+        self.tally[f"ended by {type(error).__name__}"] += 1
+        self._count(monitor.life, None)
+        monitor.bury()
 
     def die(self, monitor: Monitor) -> None:
         """Bury a life, and cut the power of its machine in every second case."""

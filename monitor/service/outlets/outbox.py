@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from drivers.disk import private
+from drivers.disk import private, sync_folder
 from monitor.core import Level, write_atomically
 from monitor.service.outlets.notices import Notice, Told
 
@@ -52,13 +52,13 @@ class Outbox:
     in memory, by any thread, and never wait for the disk; `save` writes them.  A file that cannot be read is renamed.  If the
     disk does not accept the file, the messages stay in memory and `failed` says so.  Beyond `most` messages those that are
     superseded are given up first, then the oldest of the least urgent, and counted in `dropped`.  `tell` is called after each
-    change.
+    change, and when it is stored.
     """
 
     def __init__(self, path: Path, most: int = MOST_MESSAGES, tell: Callable[[], None] = lambda: None) -> None:
         self._path, self._most, self._tell = path, most, tell
         self._messages: list[Message] = []
-        self._next_id = 1
+        self._next_id = self._stored_id = 1
         self._unsaved = False
         self._lock = threading.RLock()
         self.told = Told()
@@ -100,6 +100,10 @@ class Outbox:
         with self._lock:
             return min((m for m in self._messages if key in m.to and m.subject not in but), key=place, default=None)
 
+    def has_stored(self, message: Message) -> bool:
+        """Return whether the file knows the number of a message, which no other one gets then, or cannot be written."""
+        return message.id < self._stored_id or self.failed is not None
+
     def superseded(self, message: Message, key: str) -> list[Message]:
         """Return what the address `key` has not received of the earlier messages on the subject of `message`, oldest first."""
         with self._lock:
@@ -126,18 +130,20 @@ class Outbox:
         with self._lock:
             if not self._unsaved:
                 return
-            self._unsaved = False
+            self._unsaved, next_id = False, self._next_id
             levels = {str(k): v.value for k, v in self.told.levels.items()}
             # Times are not stored: while the monitor is off there are no windows, so they mean nothing after a restart.
             told = {**asdict(self.told), "levels": levels, **_NO_TIMES}
-            head = {"version": VERSION, "next_id": self._next_id, "told": told}
+            head = {"version": VERSION, "next_id": next_id, "told": told}
             lines = [json.dumps(head), *(json.dumps(asdict(m)) for m in self._messages)]
         try:
             write_atomically(self._path, "\n".join(lines) + "\n", private)
-            self.failed = None
+            sync_folder(self._path.parent)
+            self.failed, self._stored_id = None, next_id
         except OSError as error:
             self.failed = f"{self._path}: {error.strerror or error}"
             self._unsaved = True
+        self._tell()
 
     def _keep(self, messages: Iterable[Message]) -> None:
         """Replace the messages by those of `messages` that still have an address to go to."""
@@ -169,6 +175,7 @@ class Outbox:
                 Message(int(m["id"]), str(m["when"]), Notice(**m["notice"]), tuple(map(str, m["to"]))) for m in lines
             ]
             self._next_id, self.told, self._messages = int(head["next_id"]), told, messages
+            self._stored_id = self._next_id
             self._give_up()
         except FileNotFoundError:
             return
