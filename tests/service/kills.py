@@ -28,8 +28,10 @@ from tests.support.cut_disk import Plan
 
 LEAST = 20
 """Kills at each point."""
-_LIVES = 22
-"""Most lives in a story."""
+_DEEDS = 60
+"""Most that happens in a story."""
+_MEMORY = Path("/dev/shm")
+"""Disk in memory, where there is one: what an fsync confirms is counted, not waited for."""
 
 Row = dict[str, Any]
 
@@ -54,7 +56,9 @@ class Story:
         """Live through the story; say what was counted, and what is wrong."""
         world = self.world
         with world.disk.watched():
-            for _ in range(_LIVES):
+            for _ in range(_DEEDS):
+                if self.is_over:
+                    break
                 if world.with_store:
                     world.bucket.unsure = self.chance.choice([0.0, 0.0, 0.1])
                 self.chance.choice(self.deeds)()
@@ -65,6 +69,12 @@ class Story:
             "receivers": dict(world.people.met),
             "faults": world.faults,
         }
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the windows of the stream are nearly all written."""
+        file = self.world.folder / self.at / "out" / "results.jsonl"
+        return file.exists() and file.read_bytes().count(b"\n") >= self.world.stream.results.count(b"\n") - 1
 
     def kill(self, stage: str | None = None) -> None:
         """Cut a life off, at a point that was hit least of those that this stage has, or anywhere."""
@@ -77,7 +87,7 @@ class Story:
         plan = Plan(None, self.chance.randint(1, 400), how)
         if known and self.chance.random() < 0.9:
             plan = Plan(self.chance.choice(known[:6]), self.chance.choice([1, 1, 2, 3]), how)
-        hops = self.chance.randint(0, 7)
+        hops = self.chance.randint(0, 5)
         before = Counter(self.world.points)
         self.world.live(self.at, plan, hops, "ended" if stage == "end" else "killed")
         self.seen[stage] |= {point for point, n in self.world.points.items() if n > before[point]}
@@ -192,12 +202,14 @@ def campaign(seeds: Iterable[int], rows: list[Row], most_kills: int = 10**9, fil
             seen.setdefault(stage, set()).update(points)
     done = {row["seed"] for row in rows}
     for seed in seeds:
-        if hits.total() >= most_kills and min(hits[p] for p in hits) >= LEAST:
+        points = {point for points in seen.values() for point in points}
+        is_even = all(hits[point] >= LEAST for point in points)
+        if hits.total() >= most_kills and (is_even or hits.total() >= 2 * most_kills):
             break
         if seed in done:
             continue
         begun_s = time.monotonic()
-        with tempfile.TemporaryDirectory(prefix="shm-story-") as folder:
+        with tempfile.TemporaryDirectory(prefix="shm-story-", dir=_MEMORY if _MEMORY.is_dir() else None) as folder:
             row = {"seed": seed, **Story(Path(folder), stream, seed, hits, seen).run()}
         row |= {"seen": {stage: sorted(points) for stage, points in seen.items()}}
         row["seconds"] = round(time.monotonic() - begun_s, 1)

@@ -31,7 +31,7 @@ _DEADLINE_S = 30.0
 _LOOK_S = 10.0
 """Longest pause of a worker for which something waits. [s; judgement]"""
 _STORED_S = 0.5
-"""Longest wait for the disk before a message leaves whose number is not stored yet. [s; judgement: that of an alarm for its block]"""
+"""Longest wait for the disk before a message leaves whose number is not stored yet. [s; judgement]"""
 _HOUR_S = 3600.0
 """Time over which `most_per_hour` counts. [s; definition]"""
 _UNHEARD_S = 60.0
