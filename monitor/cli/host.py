@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import takewhile
 from pathlib import Path
 from typing import Annotated
 
@@ -41,7 +42,7 @@ def host(
     when all sources have ended.  Exit code 78 at once if files alone are named and every one of them is bad.
     """
     from monitor.config import LogSettings
-    from monitor.service import Host, HostWorkers, is_of_share, logs
+    from monitor.service import Host, HostWorkers, Policy, is_of_share, logs
 
     _demand_places(places)
     served = address(metrics, "--metrics", any_port=True)
@@ -49,7 +50,7 @@ def host(
     _demand_a_good_file(places)
     logs.begin(LogSettings(), "host")
     if workers == 1:
-        Host(places, served, standby=standby, first=lambda path: is_of_share(path, number, count)).run()
+        Host(places, Policy(standby=standby, first=lambda path: is_of_share(path, number, count)), served).run()
     else:
         HostWorkers(places, workers, served, standby=standby, share=(number, count)).run()
 
@@ -73,21 +74,21 @@ def _share(text: str, *, standby: bool) -> tuple[int, int]:
 
 def _demand_a_good_file(places: list[Path]) -> None:
     """Refuse to start where no site could: files alone are named, and every one of them is a bad configuration."""
+    problems = list(takewhile(bool, map(_problem, places)))
+    if len(problems) == len(places):
+        raise BadConfigurationError("\n".join(problems))
+
+
+def _problem(place: Path) -> str:
+    """Return what is wrong with a site file; empty for a folder, to which good files may come, or what may be readable later."""
     from monitor.config import configuration
 
-    problems = []
-    for place in places:
-        if place.is_dir():  # good files may come
-            return
-        try:
+    try:
+        if not place.is_dir():
             configuration.load(place)
-        except BadConfigurationError as error:
-            problems.append(str(error))
-        except UserError:  # what cannot be read may be readable later; the host tries again
-            return
-        else:
-            return
-    raise BadConfigurationError("\n".join(problems))
+    except UserError as error:
+        return str(error) if isinstance(error, BadConfigurationError) else ""
+    return ""
 
 
 def dataset(

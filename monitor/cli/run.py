@@ -14,11 +14,11 @@ def run(file: Annotated[Path, Argument(metavar="CONFIG.toml", help="Site file: s
     Writes results.jsonl, summary.json and recordings in [output] dir.  Prints READY on standard error when the source is open.
     """
     from monitor.config import configuration
-    from monitor.service import Daemon, logs
+    from monitor.service import ALONE, Host, logs
 
     settings = configuration.load(file)
     logs.begin(settings.log, settings.site_name)
-    Daemon(file).run()
+    Host([file], ALONE).run()
 
 
 def warm(

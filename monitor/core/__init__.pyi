@@ -61,10 +61,7 @@ from .results import (
 from .rounding import rounded as rounded
 from .settings import Settings as Settings, read_settings as read_settings, settings_problems as settings_problems
 from .worker import (
-    Hand as Hand,
     Retry as Retry,
     Work as Work,
     Worker as Worker,
-    background as background,
-    by_hand as by_hand,
 )

@@ -22,11 +22,6 @@ _log = logging.getLogger(__name__)
 _MOST_TEXT = 300
 
 
-def background(work: Callable[[], None], name: str) -> threading.Thread:
-    """Create a thread that knows the context in which it is created, as the site's name in the log, and ends with the process."""
-    return threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True)
-
-
 @dataclass(frozen=True)
 class Work(Generic[T]):
     """What a worker does, each piece in its thread; what it need not do is None."""
@@ -109,8 +104,11 @@ class Worker(Generic[T]):
     `put` and `offer` leave it items; it begins with `start`.  A piece that raises an error of `retry` is done again after a pause
     that grows, with what it needs opened anew; so is `idle` or `open` with any other error.  Any other error of an item costs
     that item, or ends the work where `ends_on_error`.  An error is logged, and told in `failed` until a later piece is done.
-    Once it is to end, it does the items that wait, up to the first error of `retry`.
+    Once it is to end, it does the items that wait, up to the first error of `retry`.  Within ``Worker.by_hand(clock)`` workers
+    get no thread.
     """
+
+    by_hand = staticmethod(by_hand)
 
     def __init__(
         self,
@@ -143,7 +141,8 @@ class Worker(Generic[T]):
         if self._hand is not None:
             self._hand.workers.append(self)
             return
-        thread = background(self._run, self.name)
+        # It knows the context in which it is begun, as the site's name in the log.
+        thread = threading.Thread(target=copy_context().run, args=(self._run,), name=self.name, daemon=True)
         thread.start()
         self._thread = thread
 

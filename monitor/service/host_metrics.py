@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import urllib.request
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
@@ -38,35 +37,26 @@ class _Endpoint(Collector):
 
 
 class HostMetrics(_Endpoint):
-    """Metrics of the sites of this process; `states` returns what the host does with each site, by its name."""
+    """Metrics of the sites of this process: names, what is done with them, and their metrics where they run."""
 
-    def __init__(self, address: tuple[str, int], states: Callable[[], Mapping[str, State]]) -> None:
-        self._states = states
-        self._sites: dict[str, Metrics] = {}
-        self._lock = threading.Lock()
+    def __init__(
+        self, address: tuple[str, int], sites: Callable[[], Iterable[tuple[str, State, Metrics | None]]]
+    ) -> None:
+        self._sites = sites
         super().__init__(address)
 
-    def outlet(self, name: str) -> Metrics:
-        """Create the outlet of a site, whose metrics are shown from then on."""
-        outlet = Metrics(name, None)
-        with self._lock:
-            self._sites[name] = outlet
-        return outlet
-
-    def remove(self, name: str) -> None:
-        """Show the metrics of a site no more."""
-        with self._lock:
-            self._sites.pop(name, None)
+    @staticmethod
+    def outlet(name: str) -> Metrics:
+        """Create the outlet of a site."""
+        return Metrics(name, None)
 
     def collect(self) -> Iterator[Metric]:
         """Build the metrics of all sites from their present states."""
-        with self._lock:
-            sites = list(self._sites.items())
         families: dict[str, Metric] = {}
-        for name, outlet in sites:
-            _add(families, outlet.collect(), {"site": name})
         states = GaugeMetricFamily("shm_host_site", "What the host does with a site.", labels=("site", "is"))
-        for name, present in self._states().items():
+        for name, present, metrics in self._sites():
+            if metrics is not None:
+                _add(families, metrics.collect(), {"site": name})
             for state in State:
                 states.add_metric((name, state.value), float(state is present))
         yield states

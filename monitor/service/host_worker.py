@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import os
 import signal
 import sys
@@ -15,7 +16,7 @@ from pathlib import Path
 from monitor.config import LogSettings
 from monitor.core import UserError, keep_freed, single_blas_thread
 from monitor.service import logs, systemd
-from monitor.service.host import Host, is_of_share
+from monitor.service.supervisor import Host, Policy
 
 _PR_SET_PDEATHSIG = 1
 """Option of prctl(2). [1; definition]"""
@@ -32,6 +33,18 @@ def is_mine(path: Path, number: int, count: int) -> bool:
     return zlib.crc32(path.name.encode()) % count == number
 
 
+def is_of_share(path: Path, number: int, count: int) -> bool:
+    """Return whether a site file is of share `number` of `count`, by its name alone, and whatever process has it.
+
+    Examples
+    --------
+    >>> [is_of_share(Path("a.toml"), k, 2) for k in (1, 2)]
+    [False, True]
+    """
+    # Another hash than that of the processes: else all sites of a share might be one process's.
+    return int.from_bytes(hashlib.sha256(path.name.encode()).digest()) % count == number - 1
+
+
 def main(arguments: list[str]) -> int:
     """Monitor this process's share of the sites, and return the exit code."""
     number, count, share, shares = map(int, (*arguments[:2], *arguments[4:6]))
@@ -40,14 +53,12 @@ def main(arguments: list[str]) -> int:
     keep_freed()
     metrics = ("127.0.0.1", 0) if arguments[2] == "metrics" else None
     try:
-        host = Host(
-            [Path(text) for text in arguments[6:]],
-            metrics,
-            mine=lambda path: is_mine(path, number, count),
+        policy = Policy(
             standby=arguments[3] == "standby",
             first=lambda path: is_of_share(path, share, shares),
-            say=lambda _: None,
+            mine=lambda path: is_mine(path, number, count),
         )
+        host = Host([Path(text) for text in arguments[6:]], policy, metrics, say=lambda _: None)
         if host.metrics is not None:
             systemd.notify(f"X_METRICS_PORT={host.metrics.port}")
         with single_blas_thread():

@@ -139,11 +139,11 @@ class HostWorkers:
                 self._look_after(worker, now)
             service.at_work(now)
             if all(worker.is_ready or worker.is_over for worker in self.workers):
-                service.tell_ready()
+                service.tell("READY")
             if self._reload_requested:
                 self._reload_requested = False
                 self._send(signal.SIGHUP)
-            if self._stopping and service.tell_stopping():
+            if self._stopping and service.tell("STOPPING"):
                 self._send(signal.SIGTERM)
             if all(worker.is_over for worker in self.workers):
                 return

@@ -13,6 +13,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 from uuid import uuid4
@@ -81,11 +82,7 @@ class FolderLease:
                 return
 
     def renew(self) -> None:
-        """Check that the file is the one that is locked, which may wait for the disk.
-
-        MissingInputError tells that it was removed, as with the folder; InUseError that another one stands there.  A disk that
-        does not answer tells neither.
-        """
+        """Check that the file is the one that is locked: MissingInputError tells that it was removed.  It may wait."""
         try:
             is_own = os.path.samestat(self._path.stat(), os.fstat(self._handle))
         except (FileNotFoundError, NotADirectoryError) as error:
@@ -153,8 +150,7 @@ class StoreLease:
         sleep: Callable[[float], object],
     ) -> None:
         self._objects, self._url, self._note, self.every_s = objects, url, note, every_s
-        self._clock, self._sleep = clock, sleep
-        self.owner = self._place = ""
+        self._clock, self._sleep, self.owner, self._place = clock, sleep, "", ""
         self._writing = threading.Lock()
         """Held while the manifest is written; no holder touches a disk."""
         self.present: Manifest | None = None
@@ -173,9 +169,8 @@ class StoreLease:
         """Words that say that another machine may monitor the site by now; None while none can."""
         seconds = self._clock() - self._renewed_s
         has_left = not self.owner or (self.present is not None and self.present.state != "held")
-        if has_left or seconds < _SILENT * self.every_s:
-            return None
-        return f"{self._url}: the site's lease is not renewed for {seconds:.0f} s; another machine may monitor the site"
+        says = f"{self._url}: the site's lease is not renewed for {seconds:.0f} s; another machine may monitor the site"
+        return None if has_left or seconds < _SILENT * self.every_s else says
 
     @property
     def is_due(self) -> bool:
@@ -191,11 +186,10 @@ class StoreLease:
 
     def has_ended(self) -> bool:
         """Ask whether a monitor has read the source of the site to its end."""
-        try:
+        with suppress(OSError):
             found, _ = self._read()
-        except OSError:
-            return False
-        return found is not None and found.state == "ended"
+            return found is not None and found.state == "ended"
+        return False
 
     def acquire(self, *, wait: bool = False) -> None:
         """Take the site; with `wait` it is waited until it is known whether another monitor is at work."""
@@ -210,10 +204,7 @@ class StoreLease:
         self._take(found, tag)
 
     def regain(self) -> None:
-        """Take the site while the monitor is at work, after the storage did not answer, or lost the manifest.
-
-        InUseError also tells that another monitor has worked since, or one of this folder with newer files.
-        """
+        """Take the site while the monitor is at work, unless another one, or newer files of this one, came meanwhile."""
         found, tag = self._read()
         if found is not None and not (self._note.read().knows(found) and self._is_from_here(found)):
             raise self._in_use(found, "went on from other files")
@@ -257,10 +248,7 @@ class StoreLease:
         return self._clock() - self._seen[1] < _SILENT * (self.every_s if found is None else found.every_s)
 
     def _is_from_here(self, found: Manifest) -> bool:
-        """Return whether a manifest is that of no monitor elsewhere: one that has left the site, or one of this very folder.
-
-        The lock of the folder says that the latter is gone.
-        """
+        """Return whether its monitor has left the site, or was one of this very folder, whose lock says that it is gone."""
         if found.state != "held" or found.owner == self.owner:
             return True
         is_here = found.place != "" and found.place == (self._place or self._note.place())

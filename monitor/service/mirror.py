@@ -48,7 +48,7 @@ class Mirror:
         self._known: dict[str, tuple[int, int]] = {}
         """Number of the file and CRC-32 of its end, as it was stored, for files that this run stored."""
 
-    def store(self, present: Manifest, put: Callable[[Files], None]) -> dict[str, StoredFile]:
+    def store(self, present: Manifest, put: Callable[[Files], object]) -> dict[str, StoredFile]:
         """Store what has changed since a manifest, and return the files; `put` is told them as far as they are stored.
 
         Checkpoints come first: the other files may be newer than these, as after a kill, but never older.
@@ -69,11 +69,11 @@ class Mirror:
         return files
 
     def fetch(self, files: Files, *, is_ours: bool, is_running: bool) -> None:
-        """Have the folder hold what is newer in the storage; of what it holds otherwise nothing is lost.
+        """Have the folder hold what is newer in the storage.
 
-        Another machine's files replace those of the folder, which are put aside.  Of the files of the folder's own monitor
-        (`is_ours`) those are fetched that it lacks, as where a part of it was restored, or the power failed; one that does not go
-        on from what is stored, or that a monitor `is_running` may write, stays, and the stored one is put aside.
+        Another machine's files replace those of the folder, which are put aside.  Of its own monitor's (`is_ours`) those are
+        fetched that it lacks; one that does not go on from the stored one, or that a monitor `is_running` may write, stays, and
+        the stored one is put aside.
         """
         aside = self._out / SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
         present: dict[str, tuple[int, int]] = {}

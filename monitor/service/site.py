@@ -80,7 +80,8 @@ class Site:
     ) -> None:
         self._clock, self._stopping, self._end_s = clock, False, float("inf")
         settings = configuration.load(path)
-        folder, out = path.resolve().parent, path.resolve().parent / settings.output.dir
+        folder = path.resolve().parent
+        self.out = out = folder / settings.output.dir
         if source is None and settings.source is None:
             raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
         healthy_path = None if settings.site.baseline is None else folder / settings.site.baseline
@@ -142,6 +143,7 @@ class Site:
         claim.watch(chores, now)
         sync = Every(settings.recorder.flush_s, partial(chores.do, "sync", files.results.sync), now)
         tidy = Every(_TIDY_S, partial(chores.do, "storage", files.storage.tidy), -float("inf"))
+        viewers = [] if view is None else [Part("viewer", view, None, view.close)]
         parts: list[Component] = [
             Part("settings", None, lambda _: self._reloading.step(self.session, requests)),
             Part("source", reader, None, lambda _: reader.stop(0.1)),  # it has ended already, except after an error
@@ -158,7 +160,7 @@ class Site:
             Part(EVENTS, files.events, None, files.close_lines),
             *(Part(type(o).__name__, o, None, o.close) for o in reversed(self._publication.outlets)),
             Part("checkpoint", files.keeper),
-            *(() if view is None else (Part("viewer", view, None, view.close),)),
+            *viewers,
             Part("storage", files.storage, tidy, chores.close),
         ]
         if (store := claim.store) is not None:
@@ -284,7 +286,6 @@ def _warm_up(warm: Callable[[], object], health: HealthLines) -> None:
 
 
 def _blocks(settings: Configuration, files: SiteFiles, out: Path) -> RecordedBlocks | None:
-    """Return the store of the latest blocks on the disk, where they are recorded."""
     if not settings.recorder.enabled:
         return None
     return RecordedBlocks(out / "recordings", files.recording, longest_diagnosis_s(settings))
@@ -297,5 +298,6 @@ def _open_viewer(settings: Configuration, healthy: AnyBaseline | None, undo: Exi
     from monitor.runs import open_viewer
 
     view = open_viewer(settings, healthy, file=None, serve=serve, lossless=False, on_warning=_log.warning)
-    undo.callback(view.close, END_S)
+    if view is not None:
+        undo.callback(view.close, END_S)
     return view

@@ -63,17 +63,14 @@ class SiteStore:
     @property
     def failed(self) -> str | None:
         """Why the present files are not stored, or the site may be another machine's; None if all is well."""
-        lease = str(self.lost) if self.lost else self.lease.doubt
-        says = (lease, self._failure, self._storing.failed, self._renewing.failed)
-        return "; ".join(filter(None, says)) or None
+        says = (self.lost or self.lease.doubt, self._failure, self._storing.failed, self._renewing.failed)
+        return "; ".join(str(reason) for reason in says if reason) or None
 
     def open(self, *, wait: bool) -> None:
         """Take the site, and fetch its files where the monitor of another machine wrote last.
 
-        Where the storage does not answer, monitoring goes on with the files of this folder, if they are the site's.  With
-        `wait` it is waited until it is known whether another monitor is at work.  InUseError tells that one is, or may be;
-        MissingInputError that the storage does not answer, or lacks files, and that the folder has none to go on from;
-        MissingExtraError that the extra `s3` is not installed.
+        Where the storage does not answer, monitoring goes on with the files of this folder, if they are the site's; else
+        MissingInputError is raised.  InUseError tells that another monitor is at work, or may be; `wait` until it is known.
         """
         self.lost = self._last = self._failure = None
         self._storing, self._renewing = self._new_workers()
@@ -137,17 +134,12 @@ class SiteStore:
             self.lease.regain()
             self._fetch(is_running=True)
         assert self.lease.present is not None
-        self._commit(self._mirror.store(self.lease.present, self._keep_progress))
+        self._commit(self._mirror.store(self.lease.present, lambda files: self.lease.is_due and self._commit(files)))
         if self._last is not None:
             self.lease.release(self._last)
 
-    def _keep_progress(self, files: Files) -> None:
-        """Commit the files that are stored so far, if it is time: much is being stored."""
-        if self.lease.is_due:
-            self._commit(files)
-
     def _commit(self, files: Files) -> None:
-        """Have the manifest name other files; the folder notes before that it has them, or newer ones."""
+        """Have the manifest name other files, all or those stored so far; the folder notes before that it has them."""
         before = self.lease.present
         if before is None or files == before.files:
             self.lease.renew()

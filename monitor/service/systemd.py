@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 from collections.abc import Callable, Iterator
+from typing import Literal
 
 
 @contextlib.contextmanager
@@ -47,9 +48,9 @@ def print_word(word: str) -> None:
 
 
 class Service:
-    """State of a service as its loop tells it: ready and stopping once, and at work as often as systemd's watchdog asks.
+    """What a service tells systemd: that it is ready, and stopping, once, and that it is at work as often as the watchdog asks.
 
-    The word READY is also given to `say`, by default printed on standard error.
+    `told` are the words so far; the word READY is also given to `say`, by default printed on standard error.
     """
 
     def __init__(self, now: float, say: Callable[[str], None] = print_word) -> None:
@@ -57,7 +58,7 @@ class Service:
         is_watched = microseconds.isdigit() and os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         self._every_s = int(microseconds) / 2e6 if is_watched else float("inf")
         self._told_s, self._say = now, say
-        self.is_ready = self.is_stopping = False
+        self.told: set[str] = set()
 
     def at_work(self, now: float) -> None:
         """Notify the watchdog, if it is time: at half its limit."""
@@ -65,19 +66,12 @@ class Service:
             self._told_s = now
             notify("WATCHDOG=1")
 
-    def tell_ready(self) -> bool:
-        """Say that the service is ready, if that was not said; return whether it was said now."""
-        if self.is_ready:
+    def tell(self, word: Literal["READY", "STOPPING"]) -> bool:
+        """Say a word, if that was not said; return whether it was said now."""
+        if word in self.told:
             return False
-        self.is_ready = True
-        self._say("READY")
-        notify("READY=1")
-        return True
-
-    def tell_stopping(self) -> bool:
-        """Say that the service is stopping, if that was not said; return whether it was said now."""
-        if self.is_stopping:
-            return False
-        self.is_stopping = True
-        notify("STOPPING=1")
+        self.told.add(word)
+        if word == "READY":
+            self._say(word)
+        notify(f"{word}=1")
         return True

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from drivers.base import EndOfStream, SampleBlock, Source, SourceError
 from drivers.recorder import Recorder, RecorderHealth, RecorderSettings
-from monitor.core import BoundedQueue, Busy, Full, Retry, Work, Worker, background as background, write_atomically
+from monitor.core import BoundedQueue, Busy, Full, Retry, Work, Worker, write_atomically
 
 _log = logging.getLogger(__name__)
 

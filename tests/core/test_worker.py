@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from monitor.core import BoundedQueue, Full, Hand, Retry, Work, Worker, by_hand
+from monitor.core import BoundedQueue, Full, Retry, Work, Worker
+from monitor.core.worker import Hand
 
 
 @dataclass
@@ -51,7 +52,7 @@ class Bench:
 @pytest.fixture
 def bench() -> Iterator[Bench]:
     clock = Clock()
-    with by_hand(clock) as hand:
+    with Worker.by_hand(clock) as hand:
         yield Bench(clock, hand)
 
 
@@ -204,7 +205,7 @@ def test_in_a_thread_what_was_left_is_settled_and_a_full_queue_makes_wait() -> N
 
 def test_a_thread_that_waits_without_end_is_idle_soon_after_it_was_woken() -> None:
     called = threading.Semaphore(0)
-    worker = Worker("bench", Work[None](idle=called.release))  # type: ignore[arg-type]
+    worker = Worker("bench", Work[None](idle=called.release))
     worker.start()
     assert called.acquire(timeout=10.0)
     worker.wake(0.01)

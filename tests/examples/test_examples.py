@@ -15,7 +15,6 @@ from monitor.core import Level, Skipped
 from monitor.diagnosis import in_words
 from monitor.model import EFFECTS, Condition, Context, FittedSizes, parse_effect, prior_from_drawing
 from monitor.runs import Session
-from monitor.service import Daemon
 from tests.examples.alarm_log import AlarmLog
 from tests.examples.brace_stiffness import BraceStiffness
 from tests.examples.cantilever import write_cantilever
@@ -23,6 +22,7 @@ from tests.examples.sine_source import SineSource
 from tests.support.frames import settings_of
 from tests.support.results import alarm, window_result
 from tests.support.samples import Cli
+from tests.support.site import Daemon
 
 
 @pytest.fixture

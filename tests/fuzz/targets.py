@@ -601,11 +601,9 @@ def _finding_seeds() -> list[bytes]:
 
 
 def _outbox_seeds() -> list[bytes]:
-    told = {"levels": {"1": "alarm"}, "lost": False, "stopped": False, "blind": False, "judged_ns": None}
-    notice = {"kind": "alarm", "good": False, "title": "t", "text": "x"}
-    message = {"id": 1, "when": "2026-01-01T00:00:00+00:00", "notice": notice, "to": ["k"]}
-    rows = [{"version": 1, "next_id": 2, "told": told}, message]
-    return ["\n".join(map(json.dumps, rows)).encode() + b"\n"]
+    place = Path(_file("outbox.jsonl", b""))
+    hostile.write_outbox(place)
+    return [place.read_bytes()]
 
 
 # --- the pipeline ------------------------------------------------------------------------------------------------------

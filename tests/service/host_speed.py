@@ -27,7 +27,7 @@ from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration
 from monitor.runs import Session
-from monitor.service.schedule import Line, Place
+from monitor.service.schedule import Line, Runner
 from monitor.service.threads import BlockQueue
 from tests.support.frame_text import THREE_STORIES
 from tests.support.live_rig import ROOT, Command
@@ -321,7 +321,8 @@ def _waits(sites: int, plain_s: float, window_s: float, hops: int = 6) -> dict[s
     """Waits of the windows of a number of sites on one core, s; blocks come together, once a second."""
     empty = np.zeros((1, 1), np.float32)
     line, now_s, waits = Line(), 0.0, []
-    places = [Place(Path(f"{k}"), str(k), None, queue=BlockQueue(1 << 20)) for k in range(sites)]
+    no_site: Any = None
+    places = [Runner(str(k), no_site, BlockQueue(1 << 20), lambda: None) for k in range(sites)]
     for second in range(10 * hops):
         for place in places:
             block = SampleBlock(ACCELERATION, second, 0, 1.0, ("a",), "m/s^2", empty)

@@ -9,10 +9,12 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from monitor.core import Level
 from monitor.damage import alarm
 from monitor.runs import Session
 from monitor.service import Request, serialization
 from monitor.service.outlets.inbox import Inbox
+from monitor.service.outlets.notices import Notice, Told
 from monitor.service.outlets.outbox import Outbox
 from monitor.service.requests import Answer, apply
 from monitor.service.restart import Saved
@@ -49,6 +51,14 @@ def checkpoint(data: bytes) -> None:
 
 def checkpoint_body(session: Session, t_ns: int, windows: int) -> bytes:
     return serialization.to_bytes("k", Saved(session.state, t_ns, windows)).partition(b"\n")[2]
+
+
+def write_outbox(path: Path) -> None:
+    """Write an outbox with one message and an announced alarm."""
+    path.unlink()
+    box = Outbox(path)
+    box.add(Told(levels={1: Level.ALARM}), [Notice("alarm", False, "t", "x")], ["k"])
+    box.save()
 
 
 def outbox(path: Path) -> None:

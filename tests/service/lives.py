@@ -35,7 +35,7 @@ from monitor.service.outlets.delivery_workers import Deliveries
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings
 from monitor.service.site import Site
 from monitor.service.site_store import SiteStore
-from tests.support.bucket import Clock, exceptions
+from tests.service.bucket import Clock, exceptions
 from tests.support.cut_disk import CutDisk, Killed, Life, Plan
 from tests.support.samples import CHANNELS, FRAME, T0_NS
 from tests.support.simulated import learned, windows_of

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
-from monitor.service.daemon import Daemon
 from monitor.service.status import look, tell
 from tests.service.killed import killed
 from tests.support.samples import T0_NS, Cli, Cut
-from tests.support.site import RATE, Scripted, lines, own, replayed
+from tests.support.site import RATE, Daemon, Scripted, lines, own, replayed
 
 ZENOH = 'kind = "zenoh"\nkey = "a/b"\nmode = "peer"\nlisten = ["tcp/127.0.0.1:0"]'
 

@@ -37,9 +37,7 @@ from monitor.core import (
 from monitor.damage import Assessment, State
 from monitor.publish import to_json
 from monitor.runs import Session
-from monitor.service import daemon as daemon_module
 from monitor.service.appended_lines import AppendedLines
-from monitor.service.daemon import Daemon
 from monitor.service.daemon_health import losses, plain
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
@@ -50,7 +48,7 @@ from tests.support.frames import settings_of
 from tests.support.full_disk import no_room
 from tests.support.results import alarm, damage_reading
 from tests.support.samples import T0_NS, Cli, Cut
-from tests.support.site import RATE, Scripted, Step, health, lines, own, replayed, summary, write
+from tests.support.site import RATE, Daemon, Scripted, Step, health, lines, own, replayed, summary, write
 from tests.support.waiting import until
 
 
@@ -159,20 +157,19 @@ def test_a_changed_rate_starts_over_and_a_forged_time_does_not_stop_it(
 def test_a_stream_faster_than_the_monitor_waits_and_loses_nothing(site: Path, record: np.ndarray, cut: Cut) -> None:
     """The reader waits, in bounded memory, while a publisher is slow."""
     most = [0]
-    blocks = cut(record, RATE, [16])
-    source = Scripted(blocks)
+    blocks = cut(record, RATE, [3])
 
     class Slow(Outlet):
         def window(self, result: WindowResult, line: str) -> None:
             time.sleep(0.1)
             most[0] = max(most[0], len(daemon.reader.queue))
 
-    daemon = Daemon(site, source, [Slow()], queue=BlockQueue(most_blocks=10))
+    daemon = Daemon(site, Scripted(blocks), [Slow()])
     daemon.run()
     told = summary(site.parent / "out")
     assert told["quality"]["samples"] >= len(record) - round(10 * RATE) and told["gaps"] == 0
     assert told["windows"] == 9
-    assert 0 < most[0] <= 10
+    assert len(blocks) > 2000 and 0 < most[0] <= 1024
 
 
 def test_queues_are_bounded_in_bytes_and_give_way_when_lifted() -> None:
@@ -297,7 +294,7 @@ def test_a_restart_appends_after_removing_half_a_line(site: Path, record: np.nda
 
 
 def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_starts(
-    site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    site: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = threading.Event()
     said: list[str] = []
@@ -308,18 +305,14 @@ def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_start
         said.append(capsys.readouterr().err)
         return 0
 
-    monkeypatch.setattr(daemon_module, "warm_up", slow)
-    Daemon(site, Scripted([None] * 50), quiet_s=0.05).run()
+    Daemon(site, Scripted([None] * 50), quiet_s=0.05, warm=slow).run()
     assert told.is_set() and said == [""] and capsys.readouterr().err == "READY\n"
     first = health(site.parent / "out")[0]
     assert first["source"]["error"] == "the monitor is starting" and not first["source"]["connected"]
 
 
-def test_a_start_goes_on_where_something_cannot_be_compiled(
-    site: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(daemon_module, "warm_up", lambda *_: 1 / 0)
-    Daemon(site, Scripted([])).run()
+def test_a_start_goes_on_where_something_cannot_be_compiled(site: Path, caplog: pytest.LogCaptureFixture) -> None:
+    Daemon(site, Scripted([]), warm=lambda *_: 1 / 0).run()
     assert "not all is compiled" in caplog.text
 
 

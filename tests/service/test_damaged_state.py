@@ -21,13 +21,12 @@ from drivers.base import SampleBlock
 from monitor.core import MissingInputError
 from monitor.publish import read_line, read_period
 from monitor.service import status
-from monitor.service.daemon import Daemon
 from monitor.service.lease import FolderLease
 from monitor.service.status import DOWN, HEALTHY, TROUBLE, look, tell
 from tests.support.damages import DAMAGES, DEEP
 from tests.support.live_site import RATE
 from tests.support.samples import Cli, Cut
-from tests.support.site import SITE, Scripted, all_lines, lines, run_until, summary
+from tests.support.site import SITE, Daemon, Scripted, all_lines, lines, run_until, summary
 
 S = 10**9
 

@@ -14,7 +14,6 @@ import pytest
 from monitor.damage import StoryState
 from monitor.events import Event, EventAlarm
 from monitor.runs import ledger, ledger_chain
-from monitor.service.daemon import Daemon
 from monitor.service.history import open_database
 from monitor.service.requests import Request
 from monitor.service.restart import KeptAlarms
@@ -25,7 +24,7 @@ from tests.service.desk import Desk, ledger_of
 from tests.support.quake import shaken
 from tests.support.samples import Cli
 from tests.support.shaken_site import SITE
-from tests.support.site import Scripted
+from tests.support.site import Daemon, Scripted
 
 
 @dataclass

@@ -18,13 +18,12 @@ from drivers.base import SampleBlock, SourceError
 from drivers.mcap_file import read_recordings
 from drivers.recorder import Recorder
 from monitor.core import Busy, WindowResult
-from monitor.service import Daemon
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.status import look
 from tests.support.live_site import RATE
 from tests.support.samples import Cut
-from tests.support.site import SITE, Scripted, Told, lines, own
+from tests.support.site import SITE, Daemon, Scripted, Told, lines, own
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.system

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
-from monitor.core import Gap, by_hand
+from monitor.core import Gap, Worker
 from monitor.service.outlets.messages import Messages
 
 
@@ -43,7 +43,7 @@ class Breaking(Messages[NoPrefix]):
 
 def test_a_message_that_meets_a_failure_is_sent_again_after_the_network_was_joined_anew() -> None:
     now_s = [0.0]
-    with by_hand(lambda: now_s[0]) as hand:
+    with Worker.by_hand(lambda: now_s[0]) as hand:
         outlet = Breaking()
         for k in range(2):
             outlet.gap(Gap(k, 1.0, "lost"))

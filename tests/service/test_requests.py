@@ -16,7 +16,6 @@ import pytest
 from drivers.base import SampleBlock
 from monitor.runs import ledger_chain
 from monitor.service import restart
-from monitor.service.daemon import Daemon
 from monitor.service.outlets import inbox
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.requests import Answer, RateLimit, Request
@@ -24,7 +23,7 @@ from monitor.service.status import look
 from tests.service.desk import Desk, ledger_of
 from tests.support.damages import DAMAGES
 from tests.support.samples import Cli, Cut
-from tests.support.site import RATE, SITE, Scripted
+from tests.support.site import RATE, SITE, Daemon, Scripted
 
 SHELVE = Request(action="shelve", story=2, who="Ada", note="while the disk is full", seconds=2_592_000.0)
 UNSHELVE = Request(action="unshelve", story=2, who="Ada")

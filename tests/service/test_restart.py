@@ -30,7 +30,7 @@ from monitor.events import Event
 from monitor.model import simulate
 from monitor.publish import facts_of_line
 from monitor.runs import Session
-from monitor.service import Daemon, serialization
+from monitor.service import serialization
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import plain
 from monitor.service.restart import Checkpointer, Saved
@@ -44,6 +44,7 @@ from tests.support.samples import T0_NS, Cli, Cut
 from tests.support.shaken_site import SITE as SHAKEN_SITE
 from tests.support.site import (
     SITE as BARE_SITE,
+    Daemon,
     Endless,
     Scripted,
     Told,

@@ -30,13 +30,25 @@ from drivers.base import SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.core import Level
 from monitor.diagnosis import Request
-from monitor.service import Daemon, history, serialization
+from monitor.service import history, serialization
 from monitor.service.restart import KeptAlarms
 from tests.support import live_site
 from tests.support.commands import ended
 from tests.support.live_site import RATE, LiveDaemon
 from tests.support.samples import T0_NS, Cli, Cut
-from tests.support.site import SITE, Endless, Scripted, Told, judged_lines, lines, own, run_until, summary, write
+from tests.support.site import (
+    SITE,
+    Daemon,
+    Endless,
+    Scripted,
+    Told,
+    judged_lines,
+    lines,
+    own,
+    run_until,
+    summary,
+    write,
+)
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
 
@@ -273,7 +285,7 @@ def test_a_viewer_and_a_watcher_that_hang_hold_up_nothing(site: Path, record: np
 
         try:
             daemon = Daemon(site, Late([]))
-            daemon.health(None)  # metrics begin to listen
+            daemon.site.health(None)  # metrics begin to listen
             daemon.run()
         finally:
             for one in held:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.base import SampleBlock
-from monitor.core import by_hand
+from monitor.core import Worker
 from monitor.service.site import Site
 from tests.support.samples import Cli, Cut
 from tests.support.site import RATE, Scripted, lines, own, replayed, site, summary  # noqa: F401 - a fixture
@@ -21,7 +21,7 @@ def driven(path: Path, blocks: list[SampleBlock], enough: int | None = None) -> 
     """
     before, seconds = set(threading.enumerate()), [0.0]
     clock = lambda: seconds[0]  # noqa: E731
-    with by_hand(clock) as hand:
+    with Worker.by_hand(clock) as hand:
         run = Site(path, Scripted(blocks), warm=lambda *_: None, clock=clock)
         run.start()
         while not run.reader.queue.over:

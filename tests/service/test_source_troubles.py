@@ -14,6 +14,7 @@ from monitor.service.daemon_health import Vitals
 from monitor.service.lease import FolderLease
 from monitor.service.status import look, tell, troubles_of
 from monitor.service.threads import Reader
+from tests.support.site import Scripted
 from tests.support.waiting import until
 
 REFUSED = "a block of /acceleration is refused, 7 so far: unknown unit 'g'"
@@ -75,6 +76,18 @@ def test_a_block_that_the_monitor_refuses_is_told_with_its_reason(
     line = vitals.line(None, Reader(Fixed(SourceHealth(True, {}))), None, ())
     assert caplog.messages == ["a block is refused, 1 so far: channels b1 are none of the structure's"]
     assert line["source"]["trouble"] == "a block is refused, 3 so far: channels b1 are none of the structure's"
+
+
+def test_a_source_that_cannot_be_closed_ends_reading_all_the_same(caplog: pytest.LogCaptureFixture) -> None:
+    class Stuck(Scripted):
+        def close(self) -> None:
+            raise RuntimeError("the bus is gone")
+
+    reader = Reader(Stuck([]))
+    reader.start()
+    until(lambda: reader.queue.over, "it has ended")
+    assert reader.ended and reader.failure is None
+    until(lambda: "source: not closed" in caplog.messages, "it is logged")
 
 
 def test_a_source_that_does_not_answer_when_it_is_opened_is_told() -> None:

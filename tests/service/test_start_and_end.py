@@ -11,7 +11,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +20,14 @@ import pytest
 from drivers.base import SampleBlock
 from monitor.config import configuration
 from monitor.core import BadConfigurationError, InUseError, MissingInputError
-from monitor.service import Daemon, site as site_module
+from monitor.service import site as site_module
 from monitor.service.lease import FolderLease
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.status import running
 from tests.support.live_rig import Command
 from tests.support.live_site import RATE
 from tests.support.samples import Cut
-from tests.support.site import SITE, Scripted, run_until, write
+from tests.support.site import SITE, Daemon, Scripted, run_until, write
 from tests.support.strangers import as_a_stranger
 from tests.support.waiting import until
 from tests.support.zenoh_router import free_port
@@ -154,10 +154,12 @@ def test_a_stranger_who_may_read_the_folder_cannot_hold_its_lock() -> None:
         os.umask(before)
 
 
-def remove(out: Path) -> None:
+def remove(out: Path, then: Callable[[], object] = lambda: None) -> None:
     """A folder under the daemon that fills it, once its first checkpoint is written."""
     until((out / "state" / "checkpoint").exists, "the first checkpoint")
-    shutil.rmtree(out.rename(out.with_name("gone")), ignore_errors=True)
+    gone = out.rename(out.with_name("gone"))
+    then()
+    shutil.rmtree(gone, ignore_errors=True)
 
 
 @pytest.mark.parametrize("is_over", [True, False])
@@ -170,8 +172,7 @@ def test_a_folder_that_another_daemon_began_anew_is_left_alone(
 
     def script() -> Iterator[SampleBlock]:
         yield from cut(record[:2600], RATE)
-        remove(out)
-        other.acquire()
+        remove(out, other.acquire)
         (out / "summary.json").write_text("another's")
 
     source = Scripted(script(), hold=None if is_over else threading.Event())

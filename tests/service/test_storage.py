@@ -17,13 +17,12 @@ from monitor.config import OutputSettings
 from monitor.publish import closed_files, month_file, pack_month, read_lines, read_period
 from monitor.runs import Session
 from monitor.service import restart
-from monitor.service.daemon import Daemon
 from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import Recording
 from tests.service.killed import killed
 from tests.support.full_disk import no_room
 from tests.support.samples import Cli, Cut
-from tests.support.site import RATE, Scripted, all_lines, replayed, write
+from tests.support.site import RATE, Daemon, Scripted, all_lines, replayed, write
 
 S = 10**9
 TURN_NS = 1_769_904_000 * S

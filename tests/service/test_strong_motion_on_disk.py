@@ -7,11 +7,10 @@ from pathlib import Path
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
-from monitor.service.daemon import Daemon
 from tests.events.shaken import T0_NS, blocks
 from tests.support.quake import shaken
 from tests.support.shaken_site import SITE
-from tests.support.site import Scripted
+from tests.support.site import Daemon, Scripted
 from tests.support.waiting import until
 
 

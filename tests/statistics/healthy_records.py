@@ -24,11 +24,11 @@ from monitor.damage import Assessment, Baseline, save_baseline
 from monitor.model import simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.runs import Session
-from monitor.service import Daemon, outlets
+from monitor.service import outlets
 from tests.support.campaign import each, words
 from tests.support.frames import shear_frame
 from tests.support.learned import baseline_of
-from tests.support.site import SITE, Scripted
+from tests.support.site import SITE, Daemon, Scripted
 
 T0_NS = 1_767_225_600_000_000_000
 SAYINGS = ("no reading", "logger", "timestamps", "at odds", "no data", "saturated", "possibly")

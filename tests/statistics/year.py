@@ -31,13 +31,14 @@ from monitor.damage import alarm, load_baseline, save_baseline
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Publisher
 from monitor.runs import Session, calibrate, cut_into_blocks
-from monitor.service import Daemon, logs
+from monitor.service import logs
 from monitor.signals import Health
 from tests.damage.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S
 from tests.support.frame_text import THREE_STORIES
 from tests.support.live_rig import ROOT, write
 from tests.support.live_site import RATE, SIZE, given
 from tests.support.simulated import ambient
+from tests.support.site import Daemon
 
 T0_NS, DAY = 1_767_225_600_000_000_000, round(86_400 / HOP_S)
 BASELINE_S = 4 * 3600.0

@@ -19,10 +19,10 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
 from monitor.config import configuration
-from monitor.service import Daemon, logs
+from monitor.service import logs
 from tests.support.forked import Forked
 from tests.support.samples import CHANNELS, T0_NS
-from tests.support.site import lines
+from tests.support.site import Daemon, lines
 
 RATE, SIZE = 128.0, 64
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from drivers.base import EndOfStream, SampleBlock, SourceHealth
+from drivers.base import EndOfStream, SampleBlock, Source, SourceHealth
 from monitor.config import configuration
 from monitor.core import WindowResult
 from monitor.publish import closed_files, read_lines
 from monitor.runs import Session
-from monitor.service import Daemon, outlets
+from monitor.service import ALONE, Host, outlets
 from tests.support.samples import Cli, write_blocks
 
 RATE = 128.0
@@ -130,6 +130,26 @@ class Told(outlets.Outlet):
 
 
 TOKEN = "a-token-of-letters-0123456789"
+
+
+class Daemon:
+    """A host of one site, as `run` is, with a source, outlets and other options of the site in place of those of its file."""
+
+    def __init__(
+        self,
+        path: Path,
+        source: Source | None = None,
+        told: Sequence[outlets.Outlet] = (),
+        *,
+        tick_s: float = 0.2,
+        **options: Any,
+    ) -> None:
+        host = Host([path], ALONE, tick_s=tick_s, source=source, outlets=tuple(told), **options)
+        runner = host.places[path].runner
+        assert runner is not None
+        self.run, self.site = host.run, runner.site
+        site = self.site
+        self.session, self.reader, self.out, self.outputs = site.session, site.reader, site.out, site.outputs
 
 
 class Endless(Scripted):

@@ -22,7 +22,6 @@ from drivers.mcap_file import read_recordings
 from drivers.socketcand_server import SocketcandServer, frame_text
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
 from drivers.zenoh_session import SessionSettings, leave, open_session
-from monitor.service import Daemon
 from tests.support.can_group import accel, datagram
 from tests.support.live_rig import (
     KEY,
@@ -36,7 +35,7 @@ from tests.support.live_rig import (
     router_for,
     write,
 )  # fmt: skip
-from tests.support.site import judged_lines
+from tests.support.site import Daemon, judged_lines
 from tests.support.waiting import until
 from tests.support.zenoh_router import Router
 
