@@ -99,7 +99,8 @@ class Site:
             view = _open_viewer(settings, healthy, undo) if viewer else None
             if not viewer and settings.output.address is not None:
                 _log.warning("output.serve: no viewer is served here; 'view' draws the recordings, and 'run' serves")
-            outlets = (*make_outlets(path, settings), *outlets)
+            keep = (lambda: None) if store is None else partial(store.settle, DURABLE_S)
+            outlets = (*make_outlets(path, settings, keep=keep), *outlets)
             for outlet in outlets:
                 undo.callback(outlet.close, END_S)
                 if files.events.last is not None:

@@ -40,14 +40,23 @@ class Story:
     """One site's life; the points that were hit least are chosen: `hits` counts kills by point, `seen` has points by stage."""
 
     def __init__(
-        self, folder: Path, stream: Undisturbed, seed: int, hits: Counter[str], seen: dict[str, set[str]]
+        self,
+        folder: Path,
+        stream: Undisturbed,
+        seed: int,
+        hits: Counter[str],
+        seen: dict[str, set[str]],
+        missed: Counter[str],
     ) -> None:
         shutil.copy(stream.folder / "baseline.json", folder / "baseline.json")
         self.world = World(folder, stream, seed, with_store=seed % 3 != 0)
         self.chance, self.hits, self.seen = self.world.chance, Counter(hits), seen
+        self.counted: Counter[str] = Counter()
         self.at = "a"
         """Machine that has the site."""
         self.backups = 0
+        self.missed = missed
+        """How often a life ended before it came to the point that was chosen."""
         self.deeds = (self.kill,) * 10 + (self.end, self.back_up, self.restore)
         if self.world.with_store:
             self.deeds += (self.take_over, self.take_over, self.wake, self.restore, self.copy, self.away)
@@ -82,7 +91,9 @@ class Story:
         stage = stage or ("again" if has_begun else "first")
         if stage == "again" and self.chance.random() < 0.2:
             stage = "end"
-        known = sorted(self.seen.setdefault(stage, set()), key=lambda point: (self.hits[point], point))
+        known = sorted(
+            self.seen.setdefault(stage, set()), key=lambda point: (self.hits[point] + self.missed[point], point)
+        )
         how = self.chance.choice(["before", "after", "half"])
         plan = Plan(None, self.chance.randint(1, 400), how)
         if known and self.chance.random() < 0.9:
@@ -91,7 +102,11 @@ class Story:
         before = Counter(self.world.points)
         self.world.live(self.at, plan, hops, "ended" if stage == "end" else "killed")
         self.seen[stage] |= {point for point, n in self.world.points.items() if n > before[point]}
-        self.hits = self.hits + self.world.kills
+        fresh = self.world.kills - self.counted
+        self.counted = Counter(self.world.kills)
+        self.hits += fresh
+        if plan.point is not None and not fresh[plan.point]:
+            self.missed[plan.point] += 1
 
     def end(self) -> None:
         """Let a life end as it should."""
@@ -196,6 +211,7 @@ def campaign(seeds: Iterable[int], rows: list[Row], most_kills: int = 10**9, fil
     stream = undisturbed()
     hits: Counter[str] = Counter()
     seen: dict[str, set[str]] = {}
+    missed: Counter[str] = Counter()
     for row in rows:
         hits.update(row["kills"])
         for stage, points in row["seen"].items():
@@ -210,7 +226,7 @@ def campaign(seeds: Iterable[int], rows: list[Row], most_kills: int = 10**9, fil
             continue
         begun_s = time.monotonic()
         with tempfile.TemporaryDirectory(prefix="shm-story-", dir=_MEMORY if _MEMORY.is_dir() else None) as folder:
-            row = {"seed": seed, **Story(Path(folder), stream, seed, hits, seen).run()}
+            row = {"seed": seed, **Story(Path(folder), stream, seed, hits, seen, missed).run()}
         row |= {"seen": {stage: sorted(points) for stage, points in seen.items()}}
         row["seconds"] = round(time.monotonic() - begun_s, 1)
         hits.update(row["kills"])

@@ -26,7 +26,7 @@ import numpy as np
 
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceHealth
 from monitor.config import configuration
-from monitor.core import Hand, UserError, by_hand
+from monitor.core import UserError, Worker
 from monitor.damage import save_baseline
 from monitor.model import simulate
 from monitor.pipeline import Pipeline
@@ -291,7 +291,8 @@ class Monitor:
     def __init__(self, world: World, machine: str, plan: Plan | None = None) -> None:
         self.world, self.machine = world, machine
         self.life = Life(world.folder / machine / "out", plan)
-        self.source, self.hand = Quiet(), Hand(world.clock)
+        self.source = Quiet()
+        self.workers: list[Worker[Any]] = []
         self.site: Site | None = None
         world.disk.begin(self.life)
 
@@ -303,7 +304,10 @@ class Monitor:
         settings = NotifySettings(source_lost_s=1e9, blind_s=1e9, most_per_hour=10**6)
         place = life.folder / "state" / "people.jsonl"
         with self.by_hand():
-            notifier = Notifier("tower", settings, Addresses((HONEST, LIAR)), place, world.clock, deliveries)
+            store = self._store() if world.with_store else None
+            keep = (lambda: None) if store is None else functools.partial(store.settle, 0.5)
+            to = Addresses((HONEST, LIAR))
+            notifier = Notifier("tower", settings, to, place, world.clock, deliveries, keep)
             self.site = Site(
                 folder / "site.toml",
                 self.source,
@@ -311,7 +315,7 @@ class Monitor:
                 clock=world.clock,
                 warm=lambda *_: None,
                 lean=not wait,
-                store=self._store() if world.with_store else None,
+                store=store,
             )
             self.site.start()
         return self
@@ -319,8 +323,8 @@ class Monitor:
     @contextmanager
     def by_hand(self) -> Iterator[None]:
         """Have the workers that are made meanwhile be this life's."""
-        with by_hand(self.world.clock) as hand:
-            hand.workers = self.hand.workers
+        with Worker.by_hand(self.world.clock) as hand:
+            hand.workers = self.workers
             yield
 
     def _store(self) -> SiteStore:
@@ -331,7 +335,7 @@ class Monitor:
     def work(self, most: int) -> None:
         """Have workers do what is due, in any order; what is left is done later."""
         for _ in range(most):
-            due = [worker for worker in self.hand.workers if worker.name != "source" and worker.due_in_s <= 0.0]
+            due = [worker for worker in self.workers if worker.name != "source" and worker.due_in_s <= 0.0]
             if not due:
                 return
             self.world.chance.choice(due).step()
@@ -375,7 +379,7 @@ class Monitor:
         assert self.site is not None
         self.source.at_end = at_end
         if at_end:
-            for worker in self.hand.workers:
+            for worker in self.workers:
                 while worker.name == "source" and worker.step():
                     continue
         else:

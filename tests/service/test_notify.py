@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from monitor.core import Alarm, AlarmCondition, Level, Skipped, WindowResult, by_hand
+from monitor.core import Alarm, AlarmCondition, Level, Skipped, WindowResult, Worker
 from monitor.damage import Assessment, State
 from monitor.service.daemon_health import losses
 from monitor.service.outlets import notices
@@ -623,7 +623,7 @@ def test_no_message_leaves_before_its_number_is_stored_so_that_no_other_gets_it_
     """The disk is waited for, but for half a second at most."""
     now = [0.0]
     settings, to, deliveries = NotifySettings(), Addresses((ONE,)), Deliveries(lambda: clerk)
-    with by_hand(lambda: now[0]) as hand:
+    with Worker.by_hand(lambda: now[0]) as hand:
         one = Notifier("lab", settings, to, place, lambda: now[0], deliveries)
         tell(one, Level.ADVISORY)
         storing = next(worker for worker in hand.workers if worker.name == "outbox")

@@ -55,11 +55,17 @@ class Outbox:
     in memory, by any thread, and never wait for the disk; `save` writes them.  A file that cannot be read is renamed.  If the
     disk does not accept the file, the messages stay in memory and `failed` says so.  Beyond `most` messages those that are
     superseded are given up first, then the oldest of the least urgent, and counted in `dropped`.  `tell` is called after each
-    change, and when it is stored.
+    change, and when it is stored; `keep` once it is on the disk, to store the file elsewhere too.
     """
 
-    def __init__(self, path: Path, most: int = MOST_MESSAGES, tell: Callable[[], None] = lambda: None) -> None:
-        self._path, self._most, self._tell = path, most, tell
+    def __init__(
+        self,
+        path: Path,
+        most: int = MOST_MESSAGES,
+        tell: Callable[[], None] = lambda: None,
+        keep: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._path, self._most, self._tell, self._keep_elsewhere = path, most, tell, keep
         self._messages: list[Message] = []
         self._next_id = self._stored_id = 1
         self._unsaved = False
@@ -141,6 +147,7 @@ class Outbox:
         try:
             write_atomically(self._path, "\n".join(lines) + "\n", private)
             sync_folder(self._path.parent)
+            self._keep_elsewhere()
             self.failed, self._stored_id = None, next_id
         except OSError as error:
             self.failed = f"{self._path}: {error.strerror or error}"
