@@ -643,6 +643,26 @@ def test_no_message_leaves_before_its_number_is_stored_so_that_no_other_gets_it_
         assert len(clerk.titles) == known + 1, "a disk that hangs holds up nothing"
 
 
+def test_no_message_leaves_before_the_copy_of_the_folder_has_its_number(place: Path, clerk: Clerk) -> None:
+    """Else a machine that takes over, and does not know of it, gives the number to another message."""
+    kept: list[tuple[int, list[str]]] = []
+
+    def keep() -> None:
+        kept.append((len(Outbox(place)), clerk.titles))
+
+    with Worker.by_hand(lambda: 0.0) as hand:
+        to, deliveries = Addresses((ONE,)), Deliveries(lambda: clerk)
+        one = Notifier("lab", NotifySettings(), to, place, lambda: 0.0, deliveries, keep)
+        tell(one, Level.ADVISORY)
+        for worker in hand.workers[::-1]:
+            while worker.step():
+                continue
+        for worker in hand.workers:
+            while worker.step():
+                continue
+    assert kept[0] == (1, []) and clerk.titles == ["advisory: story 2"]
+
+
 def test_an_address_and_a_disk_that_do_not_answer_are_told_within_ten_seconds(
     place: Path, clerk: Clerk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
