@@ -97,7 +97,8 @@ class Site:
                 undo.callback(store.close, "released", END_S)
             self._files = files = SiteFiles(path, settings, healthy_path, out, self._vitals, clock, quiet_s, undo)
             view = _open_viewer(settings, healthy, viewer, undo)
-            outlets = (*make_outlets(path, settings), *outlets)
+            keep = (lambda: None) if store is None else partial(store.settle, DURABLE_S)
+            outlets = (*make_outlets(path, settings, keep=keep), *outlets)
             for outlet in outlets:
                 undo.callback(outlet.close, END_S)
                 if files.events.last is not None:

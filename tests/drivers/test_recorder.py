@@ -262,3 +262,30 @@ def test_a_disk_at_its_limit_is_one_stop_and_one_return(
             told.append(recorder.health().recording)
     recorder.close()
     assert told == [True, False, True]
+
+
+def test_what_a_kill_left_is_on_the_disk_before_anything_goes_on_from_it(
+    tmp_path: Path, clock: Clock, cut: Cut, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Blocks that were written and not flushed outlast the process; a power cut soon after must not take them back."""
+    left = tmp_path / "20260101T000000.000000Z-0001.mcap.part"
+    with McapWriter(tmp_path / "whole.mcap", as_arrived=True) as writer:
+        for block in cut(np.zeros((500, 3)), RATE):
+            writer.write(block)
+    (tmp_path / "whole.mcap").rename(left)
+    done: list[str] = []
+    fsync, replace_ = os.fsync, os.replace
+
+    def note_sync(handle: int) -> None:
+        done.append(f"fsync {os.path.basename(os.readlink(f'/proc/self/fd/{handle}'))}")
+        fsync(handle)
+
+    def note_name(source: Path, target: Path) -> None:
+        done.append(f"rename {source.name}")
+        replace_(source, target)
+
+    monkeypatch.setattr(os, "fsync", note_sync)
+    monkeypatch.setattr(os, "replace", note_name)
+    make(tmp_path, clock)
+    assert done[:2] == [f"fsync {left.name}", f"rename {left.name}"]
+    assert len(list(read_recordings([left.with_suffix("")]))) == 5

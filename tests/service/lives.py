@@ -26,7 +26,7 @@ import numpy as np
 
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceHealth
 from monitor.config import configuration
-from monitor.core import Hand, by_hand
+from monitor.core import UserError, Worker
 from monitor.damage import save_baseline
 from monitor.model import simulate
 from monitor.pipeline import Pipeline
@@ -35,7 +35,7 @@ from monitor.service.outlets.delivery_workers import Deliveries
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings
 from monitor.service.site import Site
 from monitor.service.site_store import SiteStore
-from tests.support.bucket import Clock, exceptions
+from tests.service.bucket import Clock, exceptions
 from tests.support.cut_disk import CutDisk, Killed, Life, Plan
 from tests.support.samples import CHANNELS, FRAME, T0_NS
 from tests.support.simulated import learned, windows_of
@@ -291,7 +291,8 @@ class Monitor:
     def __init__(self, world: World, machine: str, plan: Plan | None = None) -> None:
         self.world, self.machine = world, machine
         self.life = Life(world.folder / machine / "out", plan)
-        self.source, self.hand = Quiet(), Hand(world.clock)
+        self.source = Quiet()
+        self.workers: list[Worker[Any]] = []
         self.site: Site | None = None
         world.disk.begin(self.life)
 
@@ -303,7 +304,10 @@ class Monitor:
         settings = NotifySettings(source_lost_s=1e9, blind_s=1e9, most_per_hour=10**6)
         place = life.folder / "state" / "people.jsonl"
         with self.by_hand():
-            notifier = Notifier("tower", settings, Addresses((HONEST, LIAR)), place, world.clock, deliveries)
+            store = self._store() if world.with_store else None
+            keep = (lambda: None) if store is None else functools.partial(store.settle, 0.5)
+            to = Addresses((HONEST, LIAR))
+            notifier = Notifier("tower", settings, to, place, world.clock, deliveries, keep)
             self.site = Site(
                 folder / "site.toml",
                 self.source,
@@ -311,7 +315,7 @@ class Monitor:
                 clock=world.clock,
                 warm=lambda *_: None,
                 lean=not wait,
-                store=self._store() if world.with_store else None,
+                store=store,
             )
             self.site.start()
         return self
@@ -319,8 +323,8 @@ class Monitor:
     @contextmanager
     def by_hand(self) -> Iterator[None]:
         """Have the workers that are made meanwhile be this life's."""
-        with by_hand(self.world.clock) as hand:
-            hand.workers = self.hand.workers
+        with Worker.by_hand(self.world.clock) as hand:
+            hand.workers = self.workers
             yield
 
     def _store(self) -> SiteStore:
@@ -331,7 +335,7 @@ class Monitor:
     def work(self, most: int) -> None:
         """Have workers do what is due, in any order; what is left is done later."""
         for _ in range(most):
-            due = [worker for worker in self.hand.workers if worker.name != "source" and worker.due_in_s <= 0.0]
+            due = [worker for worker in self.workers if worker.name != "source" and worker.due_in_s <= 0.0]
             if not due:
                 return
             self.world.chance.choice(due).step()
@@ -354,12 +358,28 @@ class Monitor:
                 self.work(chance.choice([0, 3, 10, 100]))
         return True
 
+    def rest(self) -> None:
+        """Let a while pass without data."""
+        assert self.site is not None
+        with self.by_hand():
+            for _ in range(5):
+                self.world.clock.now_s += HOP_S / 5
+                self.site.step(self.world.clock())
+                self.work(100)
+
+    def close(self) -> None:
+        """End after an error, as a daemon does."""
+        assert self.site is not None
+        self.source.at_end = True
+        self.site.close()
+        self.world.disk.end(self.life)
+
     def end(self, *, at_end: bool = False) -> None:
         """End as after SIGTERM, or after the last sample."""
         assert self.site is not None
         self.source.at_end = at_end
         if at_end:
-            for worker in self.hand.workers:
+            for worker in self.workers:
                 while worker.name == "source" and worker.step():
                     continue
         else:
@@ -367,6 +387,7 @@ class Monitor:
             self.site.stop_reading()
         self.site.finish()
         self.site.close()
+        self.world.disk.end(self.life)
 
     def bury(self) -> None:
         """Close what a life that was cut off held; nothing of it is heard."""
@@ -374,6 +395,7 @@ class Monitor:
         if self.site is not None:
             with suppress(Exception):
                 self.site.close()
+        self.world.disk.end(self.life)
 
 
 class World:
@@ -415,11 +437,19 @@ class World:
                 monitor.end()
                 self._count(monitor.life, None)
                 return None
-        except Killed:
-            self.die(monitor)
+        except Killed as end:
+            assert monitor.life.died_at == str(end)
+        except UserError as error:
+            self._refused(monitor, error)
             return None
         self.die(monitor)
         return None
+
+    def _refused(self, monitor: Monitor, error: UserError) -> None:
+        """Close a monitor that does not begin, or ends, because another may have the site or nobody knows."""
+        self.tally[f"ended by {type(error).__name__}"] += 1
+        self._count(monitor.life, None)
+        monitor.bury()
 
     def die(self, monitor: Monitor) -> None:
         """Bury a life, and cut the power of its machine in every second case."""

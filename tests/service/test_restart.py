@@ -347,6 +347,26 @@ def test_the_summary_counts_what_the_results_say_where_a_power_cut_lost_samples(
     assert sum(told["skip_reasons"].values()) == told["skipped"]
 
 
+def test_lines_of_which_a_kill_took_the_samples_are_written_once_whatever_ends_between(
+    tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut
+) -> None:
+    """After the kill a run is told to end before these samples come again, and stores its state."""
+    site, out = tmp_path / "site.toml", tmp_path / "out"
+    site.write_text(BARE_SITE + frame_text)
+    blocks = cut(record, RATE)
+    run_until(site, blocks[: len(blocks) * 2 // 3], 4)
+    kept = {path: path.read_bytes() for path in [*out.glob("state/checkpoint"), *out.glob("recordings/*.mcap")]}
+    run_until(site, blocks[len(blocks) * 2 // 3 :], 9)
+    wanted = (out / "results.jsonl").read_bytes()
+    for path in [*out.glob("state/checkpoint*"), *out.glob("recordings/*")]:
+        path.unlink()
+    for path, data in kept.items():
+        path.write_bytes(data)
+    run_until(site, [], 0)
+    Daemon(site, Scripted(blocks[len(blocks) * 2 // 3 :])).run()
+    assert (out / "results.jsonl").read_bytes() == wanted
+
+
 def test_a_daemon_that_serves_a_view_is_resumed_too(
     tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut, caplog: pytest.LogCaptureFixture
 ) -> None:

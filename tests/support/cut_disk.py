@@ -84,6 +84,11 @@ class CutDisk:
         """Let a life write into its folder."""
         self._lives[str(life.folder)] = life
 
+    def end(self, life: Life) -> None:
+        """Watch the folder of a life no more, once nothing of it is left."""
+        if self._lives.get(str(life.folder)) is life:
+            del self._lives[str(life.folder)]
+
     def power_cut(self, folder: Path, chance: random.Random) -> None:
         """Take back what was not on the disk of a machine, or a part of it: a disk may have more than was confirmed."""
         place = str(folder)

@@ -23,8 +23,12 @@ from monitor.service.threads import Chores
 _log = logging.getLogger(__name__)
 
 
-def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:
+def make_outlets(
+    path: Path, config: Configuration, *, dry: bool = False, keep: Callable[[], object] = lambda: None
+) -> tuple[Outlet, ...]:
     """Create the outlets that a site file asks for; with `dry` only check its tables.
+
+    `keep` has the copy of the output folder follow it, before a message leaves whose number is new.
 
     Raises
     ------
@@ -44,7 +48,7 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
         return ()
     inbox = Inbox(state / "requests", worker=Chores("requests"))
     optional = [make() for make in makers if make is not None]
-    return (inbox, *optional, Notifier(name, settings, to, state / "outbox.jsonl"))
+    return (inbox, *optional, Notifier(name, settings, to, state / "outbox.jsonl", keep=keep))
 
 
 def _demand_none(path: Path, problems: Sequence[str]) -> None:

@@ -30,6 +30,8 @@ _DEADLINE_S = 30.0
 """Longest time of one delivery in all. [s; judgement: a slow mail server takes seconds]"""
 _LOOK_S = 10.0
 """Longest pause of a worker for which something waits. [s; judgement]"""
+_STORED_S = 0.5
+"""Longest wait for the disk before a message leaves whose number is not stored yet. [s; judgement]"""
 _HOUR_S = 3600.0
 """Time over which `most_per_hour` counts. [s; definition]"""
 _UNHEARD_S = 60.0
@@ -217,6 +219,8 @@ class AddressWorker:
         self._order = Order(outbox, self.key, deliveries, clock)
         self._failing_since_s: float | None = None
         self._closing = False
+        self._unstored = (0, 0.0)
+        """Number of a message that is not stored, and since when it could leave, s."""
         self._process = deliveries.new()
         self._worker = Worker(f"notify {number}", Work[None](idle=self._deliver), clock=clock)
         self._worker.start()
@@ -258,6 +262,8 @@ class AddressWorker:
             if self._closing:
                 self._worker.ask_to_end()
             return None if message is None else min(due_s - began_s, _LOOK_S)
+        if (wait_s := self._unstored_s(message, began_s)) > 0.0:
+            return wait_s
         if self._process.run(self._job(message)) == 0:
             self._failing_since_s = None
             self._order.taken(message, began_s)
@@ -271,6 +277,14 @@ class AddressWorker:
                     "notifications: %s does not take message %d; %d wait", self._name, message.id, len(self._outbox)
                 )
         return 0.0
+
+    def _unstored_s(self, message: Message, now: float) -> float:
+        """Return for how long to wait until a message is stored: else another one could get its number after a crash."""
+        if self._outbox.has_stored(message):
+            return 0.0
+        if self._unstored[0] != message.id:
+            self._unstored = message.id, now
+        return self._unstored[1] + _STORED_S - now
 
     def _job(self, message: Message) -> dict[str, Any]:
         notice, lines = message.notice, [message.notice.text or message.notice.title]

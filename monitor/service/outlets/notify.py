@@ -132,7 +132,9 @@ class Notifier(Outlet):
         place: Path,
         clock: Callable[[], float] = time.monotonic,
         deliveries: Deliveries = _DELIVERIES,
+        keep: Callable[[], object] = lambda: None,
     ) -> None:
+        self._keep = keep
         self._site, self._place, self._clock, self._deliveries = site, place, clock, deliveries
         self._settings, self._to = settings, to
         self._workers: dict[str, AddressWorker] = {}
@@ -200,7 +202,7 @@ class Notifier(Outlet):
         Not earlier, so that a daemon that may not use the folder does not touch it.
         """
         if self._outbox is None:
-            self._outbox = Outbox(self._place, tell=self._tell)
+            self._outbox = Outbox(self._place, tell=self._tell, keep=self._keep)
             self._set_workers(self._outbox)
             self._storing.start()
         return self._outbox

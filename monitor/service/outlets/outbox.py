@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from drivers.disk import private
+from drivers.disk import private, sync_folder
 from monitor.core import decode, encode, parse_json, set_aside, write_atomically
 from monitor.service.outlets.notices import Notice, Told
 
@@ -55,13 +55,19 @@ class Outbox:
     in memory, by any thread, and never wait for the disk; `save` writes them.  A file that cannot be read is renamed.  If the
     disk does not accept the file, the messages stay in memory and `failed` says so.  Beyond `most` messages those that are
     superseded are given up first, then the oldest of the least urgent, and counted in `dropped`.  `tell` is called after each
-    change.
+    change, and when it is stored; `keep` once it is on the disk, to store the file elsewhere too.
     """
 
-    def __init__(self, path: Path, most: int = MOST_MESSAGES, tell: Callable[[], None] = lambda: None) -> None:
-        self._path, self._most, self._tell = path, most, tell
+    def __init__(
+        self,
+        path: Path,
+        most: int = MOST_MESSAGES,
+        tell: Callable[[], None] = lambda: None,
+        keep: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._path, self._most, self._tell, self._keep_elsewhere = path, most, tell, keep
         self._messages: list[Message] = []
-        self._next_id = 1
+        self._next_id = self._stored_id = 1
         self._unsaved = False
         self._lock = threading.RLock()
         self.told = Told()
@@ -103,6 +109,10 @@ class Outbox:
         with self._lock:
             return min((m for m in self._messages if key in m.to and m.subject not in but), key=place, default=None)
 
+    def has_stored(self, message: Message) -> bool:
+        """Return whether the file knows the number of a message, which no other one gets then, or cannot be written."""
+        return message.id < self._stored_id or self.failed is not None
+
     def superseded(self, message: Message, key: str) -> list[Message]:
         """Return what the address `key` has not received of the earlier messages on the subject of `message`, oldest first."""
         with self._lock:
@@ -129,17 +139,20 @@ class Outbox:
         with self._lock:
             if not self._unsaved:
                 return
-            self._unsaved = False
+            self._unsaved, next_id = False, self._next_id
             # Times are not stored: while the monitor is off there are no windows, so they mean nothing after a restart.
             told = encode(replace(self.told, **_NO_TIMES))
-            head = {"version": VERSION, "next_id": self._next_id, "told": told}
+            head = {"version": VERSION, "next_id": next_id, "told": told}
             lines = [json.dumps(line) for line in (head, *map(encode, self._messages))]
         try:
             write_atomically(self._path, "\n".join(lines) + "\n", private)
-            self.failed = None
+            sync_folder(self._path.parent)
+            self._keep_elsewhere()
+            self.failed, self._stored_id = None, next_id
         except OSError as error:
             self.failed = f"{self._path}: {error.strerror or error}"
             self._unsaved = True
+        self._tell()
 
     def _keep(self, messages: Iterable[Message]) -> None:
         """Replace the messages by those of `messages` that still have an address to go to."""
@@ -174,6 +187,7 @@ class Outbox:
                 raise ValueError(f"version {head['version']}")
             told, messages = decode(Told, head["told"] | _NO_TIMES), [decode(Message, row) for row in rows]
             self._next_id, self.told, self._messages = int(head["next_id"]), told, messages
+            self._stored_id = self._next_id
             self._give_up()
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             self._next_id = 1 + max(map(int, _NUMBER.findall(text)), default=0)  # no number is given twice
