@@ -174,7 +174,6 @@ class DiagnosisQueue:
 
 
 def _last_line(log: Path) -> str:
-    """Return the last line that a diagnosis wrote to its log."""
     try:
         lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     except OSError:

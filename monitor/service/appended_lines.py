@@ -160,7 +160,6 @@ class AppendedLines:
             _log.warning("%s: was removed or moved away while it was written; begun anew", self._path)
 
     def _open(self) -> None:
-        """Open the file and remove an incomplete last line."""
         destination(self._path)  # refuses what is no regular file
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
         try:

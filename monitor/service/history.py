@@ -42,7 +42,6 @@ ITEMS = {Kind.NUMBERS: "REAL", Kind.INTEGERS: "INTEGER", Kind.TEXTS: "TEXT"}
 
 
 def _column(field: Field) -> str:
-    """Declare the column of a window's field."""
     return f"{field.key} {_SQL.get(field.kind, 'TEXT')}"
 
 
@@ -168,7 +167,6 @@ class History:
         self._worker.close(timeout_s)
 
     def _put(self, table: str, row: Row) -> None:
-        """Queue a row, or count it as dropped if the queue is full."""
         if len(self._rows) >= self._pace.most_queued:
             if not self._losing:
                 _log.error("%s: %d rows wait; rows are lost from here on", self._path, len(self._rows))
@@ -343,5 +341,4 @@ def _statement(table: str, names: tuple[str, ...]) -> str:
 
 
 def _text(value: Any) -> str | None:
-    """Encode a list, or values by name, as compact JSON; None stays None."""
     return None if value is None else json.dumps(value, separators=(",", ":"))

@@ -112,7 +112,6 @@ class Publication(Publisher):
         return present
 
     def _write_page(self, id: str, line: str) -> None:
-        """Write the page of an event beside its recording (in the thread of events)."""
         try:
             write_event_page(self._out, json.loads(line), page_of(self._out, id))
         except Exception as error:  # noqa: BLE001 - the thread goes on to write the recordings of later events

@@ -61,7 +61,6 @@ class Reloading:
             self._chores.do("reload", partial(self._reread, requests))
 
     def _reread(self, requests: RequestHandler) -> None:
-        """Read the file (in a thread that may wait for the disk)."""
         try:
             self._reloaded = reread(self._path, self.settings, self._outlets, self._out)
             requests.read_head()

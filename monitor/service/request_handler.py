@@ -7,7 +7,6 @@ written in other threads, and no step waits for them, so a slow disk delays the 
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -62,7 +61,7 @@ class RequestHandler:
     def failed(self) -> str | None:
         """Why the ledger is not written at present, or could not be within the last minute; None if all is well."""
         batch = self._batch
-        if batch is not None and not batch.written.is_set() and self._clock() - batch.begun_s > _WAIT_S:
+        if batch is not None and not batch.written and self._clock() - batch.begun_s > _WAIT_S:
             return f"{self._place}: the disk does not answer"
         return self._error if self._error and self._clock() - self._failed_s < _TOLD_S else None
 
@@ -82,7 +81,7 @@ class RequestHandler:
                 )
         elif self._batch is None:
             self._begin(session)
-        elif self._batch.written.is_set():
+        elif self._batch.written:
             self._go_on(session, self._batch)
 
     def finish(self, session: Session, timeout_s: float) -> None:
@@ -90,7 +89,7 @@ class RequestHandler:
         batch = self._batch
         if batch is not None and not batch.applied:
             self._chores.settle(timeout_s)
-            if batch.written.is_set():
+            if batch.written:
                 self._apply(session, batch)
 
     def close(self) -> None:
@@ -103,7 +102,6 @@ class RequestHandler:
         self._chores.do(f"ledger: {name}", partial(self._note_recording, name, checksum))
 
     def _note_recording(self, name: str, checksum: str) -> None:
-        """Write the line of an event's recording into the ledger (in the worker's thread)."""
         try:
             self.head = ledger_chain.append_lines(self._place, [ledger.recording_entry(name, checksum)])
         except MissingInputError as error:
@@ -136,12 +134,11 @@ class RequestHandler:
             self._answer(batch)
 
     def _write(self, batch: _Batch, entries: Sequence[dict[str, Any]]) -> None:
-        """Write the lines of a batch into the ledger (in the worker's thread)."""
         try:
             self.head = ledger_chain.append_lines(self._place, entries)
         except MissingInputError as error:
             batch.error = str(error)
-        batch.written.set()
+        batch.written = True
 
     def _go_on(self, session: Session, batch: _Batch) -> None:
         """Apply a batch that is in the ledger, have a checkpoint written, and answer once it is on the disk."""
@@ -171,7 +168,6 @@ class RequestHandler:
                 self._history.request(session.now_ns, item.request.model_dump())
 
     def _answer(self, batch: _Batch) -> None:
-        """Pass the answers of a batch on."""
         self._batch = None
         for outlet in self._outlets:
             answers = [item.answer for item in batch.items if item.outlet is outlet]
@@ -196,8 +192,8 @@ class _Batch:
 
     items: list[_Item]
     begun_s: float
-    written: threading.Event = field(default_factory=threading.Event)
-    """Set when the ledger has been written, or could not be."""
+    written: bool = False
+    """Whether the ledger has been written, or could not be; the thread of the chores sets it last."""
     error: str = ""
     applied: bool = False
     saved: bool = False

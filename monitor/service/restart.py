@@ -176,7 +176,6 @@ class Checkpointer:
         serialization.forget(place)
 
     def _write(self, state: SessionState, results_bytes: int, stamp_ns: int) -> None:
-        """Write the alarms and the checkpoint (in the recorder's thread)."""
         try:
             self._lines.sync()
             if self._lines.failed:

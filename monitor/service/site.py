@@ -80,7 +80,8 @@ class Site:
     ) -> None:
         self._clock, self._stopping, self._end_s = clock, False, float("inf")
         settings = configuration.load(path)
-        folder, out = path.resolve().parent, path.resolve().parent / settings.output.dir
+        folder = path.resolve().parent
+        self.out = out = folder / settings.output.dir
         if source is None and settings.source is None:
             raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
         healthy_path = None if settings.site.baseline is None else folder / settings.site.baseline
@@ -285,7 +286,6 @@ def _warm_up(warm: Callable[[], object], health: HealthLines) -> None:
 
 
 def _blocks(settings: Configuration, files: SiteFiles, out: Path) -> RecordedBlocks | None:
-    """Return the store of the latest blocks on the disk, where they are recorded."""
     if not settings.recorder.enabled:
         return None
     return RecordedBlocks(out / "recordings", files.recording, longest_diagnosis_s(settings))

@@ -174,7 +174,6 @@ class Storage:
         return f"{self._out}: {used / _GB:.2f} GiB without recordings, keep_gb = {self._settings.keep_gb:g}; raise it"
 
     def _used_bytes(self) -> int:
-        """Add up the sizes of all files but the recordings, bytes."""
         total = 0
         for path in self._out.rglob("*"):
             with suppress(FileNotFoundError):  # removed meanwhile

@@ -106,7 +106,6 @@ class RerunPublisher(Publisher):
         self._worker.join(timeout_s)
 
     def _begin(self) -> None:
-        """Open the file and the server, and draw what was held."""
         from monitor.publish.viewer.output import Output
         from monitor.publish.viewer.picture import ResultDrawing
 

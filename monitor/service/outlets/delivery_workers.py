@@ -133,7 +133,6 @@ def send_test(urls: Sequence[str], beats: Sequence[str], site: str) -> list[Tria
 
 
 def _name(number: int, url: str) -> str:
-    """Return number and kind of an address, without any other part of it."""
     scheme = re.match(r"(\w+)://", url)
     return f"address {number}" + (f" ({scheme[1]})" if scheme else "")
 
@@ -249,7 +248,6 @@ class AddressWorker:
 
     @property
     def _name(self) -> str:
-        """Number and kind of the address, without any other part of it."""
         return _name(self.number, self._url)
 
     def _deliver(self) -> float | None:
@@ -275,7 +273,6 @@ class AddressWorker:
         return 0.0
 
     def _job(self, message: Message) -> dict[str, Any]:
-        """Describe a delivery for the process."""
         notice, lines = message.notice, [message.notice.text or message.notice.title]
         if earlier := self._outbox.superseded(message, self.key):
             titles = Counter(m.notice.title for m in earlier)

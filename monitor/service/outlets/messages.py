@@ -84,7 +84,6 @@ class Messages(Outlet, Generic[S]):
         self._worker.close(timeout_s)
 
     def _put(self, name: str, text: str) -> None:
-        """Queue a text to be published under a name; never wait."""
         self._worker.put((name, text))
 
     def _begin(self) -> None:

@@ -113,7 +113,6 @@ def _expanded(place: str, url: str, problems: list[str]) -> str:
 
 
 def _known(url: str) -> bool:
-    """Return whether apprise knows the service of a URL."""
     import apprise
 
     logging.getLogger("apprise").setLevel(logging.CRITICAL + 1)  # it logs addresses, which hold secrets
@@ -205,7 +204,6 @@ class Notifier(Outlet):
         return self._outbox
 
     def _set_workers(self, outbox: Outbox) -> None:
-        """Start workers for new addresses and stop those of removed ones."""
         before, workers = dict(self._workers), dict[str, AddressWorker]()
         for number, url in enumerate(self._to.urls, start=1):
             most = self._settings.most_per_hour
@@ -221,13 +219,11 @@ class Notifier(Outlet):
         self._heartbeat.change(self._to.heartbeat_url, self._to.heartbeat_blocked_url, self._settings.heartbeat_s)
 
     def _add(self, outbox: Outbox, told: notices.Told, found: Sequence[notices.Notice]) -> None:
-        """Log notices and queue them for every address."""
         for notice in found:
             _log.warning("%s%s", notice.title, f": {notice.text}" if notice.text else "")
         outbox.add(told, found, [worker.key for worker in self._workers.values()])
 
     def _tell(self) -> None:
-        """Have what changed in the outbox stored and delivered."""
         self._storing.wake()
         for worker in self._workers.values():
             worker.wake()

@@ -114,7 +114,6 @@ class ZenohOut(Messages[ZenohOutSettings]):
             self._session, self._ending = session, ending.pop_all()
 
     def _send_first(self) -> None:
-        """Send the answers to requests."""
         while self._answers:
             query, refusal = self._answers.popleft()
             self._reply(query, _answer_text(refusal))
