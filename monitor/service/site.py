@@ -1,4 +1,4 @@
-"""Monitoring of one site, driven by a thread that owns it: `monitor.service.daemon` drives one, `monitor.service.host` many.
+"""Monitoring of one site, driven by a thread that owns it (`monitor.service.schedule`), one of many where they share the process.
 
 One thread reads the source, the owner evaluates, and one thread records.  Nothing else keeps state of the evaluation.
 """

@@ -15,7 +15,7 @@ from monitor.service.appended_lines import AppendedLines
 from monitor.service.component import Every
 from monitor.service.daemon_health import HealthLines, Vitals
 from monitor.service.history import History
-from monitor.service.lease import FolderLease
+from monitor.service.lease import FolderLease, Lease
 from monitor.service.site_store import SiteStore
 from monitor.service.storage import EventsFile, ResultsFile, Storage
 from monitor.service.threads import Chores, Recording
@@ -38,7 +38,7 @@ class Claim:
 
     def __init__(self, out: Path, settings: Configuration, undo: ExitStack) -> None:
         restart.make_private(out / "state", out)
-        self._lease = FolderLease(out)
+        self._lease: Lease = FolderLease(out)
         self._lease.acquire()
         undo.callback(self._lease.release)
         restart.note_site(out / "state", settings)

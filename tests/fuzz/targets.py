@@ -56,9 +56,10 @@ from drivers.socketcand_client import SocketcandBus
 from drivers.socketcand_server import frame_text
 from drivers.zenoh_bus import ZenohSettings, ZenohSource
 from monitor.config import configuration
-from monitor.core import BadInputError, UserError
+from monitor.core import BadInputError, Level, UserError, encode
 from monitor.damage import load_baseline, save_baseline
 from monitor.runs import Session, import_files, ledger
+from monitor.service.outlets.notices import Told
 from tests.runs.hostile import seismic_file
 from tests.service import hostile
 from tests.support.frame_text import THREE_STORIES
@@ -601,8 +602,8 @@ def _finding_seeds() -> list[bytes]:
 
 
 def _outbox_seeds() -> list[bytes]:
-    told = {"levels": {"1": "alarm"}, "lost": False, "stopped": False, "blind": False, "judged_ns": None}
-    notice = {"kind": "alarm", "good": False, "title": "t", "text": "x"}
+    told = encode(Told(levels={1: Level.ALARM}))
+    notice = {"kind": "alarm", "good": False, "title": "t", "text": "x", "about": None}
     message = {"id": 1, "when": "2026-01-01T00:00:00+00:00", "notice": notice, "to": ["k"]}
     rows = [{"version": 1, "next_id": 2, "told": told}, message]
     return ["\n".join(map(json.dumps, rows)).encode() + b"\n"]

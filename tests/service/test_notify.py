@@ -501,6 +501,19 @@ def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
         assert fresh.failed and not place.exists()
 
 
+def test_after_damage_no_message_gets_a_number_that_another_one_had(tmp_path: Path) -> None:
+    place = tmp_path / "outbox.jsonl"
+    box = Outbox(place)
+    for k in range(3):
+        box.add(Told(), [Notice("alarm", False, f"{k}", "")], ["a"])
+    box.save()
+    place.write_bytes(place.read_bytes()[:-20])
+    box = Outbox(place)
+    box.add(Told(), [Notice("alarm", False, "new", "")], ["a"])
+    first = box.first("a")
+    assert first is not None and first.id > 3
+
+
 @pytest.mark.parametrize("wrong", [[1], "text", {"a": {}}, 1 << 80])
 def test_times_that_somebody_wrote_into_the_outbox_end_no_window(place: Path, clerk: Clerk, wrong: object) -> None:
     """They are not stored, so that none is read."""

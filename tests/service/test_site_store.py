@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from monitor.core import InUseError, MissingInputError
-from monitor.service.lease import FolderLease
 from monitor.service.objects import OBJECT_BYTES
 from monitor.service.site_store import SiteStore
 from tests.support.bucket import MANIFEST, Bucket, Clock, Machine, away, content, copied, exceptions, no_failure
@@ -434,18 +433,6 @@ def test_whatever_fails_a_machine_that_takes_over_has_what_was_stored_last(
 # --- copies, restored parts, clones, and storages that lose or misremember ---------------------------------------------
 
 
-def test_a_folder_of_hard_links_is_the_same_folder(tmp_path: Path) -> None:
-    first, second = FolderLease(tmp_path / "a"), FolderLease(tmp_path / "b")
-    first.acquire()
-    (tmp_path / "b" / "state").mkdir(parents=True)
-    os.link(tmp_path / "a" / "state" / "lock", tmp_path / "b" / "state" / "lock")
-    with pytest.raises(InUseError, match="another daemon writes here"):
-        second.acquire()
-    first.release()
-    second.acquire()
-    second.release()
-
-
 @pytest.mark.parametrize("is_away", [False, True])
 @pytest.mark.parametrize("part", ["recordings", "recordings/1.mcap", "results.jsonl", "findings/page.html", "state"])
 def test_a_part_of_a_folder_that_is_restored_deletes_nothing_that_is_newer(
@@ -473,21 +460,44 @@ def test_a_part_of_a_folder_that_is_restored_deletes_nothing_that_is_newer(
     source, target = tmp_path / "backup" / part, a.folder / part
     copied(source, target) if source.is_dir() else shutil.copy2(source, target)
     (a.folder / "state" / "lock").touch()
-    bucket.fail = away if is_away else no_failure
+    if is_away:
+        bucket.fail = away
+        early = machine("a", at_work=True)
+        bucket.fail = no_failure
+        early.push()
     again = machine("a")
     if again.store.lease.is_held():  # a lock that is another file
         clock.now_s += 15.0
     again.open()
-    bucket.fail = no_failure
     again.push()
-    if again.store.lost is not None:  # it had begun with a state that was older
-        again = machine("a", at_work=True)
     kept = [again.content(), *map(content, (a.folder / "superseded").glob("*"))]
     for name, data in newest.items():
         assert any(found.get(name) == data for found in kept), name
     if not is_away:
         assert again.content() == newest
     assert again.store.failed is None
+
+
+def test_a_copy_that_was_made_while_the_storage_failed_is_older_than_what_was_stored_later(
+    machine: Machines, tmp_path: Path, bucket: Bucket, clock: Clock
+) -> None:
+    def refuse_manifest(call: str, is_done: bool) -> None:
+        if call == "put" and not is_done and bucket.calls[-1] != MANIFEST:
+            raise exceptions.EndpointConnectionError(endpoint_url="s3")
+
+    a = machine("a", at_work=True)
+    a.write("state/checkpoint", b"2")
+    bucket.fail = refuse_manifest
+    a.push()
+    copied(a.folder, tmp_path / "backup")
+    a.write("state/checkpoint", b"3")
+    bucket.fail = no_failure
+    a.push()
+    copied(tmp_path / "backup", a.folder)
+    again = machine("a")
+    if again.store.lease.is_held():  # a lock that is another file
+        clock.now_s += 15.0
+    assert again.open().content() == {"state/checkpoint": b"3"}
 
 
 def test_a_file_that_was_lost_in_the_storage_as_well_keeps_nobody_from_storing(

@@ -39,7 +39,9 @@ class World:
         self.latest: set[bytes] = set()
         """What the latest manifest named."""
         self.excused: set[bytes] = set()
-        """What somebody, or a monitor that had the right to, removed."""
+        """What somebody took away, until it is stored again."""
+        self.removed: set[bytes] = set()
+        """What a monitor removed, whose budget was full."""
         self.certain_s = 0.0
         """Until when two may believe to have the site, since somebody emptied the bucket."""
         self.count = 0
@@ -83,7 +85,7 @@ class World:
             self.back_up(name)
         elif kind < 0.84:
             for path in sorted((one.folder / "recordings").glob("*"))[:1]:
-                self.excused.add(path.read_bytes())
+                self.removed.add(path.read_bytes())
                 path.unlink()
         elif kind < 0.845:
             self.log.append("emptied")
@@ -195,7 +197,7 @@ class World:
     def check(self) -> None:
         """Nothing that was ever stored is lost, and of all who monitor the site one at most has nothing to say against it."""
         if self.chance.random() < 0.2:
-            lost = self.committed - self.everywhere() - self.excused
+            lost = self.committed - self.everywhere() - self.excused - self.removed
             assert not lost, (lost, self.log)
         sure = [name for name, one in self.running.items() if one.store.failed is None and name not in self.busy]
         assert len(sure) <= 1 or self.clock.now_s < self.certain_s, (sure, self.log)

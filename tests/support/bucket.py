@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from monitor.core import Hand, Worker, by_hand
-from monitor.service.lease import FolderLease
+from monitor.core import Worker
 from monitor.service.manifest import State
 from monitor.service.site_store import SiteStore
 
@@ -117,12 +116,12 @@ class Machine:
         self.store = SiteStore(
             "s3://bucket/city", "tower", folder, every_s, clock=clock, client=lambda: bucket, sleep=clock.sleep
         )
-        self.hand = Hand(clock)
-        self.lock = FolderLease(folder)
+        self._workers: list[Worker[Any]] = []
 
     def open(self, *, wait: bool = False) -> Machine:
         """Begin to monitor."""
-        with by_hand(self._clock) as self.hand:
+        with Worker.by_hand(self._clock) as hand:
+            self._workers = hand.workers
             self.store.open(wait=wait)
         return self
 
@@ -139,14 +138,11 @@ class Machine:
         self.store.close(state, 1.0)
 
     def _do(self, name: str) -> None:
-        for worker in self.workers(name):
-            worker.retry.worked()
-            worker.wake()
-            worker.step()
-
-    def workers(self, name: str) -> list[Worker[Any]]:
-        """Give the workers of a name."""
-        return [worker for worker in self.hand.workers if worker.name == name]
+        for worker in self._workers:
+            if worker.name == name:
+                worker.retry.worked()
+                worker.wake()
+                worker.step()
 
     def write(self, name: str, data: bytes) -> None:
         """Write a file of the folder as the monitor does: at once."""

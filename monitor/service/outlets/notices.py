@@ -68,7 +68,7 @@ class Notice:
 class Told:
     """State that was announced last."""
 
-    levels: Mapping[int, Level] = field(default_factory=dict)
+    levels: dict[int, Level] = field(default_factory=dict)
     """Highest announced level of each alarm whose end has not been announced, by story; story 0 is the whole structure."""
     lost: bool = False
     """True if the source was announced as lost."""

@@ -9,21 +9,24 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import re
 import threading
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from drivers.disk import private
-from monitor.core import Level, write_atomically
+from monitor.core import decode, encode, parse_json, set_aside, write_atomically
 from monitor.service.outlets.notices import Notice, Told
 
 _log = logging.getLogger(__name__)
 
 VERSION = 1
 MOST_MESSAGES = 256
+_NUMBER = re.compile(rb'"(?:next_)?id": (\d{1,15})\b')
+"""Numbers of messages in a file, damaged or not."""
 _NO_TIMES: dict[str, Any] = {"judged_ns": None, "doubt_ns": None}
 
 
@@ -127,11 +130,10 @@ class Outbox:
             if not self._unsaved:
                 return
             self._unsaved = False
-            levels = {str(k): v.value for k, v in self.told.levels.items()}
             # Times are not stored: while the monitor is off there are no windows, so they mean nothing after a restart.
-            told = {**asdict(self.told), "levels": levels, **_NO_TIMES}
+            told = encode(replace(self.told, **_NO_TIMES))
             head = {"version": VERSION, "next_id": self._next_id, "told": told}
-            lines = [json.dumps(head), *(json.dumps(asdict(m)) for m in self._messages)]
+            lines = [json.dumps(line) for line in (head, *map(encode, self._messages))]
         try:
             write_atomically(self._path, "\n".join(lines) + "\n", private)
             self.failed = None
@@ -160,21 +162,21 @@ class Outbox:
 
     def _load(self) -> None:
         try:
-            head, *lines = map(json.loads, self._path.read_text(encoding="utf-8").splitlines())
-            if head["version"] != VERSION:
-                raise ValueError(f"version {head['version']}")
-            levels = {int(k): Level(v) for k, v in head["told"]["levels"].items()}
-            told = Told(**{**head["told"], "levels": levels, **_NO_TIMES})
-            messages = [
-                Message(int(m["id"]), str(m["when"]), Notice(**m["notice"]), tuple(map(str, m["to"]))) for m in lines
-            ]
-            self._next_id, self.told, self._messages = int(head["next_id"]), told, messages
-            self._give_up()
+            text = self._path.read_bytes()
         except FileNotFoundError:
             return
         except OSError as error:
             self.failed = f"{self._path}: {error.strerror or error}"
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+            return
+        try:
+            head, *rows = map(parse_json, text.splitlines())
+            if head["version"] != VERSION:
+                raise ValueError(f"version {head['version']}")
+            told, messages = decode(Told, head["told"] | _NO_TIMES), [decode(Message, row) for row in rows]
+            self._next_id, self.told, self._messages = int(head["next_id"]), told, messages
+            self._give_up()
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            self._next_id = 1 + max(map(int, _NUMBER.findall(text)), default=0)  # no number is given twice
             self.failed = f"{self._path}: damaged ({error}); set aside"
             with contextlib.suppress(OSError):
-                self._path.replace(self._path.with_name(self._path.name + ".damaged"))
+                set_aside(self._path)
