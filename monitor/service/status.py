@@ -256,14 +256,12 @@ def _acknowledge(summary: Mapping[str, Any], site: str) -> list[str]:
         alarm = summary.get("alarm") or {}
         waiting = [story for story in _by_level(alarm) if alarm["conditions"][story].endswith("unacknowledged")]
         of = [f"--story {int(story)}" for story in waiting]
-        of += [f"--event {quote(str(e['id']))}" for e in summary.get("event_alarms") or () if _waits(e)]
+        normal = AlarmCondition.NORMAL.value
+        events = [e["id"] for e in summary.get("event_alarms") or () if e["condition"] != normal]
+        of += [f"--event {quote(str(id))}" for id in events]
     except _DAMAGED:
         return []
     return [f"shm-monitor ack {quote(site)} {which} --who NAME" for which in of]
-
-
-def _waits(event: Mapping[str, Any]) -> bool:
-    return bool(event["condition"] != AlarmCondition.NORMAL.value)
 
 
 def _by_level(alarm: Mapping[str, Any]) -> list[str]:
