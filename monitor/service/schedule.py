@@ -122,7 +122,8 @@ class Schedule:
     def tell_arrival(self, runner: Runner) -> None:
         """Say that the queue of a site changed (in any thread)."""
         self._arrived.append(runner)
-        self._wake.set()
+        if not self._wake.is_set():  # else the next wait ends at once, after which this is taken
+            self._wake.set()
 
     def wake(self) -> None:
         """End the present wait (in any thread, but in no signal handler, which could wait for itself)."""
@@ -132,7 +133,7 @@ class Schedule:
         """Evaluate the block that is due first, or wait for one; look after some sites, and return the time, s."""
         if not self._line and not self._is_step_due():
             self._wake.wait(self._tick_s)
-        self._wake.clear()
+            self._wake.clear()
         while self._arrived:
             self._go_on(self._arrived.popleft())
         if (runner := self._line.next()) is not None:
