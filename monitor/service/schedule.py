@@ -75,9 +75,10 @@ class Line:
 
     def join(self, runner: Runner) -> bool:
         """Put a site in line for its next block; return whether one waits."""
-        first_s = runner.queue.first_s
-        if first_s is None or runner.in_line:
-            return runner.in_line
+        if runner.in_line:  # looked at first, for it needs no lock
+            return True
+        if (first_s := runner.queue.first_s) is None:
+            return False
         runner.in_line = True
         heappush(self._heap, (max(first_s, runner.credit_s), next(iter(self._numbers)), runner))
         return True
