@@ -75,9 +75,10 @@ class Line:
 
     def join(self, runner: Runner) -> bool:
         """Put a site in line for its next block; return whether one waits."""
-        first_s = runner.queue.first_s
-        if first_s is None or runner.in_line:
-            return runner.in_line
+        if runner.in_line:  # looked at first, for it needs no lock
+            return True
+        if (first_s := runner.queue.first_s) is None:
+            return False
         runner.in_line = True
         heappush(self._heap, (max(first_s, runner.credit_s), next(iter(self._numbers)), runner))
         return True
@@ -122,7 +123,8 @@ class Schedule:
     def tell_arrival(self, runner: Runner) -> None:
         """Say that the queue of a site changed (in any thread)."""
         self._arrived.append(runner)
-        self._wake.set()
+        if not self._wake.is_set():  # else the next wait ends at once, after which this is taken
+            self._wake.set()
 
     def wake(self) -> None:
         """End the present wait (in any thread, but in no signal handler, which could wait for itself)."""
@@ -132,7 +134,7 @@ class Schedule:
         """Evaluate the block that is due first, or wait for one; look after some sites, and return the time, s."""
         if not self._line and not self._is_step_due():
             self._wake.wait(self._tick_s)
-        self._wake.clear()
+            self._wake.clear()
         while self._arrived:
             self._go_on(self._arrived.popleft())
         if (runner := self._line.next()) is not None:
