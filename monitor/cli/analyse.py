@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, BadParameter, Option
 
-from monitor.cli.common import Healthy, Json, Recordings, Results, Serve, Structure, address, progress, say, warn
+from monitor.cli.common import Healthy, Json, Recordings, Results, Serve, Structure, address, say, warn
 from monitor.cli.emulate import parse_speed
+from monitor.cli.progress import progress
 from monitor.core import demand_place, no_empty_folder, spare_inputs
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def replay(
     pace, served = parse_speed(speed), address(serve)
     settings = configuration.load(structure)
     healthy = None if baseline is None else load_healthy(baseline, settings)
-    with no_empty_folder(out):
+    with no_empty_folder(out), progress("replay") as on_progress:
         summary = run.replay(
             recordings,
             settings,
@@ -44,7 +45,7 @@ def replay(
             serve=served,
             files=(structure, baseline),
             on_warning=warn,
-            on_progress=progress("replay", recordings, is_all=True),
+            on_progress=on_progress,
         )
     summary_text = replay_text(summary)
     look = f"; look at them with: shm-monitor view {out}" if (out / "live.rrd").exists() else ""
@@ -86,13 +87,13 @@ def calibrate(
         _calibrate_modes(recordings, settings, out, as_json)
         return
     if rebase is not None:
-        baseline, says, converged = run.rebase(rebase, settings)
+        with progress("calibrate", "updates the drawing"):
+            baseline, says, converged = run.rebase(rebase, settings)
         lines = [f"{rebase} with the drawing of {structure}:", *says]
         content: dict[str, Any] = {"rebased": str(rebase), "says": list(says), "converged": converged}
     else:
-        baseline, fit = run.calibrate(
-            recordings, settings, on_warning=warn, on_progress=progress("calibrate", recordings)
-        )
+        with progress("calibrate") as on_progress:
+            baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=on_progress)
         converged = bool(fit.converged)
         lines = [f"{baseline.windows} windows; the updating {'converged' if converged else 'did NOT converge'}"]
         content = {"converged": converged}
@@ -127,7 +128,8 @@ def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path,
     from monitor.damage import law_lines, save_baseline
     from monitor.runs import calibrate as run
 
-    baseline = run.calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate", recordings))
+    with progress("calibrate") as on_progress:
+        baseline = run.calibrate_modes(recordings, settings, on_warning=warn, on_progress=on_progress)
     save_baseline(baseline, out)
     lines = [f"{baseline.windows} windows"]
     rows = zip(

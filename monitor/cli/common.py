@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -48,57 +46,8 @@ def say(text: str, content: dict[str, Any], as_json: bool) -> None:
 
 def warn(message: str) -> None:
     """Print a warning on standard error."""
-    print(f"warning: {message}", file=sys.stderr)
-
-
-def progress(label: str, recordings: Sequence[Path] = (), *, is_all: bool = False) -> Callable[[float], None]:
-    """Create a function that shows the processed time of the data, given in s; silent unless standard error is a terminal.
-
-    Of `recordings` it shows their length too, and where to read them `is_all` that the command does, the time that is left.
-    """
-    if not sys.stderr.isatty():
-        return lambda _: None
-    begun_s, shown_s, total_s = time.monotonic(), 0.0, None if recordings else 0.0
-
-    def show(seconds: float) -> None:
-        nonlocal shown_s, total_s
-        if seconds - shown_s >= 60.0:
-            shown_s = seconds
-            total_s = _length_s(recordings) if total_s is None else total_s
-            says = progress_words(seconds, total_s, time.monotonic() - begun_s if is_all else None)
-            # The next output begins on this line and overwrites it.
-            print(f"\r\x1b[K{label}: {says}\r", end="", file=sys.stderr, flush=True)
-
-    return show
-
-
-def progress_words(seconds: float, total_s: float, took_s: float | None) -> str:
-    """Say how much of the data is processed, of how much (0: not known), and from the time that it took how long the rest takes.
-
-    Examples
-    --------
-    >>> progress_words(600.0, 3600.0, 24.0)
-    '10 of 60 min of data, 2 min left'
-    >>> progress_words(600.0, 0.0, 24.0)
-    '10 min of data'
-    """
-    if total_s < seconds:
-        return f"{seconds / 60.0:.0f} min of data"
-    left_s = 0.0 if took_s is None else took_s * (total_s / seconds - 1.0)
-    left = "" if took_s is None else f", {left_s:.0f} s left" if left_s < 100.0 else f", {left_s / 60.0:.0f} min left"
-    return f"{seconds / 60.0:.0f} of {total_s / 60.0:.0f} min of data{left}"
-
-
-def _length_s(recordings: Sequence[Path]) -> float:
-    """Return the length of the accelerations in recordings, s; 0 where one does not tell."""
-    from drivers.base import RecordingError
-    from drivers.mcap_file import recorded_time
-
-    try:
-        spans = [recorded_time(path) for path in recordings]
-    except (RecordingError, KeyError):
-        return 0.0
-    return sum(end_ns - begin_ns for begin_ns, end_ns in spans) * 1e-9
+    over = "\r\x1b[K" if sys.stderr.isatty() else ""  # over the line of a progress
+    print(f"{over}warning: {message}", file=sys.stderr)
 
 
 def address(text: str | None, option: str = "--serve", *, any_port: bool = False) -> tuple[str, int] | None:

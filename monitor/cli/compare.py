@@ -7,7 +7,8 @@ from typing import Annotated
 
 from typer import Argument
 
-from monitor.cli.common import Json, progress, say, warn
+from monitor.cli.common import Json, say, warn
+from monitor.cli.progress import progress
 
 
 def compare(
@@ -21,5 +22,6 @@ def compare(
     """
     from monitor.runs import compare as run
 
-    content = run.compare(first, second, on_warning=warn, on_progress=progress("compare"))
+    with progress("compare", "reads the results") as on_progress:
+        content = run.compare(first, second, on_warning=warn, on_progress=on_progress)
     say(run.in_words(content), content, as_json)

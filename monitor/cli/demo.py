@@ -8,7 +8,8 @@ from typing import Annotated
 
 from typer import Option
 
-from monitor.cli.common import progress, warn
+from monitor.cli.common import warn
+from monitor.cli.progress import progress
 from monitor.core import demand_place, write_atomically
 
 
@@ -21,7 +22,8 @@ def reproduce(
 
     if json_file is not None:
         demand_place(json_file)
-    content = paper.reproduce(seeds, on_progress=progress("reproduce"))
+    with progress("reproduce") as on_progress:
+        content = paper.reproduce(seeds, on_progress)
     print(paper.tables_text(content))
     if json_file is not None:
         write_atomically(json_file, json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -8,7 +8,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from monitor.cli.common import Healthy, Json, Recordings, Results, Structure, progress, say, warn
+from monitor.cli.common import Healthy, Json, Recordings, Results, Structure, say, warn
+from monitor.cli.progress import progress
 from monitor.core import BadInputError, demand_place, missing_extra, no_empty_folder, spare_inputs, write_atomically
 
 
@@ -34,10 +35,8 @@ def diagnose(
     with no_empty_folder(out):
         for path in written:
             demand_place(path)
-        with local_copies(recordings) as (copies, named):
-            found = job.diagnose(
-                copies, settings, healthy, lambda text: warn(named(text)), progress("diagnose", copies)
-            )
+        with progress("diagnose", "fetches the recordings") as on_progress, local_copies(recordings) as (copies, named):
+            found = job.diagnose(copies, settings, healthy, lambda text: warn(named(text)), on_progress)
     for doubt in found.content["doubts"]:
         warn(doubt)
     text = structure.read_text(encoding="utf-8")
@@ -83,7 +82,9 @@ def evaluate(recordings: Recordings, structure: Structure) -> None:
     from monitor.config import configuration
     from monitor.runs import diagnose as job
 
-    score = job.evaluate(recordings, configuration.load_with_model(structure), warn, progress("evaluate", recordings))
+    settings = configuration.load_with_model(structure)
+    with progress("evaluate") as on_progress:
+        score = job.evaluate(recordings, settings, warn, on_progress)
     content = {
         "log_score_per_sample": score.log_score_per_sample,
         "csd_error": score.csd_error,

@@ -8,6 +8,7 @@ from typing import Annotated
 from typer import Argument, BadParameter, Option
 
 from monitor.cli.common import Json, Results, say, time_ns, warn
+from monitor.cli.progress import progress
 from monitor.core import spare_inputs
 
 
@@ -35,7 +36,8 @@ def features(
     if not wanted:
         raise BadParameter("--features: name at least one column")
     others = [name.strip() for name in covariates.split(",") if name.strip()]
-    summary = run.features(table, time, wanted, others, until_ns, out, warn)
+    with progress("features") as on_progress:
+        summary = run.features(table, time, wanted, others, until_ns, out, warn, on_progress)
     lines = [
         f"{f['feature']}: {100 * f['variance_explained']:.0f} % of its healthy variance explained, "
         f"{f['residual_std']:.3g} left (one standard deviation)"

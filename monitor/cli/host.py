@@ -10,6 +10,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from monitor.cli.common import Json, address, say
+from monitor.cli.progress import progress
 from monitor.core import BadConfigurationError, MissingInputError, UserError, WrongUsageError, demand_file
 
 
@@ -107,6 +108,7 @@ def dataset(
     from monitor.service import dataset as datasets
 
     _demand_places(places)
-    written = datasets.write_dataset(datasets.site_folders(places), out)
+    with progress("dataset", "writes the dataset"):
+        written = datasets.write_dataset(datasets.site_folders(places), out)
     windows = sum(written.values())
     say(f"{out}: {windows} windows of {len(written)} sites", {"out": str(out), "windows": written}, as_json)

@@ -7,7 +7,8 @@ from typing import Annotated
 
 from typer import Argument, BadParameter, Option
 
-from monitor.cli.common import Json, progress, say, warn
+from monitor.cli.common import Json, say, warn
+from monitor.cli.progress import progress
 from monitor.core import spare_inputs
 
 
@@ -40,7 +41,8 @@ def look(
     spare_inputs([*written, *([] if write_structure is None else [write_structure])], recordings)
     if mass_kg is not None and write_structure is None:
         raise BadParameter("--mass-kg is for --write-structure")
-    found = run.look(recordings, rate_hz=rate, unit=unit, on_warning=warn, on_progress=progress("look"))
+    with progress("look") as on_progress:
+        found = run.look(recordings, rate_hz=rate, unit=unit, on_warning=warn, on_progress=on_progress)
     text, content = run.in_words(found), found.content()
     if out is not None:
         run.write_results(found, out)

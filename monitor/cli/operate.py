@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Exit, Option
 
 from monitor.cli.common import Json, say, time_ns, warn
+from monitor.cli.progress import progress
 from monitor.core import BadConfigurationError, MissingInputError, WrongUsageError, spare_inputs
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def status(
     from monitor.service import status as reader
 
     folder = _folder(place)
-    found = reader.look(folder)
+    found = reader.look(folder) if place.is_dir() else reader.look(folder, str(place))
     text = reader.tell(found)
     if verify:
         found["ledger_lines"], unchanged = reader.verify_ledger(folder)
@@ -164,7 +165,8 @@ def export(
     table = table or ("modes" if form == "uff" else "windows")
     named, folder = structure or (None if place.is_dir() else place), _folder(place)
     channels = configuration.load(named).channels if named is not None else writer.channels_of(folder)
-    rows = writer.export(folder, table, out, span, form=form, channels=channels)
+    with progress("export", f"writes {table}"):
+        rows = writer.export(folder, table, out, span, form=form, channels=channels)
     what = f"{rows} modes" if form == "uff" else f"{rows} rows of {table}"
     say(f"{what} in {out}", {"rows": rows, "table": table, "format": form, "out": str(out)}, as_json)
 

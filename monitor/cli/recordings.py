@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from typer import Argument, BadParameter, Option, prompt
 
 from monitor.cli.common import Json, Structure, say, time_ns, warn
 from monitor.cli.emulate import Dbc, OptionalTo, Speed, recording_for
+from monitor.cli.progress import ProgressLine, progress
 from monitor.core import spare_inputs, utc
 
 
@@ -58,20 +60,22 @@ def simulate(
                 f"{structure}: the highest mode, {highest_hz:.4g} Hz, lies beyond half of --rate; such modes fold into the "
                 f"band, since no filter comes before the samples: set --rate {2.0 * highest_hz:.0f} or more"
             )
-        synthetic_recording.write_simulated_recording(
-            file,
-            settings,
-            duration_s=duration,
-            excitation=excitation,
-            noise=noise,
-            damage=damage,
-            effects=effect,
-            rate_hz=rate,
-            level_spread=level_spread,
-            t0_ns=t0_ns,
-            seed=seed,
-            temperature=temperature,
-        )
+        with progress("simulate") as on_progress:
+            synthetic_recording.write_simulated_recording(
+                file,
+                settings,
+                duration_s=duration,
+                excitation=excitation,
+                noise=noise,
+                damage=damage,
+                effects=effect,
+                rate_hz=rate,
+                level_spread=level_spread,
+                t0_ns=t0_ns,
+                seed=seed,
+                temperature=temperature,
+                on_progress=on_progress,
+            )
     if out is not None:
         say(f"{duration:g} s in {out}", {"recording": str(out), "duration_s": duration, "seed": seed}, as_json)
 
@@ -119,24 +123,26 @@ def import_(
 
     spare_inputs([out], [*files, dbc, inventory])
     taken: list[ImportedChannel] = []
-    info = import_files(
-        files,
-        out,
-        rate_hz=rate,
-        unit=unit,
-        channels=_places("--channel", channel) or None,
-        ground=ground,
-        forces=_places("--force", force),
-        start_ns=time_ns("--start", start),
-        dbc=dbc,
-        bus=bus,
-        scale=scale,
-        inventory=inventory,
-        align=align,
-        ask_unit=_ask_unit if sys.stdin.isatty() and sys.stderr.isatty() else None,
-        on_warning=warn,
-        on_channel=taken.append,
-    )
+    with progress("import") as on_progress:
+        info = import_files(
+            files,
+            out,
+            rate_hz=rate,
+            unit=unit,
+            channels=_places("--channel", channel) or None,
+            ground=ground,
+            forces=_places("--force", force),
+            start_ns=time_ns("--start", start),
+            dbc=dbc,
+            bus=bus,
+            scale=scale,
+            inventory=inventory,
+            align=align,
+            ask_unit=partial(_ask_unit, on_progress) if sys.stdin.isatty() and sys.stderr.isatty() else None,
+            on_warning=warn,
+            on_channel=taken.append,
+            on_progress=on_progress,
+        )
     start_text = f"{utc(info.t_start_ns, seconds=True)} UTC"
     names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())
     text = [f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz from {start_text} in {out}: {names}"]
@@ -155,14 +161,16 @@ def import_(
     say("\n".join(text), content, as_json)
 
 
-def _ask_unit(columns: Sequence[str]) -> str:
+def _ask_unit(progress_line: ProgressLine, columns: Sequence[str]) -> str:
     """Ask on the terminal for the unit of columns whose file states none, until the answer is a unit."""
     from monitor.runs import acceleration_unit
 
     shown = ", ".join(columns[:4]) + (f" and {len(columns) - 4} more" if len(columns) > 4 else "")
+    progress_line.is_paused = True
     while True:
         answer = str(prompt(f"Unit of {shown} (m/s^2, g, mg, gal)", default="m/s^2", err=True))
         if acceleration_unit(answer):
+            progress_line.is_paused = False
             return answer
         print(f"{answer!r} is no unit of acceleration", file=sys.stderr)
 

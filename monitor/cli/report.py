@@ -8,6 +8,7 @@ from typing import Annotated
 from typer import Argument, BadParameter, Option
 
 from monitor.cli.common import Json, say, time_ns, warn
+from monitor.cli.progress import progress
 from monitor.core import MissingInputError, demand_place, require_extra, spare_inputs
 
 _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "ledger.jsonl")
@@ -71,9 +72,10 @@ def _report_event(folder: Path, wanted: str, out: Path | None, motion: Path | No
         require_extra("viewer", "--motion")
     for path in wanted_files:
         demand_place(path)
-    page = read_event_page(folder, line)
+    with progress("report", "reads the event's recording"):
+        page = read_event_page(folder, line)
+        write_event(place, page)
     event = page.event
-    write_event(place, page)
     content = {"report": str(place), "id": event.id, "revision": event.revision, "verdict": event.verdict}
     text = f"{event.id}: {event_text(event)}\nreport in {place}"
     if motion is not None:
@@ -91,9 +93,10 @@ def _report_period(folder: Path, out: Path, start: str | None, end: str | None, 
     if from_ns is not None and to_ns is not None and from_ns >= to_ns:
         raise BadParameter("--from is not before --to")
     spare_inputs([out], [*(folder / name for name in _INPUTS), *closed_files(folder)])
-    period = read_period(folder, from_ns, to_ns)
-    demand_place(out)
-    write_period(out, period)
+    with progress("report", "reads the results"):
+        period = read_period(folder, from_ns, to_ns)
+        demand_place(out)
+        write_period(out, period)
     r, said, judged, findings = period.results, period.assessment, sum(period.results.judged), len(period.findings)
     if r.damaged:
         warn(f"{folder / 'results.jsonl'}: unreadable lines left out: {r.damaged}")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
 from monitor.cli.common import Healthy, Json, Structure, say, warn
+from monitor.cli.progress import progress
 from monitor.core import BadInputError, require_extra
 
 
@@ -42,17 +41,18 @@ def reprocess(
     require_extra("archive", "reprocess")
     from monitor.runs import WINDOWS, expand_patterns, reprocess as run
 
-    outcomes = run(
-        expand_patterns(recordings),
-        structure,
-        baseline,
-        out,
-        diagnose=diagnose,
-        longest_gap_s=gap,
-        scheduler=scheduler,
-        workers=workers,
-        on_done=_progress(),
-    )
+    with progress("reprocess") as on_progress:
+        outcomes = run(
+            expand_patterns(recordings),
+            structure,
+            baseline,
+            out,
+            diagnose=diagnose,
+            longest_gap_s=gap,
+            scheduler=scheduler,
+            workers=workers,
+            on_progress=on_progress,
+        )
     for outcome in outcomes:
         for message in outcome.warnings:
             warn(f"{outcome.name}: {message}")
@@ -62,12 +62,3 @@ def reprocess(
     say(f"{done} done, {done_before} done before; windows in {windows}", content, as_json)
     if errors:
         raise BadInputError("\n".join([f"{len(errors)} could not be done", *errors]))
-
-
-def _progress() -> Callable[[int, int], None]:
-    """Create a function that shows how many tasks are done; silent unless standard error is a terminal."""
-    if not sys.stderr.isatty():
-        return lambda done, total: None
-    return lambda done, total: print(
-        f"\rreprocess: {done} of {total}", end="" if done < total else "\n", file=sys.stderr, flush=True
-    )

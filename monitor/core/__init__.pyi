@@ -31,6 +31,7 @@ from .naming import name_stories as name_stories, name_stories_in as name_storie
 from .optimization import levenberg_marquardt as levenberg_marquardt
 from .parallel import parallel_map as parallel_map
 from .parse import parse_address as parse_address, parse_json as parse_json, utc as utc, utc_ns as utc_ns
+from .progress import OnProgress as OnProgress, Step as Step
 from .recording_errors import read_by_user as read_by_user
 from .results import (
     CLOCK as CLOCK,

@@ -83,10 +83,9 @@ _HAND: ContextVar[Hand | None] = ContextVar("hand", default=None)
 @contextmanager
 def by_hand(clock: Callable[[], float]) -> Iterator[Hand]:
     """Have the workers that are made meanwhile in this context do without threads (`Hand`)."""
-    before = _HAND.set(Hand(clock))
+    hand = Hand(clock)
+    before = _HAND.set(hand)
     try:
-        hand = _HAND.get()
-        assert hand is not None
         yield hand
     finally:
         _HAND.reset(before)
@@ -195,9 +194,10 @@ class Worker(Generic[T]):
 
     def ask_to_end(self, *, at_once: bool = False) -> None:
         """Let it end when what waits is done, or `at_once`, without that; waits for nothing."""
-        if at_once:
-            self.queue.clear()
-        self.queue.close()
+        with self.queue.changed:
+            if at_once:
+                self.queue.clear()
+            self.queue.close()
 
     def close(self, timeout_s: float) -> bool:
         """Let it end when what waits is done, and wait for that for at most `timeout_s`; return whether it has ended."""
@@ -274,6 +274,7 @@ class Worker(Generic[T]):
         elif self._held is not None and self._work.do is not None:
             self._work.do(self._held)
             self._error = None
+            self._worked()
         self._held = None
 
     def _idle(self) -> None:
@@ -281,10 +282,15 @@ class Worker(Generic[T]):
             self._idle_s = math.inf
         assert self._work.idle is not None
         in_s = self._work.idle()
-        if self._work.do is None and self._work.open is None:
+        if self._work.do is None:
             self._error = None
+            self._worked()
         if in_s is not None:
             self.wake(in_s)
+
+    def _worked(self) -> None:
+        if self._work.open is None:  # else who opens says when it worked for long enough
+            self.retry.worked()
 
     def _end(self) -> None:
         if self._work.finish is not None:
@@ -297,13 +303,8 @@ class Worker(Generic[T]):
         is_expected = isinstance(error, self.retry.of)
         text = f"{type(error).__name__}: {error}"[:_MOST_TEXT]
         if text != self._error:
-            _log.log(
-                logging.WARNING if is_expected else logging.ERROR,
-                "%s: %s",
-                self.name,
-                text,
-                exc_info=None if is_expected else error,
-            )
+            level = logging.WARNING if is_expected else logging.ERROR
+            _log.log(level, "%s: %s", self.name, text, exc_info=None if is_expected else error)
         self._error = text
         if self._ends_on_error and not is_expected:
             self.failure = error

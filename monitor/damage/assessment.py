@@ -572,7 +572,7 @@ def _why_unjudged(course: Course, first: tuple[float, int | None] | None) -> str
     if course.last is None:
         window_s, t_end_ns = first or (0.0, None)
         takes = f"; the first takes {window_s:g} s of data" if window_s else ""
-        ends = "" if t_end_ns is None else f" and ends {utc(t_end_ns, seconds=True)} UTC"
+        ends = "" if t_end_ns is None else f" and is full at {utc(t_end_ns, seconds=True)} UTC, if data keep coming"
         return f"no window of data yet{takes}{ends}"
     skipped = course.last.skipped or ""
     if course.judged is None or not any(judged for _, judged in course.recent):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc, ndtri, stdtr
 
-from monitor.core import Array, BadInputError, Level, Skipped
+from monitor.core import Array, BadInputError, Level, OnProgress, Skipped, Step
 from monitor.damage.common_change import EVERY_NS, WAIT_NS, Expected, nothing_learned
 from monitor.damage.covariate_law import Axis, CovariateLaw, learn
 from monitor.damage.sequential_test import STRETCHES
@@ -141,7 +141,9 @@ class FeatureJudge:
     """How the features change together, where no covariate was given and it could be learned."""
 
 
-def judge_features(table: FeatureTable, train_until_ns: int) -> tuple[FeatureJudge, list[FeatureVerdict]]:
+def judge_features(
+    table: FeatureTable, train_until_ns: int, on_progress: OnProgress = lambda _: None
+) -> tuple[FeatureJudge, list[FeatureVerdict]]:
     """Learn the law of each feature from the readings up to a time (UTC), and judge the later ones, one verdict for each row.
 
     Raises
@@ -164,7 +166,7 @@ def judge_features(table: FeatureTable, train_until_ns: int) -> tuple[FeatureJud
         left = {model.name: of for model, of in zip(models, away.T, strict=True)}
         models = [_beside_others(model, left[model.name]) for model in models]
     judge = FeatureJudge(tuple(models), _correlations(models, left), spacing_ns, together)
-    return judge, _judge(judge, table, lagged, healthy)
+    return judge, _judge(judge, table, lagged, healthy, on_progress)
 
 
 def _lagged(t_ns: NDArray[np.int64], values: Annotated[Array, "w"]) -> Annotated[Array, "w lags"]:
@@ -385,12 +387,15 @@ def _correlations(models: list[FeatureModel], left: Mapping[str, Array]) -> dict
     return out
 
 
-def _judge(judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array], first: int) -> list[FeatureVerdict]:
+def _judge(
+    judge: FeatureJudge, table: FeatureTable, lagged: Mapping[str, Array], first: int, on_progress: OnProgress
+) -> list[FeatureVerdict]:
     """Judge the rows from `first` on, in order."""
     recent: list[list[tuple[int, float, float]]] = [[] for _ in judge.models]
     alarm, verdicts = _Alarm(), []
     predicted = _predicted(judge, table, lagged)
     for row in range(first, table.t_ns.size):
+        on_progress(Step("judges the rows", row, table.t_ns.size, "rows"))
         t_ns = int(table.t_ns[row])
         sigma, unknown = _take_row(judge, table, predicted, recent, row)
         known = sum(s is not None for s in sigma)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from monitor.core import BadInputError, parallel_map
+from monitor.core import BadInputError, OnProgress, Step, parallel_map
 from monitor.diagnosis.ambiguity import predict_the_same, probabilities, tied_candidates
 from monitor.diagnosis.backward_elimination import eliminate_backward, find_better_null_fit, update_linearization
 from monitor.diagnosis.initial_fit import FAR, fit_ambient_forces, fit_exact_slopes, fit_ground_interpolation
@@ -67,6 +67,7 @@ def diagnose(
     prior: StructuralPrior,
     context: Context,
     settings: DiagnosisSettings,
+    on_progress: OnProgress = lambda _: None,
     *,
     wider: StructuralPrior | None = None,
 ) -> Diagnosis:
@@ -75,10 +76,12 @@ def diagnose(
     After a cause is accepted the search is repeated on the extended model, until no effect explains more.  A calibration gives a
     `wider` prior too, with persistent effects of the forces, see `_begin`.
     """
+    on_progress(Step("fits the model without causes", then="looks for causes"))
     stage, rounds, optima = _begin(observed, prior, context, settings, wider)
     alternatives: Alternatives = ()
     from_elsewhere = False
     while _n_counted(stage) < settings.max_causes:
+        on_progress(Step(f"looks for cause {len(stage.accepted) + 1}", then="tests each cause beside the others"))
         stage, candidates, threshold = _search_once(stage, settings)
         rounds.append(tuple(p.candidate.without_slopes() for p in candidates))
         candidates = sufficient_candidates(stage, candidates, threshold)
@@ -109,6 +112,7 @@ def diagnose(
         if any(effect.repeatable for effect in stage.fit.effects):
             stage, at_peaks = _add_missing_modes(stage, settings)
             rounds += at_peaks
+    on_progress(Step("tests each cause beside the others"))
     posterior, fit, accepted = eliminate_backward(
         stage.posterior, stage.fit, stage.accepted, rounds, settings.margin, settings.rival
     )

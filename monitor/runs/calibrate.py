@@ -13,7 +13,7 @@ import numpy as np
 from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
 from monitor.config import Configuration
-from monitor.core import BadInputError, WindowResult, sha256
+from monitor.core import BadInputError, OnProgress, Step, WindowResult, sha256
 from monitor.damage import (
     AnyBaseline,
     Baseline,
@@ -35,7 +35,7 @@ from monitor.model import FORMS, Modes, StructuralPrior
 from monitor.pipeline import Pipeline
 from monitor.runs import diagnose
 from monitor.runs.baselines import modal_origin
-from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names, push_block, read_blocks
+from monitor.runs.recordings import OnWarning, Progress, file_names, push_block, read_blocks
 
 _COMMON_MODE_SHARE = 0.9
 """Share of the windows in which a mode must be identified to belong to the baseline."""
@@ -48,6 +48,7 @@ _MAX_LEARNED_S = 40_000.0
 """Greatest length of the healthy data from which the reference of diagnoses is learned, s: 4000 segments of 20 s."""
 _SHORT_RECORDINGS_BYTES = 40_000_000
 _HOUR_NS = 3_600_000_000_000
+_LEARNS, _SEARCHES = "updates the model to the modes", "looks for what is so from the start"
 
 Learned = TypeVar("Learned", Baseline, ModalBaseline)
 
@@ -61,14 +62,12 @@ def calibrate(
 ) -> tuple[Baseline, Update]:
     """Learn the healthy baseline, and the reference of later diagnoses, from recordings; return it with its model updating.
 
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If a recording cannot be used, or no window can be identified.
+    Raises MissingInputError or BadInputError if a recording cannot be used, or no window can be identified.
     """
-    healthy = _Pass(paths, config, on_progress)
+    healthy = _Pass(paths, config, on_progress, Step("evaluates the windows", then=_LEARNS))
     segments = _gather_hourly(healthy.blocks(on_warning), config, _learned_share(paths, config))
     kept = healthy.kept(on_warning)
+    on_progress(Step(_LEARNS, then=_SEARCHES))
     baseline, fit = learn_baseline(
         config.instrumented(),
         healthy.data_of(kept),
@@ -85,7 +84,7 @@ def calibrate(
         on_warning(
             f"{clock_drift_in_words(drift, config.channels, segments.drive)}; mend it, or every diagnosis will say so"
         )
-    reference = diagnose.learn_healthy_prior(segments, config)
+    reference = diagnose.learn_healthy_prior(segments, config, on_progress)
     _warn_of_sensors(reference, config, on_warning)
     if reference.error is not None:
         on_warning(contradicted(reference.error))
@@ -102,21 +101,17 @@ def calibrate_modes(
     """Learn the healthy modes of a structure without a model from recordings.
 
     The first pass chooses the modes of each window by themselves, and takes those that come again and again.  The second finds
-    these in each window, as every later window is evaluated, and learns from that.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-        If a recording cannot be used, or no window can be identified.
+    these in each window, as every later window is evaluated, and learns from that (errors as of `calibrate`).
     """
-    first = _Pass(paths, config, on_progress)
+    first = _Pass(paths, config, on_progress, Step("looks for the modes", then="evaluates the windows with them"))
     first.read(on_warning)
     first.require_window()
     reference = _common_modes(first.pipeline.state.track, config.selection.max_modes)
     if reference is None:
         because = f", the last because: {first.skipped}" if first.skipped else "; record for longer"
         raise BadInputError(f"{file_names(paths)}: no mode is found again and again{because}")
-    healthy = _Pass(paths, config, on_progress, reference)
+    on_second = Step("evaluates the windows with the modes found", then="learns the baseline")
+    healthy = _Pass(paths, config, on_progress, on_second, reference)
     healthy.read(lambda _: None)
     kept = healthy.kept(on_warning)
     baseline = learn_modal_baseline(
@@ -129,10 +124,16 @@ class _Pass:
     """A pass over healthy recordings: their windows, and what is learned from those that are kept."""
 
     def __init__(
-        self, paths: list[Path], config: Configuration, on_progress: OnProgress, reference: Modes | None = None
+        self,
+        paths: list[Path],
+        config: Configuration,
+        on_progress: OnProgress,
+        step: Step,
+        reference: Modes | None = None,
     ) -> None:
         self.pipeline, self.skipped = Pipeline(config, reference=reference), ""
-        self._paths, self._config, self._progress = paths, config, Progress(on_progress)
+        self._paths, self._config = paths, config
+        self._progress = Progress(on_progress, paths, config.topics, step)
         self._good, self._reasons = list[WindowResult](), list[str]()
 
     def blocks(self, on_warning: OnWarning) -> Iterator[SampleBlock]:
@@ -198,10 +199,8 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
     Returned are the baseline with the changed drawing's updated model, what changed and what is left out, and whether the
     updating converged.
 
-    Raises
-    ------
-    MissingInputError, BadInputError, BadConfigurationError
-        If the file is no baseline, or one of other sensors, samples or numbers of masses and stiffnesses.
+    Raises MissingInputError, BadInputError or BadConfigurationError if the file is no baseline, or one of other sensors, samples
+    or numbers of masses and stiffnesses.
     """
     instrumented = config.instrumented()
     old, here = load_baseline(path, instrumented, config.updating, redrawn=True), Origin.of(instrumented)

@@ -11,11 +11,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from monitor.core import Array, BadInputError, ComplexArray, MissingInputError, os_errors_of
+from monitor.core import Array, BadInputError, ComplexArray, MissingInputError, OnProgress, Step, os_errors_of
 from monitor.identification import SelectionSettings
 from monitor.publish import LookedRecording, read_line, read_lines
 from monitor.runs.look import in_columns, look, mac
-from monitor.runs.recordings import OnProgress, OnWarning
+from monitor.runs.recordings import OnWarning
 from monitor.signals import overlap_correlation
 
 _FALSE_RATE = 0.05
@@ -70,7 +70,7 @@ def compare(
         sides = [_of_results(path) for path in (first, second)]
     else:
         sides = [
-            _of_recording(path, look([path], on_warning=on_warning, on_progress=on_progress))
+            _of_recording(path, look([path], on_warning=on_warning, on_progress=partial(_tell_of, path, on_progress)))
             for path in (first, second)
         ]
     a, b = sides
@@ -99,6 +99,11 @@ def compare(
         "only_in_b_hz": [b.modes[j].frequency_hz for j in only_b],
         "significant": sum(test["significant"] for test in tests),
     }
+
+
+def _tell_of(path: Path, on_progress: OnProgress, step: Step) -> None:
+    """Tell a step with the name of its side."""
+    on_progress(step._replace(does=f"{path.name}: {step.does}"))
 
 
 def in_words(content: dict[str, Any]) -> str:

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from drivers.base import SampleBlock
 from monitor.config import Configuration
-from monitor.core import BadInputError, name_stories_in
+from monitor.core import BadInputError, OnProgress, Step, name_stories_in
 from monitor.damage import Baseline, unit_questions
 from monitor.diagnosis import (
     FAR,
@@ -63,7 +63,7 @@ from monitor.model import (
     locations,
     prior_from_drawing,
 )
-from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names, read_blocks
+from monitor.runs.recordings import OnWarning, Progress, file_names, read_blocks
 
 _IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
 """Setting that ignores overflow: a trial step of a fit that overflows has no likelihood, and is rejected for that."""
@@ -105,12 +105,16 @@ def diagnose(
     """
     record = WitnessRecord(config.front_end(), _witnesses(config))
     segments = _read(paths, config, on_warning, on_progress, record)
-    return diagnose_gathered(segments, config, baseline, record)
+    return diagnose_gathered(segments, config, baseline, record, on_progress)
 
 
 @_IGNORE_OVERFLOW
 def diagnose_gathered(
-    segments: Segments, config: Configuration, baseline: Baseline | None, record: WitnessRecord | None = None
+    segments: Segments,
+    config: Configuration,
+    baseline: Baseline | None,
+    record: WitnessRecord | None = None,
+    on_progress: OnProgress = lambda _: None,
 ) -> Finding:
     """Diagnose segments of a recording against the baseline, or against the structure file without one.
 
@@ -120,7 +124,8 @@ def diagnose_gathered(
     if baseline is not None and baseline.reference is None:
         raise BadInputError(f"the baseline {NO_REFERENCE}")
     prior = _drawing_prior(config) if baseline is None or baseline.reference is None else baseline.reference
-    confirmed, gain = diagnose_segments(segments, prior, config)
+    confirmed, gain = diagnose_segments(segments, prior, config, on_progress)
+    on_progress(Step("puts the finding into words"))
     updated, extended = (fitted_model(confirmed.posterior, fit) for fit in (confirmed.null_fit, confirmed.final_fit))
     extended = updated if confirmed.verdict == "none" else extended
     degc = prior.reference_degc
@@ -149,7 +154,7 @@ def diagnose_gathered(
 
 @_IGNORE_OVERFLOW
 def diagnose_segments(
-    segments: Segments, prior: StructuralPrior, config: Configuration
+    segments: Segments, prior: StructuralPrior, config: Configuration, on_progress: OnProgress = lambda _: None
 ) -> tuple[Diagnosis, HeldOutGain]:
     """Diagnose segments of data in the band that both they and the baseline can judge, and test the causes on held-out data.
 
@@ -157,31 +162,40 @@ def diagnose_segments(
     """
     segments, drifts = _mended(segments, config)
     segments = segments.within(prior.judged_hz)
-    found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
+    found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis, on_progress)
+    on_progress(Step("tests the causes on held-out data", then="puts the finding into words"))
     confirmed, gain = confirm_on_held_out(segments, withdraw_other_structure(found))
     return state_clock_drifts(add_observed_causes(confirmed), drifts), gain
 
 
 @_IGNORE_OVERFLOW
-def learn_healthy_prior(segments: Segments, config: Configuration) -> StructuralPrior:
+def learn_healthy_prior(
+    segments: Segments, config: Configuration, on_progress: OnProgress = lambda _: None
+) -> StructuralPrior:
     """Learn the reference of later diagnoses from healthy data, including the causes that are present from the start."""
     segments, _ = _mended(segments, config)
     observed, context, known = classify(segments), _context(segments, config), _drawing_prior(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
-    return _learn_beside_causes(_search_healthy(observed, known, context, config), observed, context, config)
+    found = _search_healthy(observed, known, context, config, on_progress)
+    on_progress(Step("learns the reference of later diagnoses"))
+    return _learn_beside_causes(found, observed, context, config)
 
 
 def _search_healthy(
-    observed: ObservedSpectra, known: StructuralPrior, context: Context, config: Configuration
+    observed: ObservedSpectra,
+    known: StructuralPrior,
+    context: Context,
+    config: Configuration,
+    on_progress: OnProgress,
 ) -> Diagnosis:
     """Search healthy data for the causes that are present from the start, and once more where there may be further ones."""
     wider = _with_site_effects(known, observed, context)
     most = config.diagnosis.max_causes
     more = config.diagnosis.model_copy(update={"max_causes": max(most, _MAX_INITIAL_CAUSES)})
     if wider is None:
-        return diagnose_spectra(observed, known, context, more)
-    found = diagnose_spectra(observed, known, context, config.diagnosis, wider=wider)
+        return diagnose_spectra(observed, known, context, more, on_progress)
+    found = diagnose_spectra(observed, known, context, config.diagnosis, on_progress, wider=wider)
     known = found.posterior.prior
     is_cut_off = sum(not c.effect.repeatable for c in found.causes) >= most
     if found.verdict != "unexplained" and not is_cut_off:
@@ -190,7 +204,7 @@ def _search_healthy(
         known = wider
     elif not is_cut_off:  # the search ended by itself, and would again
         return found
-    return diagnose_spectra(observed, known, context, more)
+    return diagnose_spectra(observed, known, context, more, on_progress)
 
 
 def _learn_beside_causes(
@@ -308,7 +322,9 @@ def _read(
     record: WitnessRecord | None = None,
 ) -> Segments:
     """Read the recordings into segments, and into `record` what the witnesses recorded; errors name the recordings."""
-    progress = Progress(on_progress)
+    progress = Progress(
+        on_progress, paths, config.topics, Step("reads the recordings", then="fits the model without causes")
+    )
 
     def count_blocks() -> Iterator[SampleBlock]:
         for block in read_blocks(paths, config, on_warning):

@@ -174,9 +174,8 @@ def open_sink(
 ) -> tuple[Sink, float]:
     """Open the destination that `to` names, one of `DESTINATIONS`; CAN needs a `dbc`, the layout of its frames.
 
-    `wait_s` is how long a socketcand server waits for its first client.  With the sink comes the length of the blocks that it
-    takes: s of data below 1, samples from 1 on.  Raises BadConfigurationError if `to` is of no known form or the DBC cannot
-    carry the channels, MissingInputError if the destination cannot be reached.
+    `wait_s` is how long a socketcand server waits for its first client. With the sink comes the length of the blocks that it
+    takes: s of data below 1, samples from 1 on.
     """
     kind, _, rest = to.partition(":")
     if kind in ("zenoh", "mqtt"):

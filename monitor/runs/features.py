@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import BadInputError, Level, os_errors_of, rounded, utc_ns, write_atomically
+from monitor.core import BadInputError, Level, OnProgress, Step, os_errors_of, rounded, utc_ns, write_atomically
 from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
 
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 """Texts, in lower case, of a value that is missing. [words; convention]"""
 _NAMED_LINES = 5
 """Most lines that a message names. [lines; judgement]"""
+_LEARNS = "learns the features of the healthy rows"
 RESULT_FILES = ("results.jsonl", "summary.json")
 """Files that are written. [names; definition]"""
 
@@ -31,6 +32,7 @@ def features(
     train_until_ns: int,
     out: Path,
     on_warning: Callable[[str], None] = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Any]:
     """Learn the features' law from the rows up to a time, judge the later ones, and write results.jsonl and summary.json.
 
@@ -39,9 +41,11 @@ def features(
 
     Raises MissingInputError or BadInputError if the file cannot be read or used; the message names the place.
     """
+    on_progress(Step("reads the table", then=_LEARNS))
     table = read_table(path, time, names, covariates, on_warning)
+    on_progress(Step(_LEARNS, then="judges the rows"))
     try:
-        judge, verdicts = judge_features(table, train_until_ns)
+        judge, verdicts = judge_features(table, train_until_ns, on_progress)
     except BadInputError as error:
         raise BadInputError(f"{path}: {error}: choose a later --train-until, or leave the feature out") from error
     if not verdicts:

@@ -15,14 +15,16 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from drivers.base import ACCELERATION, UNIT_OF, SampleBlock
+from drivers.base import ACCELERATION, UNIT_OF
 from drivers.mcap_records import MAGIC
 from monitor.core import (
     Array,
     BadInputError,
     ComplexArray,
     ModalEstimate,
+    OnProgress,
     Skipped,
+    Step,
     Window,
     demand_place,
     os_errors_of,
@@ -41,7 +43,7 @@ from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mod
 from monitor.runs.importers import ImportedChannel, doubt_unit, import_files
 from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
-from monitor.runs.recordings import OnProgress, OnWarning, file_names, read_topics
+from monitor.runs.recordings import OnWarning, Progress, file_names, read_topics
 from monitor.signals import (
     Conditioner,
     HealthSettings,
@@ -74,6 +76,7 @@ _MOST_SEGMENT_SAMPLES = 1 << 15
 """Longest segment of the spectra that are shown. [samples; cost]"""
 _SHOWN_COLUMNS = 240
 """Most columns of a spectrogram. [count; cost]"""
+_IDENTIFIES = "identifies the modes"
 _FALSE_RATE = 0.05
 """Probability that the two opinions are told to differ by chance on any mode. [1; convention]"""
 _SAME_MAC = 0.8
@@ -111,6 +114,7 @@ def look(
         recording = Path(folder) / "imported.mcap"
         taken: list[str] = []
         channels: list[ImportedChannel] = []
+        on_progress(Step("reads the tables", then=_IDENTIFIES))
         info = import_files(
             list(paths),
             recording,
@@ -161,6 +165,7 @@ def _look(
 ) -> LookedRecording:
     """Look at recordings."""
     read = _Reader(paths, on_warning, on_progress)
+    on_progress(Step(_IDENTIFIES))
     runs, rate_hz = read.runs, read.rate_hz
     longest = max(runs, key=lambda run: len(run.values))
     if len(longest.values) < 2 * SsiSettings().block_rows * _LEAST_BLOCKS:
@@ -244,7 +249,7 @@ class _Reader:
         self.truncated = False
         state, health, parts, size = alignment.start(), HealthState(), list[Array](), 0
         begin_ns, dropped = 0, 0
-        first: SampleBlock | None = None
+        progress = Progress(on_progress, paths, step=Step("reads the recordings", then=_IDENTIFIES))
         for block in read_topics(paths, tuple(UNIT_OF), on_warning):
             topic = self.topics.setdefault(
                 block.topic,
@@ -253,8 +258,9 @@ class _Reader:
             topic["samples"] += block.n_samples
             if block.topic != ACCELERATION:
                 continue
-            if first is None:
-                first, self.channels, self.rate_hz = block, block.channels, block.sample_rate_hz
+            if progress.first is None:
+                self.channels, self.rate_hz = block.channels, block.sample_rate_hz
+            progress.add(block)
             if abs(block.sample_rate_hz / self.rate_hz - 1.0) > 1e-3:
                 raise BadInputError(
                     f"{file_names(paths)}: the rate changes from {self.rate_hz:g} to {block.sample_rate_hz:g} Hz; "
@@ -279,7 +285,6 @@ class _Reader:
                 if not parts:
                     begin_ns = piece.t_ns
                 parts.append(piece.values)
-            on_progress((block.t_ns - first.t_ns) * 1e-9)
             dropped = state.dropped
         if parts:
             self.runs.append(_Run(begin_ns, np.concatenate(parts)))

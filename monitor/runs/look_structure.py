@@ -32,10 +32,7 @@ _WINDOWS = 4
 
 
 def propose_structure(found: LookedRecording, mass_kg: float | None = None) -> str:
-    """Write a structure file that fits the modes, what is doubtful about it as comments; `mass_kg` is that of the whole.
-
-    Raises BadInputError if there is no mode to fit.
-    """
+    """Write a structure file that fits the modes, what is doubtful about it as comments; `mass_kg` is that of the whole."""
     sure = [mode for mode in found.modes if not mode.remark and _is_sure(mode)]
     modes = sure[: len(found.channels)]
     if not modes:
@@ -146,11 +143,8 @@ def _matrices(modes: Sequence[LookedMode], mass_kg: float) -> list[str]:
 
     The matrices are those of the system equivalent reduction expansion process (SEREP): with the shapes as columns of P,
     completed to a basis, M = P^-T P^-1 and K = M P diag(omega^2) P^T M.  So each stiffness moves the frequency of its mode and no
-    shape, also where floors have no sensor and the shapes at the others are not orthogonal.
-
-    References
-    ----------
-    O'Callahan, Avitabile, Riemer: System equivalent reduction expansion process, Proc. IMAC VII, 1989.
+    shape, also where floors have no sensor and the shapes at the others are not orthogonal
+    (O'Callahan, Avitabile, Riemer, Proc. IMAC VII, 1989).
     """
     n, m = len(modes[0].shape), len(modes)
     shapes = np.array([mode.shape.real / np.linalg.norm(mode.shape.real) for mode in modes]).T

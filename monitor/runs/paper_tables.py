@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from monitor.core import Array, ModalEstimate, Skipped, Window
+from monitor.core import Array, ModalEstimate, OnProgress, Skipped, Step, Window
 from monitor.damage import Observation, Update, UpdatingSettings, observe, update
 from monitor.identification import SelectionSettings, SsiSettings, identify, with_decay_deviations
 from monitor.model import Model, ShearFrame, respond_newmark
@@ -145,7 +144,7 @@ def _ddi(fit: Update, healthy: Model) -> Annotated[Array, "3"]:
     return np.asarray(1.0 - fit.parameters / healthy.structure.stiffness_n_per_m)
 
 
-def run_simulated_tests(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> list[dict[str, Any]]:
+def run_simulated_tests(seeds: int, on_progress: OnProgress = lambda _: None) -> list[dict[str, Any]]:
     """Run the twelve tests of Tables 6 and 7 and Figures 9 and 10, each over `seeds` draws of force and noise.
 
     Of each case, excitation and noise come mean frequencies, DDI and their errors.
@@ -167,7 +166,9 @@ def run_simulated_tests(seeds: int, on_progress: Callable[[float], None] = lambd
                         continue
                     alone = ddi_by_frequencies(modes.frequencies_hz, healthy)
                     results[noise].append((modes.frequencies_hz, alone, ddi_by_frequencies_and_shapes(modes, healthy)))
-                on_progress(60.0 * len(tests))
+                on_progress(
+                    Step("", len(tests) // len(NOISES) * seeds + seed + 1, 2 * len(CASES) * seeds, "simulated tests")
+                )
             for noise in NOISES:
                 printed = PAPER["table_6" if case == "case_1" else "table_7"][excitation][NOISES.index(noise)]
                 test = _summarize(case, excitation, noise, loss, results[noise], failed[noise])
@@ -203,7 +204,7 @@ def _summarize(
     return test
 
 
-def reproduce(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
+def reproduce(seeds: int, on_progress: OnProgress = lambda _: None) -> dict[str, Any]:
     """Recompute all tables as plain numbers (`reproduce --json`; docs/figures.md)."""
     steps = updating_history()
 

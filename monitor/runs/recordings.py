@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from math import inf
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -10,21 +11,21 @@ from typing import NamedTuple, Protocol
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_file import read_recordings, recorded_time
 from monitor.config import Configuration
-from monitor.core import BadInputError, ModalEstimate, read_by_user
+from monitor.core import BadInputError, ModalEstimate, OnProgress, Step, read_by_user
 from monitor.identification import LEAST_PERIODS, LEAST_RECORD_S
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import recorded_stretches
 
 OnWarning = Callable[[str], None]
 """Shows a warning to the user."""
-OnProgress = Callable[[float], None]
-"""Takes the length of the data read so far, s."""
 
 _BLOCK_S = 30.0
 """Greatest length of a joined block, s: about what one chunk of our own recordings holds at 1024 Hz.  Longer blocks save no
 more calls."""
 _ROUNDING_S = 1e-3
 """Time by which a window may reach over the end of a recording and lie within it. [s; rounding: below one sample at 100 Hz]"""
+_UNTOLD_S = 60.0
+"""Data up to which the length of the recordings is not asked for, as of one without an index it takes time. [s; judgement]"""
 _LEAST_OVERLAP_S = 1.0
 """Overlap of two recordings up to which they follow one another. [s; judgement: as of the runs of an archive]"""
 
@@ -44,10 +45,7 @@ def read_topics(
     longest_s: float = _BLOCK_S,
     topic_map: Mapping[str, str] | None = None,
 ) -> Iterator[SampleBlock]:
-    """Read all samples of the topics of recordings in time order, small blocks joined to blocks of at most `longest_s`.
-
-    Raises MissingInputError or BadInputError if a recording is missing or unusable.
-    """
+    """Read all samples of the topics of recordings in time order, small blocks joined to blocks of at most `longest_s`."""
     with read_by_user():
         yield from read_recordings(
             list(paths), topics=topics, topic_map=topic_map or None, on_warning=on_warning, longest_s=longest_s
@@ -129,20 +127,30 @@ def duration_s(first: SampleBlock | None, last: SampleBlock | None) -> float:
     return (last.t_ns - first.t_ns) * 1e-9 + last.n_samples / last.sample_rate_hz
 
 
+_READING = Step("", unit="min of data")
+
+
 class Progress:
     """Progress through the data of recordings, with a check that they are long enough for one window.
 
-    `on_progress` is called with the length of the acceleration data so far, s, after each block.
+    `on_progress` is told after each block how much of the accelerations of `paths` there was, in the words of `step`.
     """
 
-    def __init__(self, on_progress: OnProgress) -> None:
+    def __init__(
+        self,
+        on_progress: OnProgress,
+        paths: Sequence[Path] = (),
+        topics: Mapping[str, str] | None = None,
+        step: Step = _READING,
+    ) -> None:
         self.first: SampleBlock | None = None
         """First block of acceleration."""
         self.last: SampleBlock | None = None
         """Latest block of acceleration."""
         self.data_s = 0.0
         """Length of the acceleration data so far, the time between recordings apart."""
-        self._on_progress = on_progress
+        self._on_progress, self._step = on_progress, step._replace(unit=_READING.unit)
+        self._paths, self._topics = paths, topics or None
 
     def add(self, block: SampleBlock) -> None:
         """Count a block."""
@@ -150,7 +158,17 @@ class Progress:
             self.first = self.first or block
             self.last = block
             self.data_s += block.n_samples / block.sample_rate_hz
-            self._on_progress(self.data_s)
+            if self.data_s >= _UNTOLD_S:
+                self._on_progress(self._step._replace(done=self.data_s / 60.0, total=self._total_s / 60.0))
+
+    @cached_property
+    def _total_s(self) -> float:
+        """Length of the accelerations, s; 0 where a recording does not tell."""
+        try:
+            spans = [recorded_time(path, topic_map=self._topics) for path in self._paths]
+        except (RecordingError, KeyError):
+            return 0.0
+        return sum(end_ns - begin_ns for begin_ns, end_ns in spans) * 1e-9
 
     def require_window(self, pipeline: Pipeline, windows: int, paths: list[Path]) -> None:
         """Raise BadInputError for recordings that did not fill one window; the message gives the length of the usable data."""

@@ -12,13 +12,12 @@ from typing import Any
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
-from monitor.core import WindowResult, demand_place, os_errors_of, write_atomically
+from monitor.core import OnProgress, WindowResult, demand_place, os_errors_of, write_atomically
 from monitor.damage import AnyBaseline
 from monitor.events import Event
 from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, between_recordings, event_text, to_json
 from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.recordings import (
-    OnProgress,
     OnWarning,
     Progress,
     RecordedSpan,
@@ -176,11 +175,10 @@ def pass_through(
 ) -> float:
     """Push all blocks through a session and wait for the findings; return the length of the data over the run time.
 
-    `speed` is a multiple of real time, by default as fast as possible; time without samples is not waited for.  Recordings
-    shorter than a window are welcome if `event_suffices` and they hold an event, as those of earthquakes do.  Raises
-    BadInputError if others are too short for one window, or the pipeline refuses the blocks.
+    `speed` is a multiple of real time, by default as fast as possible; time without samples is not waited for. Recordings
+    shorter than a window are welcome if `event_suffices` and they hold an event, as those of earthquakes do.
     """
-    progress, started = Progress(on_progress), time.monotonic()
+    progress, started = Progress(on_progress, paths, session.config.topics), time.monotonic()
     for block in source:
         progress.add(block)
         if speed is not None:

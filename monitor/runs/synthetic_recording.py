@@ -16,7 +16,7 @@ import numpy as np
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration, SensorTable
-from monitor.core import Array, BadConfigurationError, os_errors_of
+from monitor.core import Array, BadConfigurationError, OnProgress, Step, os_errors_of
 from monitor.model import (
     Effect,
     EffectError,
@@ -29,6 +29,7 @@ from monitor.model import (
     story_damage,
 )
 
+_WRITES = "writes the recording"
 _TEMPERATURE_HZ = 1.0
 
 
@@ -123,6 +124,7 @@ def write_simulated_recording(
     t0_ns: int,
     seed: int,
     temperature: str | None = None,
+    on_progress: OnProgress = lambda _: None,
 ) -> None:
     """Write a simulated recording, with the truth in its metadata; noise and level spread are as of `monitor.model.simulate`.
 
@@ -134,6 +136,7 @@ def write_simulated_recording(
     """
     if excitation not in get_args(ExcitationKind):
         raise BadConfigurationError(f"--excitation {excitation!r}: one of {', '.join(get_args(ExcitationKind))}")
+    on_progress(Step("computes the motion", then=_WRITES))
     try:
         model = config.model()
         planted = [*map(parse_damage, damage), *map(parse_effect, effects)]
@@ -172,6 +175,9 @@ def write_simulated_recording(
     with os_errors_of(out, "cannot be written: "), McapWriter(out, {"simulated": metadata}) as writer:
         for block in _sample_blocks(motion, config, weather, t0_ns):
             writer.write(block)
+            if block.topic == ACCELERATION:
+                done_s = (block.t_ns - t0_ns) * 1e-9 + block.length_s
+                on_progress(Step(_WRITES, done_s / 60.0, duration_s / 60.0, "min of data"))
 
 
 def _turning(config: Configuration, truth: Model) -> Annotated[Array, "g n"] | None:

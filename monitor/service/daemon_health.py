@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.base import ACCELERATION, SampleBlock, SourceHealth
 from drivers.recent import Recent
 from drivers.recorder import RecorderHealth
+from monitor.core import utc
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.boot import boot_time
 from monitor.service.component import Way
@@ -38,6 +39,7 @@ LATENCY_MS = (5, 10, 20, 50, 100, 200, 500, 1000)
 _RECENT = 1000
 """Number of latest windows over which the median latency is taken."""
 _MOST_TEXT = 300
+_STARTING = "the monitor is starting"
 _CHECK_S = 1.0
 """Interval at which the outputs are asked whether they fail, so that a line of health tells a failure soon. [s; judgement]"""
 
@@ -58,6 +60,7 @@ class Vitals:
         self._latest_ms = self._most_ms = 0.0
         self._recent_ms: deque[float] = deque(maxlen=_RECENT)
         self._delay_s: float | None = None
+        self._away_ns: int | None = None
 
     def look_at_disk(self) -> None:
         """Measure the free space of the disk, for the next line (in a thread that may wait for the disk)."""
@@ -105,7 +108,6 @@ class Vitals:
         starts, and no recorder where nothing is recorded.
         """
         ways = list(ways)
-        source = SourceHealth(False, {}) if reader is None else reader.source.health()
         boot_id, boot_s = boot_time()
         stream = dict(span or {})
         channels = stream.pop("channels", [])
@@ -114,16 +116,7 @@ class Vitals:
                 "wall_ns": time.time_ns(),
                 "boot_id": boot_id,
                 "boot_s": boot_s,
-                "source": {
-                    "connected": source.connected,
-                    "detail": source.detail,
-                    "trouble": source.trouble or self._recent.latest,
-                    "counts": dict(source.counts),
-                    "clocks": source.clocks,
-                    "lost": 0 if reader is None else reader.lost + source.counts.get("links_lost", 0),
-                    "error": "the monitor is starting" if reader is None else reader.error,
-                    "ended": reader is not None and reader.ended,
-                },
+                "source": self._source(reader),
                 "delay_s": self._delay_s,
                 "refused": {"blocks": self.refused, "latest": self.refusal},
                 "queue": 0 if reader is None else len(reader.queue),
@@ -136,6 +129,46 @@ class Vitals:
             }
         )
         return {"t_ns": stream.get("t_end_ns"), "stream": stream or None, "channels": channels, **own}
+
+    def _source(self, reader: Reader | None) -> dict[str, Any]:
+        """Describe the source: what its driver counts, since when it is away, when it is tried again, and all that in words."""
+        health = SourceHealth(False, {}) if reader is None else reader.source.health()
+        ended = reader is not None and reader.ended
+        self._away_ns = None if health.connected or ended else self._away_ns or time.time_ns()
+        source = {
+            "connected": health.connected,
+            "detail": health.detail,
+            "trouble": health.trouble or self._recent.latest,
+            "counts": dict(health.counts),
+            "clocks": health.clocks,
+            "lost": 0 if reader is None else reader.lost + health.counts.get("links_lost", 0),
+            "error": _STARTING if reader is None else reader.error,
+            "ended": ended,
+            "away_since_ns": self._away_ns,
+            "next_try_s": None if reader is None else reader.next_try_s,
+        }
+        return {**source, "says": _STARTING if reader is None else source_words(source)}
+
+
+def source_words(source: Mapping[str, Any]) -> str:
+    """Say whether a source is connected, and of one that is away since when, why, and when it is tried again.
+
+    Examples
+    --------
+    >>> source_words({"error": "connection refused", "away_since_ns": 0, "next_try_s": 8.0, "lost": 3})
+    'lost since 1970-01-01 00:00:00 UTC (connection refused); tried again in 8 s; 3 times lost'
+    """
+    if source.get("ended"):
+        return "read to its end"
+    lost = source.get("lost", 0)
+    times = "1 time" if lost == 1 else f"{lost} times"
+    if source.get("connected"):
+        return f"connected, lost {times}"
+    since_ns, next_s = source.get("away_since_ns"), source.get("next_try_s")
+    since = "" if since_ns is None else f" since {utc(since_ns, seconds=True)} UTC"
+    again = "it is tried again" if next_s is None else f"tried again in {next_s:.0f} s"
+    why = source.get("error") or source.get("detail") or "not connected"
+    return f"lost{since} ({why}); {again}; {times} lost"
 
 
 class HealthLines:

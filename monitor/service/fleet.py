@@ -217,5 +217,5 @@ def _troubles(health: Mapping[str, Any]) -> list[str]:
     troubles = []
     source = health.get("source", {})
     if source and not source.get("connected", True) and not source.get("ended"):
-        troubles.append(f"no data: {source.get('detail') or source.get('error') or 'the source is away'}")
+        troubles.append(f"source: {source.get('says') or 'away'}")
     return troubles + [f"{name}: {why}" for name, why in health.get("failed", {}).items() if why]

@@ -159,18 +159,9 @@ def to_delete(before: Files, after: Files) -> set[str]:
     return _objects(before) - _objects(after)
 
 
-def left_over(stored: Iterable[str], manifest: Manifest) -> set[str]:
-    """Name the objects of earlier writes that came to nothing; those that are later than a manifest may be another owner's."""
-    kept, end = _objects(manifest.files), object_name(manifest.number, "")
-    return {name for name in stored if name < end and name not in kept}
-
-
-def object_name(number: int, drawn: str) -> str:
-    """Name what is written after the manifest `number`; `drawn` makes each name one that is never used again.
-
-    For a manifest may have arrived whose answer did not, and its objects must stay.
-    """
-    return f"{number:012d}-{drawn}"
+def left_over(names: Iterable[str], files: Files) -> set[str]:
+    """Name those of the objects to which nothing refers: of writes that came to nothing."""
+    return {*names} - _objects(files) - {MANIFEST}
 
 
 def _objects(files: Files) -> set[str]:

@@ -17,14 +17,12 @@ from monitor.service.manifest import (
     FETCHED,
     SUPERSEDED,
     Files,
-    Manifest,
     Part,
     StoredFile,
     is_appended,
     is_kept,
     is_state,
     is_unique,
-    object_name,
     to_get,
     to_put,
 )
@@ -48,19 +46,20 @@ class Mirror:
         self._known: dict[str, tuple[int, int]] = {}
         """Number of the file and CRC-32 of its end, as it was stored, for files that this run stored."""
 
-    def store(self, present: Manifest, put: Callable[[Files], object]) -> dict[str, StoredFile]:
-        """Store what has changed since a manifest, and return the files; `put` is told them as far as they are stored.
+    def store(self, stored: Files, put: Callable[[Files], None]) -> dict[str, StoredFile]:
+        """Store what has changed since the `stored` files, and return all; `put` is told them as far as they are stored.
 
         Checkpoints come first: the other files may be newer than these, as after a kill, but never older.
         """
-        stored, files = present.files, dict[str, StoredFile]()
+        files: dict[str, StoredFile] = {}
 
         def full(name: str, data: bytes) -> None:
             self._goes_on()
             self._objects.put(name, data)
-            put(stored | {name: file for name, file in files.items() if not is_state(name)})
+            put({**stored, **{name: file for name, file in files.items() if not is_state(name)}})
 
-        writer = _Writer(object_name(present.number, uuid4().hex), full)
+        # A name is never used twice: a manifest may have arrived whose answer did not, and its objects must stay.
+        writer = _Writer(uuid4().hex, full)
         for name in sorted(self._names(), key=lambda name: (not is_state(name), name)):
             self._goes_on()
             with suppress(FileNotFoundError):  # gone since it was listed

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -23,16 +22,6 @@ _FIXED_WATCH_KEYS = ("longest_s", "time_limit_s")
 """Keys of ``[watch]`` that may not change: since the start data are kept for the one, and diagnoses run under the other."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reloaded:
-    """Site file that was read again."""
-
-    settings: Configuration
-    """Settings to continue with."""
-    apply: Callable[[], None]
-    """Gives the running outlets their new settings; it waits for no disk."""
-
-
 class Reloading:
     """Settings of a running site, which are read again where that was asked for; `step` continues with those that were read."""
 
@@ -41,7 +30,8 @@ class Reloading:
     ) -> None:
         self._path, self.settings, self._out, self._outlets, self._chores = path, settings, out, outlets, chores
         self._requested = self._rereading = False
-        self._reloaded: Reloaded | None = None
+        self._reloaded: tuple[Configuration, Callable[[], None]] | None = None
+        """Settings that were read, and what gives them to the outlets, which waits for no disk."""
 
     def ask(self) -> None:
         """Have the site file read again by a later `step`; a signal handler may call this."""
@@ -51,10 +41,9 @@ class Reloading:
         """Have the file read, or continue with what was read."""
         if self._rereading:
             return
-        if (reloaded := self._reloaded) is not None:
-            self._reloaded = None
-            reloaded.apply()
-            self.settings = reloaded.settings
+        if self._reloaded is not None:
+            (self.settings, apply), self._reloaded = self._reloaded, None
+            apply()
             session.reconfigure(self.settings)
         elif self._requested:
             self._requested, self._rereading = False, True
@@ -62,29 +51,31 @@ class Reloading:
 
     def _reread(self, requests: RequestHandler) -> None:
         try:
-            self._reloaded = reread(self._path, self.settings, self._outlets, self._out)
+            self._read()
             requests.read_head()
         finally:
             self._rereading = False
 
+    def _read(self) -> None:
+        """Read the file, with what it names, and record a change in the ledger (in a thread that may wait for the disk).
 
-def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: Path) -> Reloaded | None:
-    """Read the site file again, with what it names, and record a change in the ledger (in a thread that may wait for the disk).
-
-    None is returned if the file cannot be used, with the reason logged: all goes on as before.
-    """
-    try:
-        new = changed(path, running)
-        apply = prepare_change(path, new, outlets)  # so that nothing of the change fails once the ledger has it
-        if new != running:
-            make_outlets(path, new, dry=True)
-            finding = {"says": "settings read again", "causes": []}
-            ledger.append_entry(out / "results.jsonl", finding, {"site": path}, None)
-    except UserError as error:
-        _log.error("not reloaded, all goes on as before: %s", error)
-        return None
-    _log.warning("reloaded %s", path)
-    return Reloaded(new, apply)
+        Where it cannot be used the reason is logged, and all goes on as before.
+        """
+        path = self._path
+        try:
+            new = changed(path, self.settings)
+            apply = prepare_change(
+                path, new, self._outlets
+            )  # so that nothing of the change fails once the ledger has it
+            if new != self.settings:
+                make_outlets(path, new, dry=True)
+                finding = {"says": "settings read again", "causes": []}
+                ledger.append_entry(self._out / "results.jsonl", finding, {"site": path}, None)
+        except UserError as error:
+            _log.error("not reloaded, all goes on as before: %s", error)
+        else:
+            _log.warning("reloaded %s", path)
+            self._reloaded = new, apply
 
 
 def changed(path: Path, running: Configuration) -> Configuration:

@@ -1,4 +1,4 @@
-"""Monitoring of one site, driven by a thread that owns it: `monitor.service.daemon` drives one, `monitor.service.host` many.
+"""Monitoring of one site, driven by a thread that owns it (`monitor.service.schedule`), one of many where they share the process.
 
 One thread reads the source, the owner evaluates, and one thread records.  Nothing else keeps state of the evaluation.
 """
@@ -96,10 +96,8 @@ class Site:
                 store.open(wait=not lean)
                 undo.callback(store.close, "released", END_S)
             self._files = files = SiteFiles(path, settings, healthy_path, out, self._vitals, clock, quiet_s, undo)
-            view = _open_viewer(settings, healthy, undo) if viewer else None
-            if not viewer and settings.output.address is not None:
-                _log.warning("output.serve: no viewer is served here; 'view' draws the recordings, and 'run' serves")
-            keep = (lambda: None) if store is None else partial(store.settle, DURABLE_S)
+            view = _open_viewer(settings, healthy, viewer, undo)
+            keep = partial(self._claim.keep, DURABLE_S)
             outlets = (*make_outlets(path, settings, keep=keep), *outlets)
             for outlet in outlets:
                 undo.callback(outlet.close, END_S)
@@ -113,6 +111,7 @@ class Site:
                 outlets, out / ledger.LEDGER, files.chores, files.keeper, files.history, clock
             )
             recordings = EventRecordings(out, settings.events, files.event_writer.do, self._requests.note_recording)
+            blocks = RecordedBlocks(out / "recordings", files.recording, longest_diagnosis_s(settings))
             _warm_up(partial(warm, settings, healthy), files.health)
             known_ns = self._evaluation.resume(
                 partial(
@@ -123,7 +122,7 @@ class Site:
                     (path, healthy_path),
                     out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}",
                     recordings=recordings,
-                    store=_blocks(settings, files, out) if lean else None,
+                    store=blocks if lean and settings.recorder.enabled else None,
                 )
             )
             if source is None:
@@ -286,15 +285,14 @@ def _warm_up(warm: Callable[[], object], health: HealthLines) -> None:
         _log.warning("not all is compiled before the first window: %s", worker.failed)
 
 
-def _blocks(settings: Configuration, files: SiteFiles, out: Path) -> RecordedBlocks | None:
-    if not settings.recorder.enabled:
-        return None
-    return RecordedBlocks(out / "recordings", files.recording, longest_diagnosis_s(settings))
-
-
-def _open_viewer(settings: Configuration, healthy: AnyBaseline | None, undo: ExitStack) -> RerunPublisher | None:
+def _open_viewer(
+    settings: Configuration, healthy: AnyBaseline | None, is_served: bool, undo: ExitStack
+) -> RerunPublisher | None:
     """Open the viewer of a site, if it has one; its library is loaded only where one is served."""
     if (serve := settings.output.address) is None:
+        return None
+    if not is_served:
+        _log.warning("output.serve: no viewer is served here; 'view' draws the recordings, and 'run' serves")
         return None
     from monitor.runs import open_viewer
 

@@ -9,6 +9,7 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,9 @@ class SiteStore:
             self.lease.acquire(wait=wait)
             self._renewing.start()
             self._fetch(is_running=False)
+        except InUseError:
+            self._renewing.ask_to_end(at_once=True)
+            raise
         except OSError as error:
             if not self._note.read().owners:
                 self._renewing.ask_to_end(at_once=True)
@@ -134,14 +138,14 @@ class SiteStore:
             self.lease.regain()
             self._fetch(is_running=True)
         assert self.lease.present is not None
-        self._commit(self._mirror.store(self.lease.present, lambda files: self.lease.is_due and self._commit(files)))
+        self._commit(self._mirror.store(self.lease.present.files, partial(self._commit, is_all=False)))
         if self._last is not None:
             self.lease.release(self._last)
 
-    def _commit(self, files: Files) -> None:
-        """Have the manifest name other files, all or those stored so far; the folder notes before that it has them."""
+    def _commit(self, files: Files, *, is_all: bool = True) -> None:
+        """Have the manifest name other files, those stored so far if it is time; the folder notes before that it has them."""
         before = self.lease.present
-        if before is None or files == before.files:
+        if before is None or files == before.files or not (is_all or self.lease.is_due):
             self.lease.renew()
             return
         generation = max(self._note.read().generation, before.generation) + 1
@@ -157,7 +161,10 @@ class SiteStore:
         self._mirror.fetch(present.files, is_ours=bool(note.owners), is_running=is_running)
         self._note.write(Note(owners=(self.lease.owner,), generation=max(note.generation, present.generation)))
         with suppress(OSError):
-            self._objects.delete(left_over(self._objects.names(), present))
+            names = [*self._objects.names()]
+            # Nobody has the site since these were listed: else they might be another's, which it named meanwhile.
+            self.lease.renew(present.files, present.generation)
+            self._objects.delete(left_over(names, present.files))
 
 
 def store_of(settings: Configuration, out: Path, clock: Callable[[], float] = time.monotonic) -> SiteStore | None:

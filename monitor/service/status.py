@@ -6,12 +6,13 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
-from monitor.core import AlarmCondition, MissingInputError, name_stories, parse_json, tail_lines, utc
+from monitor.core import AlarmCondition, Level, MissingInputError, name_stories, parse_json, tail_lines, utc
 from monitor.damage import Assessment, State, outdated
 from monitor.publish import EVENTS, read_line
 from monitor.runs import ledger, ledger_chain
@@ -25,6 +26,8 @@ _SILENT_S = 60.0
 _AHEAD_S = 5.0
 """Greatest lead of a health line on the wall clock that counts as a small correction of that clock. [s; judgement]"""
 _TAIL_BYTES = 1 << 20
+_OPTIONAL = {"doubts": "doubts", "to do": "acknowledge", "web": "web"}
+"""Row of the status -> key without whose value it is left out. [none; definition]"""
 _DAMAGED = (TypeError, ValueError, KeyError, AttributeError, IndexError, OverflowError, OSError)
 """Errors that a value of a wrong type, in a damaged file, may cause. [none; definition]"""
 
@@ -64,8 +67,8 @@ def demand_state(out: Path) -> None:
         raise MissingInputError(f"{out}: no daemon has written here; give a site file, or the dir of its [output]")
 
 
-def look(out: Path) -> dict[str, Any]:
-    """Read the status of a daemon from its output folder, as `status --json` prints it.
+def look(out: Path, site: str = "SITE.toml") -> dict[str, Any]:
+    """Read the status of a daemon from its output folder, as `status --json` prints it; `site` is the file that `ack` takes.
 
     Raises
     ------
@@ -92,6 +95,7 @@ def look(out: Path) -> dict[str, Any]:
         "monitor": process,
         "exit_code": code,
         "troubles": troubles,
+        "acknowledge": _acknowledge(summary or {}, site),
         "dir": str(out),
         "running": is_running,
         "silent_s": age_s,
@@ -143,7 +147,7 @@ def exit_code(state: State, troubles: Collection[str]) -> int:
 
 
 def tell(status: dict[str, Any]) -> str:
-    """Format the status of a daemon in ten lines, the state first; doubts and the page's address have one more each."""
+    """Format the status of a daemon in ten lines, the state first; doubts, what is to be done and the page have one more each."""
     summary, health, result = (status[k] or {} for k in ("summary", "health", "result"))
     parts = health.get("source"), health.get("recorder"), summary.get("quality")
     source, recorder, quality = (part or {} for part in parts)
@@ -157,12 +161,16 @@ def tell(status: dict[str, Any]) -> str:
         "modes": lambda: _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0),
         **_changes(summary, result),
         "alarm": lambda: name_stories(_alarm(summary.get("alarm"), result), _names(summary)) + _reference(result)[1],
+        "to do": lambda: "; ".join(status["acknowledge"]),
         "recorder": lambda: _recorder(recorder, health, status),
         "findings": lambda: _findings(summary.get("findings") or []),
-        "event": lambda: (last_event(status["event"]) or "none") + _to_acknowledge(summary.get("event_alarms") or []),
+        "event": lambda: last_event(status["event"]) or "none",
         "web": lambda: str(status["web"]),
     }
-    rows = [(n, _readable(make)) for n, make in makers.items() if n not in {"doubts", "web"} or status.get(n)]
+    if status["acknowledge"]:  # what calls for a person comes first
+        makers = {name: makers[name] for name in ("state", "alarm", "to do")} | makers
+    absent = {name for name, key in _OPTIONAL.items() if not status.get(key)}
+    rows = [(name, _readable(make)) for name, make in makers.items() if name not in absent]
     return "\n".join(f"{name:<9} {text}" for name, text in rows)
 
 
@@ -179,15 +187,25 @@ def _monitor(status: dict[str, Any], health: dict[str, Any]) -> str:
     last_line = "not heard of" if status["silent_s"] is None else f"heard of {status['silent_s']:.0f} s ago"
     up = f", up {up_s / 3600:.1f} h" if status["running"] and up_s is not None else ""
     lost = "".join(f"; {n} lost on the way to {name}" for name, n in health.get("lost", {}).items())
-    return f"{status['monitor']}{up}, {last_line}; blocked: {'; '.join(status['troubles']) or 'nothing'}{lost}"
+    refused = health.get("refused") or {}
+    blocked = f"; blocked: {'; '.join(status['troubles'])}" if status["troubles"] else ""
+    turned_away = (
+        f"; blocks refused: {refused['blocks']}, the latest: {refused['latest']}" if refused.get("blocks") else ""
+    )
+    works = "; all parts work" if status["running"] and not (blocked or turned_away or lost) else ""
+    return f"{status['monitor']}{up}, {last_line}{blocked}{turned_away}{lost}{works}"
 
 
 def _source(source: dict[str, Any], health: dict[str, Any], status: dict[str, Any]) -> str:
-    why = source.get("error") or source.get("detail") or ""
-    connected = "connected" if source.get("connected") else f"NOT connected {why}".rstrip()
-    at_work = "read to its end" if source.get("ended") else connected if status["running"] else "not read"
+    says = source.get("says") or "not known"
+    at_work = says if status["running"] or source.get("ended") else _ended(health)
     trouble = f"{source['trouble']}; " if source.get("connected") and source.get("trouble") else ""
-    return f"{at_work}, lost {source.get('lost', 0)} times; {trouble}{_delay(health, status['silent_s'])}"
+    return f"{at_work}; {trouble}{_delay(health, status['silent_s'])}"
+
+
+def _ended(health: dict[str, Any]) -> str:
+    """Say when a monitor that does not run spoke last."""
+    return f"ended at {_utc(health['wall_ns'])}" if "wall_ns" in health else "not at work"
 
 
 def _reference(result: dict[str, Any]) -> tuple[str, str]:
@@ -232,10 +250,26 @@ def last_event(event: Mapping[str, Any] | None) -> str:
     return f"{event['id']}: {event['verdict'] or 'no limit was judged'}{largest}"
 
 
-def _to_acknowledge(alarms: Sequence[Mapping[str, Any]]) -> str:
-    """Name the events whose alarm nobody has acknowledged; empty where there is none."""
-    waiting = [str(a["id"]) for a in alarms if a["condition"] != AlarmCondition.NORMAL.value]
-    return f"; to be acknowledged (ack --event): {', '.join(waiting)}" if waiting else ""
+def _acknowledge(summary: Mapping[str, Any], site: str) -> list[str]:
+    """Return the command that acknowledges each alarm of a story or an event that waits for it, the gravest first."""
+    try:
+        alarm = summary.get("alarm") or {}
+        waiting = [story for story in _by_level(alarm) if alarm["conditions"][story].endswith("unacknowledged")]
+        of = [f"--story {int(story)}" for story in waiting]
+        of += [f"--event {quote(str(e['id']))}" for e in summary.get("event_alarms") or () if _waits(e)]
+    except _DAMAGED:
+        return []
+    return [f"shm-monitor ack {quote(site)} {which} --who NAME" for which in of]
+
+
+def _waits(event: Mapping[str, Any]) -> bool:
+    return bool(event["condition"] != AlarmCondition.NORMAL.value)
+
+
+def _by_level(alarm: Mapping[str, Any]) -> list[str]:
+    """List the stories that have an alarm, the gravest first."""
+    levels = list(map(str, Level))
+    return sorted(alarm.get("conditions", {}), key=lambda j: -levels.index(alarm["active"].get(j, Level.NORMAL)))
 
 
 def _age_s(health: dict[str, Any]) -> float | None:
@@ -259,8 +293,8 @@ def troubles_of(health: Mapping[str, Any] | None) -> list[str]:
 
     Examples
     --------
-    >>> troubles_of({"source": {"connected": False, "error": "bus off"}})
-    ['source: bus off']
+    >>> troubles_of({"source": {"connected": False, "says": "lost (bus off); tried again in 8 s; 1 times lost"}})
+    ['source: lost (bus off); tried again in 8 s; 1 times lost']
     >>> troubles_of({"source": {"connected": False, "error": "", "ended": True}})
     []
     """
@@ -268,7 +302,7 @@ def troubles_of(health: Mapping[str, Any] | None) -> list[str]:
         return []
     source, recorder = health.get("source") or {}, health.get("recorder")
     at_work = source.get("connected") or source.get("ended")
-    troubles = {} if at_work else {"source": source.get("error") or source.get("detail") or "not connected"}
+    troubles = {} if at_work else {"source": source.get("says") or "not connected"}
     troubles |= {} if recorder is None or recorder.get("recording") else {"recorder": recorder.get("detail")}
     return [f"{name}: {why}" for name, why in (troubles | (health.get("failed") or {})).items()]
 
@@ -310,7 +344,8 @@ def _alarm(alarm: dict[str, Any] | None, result: dict[str, Any]) -> str:
     names = {"0": "the whole structure"}
     parts = [
         f"{names.get(j, f'story {j}')} {alarm['active'].get(j, 'normal')} ({condition})"
-        for j, condition in alarm.get("conditions", {}).items()
+        for j in _by_level(alarm)
+        for condition in [alarm["conditions"][j]]
     ]
     return "; ".join([str(alarm["level"]), *parts])
 
@@ -319,7 +354,7 @@ def _recorder(recorder: dict[str, Any], health: dict[str, Any], status: dict[str
     if not recorder:
         return "off"
     state = "recording" if recorder["recording"] else f"PAUSED: {recorder['detail']}"
-    state = state if status["running"] else "not recording"
+    state = state if status["running"] else _ended(health)
     free = health.get("disk_free_bytes")
     return f"{state}, {recorder['lost_blocks']} blocks lost, {'?' if free is None else f'{free / 2**30:.1f}'} GiB free"
 

@@ -115,6 +115,11 @@ class Place:
         self.worker: Worker[None] = Worker(f"site {self.name}", Work(idle=self._step), clock=host.clock)
 
     @property
+    def is_over(self) -> bool:
+        """Whether the process need not wait for it: nothing more is to be done, or it is to end and does not run."""
+        return self.state is State.OVER or (self._is_to_end and self.runner is None)
+
+    @property
     def is_told(self) -> bool:
         """Whether READY need not wait for it: its source is open, or, where it is tried again, it was said why not."""
         reader = None if self.runner is None else self.runner.site.reader
@@ -137,6 +142,7 @@ class Place:
         if (runner := self.runner) is not None:
             runner.site.ask_to_stop()
         self.worker.wake()
+        self._forget()
 
     def open(self) -> None:
         """Open the site."""
@@ -230,6 +236,7 @@ class Place:
         else:
             self._host.schedule.add(runner)
         if self._is_changed:
+            self._is_changed = False
             runner.site.ask_to_reload()
         if self._is_to_end:
             runner.site.ask_to_stop()
@@ -245,7 +252,8 @@ class Place:
             if self._is_to_end:
                 runner.site.ask_to_stop()  # it waited for its turn: its time to end begins now
         try:
-            for work in (runner.site.finish, runner.site.close, runner.site.raise_failure)[runner.error is not None :]:
+            works = runner.site.finish, runner.site.close, runner.site.raise_failure
+            for work in works if runner.error is None else works[1:]:
                 try:
                     work()
                 except Exception as error:  # noqa: BLE001 - as in `_begin`
@@ -280,12 +288,16 @@ class Place:
 
     def _leave(self) -> float | None:
         """Do nothing more."""
-        if self.is_removed:
-            self._host.places.pop(self.path, None)
         self.state = State.OVER
+        self._forget()
         self.worker.ask_to_end()
         self._host.schedule.wake()
         return None
+
+    def _forget(self) -> None:
+        """Make room for another site of the same file, if this one has ended and its file was gone."""
+        if self.is_removed and self.state is State.OVER:
+            self._host.places.pop(self.path, None)
 
 
 class Host:
@@ -331,7 +343,9 @@ class Host:
 
         The error of a site that is alone is raised.
         """
-        looker: Worker[None] = Worker("site files", Work(idle=self._look), clock=self.clock)
+        looker: Worker[None] = Worker(
+            "site files", Work(idle=self._look), retry=Retry((OSError,), _LOOK_S, _LOOK_S), clock=self.clock
+        )
         with systemd.signals(self._ask_to_stop, self._ask_to_reload):
             _take_all_files()
             for place in self.present:
@@ -352,7 +366,7 @@ class Host:
     def _loop(self) -> None:
         """Evaluate the blocks of all sites until all have ended."""
         service = systemd.Service(self.clock(), self._say)
-        while (self._folders and not self.is_stopping) or not all(place.state is State.OVER for place in self.present):
+        while (self._folders and not self.is_stopping) or not all(place.is_over for place in self.present):
             now = self.schedule.turn()
             service.at_work(now)
             if "READY" not in service.told and all(place.is_told for place in self.present):
@@ -361,7 +375,7 @@ class Host:
                 for place in self.present:
                     place.worker.wake()
             if now >= self._stop_s + _END_ALL_S:
-                late = [place.name for place in self.present if place.state is not State.OVER]
+                late = [place.name for place in self.present if not place.is_over]
                 _log.error("not ended within %.0f s: %s", _END_ALL_S, ", ".join(late))
                 return
 

@@ -75,6 +75,11 @@ class Reader:
         """Error that ended reading for good, which reopening cannot cure."""
         return self._worker.failure
 
+    @property
+    def next_try_s(self) -> float | None:
+        """Time until a lost source is opened again, s; None while it is open, or its driver connects it again."""
+        return max(0.0, self._worker.retry.due_s - self._worker.clock()) if self.error else None
+
     def start(self) -> None:
         """Start reading."""
         self._worker.start()

@@ -99,11 +99,12 @@ def on_a_terminal(arguments: list[str], folder: Path) -> bytes:
     return said
 
 
-def test_progress_is_for_terminals_only(site: Path, main: Cli) -> None:
-    long = ("simulate", "--structure", "s.toml", "--out", "long.mcap", "--duration", 70, "--rate", 200)
+def test_progress_is_shown_on_a_terminal_and_a_short_command_is_quiet_in_a_pipe(site: Path, main: Cli) -> None:
+    long = ("simulate", "--structure", "s.toml", "--out", "long.mcap", "--duration", 110, "--rate", 200)
     assert main(*long, cwd=site).returncode == 0
     arguments = ["replay", "long.mcap", "--structure", "s.toml", "--out", "long"]
-    assert re.search(rb"replay: 1 of 1 min of data, \d+ s left\r", on_a_terminal([*MODULE, *arguments], site))
+    shown = on_a_terminal([*MODULE, *arguments, "--speed", "45"], site)
+    assert re.search(rb"[12] of 2 min of data, \d+ s left, \d s so far\r", shown), shown
     quiet = main(*arguments, cwd=site)
     assert (quiet.stderr, "\x1b" in quiet.stdout) == ("", False)
 

@@ -143,6 +143,20 @@ def test_an_error_that_is_tried_again_costs_nothing_and_the_pauses_grow(bench: B
     assert bench.did == ["a"] and worker.failed is None
 
 
+def test_after_a_success_the_pauses_begin_anew(bench: Bench) -> None:
+    tries: list[float] = []
+
+    def idle() -> float:
+        tries.append(bench.clock.now_s)
+        if len(tries) not in {3, 5}:
+            raise OSError("away")
+        return 10.0
+
+    worker = bench.worker(Work(idle=idle), retry=Retry((OSError,), 1.0, 4.0))
+    bench.go_on(14.0)
+    assert tries == [0.0, 1.0, 3.0, 13.0, 14.0] and worker.failed is None
+
+
 def test_what_is_to_end_is_tried_once_more_and_not_again(bench: Bench) -> None:
     worker = bench.worker(Work(failing(bench.did, 9, OSError("away"))), retry=Retry((OSError,)))
     worker.put("a")

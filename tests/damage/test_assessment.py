@@ -92,7 +92,10 @@ def test_before_the_first_window_the_headline_says_when_it_comes() -> None:
     before = assess(Course(), KNOWN, first=(400.0, None)).headline
     assert before == "No window of data yet; the first takes 400 s of data."
     begun = assess(Course(), KNOWN, first=(400.0, T0 + 400 * 10**9)).headline
-    assert begun == "No window of data yet; the first takes 400 s of data and ends 2027-01-15 08:06:40 UTC."
+    assert (
+        begun
+        == "No window of data yet; the first takes 400 s of data and is full at 2027-01-15 08:06:40 UTC, if data keep coming."
+    )
     assert assess(course(*[WELL] * 5), KNOWN, first=(400.0, T0)) == said(*[WELL] * 5)
 
 

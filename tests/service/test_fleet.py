@@ -58,7 +58,7 @@ def test_a_site_says_its_state_its_largest_loss_first_mode_and_last_event() -> N
 @pytest.mark.parametrize(
     ("answer", "says"),
     [
-        ({"source": {"connected": False, "detail": "cable out"}}, " no data: cable out."),
+        ({"source": {"connected": False, "says": "lost (cable out)"}}, " source: lost (cable out)."),
         ({"failed": {"recorder": "disk full"}}, " recorder: disk full."),
         ({"source": {"connected": False, "error": "", "ended": True}}, ""),
     ],

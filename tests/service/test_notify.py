@@ -46,7 +46,7 @@ def window(t_s: float, skipped: str | None = None, shelved: tuple[int, ...] = ()
 
 def health(*, data: bool = True, recording: bool | None = True) -> dict[str, Any]:
     recorder = None if recording is None else {"recording": recording, "detail": "" if recording else "disk full"}
-    source = {"connected": data, "error": "" if data else "bus off", "detail": ""}
+    source = {"connected": data, "says": "connected" if data else "lost (bus off)", "detail": ""}
     return {"stream": {} if data else None, "source": source, "recorder": recorder}
 
 
@@ -108,6 +108,16 @@ def test_source_and_recorder() -> None:
         said += [(notice.title, notice.good) for notice in notices]
     lost, back = ("source lost", False), ("source is back", True)
     assert said == [lost, ("recorder stopped", False), back, ("recorder goes on", True)]
+    assert (
+        of_health(Told(), health(data=False), 300.0, SETTINGS)[1][0].text == "no data for 5 min; source lost (bus off)"
+    )
+
+
+def test_a_source_that_is_connected_and_sends_nothing_is_not_called_lost() -> None:
+    line = health()
+    line["source"]["detail"] = "connected with 127.0.0.1:1883"
+    _, (notice,) = of_health(Told(), line, 300.0, SETTINGS)
+    assert (notice.title, notice.text) == ("no data", "no data for 5 min, though connected with 127.0.0.1:1883")
 
 
 def test_the_end_of_the_recordings_is_no_loss_of_the_source() -> None:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 from pathlib import Path
 
 import pytest
 
-from drivers.base import SampleBlock, SourceHealth
+from drivers.base import SampleBlock, SourceError, SourceHealth
 from monitor.core import Busy
 from monitor.service.daemon_health import Vitals
 from monitor.service.lease import FolderLease
 from monitor.service.status import look, tell, troubles_of
 from monitor.service.threads import Reader
+from monitor.service.web.snapshots import Snapshots
 from tests.support.site import Scripted
 from tests.support.waiting import until
 
@@ -43,12 +45,12 @@ class Fixed:
 @pytest.mark.parametrize(
     ("health", "row", "troubles"),
     [
-        (SourceHealth(True, {}, (), "", REFUSED), f"connected, lost 0 times; {REFUSED}; no data", []),
+        (SourceHealth(True, {}, (), "", REFUSED), f"connected, lost 0 times; {re.escape(REFUSED)}; no data", []),
         (SourceHealth(True, {"links_lost": 2}), "connected, lost 2 times; no data", []),
         (
             SourceHealth(False, {"links_lost": 1}, (), "another client came", "another client came (1 times)"),
-            "NOT connected another client came, lost 1 times; no data",
-            ["source: another client came"],
+            "lost since 20[-0-9]+ [0-9:]+ UTC \\(another client came\\); it is tried again; 1 time lost; no data",
+            ["source: lost since 20[-0-9]+ [0-9:]+ UTC \\(another client came\\); it is tried again; 1 time lost"],
         ),
     ],
 )
@@ -61,10 +63,64 @@ def test_the_status_tells_what_the_source_says(
     lease = FolderLease(tmp_path)
     lease.acquire()  # as the daemon that runs
     try:
-        assert f"source    {row}" in tell(look(tmp_path))
+        assert re.search(f"source    {row}", tell(look(tmp_path)))
     finally:
         lease.release()
-    assert troubles_of(line) == troubles
+    said = troubles_of(line)
+    assert len(said) == len(troubles)
+    assert all(re.fullmatch(pattern, text) for pattern, text in zip(troubles, said, strict=True))
+
+
+class Refusing(Fixed):
+    """A source that cannot be opened."""
+
+    def open(self) -> None:
+        raise SourceError("connection refused")
+
+
+def test_a_source_that_is_lost_is_told_everywhere_with_its_reason_since_when_and_when_it_is_tried_again(
+    tmp_path: Path,
+) -> None:
+    vitals, reader = Vitals(tmp_path), Reader(Refusing(SourceHealth(False, {})))
+    reader.start()
+    try:
+        until(lambda: reader.lost == 2, "it was tried twice")
+        line = vitals.line(None, reader, None, ())
+        again = vitals.line(None, reader, None, ())
+    finally:
+        reader.stop(10.0)
+    says = line["source"]["says"]
+    assert re.fullmatch(
+        r"lost since 20[-0-9]+ [0-9:]+ UTC \(connection refused\); tried again in [012] s; 2 times lost", says
+    )
+    assert again["source"]["away_since_ns"] == line["source"]["away_since_ns"]
+    (tmp_path / "state").mkdir()
+    (tmp_path / "health.jsonl").write_text(json.dumps(line) + "\n")
+    lease = FolderLease(tmp_path)
+    lease.acquire()  # as the daemon that runs
+    try:
+        found = look(tmp_path)
+    finally:
+        lease.release()
+    page = Snapshots("bench")
+    page.health(line)
+    assert found["troubles"] == [f"source: {says}"] == json.loads(page.status_answer().body)["troubles"]
+    assert f"source    {says}; " in tell(found)
+
+
+def test_blocks_that_are_refused_stand_beside_what_is_blocked(tmp_path: Path) -> None:
+    vitals = Vitals(tmp_path)
+    vitals.refuse("channels b1 are none of the structure's")
+    line = vitals.line(None, Reader(Fixed(SourceHealth(True, {}))), None, ())
+    (tmp_path / "state").mkdir()
+    (tmp_path / "health.jsonl").write_text(json.dumps(line) + "\n")
+    lease = FolderLease(tmp_path)
+    lease.acquire()  # as the daemon that runs
+    try:
+        monitor = tell(look(tmp_path)).splitlines()[1]
+    finally:
+        lease.release()
+    assert monitor.endswith("; blocks refused: 1, the latest: channels b1 are none of the structure's")
 
 
 def test_a_block_that_the_monitor_refuses_is_told_with_its_reason(

@@ -183,7 +183,7 @@ def test_the_answers_hold_what_was_published() -> None:
 
 def test_a_source_that_is_read_to_its_end_is_no_fault() -> None:
     shown = filled()
-    for source, says in (({"error": "bus off"}, ["source: bus off"]), ({"error": "", "ended": True}, [])):
+    for source, says in (({"says": "lost (bus off)"}, ["source: lost (bus off)"]), ({"error": "", "ended": True}, [])):
         shown.health({**HEALTH, "recorder": None, "failed": {}, "source": {"connected": False, **source}})
         ask = asking(shown)
         assert content(ask, "/api/v1/status")["troubles"] == says

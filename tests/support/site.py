@@ -148,8 +148,8 @@ class Daemon:
         runner = host.places[path].runner
         assert runner is not None
         self.run, self.site = host.run, runner.site
-        site = self.site
-        self.session, self.reader, self.out, self.outputs = site.session, site.reader, site.out, site.outputs
+        self.session, self.reader, self.outputs = self.site.session, self.site.reader, self.site.outputs
+        self.out = path.parent / self.site.settings.output.dir
 
 
 class Endless(Scripted):

@@ -75,6 +75,11 @@ def test_a_folder_is_watched_and_faults_stay_with_their_site(bench: Path, frame_
         (folder / "late.toml").unlink()
         host.wait_for("late ends")
         until(lambda: all(equal(bench, folder, f"s{k}") for k in range(3)), "all windows of the others")
+        text, before = (folder / "s2.toml").read_text(), len(results(folder, "s2"))
+        (folder / "s2.toml").unlink()
+        host.wait_for("s2 ends")
+        (folder / "s2.toml").write_text(text)
+        until(lambda: len(results(folder, "s2")) > before, "a site that had ended, was removed and put back")
         metrics = fetch(port).decode()
         assert 'shm_windows_total{site="s0"}' in metrics or 'shm_host_site{is="over",site="s0"} 1.0' in metrics
         code, seconds = host.stop()

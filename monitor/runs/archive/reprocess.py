@@ -22,7 +22,16 @@ import pyarrow.parquet as pq
 from dask.callbacks import Callback
 
 from monitor.config import configuration as config
-from monitor.core import MissingInputError, UserError, os_errors_of, parse_json, spare_inputs, write_atomically
+from monitor.core import (
+    MissingInputError,
+    OnProgress,
+    Step,
+    UserError,
+    os_errors_of,
+    parse_json,
+    spare_inputs,
+    write_atomically,
+)
 from monitor.runs.archive.inventory import Run, Survey, file_version, fingerprint, group_into_runs
 from monitor.runs.archive.jobs import (
     DIAGNOSES,
@@ -55,13 +64,13 @@ def reprocess(
     longest_gap_s: float | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
-    on_done: Callable[[int, int], None] = lambda done, of: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> list[Outcome]:
     """Replay all recordings without results, and `diagnose` each by itself if asked; alarms request their diagnoses in any case.
 
     Recordings of one folder are replayed together over gaps of at most `longest_gap_s`, by default the length of a window.
     The work is done by the workers of the Dask scheduler at an address, which see the same files, else by `workers` processes
-    on this machine, by default one for each core.  `on_done` is called with the numbers of finished and of all jobs.
+    on this machine, by default one for each core.
     Outcomes are those of every run and diagnosis, and of every recording that cannot be read.
 
     Raises WrongUsageError if a result would overwrite an input, and BadConfigurationError or MissingInputError if the structure
@@ -77,7 +86,7 @@ def reprocess(
         for folder in (WINDOWS, RUNS, DIAGNOSES):
             (out / folder).mkdir(parents=True, exist_ok=True)
 
-    with _open_workers(scheduler, workers, on_done) as work:
+    with _open_workers(scheduler, workers, on_progress) as work:
         surveys, failed = _survey_recordings(recordings, settings.topics, out, work)
         gap_s = settings.processing.window_s if longest_gap_s is None else longest_gap_s
         wanted = group_into_runs(surveys, gap_s)
@@ -108,7 +117,7 @@ def _compute_missing(
 
 
 @contextmanager
-def _open_workers(scheduler: str | None, workers: int | None, on_done: Callable[[int, int], None]) -> Iterator[Work]:
+def _open_workers(scheduler: str | None, workers: int | None, on_progress: OnProgress) -> Iterator[Work]:
     """Open the workers: this process if one is enough, several processes on this machine, or a cluster."""
     count = workers or os.cpu_count() or 1
     if scheduler is not None:
@@ -122,7 +131,7 @@ def _open_workers(scheduler: str | None, workers: int | None, on_done: Callable[
         def on_cluster(function: Callable[[Job], Done], jobs: Sequence[Job]) -> list[Done]:
             futures = client.map(function, jobs, pure=False)
             for number, _ in enumerate(as_completed(futures), start=1):
-                on_done(number, len(jobs))
+                on_progress(Step("", number, len(jobs), "jobs"))
             return list(client.gather(futures))
 
         with client:
@@ -134,7 +143,7 @@ def _open_workers(scheduler: str | None, workers: int | None, on_done: Callable[
 
         def on_this_machine(function: Callable[[Job], Done], jobs: Sequence[Job]) -> list[Done]:
             number = iter(range(1, len(jobs) + 1))
-            with Callback(posttask=lambda *_: on_done(next(number, len(jobs)), len(jobs))):
+            with Callback(posttask=lambda *_: on_progress(Step("", next(number, len(jobs)), len(jobs), "jobs"))):
                 return list(dask.compute(*[dask.delayed(function, pure=False)(job) for job in jobs], **options))
 
         yield on_this_machine

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
-from monitor.core import BadInputError, MissingInputError, WrongUsageError
+from monitor.core import BadInputError, MissingInputError, OnProgress, Step, WrongUsageError
 from monitor.runs.importers import can_log, clocks, csv_table, hdf5, mat, npz, own_process, seismic, uff, xsens_dot
 from monitor.runs.importers.table import (
     UNITS,
@@ -91,6 +91,7 @@ def import_files(
     ask_unit: Callable[[Sequence[str]], str] | None = None,
     on_warning: OnWarning = lambda _: None,
     on_channel: Callable[[ImportedChannel], None] = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
     unpacked_bytes: int = _UNPACKED_BYTES,
     reader_s: float = own_process.LEAST_S,
 ) -> RecordingInfo:
@@ -173,7 +174,8 @@ def import_files(
         if dbc is not None:
             raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
         tables, counts = [], False
-        for path in files:
+        for number, path in enumerate(files):
+            on_progress(Step(f"reads {path.name}", number, len(files), "files", then="writes the recording"))
             raw = _read(path)
             counts = counts or seismic.holds_counts(raw)
             most = _most_unpacked(raw, unpacked_bytes)
@@ -223,6 +225,7 @@ def import_files(
                 tuple(turning),
                 np.column_stack([table.rotation_rate(column) for table, column in turning.values()]),
             )
+        on_progress(Step("writes the recording"))
         _write(out, streams, rate, numbers, start_ns)
         grounds = {} if base is None else {"ground": base}
         topics = ((ACCELERATION, chosen), (GROUND, grounds), (FORCE, pushed), (ROTATION_RATE, turning))

@@ -31,8 +31,7 @@ def build_table(
     Besides may stand `rate_hz`, `fs` or `dt`, `t` or `time` (s, or as the name says: `t_ms`), `channels` (names) and `unit`, in
     any case.
 
-    The name of an array may be a path of groups with slashes; its unit is that which the file states.  Raises BadInputError
-    if there are no readings, or the arrays do not fit each other.
+    The name of an array may be a path of groups with slashes; its unit is that which the file states.
     """
     try:
         return _build(path, arrays, on_warning, units)

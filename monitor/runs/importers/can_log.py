@@ -38,11 +38,7 @@ def check_options(
 def import_log(
     path: Path, out: Path, *, dbc: Path, rate_hz: float | None, bus: str | None, on_warning: OnWarning
 ) -> RecordingInfo:
-    """Write the samples of a log, at a nominal rate which is required, as a recording, and return its content.
-
-    Raises BadInputError if log or DBC cannot be used, or where no `bus` is named and two of the log carry the same identifier;
-    MissingInputError if one of them cannot be read.
-    """
+    """Write the samples of a log, at a nominal rate which is required, as a recording, and return its content."""
     if rate_hz is None:
         raise BadInputError(f"{path}: neither frames nor DBC tell the sample rate; give --rate HZ")
     if not rate_hz <= 1e6:

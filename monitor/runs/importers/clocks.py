@@ -26,9 +26,8 @@ _MOST_ALIGNED = 1 << 24
 def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annotated[Ticks, "n"] | None]:
     """Cut tables to their common samples, and return them with their common clock, ns; None without clocks.
 
-    With clocks, only the samples whose times agree in all files within half a step are kept.  Without clocks, all files are
-    assumed to begin at the same time.  Raises BadInputError if only some files have a clock, the clocks run at different
-    rates or not forwards, or the files have less than half of the shortest file in common.
+    With clocks, only the samples whose times agree in all files within half a step are kept. Without clocks, all files are
+    assumed to begin at the same time.
     """
     clocks = [table.time_ns for table in tables if table.time_ns is not None]
     if len(tables) == 1:
@@ -108,9 +107,9 @@ def _overlaps(tables: Sequence[Table]) -> str:
 def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning: OnWarning) -> list[Table]:
     """Shift the clock of each file so that its readings fit those of the first file best, by their correlation.
 
-    Each file has a clock, and is compared by its column among `columns`, else by the first of its default columns.  Clocks
-    are shifted by whole steps; half a step remains unknown.  `on_warning` is told of each shift and of its correlation, for
-    the user to judge.  Raises BadInputError if a file has no clock, the rates differ, or the readings of a file fit nowhere.
+    Each file has a clock, and is compared by its column among `columns`, else by the first of its default columns. Clocks are
+    shifted by whole steps; half a step remains unknown. `on_warning` is told of each shift and of its correlation, for the user
+    to judge.
     """
     if len(tables) < 2 or any(table.time_ns is None or len(table.time_ns) < 2 for table in tables):
         raise BadInputError(f"{tables[0].path}: --align is for several files, each with a column of time")
@@ -159,12 +158,7 @@ def best_shift(reference: Annotated[Array, "n"], readings: Annotated[Array, "m"]
     """Find the shift at which readings fit a reference best, by the correlation of both whitened (phase transform).
 
     All frequencies count alike: by the plain correlation a structure's record fits itself once a period of its mode.
-
-    Reference and readings are on the same step and without mean; lost ones are 0.
-
-    References
-    ----------
-    Knapp and Carter, The generalized correlation method for estimation of time delay, IEEE Trans. ASSP 24 (1976) 320-327.
+    Reference and readings are on the same step and without mean; lost ones are 0 (Knapp and Carter, IEEE Trans. ASSP 24, 1976).
 
     Examples
     --------

@@ -68,10 +68,7 @@ class Cells:
         return self.table([column])[:, 0]
 
     def table(self, columns: Sequence[int]) -> Annotated[Array, "rows columns"]:
-        """Convert columns to numbers; an empty cell is a missing sample (NaN).
-
-        Raises BadInputError if a cell is no number; the message gives its line.
-        """
+        """Convert columns to numbers; an empty cell is a missing sample (NaN)."""
         out = np.empty((len(self.lines), len(columns)))
         step = max(1, _CHUNK_CELLS // len(self.first_row))
         for begin in range(0, len(self.lines), step):
@@ -90,10 +87,7 @@ class Cells:
 
 
 def decode_text(path: Path, raw: bytes) -> str:
-    """Decode a file's bytes: UTF-16 if they begin with its byte order mark, else UTF-8, cp1252 or latin-1.
-
-    Raises BadInputError if the bytes are no text.
-    """
+    """Decode a file's bytes: UTF-16 if they begin with its byte order mark, else UTF-8, cp1252 or latin-1."""
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         return raw.decode("utf-16", errors="replace")
     if not raw.strip():
@@ -111,10 +105,7 @@ def decode_text(path: Path, raw: bytes) -> str:
 
 
 def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
-    """Find delimiter, header and data rows of a text, and cut it into cells.
-
-    Raises BadInputError if there is no table of numbers, or the rows differ in their number of cells.
-    """
+    """Find delimiter, header and data rows of a text, and cut it into cells."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     while lines and not lines[-1].strip(" ,;\t"):
         lines.pop()
@@ -154,10 +145,7 @@ def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
 
 
 def to_table(cells: Cells, on_warning: OnWarning) -> Table:
-    """Convert cells to a table of numbers, with the time column, if there is one, as clock.
-
-    Raises BadInputError if a cell is no number or no time.
-    """
+    """Convert cells to a table of numbers, with the time column, if there is one, as clock."""
     first_row = cells.first_row
     width = len(first_row)
     parts = [_HEADER.fullmatch(name) for name in cells.header]

@@ -37,9 +37,6 @@ def to_table(path: Path, most_bytes: int, on_warning: OnWarning, least_s: float)
 
     A dataset's attribute `unit` or `units` is its unit; attributes `rate_hz`, `fs` or `dt` of the file are read too.  What lies
     in other files (external links and storage, virtual datasets) is never read.
-
-    Raises BadInputError if the file is damaged, would unpack to too much, or its datasets do not fit each other,
-    BadConfigurationError without the library h5py.
     """
     import_extra("h5py", f"{path}: HDF5 (MAT 7.3)")
     arrays, units = read_apart(__name__, "HDF5", path, most_bytes, least_s)

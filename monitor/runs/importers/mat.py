@@ -25,10 +25,7 @@ _WORDS = ("unit", "channels")
 
 
 def to_table(path: Path, most_bytes: int, on_warning: OnWarning, least_s: float) -> Table:
-    """Convert the variables of a file to a table of at most `most_bytes`; structures, functions and objects are never read.
-
-    Raises BadInputError if the file is damaged, would unpack to too much, or its variables do not fit each other.
-    """
+    """Convert the variables of a file to a table of at most `most_bytes`; structures, functions and objects are never read."""
     arrays, units = read_apart(__name__, "MAT", path, most_bytes, least_s)
     return build_table(path, "MAT", arrays, on_warning, units)
 

@@ -13,10 +13,7 @@ from monitor.runs.importers.table import OnWarning, Table
 
 
 def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> Table:
-    """Convert the arrays of an archive to a table of at most `most_bytes`; pickled objects are never loaded.
-
-    Raises BadInputError if the archive is damaged, or its arrays do not fit each other.
-    """
+    """Convert the arrays of an archive to a table of at most `most_bytes`; pickled objects are never loaded."""
     try:
         with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
             arrays, held = dict[str, AnyArray](), 0

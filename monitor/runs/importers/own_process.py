@@ -38,8 +38,7 @@ def read_apart(
 ) -> tuple[Arrays, dict[str, str]]:
     """Run a module as a process that reads the arrays of a file (`hand_over`); return them and what is told of them.
 
-    A small file is read for `least_s` at most.  `more` are further arguments of the module's function.  Raises BadInputError
-    if the file is damaged or would unpack to more than `most_bytes`.
+    A small file is read for `least_s` at most. `more` are further arguments of the module's function.
     """
     with TemporaryDirectory() as folder:
         out = Path(folder, "arrays.npz")

@@ -51,10 +51,8 @@ def to_table(
 ) -> Table:
     """Convert the traces of a file to a table of at most `most_bytes`, whose columns are named NETWORK.STATION.LOCATION.CHANNEL.
 
-    K-NET and KiK-net state their scale, and take no other.  What is missing between records of MiniSEED is NaN; `scale` is
-    the m/s^2 of its counts, else the StationXML `inventory` has the sensitivity of each channel, taken as flat.  Raises
-    BadInputError if the file is damaged, its traces do not fit each other, or nothing tells what a count is;
-    MissingInputError if ObsPy is not installed, or the inventory cannot be read.
+    K-NET and KiK-net state their scale, and take no other. What is missing between records of MiniSEED is NaN; `scale` is the
+    m/s^2 of its counts, else the StationXML `inventory` has the sensitivity of each channel, taken as flat.
     """
     obspy, is_nied = import_extra("obspy", f"{path}: MiniSEED or K-NET"), raw.startswith(_NIED)
     if not is_nied and (scale is None) == (inventory is None):

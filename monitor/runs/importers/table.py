@@ -180,8 +180,8 @@ def rotation_factor(unit: str) -> float | None:
 def sample_numbers(path: Path, time_ns: Annotated[Ticks, "n"]) -> tuple[float, Annotated[Ticks, "n"]]:
     """Estimate the sample rate of a clock, and number its samples.
 
-    The rate is in Hz, and numbers begin at 0; lost samples leave a jump.  Raises BadInputError, which names the file, if the
-    clock is irregular: one sample in a thousand is off by more than 20 % of a step.
+    The rate is in Hz, and numbers begin at 0; lost samples leave a jump.  A clock is refused of which
+    one sample in a thousand is off by more than 20 % of a step.
 
     Examples
     --------

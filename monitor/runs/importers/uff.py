@@ -32,11 +32,7 @@ def is_uff(raw: bytes) -> bool:
 
 
 def to_table(path: Path, raw: bytes, on_warning: OnWarning) -> Table:
-    """Convert the time responses of a file to a table; a channel is named by its node and direction (``12z``) or its label.
-
-    Raises BadInputError if the file is damaged, holds no time response, or they differ in rate or length, and
-    BadConfigurationError without the library pyuff.
-    """
+    """Convert the time responses of a file to a table; a channel is named by its node and direction (``12z``) or its label."""
     pyuff = import_extra("pyuff", f"{path}: a universal file (UFF)")
     with NamedTemporaryFile(suffix=".uff") as copy:  # the library reads files, by their bytes as they were checked
         copy.write(raw)

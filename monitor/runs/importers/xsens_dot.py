@@ -24,7 +24,7 @@ def is_xsens(cells: Cells) -> bool:
 def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     """Convert cells to a table of accelerations (m/s^2) and rates of rotation (deg/s) on the sensor's own clock.
 
-    The default column is Acc_X.  Raises BadInputError if a cell is no number or there is no acceleration.
+    The default column is Acc_X.
     """
     moved = tuple(name for name in cells.header if name.startswith("Acc_"))
     if not moved:

@@ -170,10 +170,10 @@ def of_health(told: Told, line: Mapping[str, Any], silent_s: float, settings: No
     source = line["source"]
     lost = silent_s >= settings.source_lost_s and not source.get("ended")
     if lost != told.lost and (lost or silent_s == 0.0):
-        why = str(source["error"] or source["detail"] or ("connected" if source["connected"] else "not connected"))
-        text = f"no data for {silent_s / 60:.0f} min: {why}" if lost else ""
+        though = f", though {source['detail'] or 'connected'}" if source["connected"] else f"; source {source['says']}"
+        text = f"no data for {silent_s / 60:.0f} min{though}" if lost else ""
         told = replace(told, lost=lost)
-        title = "source lost" if lost else "source is back"
+        title = ("no data" if source["connected"] else "source lost") if lost else "source is back"
         notices.append(Notice("source", not lost, title, text[:_MOST_TEXT], "source"))
     recorder = line["recorder"]
     stopped = recorder is not None and not recorder["recording"]

@@ -83,12 +83,7 @@ def addresses(settings: NotifySettings, folder: Path) -> Addresses:
     left_out = f"[notify] sends no message: it {missing}" if urls and (missing := missing_extra("notify")) else None
     if left_out is None:
         problems += [f"{place}: {_UNKNOWN_URL}" for place, url in urls if url and not _known(url)]
-    beats: list[str | None] = []
-    for place in ("heartbeat_url", "heartbeat_blocked_url"):
-        text = getattr(settings, place)
-        beats.append(None if text is None else _expanded(place, text, problems))
-        if beats[-1] and not beats[-1].startswith(("http://", "https://")):
-            problems.append(f"{place}: no http:// or https:// URL")
+    beats = [_beat(place, getattr(settings, place), problems) for place in ("heartbeat_url", "heartbeat_blocked_url")]
     if problems:
         raise ValueError("\n".join(problems))
     usable = () if left_out else tuple(dict.fromkeys(url for _, url in urls))
@@ -110,6 +105,13 @@ def _expanded(place: str, url: str, problems: list[str]) -> str:
     missing = [name for name in _VARIABLE.findall(url) if not os.environ.get(name)]
     problems.extend(f"{place}: the environment has no {name}" for name in missing)
     return "" if missing else _VARIABLE.sub(lambda match: os.environ[match[1]], url)
+
+
+def _beat(place: str, text: str | None, problems: list[str]) -> str | None:
+    url = None if text is None else _expanded(place, text, problems)
+    if url and not url.startswith(("http://", "https://")):
+        problems.append(f"{place}: no http:// or https:// URL")
+    return url
 
 
 def _known(url: str) -> bool:
