@@ -89,6 +89,10 @@ class CutDisk:
         if self._lives.get(str(life.folder)) is life:
             del self._lives[str(life.folder)]
 
+    def replaced(self, folder: Path) -> None:
+        """Forget what could be taken back in a folder that somebody replaced."""
+        self._undo = [(whose, undo) for whose, undo in self._undo if whose != str(folder)]
+
     def power_cut(self, folder: Path, chance: random.Random) -> None:
         """Take back what was not on the disk of a machine, or a part of it: a disk may have more than was confirmed."""
         place = str(folder)
