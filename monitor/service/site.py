@@ -97,7 +97,7 @@ class Site:
                 undo.callback(store.close, "released", END_S)
             self._files = files = SiteFiles(path, settings, healthy_path, out, self._vitals, clock, quiet_s, undo)
             view = _open_viewer(settings, healthy, viewer, undo)
-            keep = (lambda: None) if store is None else partial(store.settle, DURABLE_S)
+            keep = partial(self._claim.keep, DURABLE_S)
             outlets = (*make_outlets(path, settings, keep=keep), *outlets)
             for outlet in outlets:
                 undo.callback(outlet.close, END_S)

@@ -55,6 +55,11 @@ class Claim:
                 self.store.lost = error  # the copy keeps what the folder had
         return self.lost is None
 
+    def keep(self, timeout_s: float) -> None:
+        """Have the copy follow the folder, for at most `timeout_s`."""
+        if self.store is not None:
+            self.store.settle(timeout_s)
+
     def watch(self, chores: Chores, now: float) -> None:
         """Have `step` look at the lock from now on."""
         self._look = Every(_CHECK_S, partial(chores.do, "lock", self.holds), now)

@@ -142,7 +142,7 @@ def test_tables_and_tests_tell_their_number(tmp_path: Path) -> None:
 
     (tmp_path / "a.csv").write_text("a1 [g];a2 [g]\n" + "0.1;0.2\n" * 300)
     read, written = told_by(
-        lambda tell: import_files([tmp_path / "a.csv"], tmp_path / "a.mcap", rate_hz=100.0, on_progress=tell)
+        lambda tell: import_files([tmp_path / "a.csv"], tmp_path / "a.mcap", Options(rate_hz=100.0), on_progress=tell)
     )
     assert (read.does, read.total, read.unit, written.does) == ("reads a.csv", 1, "files", "writes the recording")
 

@@ -46,7 +46,6 @@ class Story:
         seed: int,
         hits: Counter[str],
         seen: dict[str, set[str]],
-        missed: Counter[str],
     ) -> None:
         shutil.copy(stream.folder / "baseline.json", folder / "baseline.json")
         self.world = World(folder, stream, seed, with_store=seed % 3 != 0)
@@ -55,8 +54,6 @@ class Story:
         self.at = "a"
         """Machine that has the site."""
         self.backups = 0
-        self.missed = missed
-        """How often a life ended before it came to the point that was chosen."""
         self.deeds = (self.kill,) * 10 + (self.end, self.back_up, self.restore)
         if self.world.with_store:
             self.deeds += (self.take_over, self.take_over, self.wake, self.restore, self.copy, self.away)
@@ -86,27 +83,25 @@ class Story:
         return file.exists() and file.read_bytes().count(b"\n") >= self.world.stream.results.count(b"\n") - 1
 
     def kill(self, stage: str | None = None) -> None:
-        """Cut a life off, at a point that was hit least of those that this stage has, or anywhere."""
+        """Cut a life off at a point that was hit less than `LEAST` times, or anywhere."""
         has_begun = (self.world.folder / self.at / "out" / "results.jsonl").exists()
         stage = stage or ("again" if has_begun else "first")
         if stage == "again" and self.chance.random() < 0.2:
             stage = "end"
-        known = sorted(
-            self.seen.setdefault(stage, set()), key=lambda point: (self.hits[point] + self.missed[point], point)
-        )
+        often = frozenset(point for point, n in self.hits.items() if n >= LEAST)
         how = self.chance.choice(["before", "after", "half"])
-        plan = Plan(None, self.chance.randint(1, 400), how)
-        if known and self.chance.random() < 0.9:
-            plan = Plan(self.chance.choice(known[:6]), self.chance.choice([1, 1, 2, 3]), how)
+        plan = Plan(often, self.chance.choice([1, 1, 2, 4, 8]), how)
+        if self.chance.random() < 0.1:
+            plan = Plan(frozenset(), self.chance.randint(1, 400), how)
         hops = self.chance.randint(0, 5)
         before = Counter(self.world.points)
         self.world.live(self.at, plan, hops, "ended" if stage == "end" else "killed")
-        self.seen[stage] |= {point for point, n in self.world.points.items() if n > before[point]}
+        self.seen[stage] = self.seen.get(stage, set()) | {
+            point for point, n in self.world.points.items() if n > before[point]
+        }
         fresh = self.world.kills - self.counted
         self.counted = Counter(self.world.kills)
         self.hits += fresh
-        if plan.point is not None and not fresh[plan.point]:
-            self.missed[plan.point] += 1
 
     def end(self) -> None:
         """Let a life end as it should."""
@@ -211,7 +206,6 @@ def campaign(seeds: Iterable[int], rows: list[Row], most_kills: int = 10**9, fil
     stream = undisturbed()
     hits: Counter[str] = Counter()
     seen: dict[str, set[str]] = {}
-    missed: Counter[str] = Counter()
     for row in rows:
         hits.update(row["kills"])
         for stage, points in row["seen"].items():
@@ -226,7 +220,7 @@ def campaign(seeds: Iterable[int], rows: list[Row], most_kills: int = 10**9, fil
             continue
         begun_s = time.monotonic()
         with tempfile.TemporaryDirectory(prefix="shm-story-", dir=_MEMORY if _MEMORY.is_dir() else None) as folder:
-            row = {"seed": seed, **Story(Path(folder), stream, seed, hits, seen, missed).run()}
+            row = {"seed": seed, **Story(Path(folder), stream, seed, hits, seen).run()}
         row |= {"seen": {stage: sorted(points) for stage, points in seen.items()}}
         row["seconds"] = round(time.monotonic() - begun_s, 1)
         hits.update(row["kills"])

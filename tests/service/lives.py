@@ -523,5 +523,6 @@ class World:
 
     def restore(self, machine: str, name: str) -> None:
         """Have a machine's folder be what was copied."""
+        self.disk.replaced(self.folder / machine / "out")
         shutil.rmtree(self.folder / machine / "out", ignore_errors=True)
         shutil.copytree(self.folder / name, self.folder / machine / "out")

@@ -67,7 +67,7 @@ class SiteLife(RuleBasedStateMachine):
 
     @initialize(seed=st.integers(0, 2**32))
     def begin(self, seed: int) -> None:
-        self.story = Story(self._folder, undisturbed(), seed, Counter(), {}, Counter())
+        self.story = Story(self._folder, undisturbed(), seed, Counter(), {})
         self._undo.enter_context(self.story.world.disk.watched())
 
     @rule()

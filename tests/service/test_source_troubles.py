@@ -104,7 +104,7 @@ def test_a_source_that_is_lost_is_told_everywhere_with_its_reason_since_when_and
         lease.release()
     page = Snapshots("bench")
     page.health(line)
-    assert found["troubles"] == [f"source: {says}"] == json.loads(page.status_answer().body)["troubles"]
+    assert found["troubles"] == [f"source: {says}"] == json.loads(page.answer("status").body)["troubles"]
     assert f"source    {says}; " in tell(found)
 
 

@@ -33,9 +33,9 @@ class Killed(BaseException):
 
 @dataclass
 class Plan:
-    """Where a life is to end: at the `after`-th operation of that name, or of any where it is None."""
+    """Where a life is to end: at the `after`-th operation of those whose names are not in `but`."""
 
-    point: str | None
+    but: frozenset[str]
     after: int
     how: str
     """``before`` the operation takes effect, ``after`` it, or ``half`` way through the bytes that are written."""
@@ -55,7 +55,7 @@ class Life:
         """Count an operation, and say how the life ends at it, if it does."""
         self.seen[point] += 1
         plan = self.plan
-        if plan is None or (plan.point is not None and plan.point != point):
+        if plan is None or point in plan.but:
             return None
         plan.after -= 1
         return plan.how if plan.after == 0 else None
@@ -88,6 +88,10 @@ class CutDisk:
         """Watch the folder of a life no more, once nothing of it is left."""
         if self._lives.get(str(life.folder)) is life:
             del self._lives[str(life.folder)]
+
+    def replaced(self, folder: Path) -> None:
+        """Forget what could be taken back in a folder that somebody replaced."""
+        self._undo = [(whose, undo) for whose, undo in self._undo if whose != str(folder)]
 
     def power_cut(self, folder: Path, chance: random.Random) -> None:
         """Take back what was not on the disk of a machine, or a part of it: a disk may have more than was confirmed."""
