@@ -21,8 +21,6 @@ WITHOUT_STUB = {"cli": {"main", "command_line"}, "pipeline": None}
 INSIDE = {
     "benchmarks/hops.py": "makes a state that nobody has learned, in other checkouts too, whose tests may lack a maker",
     "benchmarks/windows.py": "times the kernels of a hop bare",
-    "support/bucket.py": "stands for the storage of a site, and hands it to the copy of the site",
-    "fuzz/targets.py": "gives hostile bytes to what reads them, inside a room too",
     "examples/opensees_frame.py": "stands for a file of monitor/model/structures",
 }
 """Tests outside the room's folder that may use its inner parts -> why."""

@@ -11,6 +11,7 @@ import pytest
 from monitor.config import Configuration, configuration
 from monitor.core import OnProgress, Step, utc
 from monitor.runs import (
+    Options,
     calibrate,
     compare,
     diagnose,
