@@ -62,7 +62,7 @@ diagnose = false
 checkpoint_s = 15.0
 history = false
 [alarm]
-clear_s = 10.0
+
 [refinement]
 enabled = false
 """
