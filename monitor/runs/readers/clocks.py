@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import BadInputError
-from monitor.runs.readers.table import Array, OnWarning, Table, Ticks
+from monitor.runs.readers.table import Array, OnWarning, Table, Ticks, in_order
 from monitor.signals import sample_clock
 
 _LEAST_CORRELATION = 0.1
@@ -21,28 +21,66 @@ _LEAST_SHARE = 1e-6
 """Part of the largest cross-spectrum below which a frequency counts less. [ratio; rounding]"""
 _MOST_ALIGNED = 1 << 24
 """Most samples of a file to be aligned. [samples; cost: half a GB of memory]"""
+_ONE_RATE = 1.02
+"""Ratio of the rates of files up to which they are one. [ratio; judgement: clocks of loggers, rates of some hundred samples]"""
 
 
 def follow(tables: list[Table], on_warning: OnWarning) -> list[Table]:
-    """Join the tables of the same columns of which each begins after the one before has ended, as files of following days do."""
-    if len(tables) < 2 or any(table.start_ns is None for table in tables):
-        return tables
+    """Join tables of the same columns that follow one another in time, as files of following days do.
+
+    Each shares less than half of its time with the one before; what stands in both is counted once.
+    """
     tables = [_with_clock(table) for table in tables]
-    if any(table.time_ns is None for table in tables):
+    if len(tables) < 2 or any(table.start_ns is None or table.time_ns is None for table in tables):
         return tables
-    by_start = sorted(tables, key=_begun_ns)
+    by_start = sorted(tables, key=lambda table: table.start_ns or 0)
+    spans = [_span_ns(table) for table in by_start]
+    if len({(table.columns, table.units) for table in tables}) > 1 or any(
+        before[1] - after[0] > min(before[1] - before[0], after[1] - after[0]) / 2 for before, after in pairwise(spans)
+    ):
+        return tables
+    _demand_one_rate(tables)
     first = by_start[0]
-    for before, after in pairwise(by_start):
-        if (after.columns, after.units) != (before.columns, before.units) or _begun_ns(after) <= _ended_ns(before):
-            return tables
-    times = []
-    for table in by_start:
-        assert table.time_ns is not None
-        times.append(table.time_ns - table.time_ns[0] + (_begun_ns(table) - _begun_ns(first)))
     on_warning(f"{', '.join(table.path.name for table in by_start)}: follow one another in time, and are joined")
-    return [
-        replace(first, values=np.concatenate([t.values for t in by_start]), time_ns=np.concatenate(times), index=None)
-    ]
+    joined = replace(
+        first,
+        values=np.concatenate([table.values for table in by_start]),
+        time_ns=np.concatenate([_times_ns(table) for table in by_start]),
+        index=None,
+        start_text=next((table.start_text for table in by_start if table.start_text), ""),
+    )
+    return [in_order(joined, on_warning)]
+
+
+def _demand_one_rate(tables: Sequence[Table]) -> None:
+    """Raise BadInputError if files run at several rates, each as stated or by its times."""
+    rates = [table.rate_hz or _rate_hz(table) for table in tables]
+    told = [rate for rate in rates if rate]
+    if told and max(told) > _ONE_RATE * min(told):
+        each = ", ".join(f"{table.path.name} {rate:.6g} Hz" for table, rate in zip(tables, rates, strict=True) if rate)
+        raise BadInputError(
+            f"{tables[0].path}: several rates: {each}; import those of one rate, or name them by --channel"
+        )
+
+
+def _rate_hz(table: Table) -> float:
+    """Return the rate by a table's times; 0 where they tell none."""
+    try:
+        return 0.0 if table.time_ns is None else sample_clock(table.time_ns).rate_hz
+    except BadInputError:
+        return 0.0
+
+
+def _times_ns(table: Table) -> Annotated[Ticks, "n"]:
+    """Return the times of a table with a clock, UTC where it states its start."""
+    assert table.time_ns is not None
+    return table.time_ns + (0 if table.start_ns is None else table.start_ns - table.time_ns[0])
+
+
+def _span_ns(table: Table) -> tuple[int, int]:
+    """Return the times of first and last sample."""
+    t_ns = _times_ns(table)
+    return int(t_ns[0]), int(t_ns[-1])
 
 
 def _with_clock(table: Table) -> Table:
@@ -51,16 +89,6 @@ def _with_clock(table: Table) -> Table:
         return table
     steps = np.rint(np.arange(len(table.values)) * (1e9 / table.rate_hz)).astype(np.int64)
     return replace(table, time_ns=table.start_ns + steps)
-
-
-def _begun_ns(table: Table) -> int:
-    assert table.start_ns is not None
-    return table.start_ns
-
-
-def _ended_ns(table: Table) -> int:
-    assert table.time_ns is not None
-    return _begun_ns(table) + int(table.time_ns[-1] - table.time_ns[0])
 
 
 def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annotated[Ticks, "n"] | None]:
@@ -76,27 +104,25 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
         return tables, tables[0].time_ns
     shortest = min(len(table.values) for table in tables)
     if not clocks:
+        _demand_one_rate(tables)
         if shortest != max(len(table.values) for table in tables):
             on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
         return [table.rows(np.arange(shortest)) for table in tables], None
     if len(clocks) != len(tables):
         without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
         raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
+    if any((np.diff(clock) < 0).any() for clock in clocks):
+        raise BadInputError(f"{tables[0].path}: the files' times must rise throughout")
+    _demand_one_rate(tables)
     base = clocks[0]
-    steps = [1e9 / sample_clock(clock).rate_hz for clock in clocks]
-    if any((np.diff(clock) < 0).any() for clock in clocks) or max(steps) > 1.02 * min(steps):
-        each = "; ".join(
-            f"{table.path}: {1e9 / step if step else 0:.2f} Hz" for table, step in zip(tables, steps, strict=True)
-        )
-        raise BadInputError(f"the files' times must rise throughout and have one rate: {each}")
-    half = steps[0] / 2
+    half_ns = 0.5e9 / sample_clock(base).rate_hz
     keep = np.ones(len(base), dtype=bool)
     partners = []
     for clock in clocks:
         right = np.clip(np.searchsorted(clock, base), 1, max(len(clock) - 1, 1))
         nearest = right - (base - clock[right - 1] < clock[np.minimum(right, len(clock) - 1)] - base)
         nearest = np.minimum(nearest, len(clock) - 1)
-        keep &= np.abs(clock[nearest] - base) <= half
+        keep &= np.abs(clock[nearest] - base) <= half_ns
         partners.append(nearest)
     if keep.sum() * 2 < shortest:
         offsets = "; ".join(

@@ -16,11 +16,9 @@ from typing import IO, Any
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError
 from monitor.runs.readers import delimited, hdf5, mat, npz, peer, seismic, spreadsheet, tdms, uff, xsens_dot
-from monitor.runs.readers.base import File, Limits, Options, Reader, read_bytes
+from monitor.runs.readers.base import LINE_BYTES, File, Limits, Options, Reader, read_bytes
 from monitor.runs.readers.table import Table
 
-_LINE_BYTES = 57
-"""Memory that a line of text takes besides its characters, which counts as unpacked. [bytes; measured: CPython 3.11]"""
 _PIECE_BYTES = 1 << 20
 """Length of the pieces in which an archive is unpacked and counted. [bytes; cost]"""
 
@@ -105,7 +103,7 @@ class Zip:
                 if all(name.endswith(".npy") for name in members):
                     return npz.read_tables(file)
                 if "xl/workbook.xml" in members:
-                    return spreadsheet.read_tables(file)
+                    return _LAST.read(file.holding(spreadsheet.as_text(file).encode()))
                 tables = [name for name in members if ".csv" in name.lower()] or members
                 if len(tables) != 1:
                     raise BadInputError(
@@ -123,7 +121,7 @@ def _unpacked(file: File, packed: IO[bytes]) -> bytes:
     data, counted = bytearray(), 0
     while piece := packed.read(_PIECE_BYTES):
         data += piece
-        counted += len(piece) + _LINE_BYTES * piece.count(b"\n")
+        counted += len(piece) + LINE_BYTES * piece.count(b"\n")
         file.demand_room(counted)
     return bytes(data)
 

@@ -13,7 +13,7 @@ import numpy as np
 from monitor.core import import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, build_table
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import demand_room, hand_over, read_apart
+from monitor.runs.readers.own_process import demand_room, hand_over
 from monitor.runs.readers.table import Table
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -44,7 +44,7 @@ class Hdf5:
     def read(self, file: File) -> list[Table]:
         """Convert the datasets; BadConfigurationError without the library h5py."""
         import_extra("h5py", f"{file.path}: HDF5 (MAT 7.3)")
-        arrays, units = read_apart(__name__, self.name, file.path, file.most_bytes, file.limits.reader_s)
+        arrays, units = file.read_apart(__name__, self.name)
         return [build_table(file.path, self.name, arrays, file.on_warning, units)]
 
 

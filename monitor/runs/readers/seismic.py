@@ -17,7 +17,7 @@ import numpy as np
 from monitor.core import BadInputError, MissingInputError, import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import Arrays, demand_room, hand_over, read_apart
+from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
 from monitor.runs.readers.table import Array, OnWarning, Table
 
 _MINISEED = re.compile(rb"[0-9 ]{6}[DRQM][ \0]|MS\x03")
@@ -77,7 +77,7 @@ class Seismic:
         path, options = file.path, file.options
         obspy = import_extra("obspy", f"{path}: MiniSEED or another seismic format")
         is_nied = file.raw.startswith(_NIED)
-        arrays, told = read_apart(__name__, self.name, path, file.most_bytes, file.limits.reader_s)
+        arrays, told = file.read_apart(__name__, self.name)
         columns, values, t_ns, rate_hz = join(path, arrays, told, file.most_bytes, file.on_warning)
         unit = "m/s^2" if is_nied else json.loads(told[_NOTES])["unit"]
         if unit == "counts" and (options.scale is None) == (options.inventory is None):

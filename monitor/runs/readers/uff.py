@@ -12,13 +12,11 @@ import numpy as np
 
 from monitor.core import BadInputError, import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES
-from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import Arrays, demand_room, hand_over, read_apart
+from monitor.runs.readers.base import LINE_BYTES, File
+from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
 from monitor.runs.readers.table import OnWarning, Table
 
 _MARK = b"    -1"
-_LINE_BYTES = 57
-"""Memory that a line of text takes besides its characters. [bytes; measured: CPython 3.11]"""
 _TIME_RESPONSE = 1
 _ACCELERATION, _FORCE = 12, 13
 """Specific data types. [1; definition: universal dataset 58]"""
@@ -44,10 +42,10 @@ class Uff:
     def read(self, file: File) -> list[Table]:
         """Convert the time responses; BadConfigurationError without the library pyuff."""
         import_extra("pyuff", f"{file.path}: a universal file (UFF)")
-        file.demand_room(len(file.raw) + _LINE_BYTES * file.raw.count(b"\n"))
+        file.demand_room(len(file.raw) + LINE_BYTES * file.raw.count(b"\n"))
         if file.raw.count(_MARK) % 2:
             raise BadInputError(f"{file.path}: damaged UFF: its last dataset has no end; the file was cut")
-        arrays, told = read_apart(__name__, self.name, file.path, file.most_bytes, file.limits.reader_s)
+        arrays, told = file.read_apart(__name__, self.name)
         functions = [
             {**json.loads(told[key]), "data": arrays[f"y{key}"], "x": arrays[f"x{key}"]} for key in told if key != "si"
         ]
