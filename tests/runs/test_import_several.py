@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-import shm_monitor
 
-from drivers.base import ACCELERATION, GROUND, TEMPERATURE
-from drivers.mcap_file import read_recordings
+from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
+from drivers.mcap_file import RecordingInfo, read_recordings, scan_messages
+from monitor import api
 from monitor.core import BadInputError
 from monitor.runs.look import look
 from tests.runs.reading import imported
@@ -31,7 +31,7 @@ def table(path: Path, begin_s: float, count: int = 300, rate_hz: float = 100.0, 
     return path
 
 
-def read(files: list[Path], **options: object) -> tuple[object, list[str], list[str]]:
+def read(files: list[Path], **options: object) -> tuple[RecordingInfo, list[str], list[str]]:
     """Import files; give the content of the recording, what was told, and the topics with their channels."""
     told: list[str] = []
     out = files[0].parent / "out.mcap"
@@ -39,12 +39,9 @@ def read(files: list[Path], **options: object) -> tuple[object, list[str], list[
     return info, told, [f"{b.topic} {b.unit} {','.join(b.channels)}" for b in every_block(out)]
 
 
-def every_block(path: Path) -> list:
-    from mcap.reader import make_reader
-
-    with path.open("rb") as file:
-        topics = {channel.topic for channel in make_reader(file).get_summary().channels.values()}
-    return list(read_recordings([path], topics=sorted(topics)))
+def every_block(path: Path) -> list[SampleBlock]:
+    """Read the blocks of all topics of a recording."""
+    return list(read_recordings([path], topics=sorted({topic for topic, *_ in scan_messages(path)})))
 
 
 # --- files that follow one another ---
@@ -198,11 +195,60 @@ def test_the_library_names_the_users_file_in_its_errors(tmp_path: Path) -> None:
     path.write_text(path.read_text() + later)
     with warnings.catch_warnings(), pytest.raises(BadInputError, match=r"a\.csv: gaps fill most"):
         warnings.simplefilter("ignore")
-        shm_monitor.read(path)
+        api.read(path)
 
 
 def test_the_library_refuses_a_unit_of_a_recording(tmp_path: Path) -> None:
     table(tmp_path / "a.csv", 0.0)
     read([tmp_path / "a.csv"])
     with pytest.raises(BadInputError, match="states its rate and unit"):
-        shm_monitor.read(tmp_path / "out.mcap", unit="g")
+        api.read(tmp_path / "out.mcap", unit="g")
+
+
+# --- seismic records ---
+
+
+def test_of_an_inventory_only_accelerometers_are_channels(tmp_path: Path) -> None:
+    obspy = pytest.importorskip("obspy")
+    from obspy.core.inventory import Channel, InstrumentSensitivity, Inventory, Network, Response, Station
+
+    place = {"latitude": 0.0, "longitude": 0.0, "elevation": 0.0}
+    channels = [
+        Channel(name, "", depth=0.0, response=Response(instrument_sensitivity=InstrumentSensitivity(4e5, 1.0, unit, "")),
+                start_date=obspy.UTCDateTime(0), **place)
+        for name, unit in (("HNX", "M/S**2"), ("HHX", "M/S"))
+    ]  # fmt: skip
+    station = Station("ROOF", channels=channels, start_date=obspy.UTCDateTime(0), **place)
+    Inventory(networks=[Network("XX", [station])]).write(str(tmp_path / "s.xml"), format="STATIONXML")
+    head = {"network": "XX", "station": "ROOF", "sampling_rate": 100.0, "starttime": obspy.UTCDateTime(START_S)}
+    data = np.arange(500, dtype=np.int32)
+    traces = [obspy.Trace(data, {**head, "channel": name}) for name in ("HNX", "HHX")]
+    obspy.Stream(traces).write(str(tmp_path / "a.mseed"), format="MSEED")
+    info, told, blocks = read([tmp_path / "a.mseed"], inventory=tmp_path / "s.xml")
+    assert info.channels[ACCELERATION] == ("XX.ROOF..HNX",)
+    assert "/xx_roof_hhx m/s XX.ROOF..HHX" in blocks and any("HHX (m/s) is kept" in one for one in told)
+
+
+def test_day_files_of_seismic_records_that_overlap_are_joined(tmp_path: Path) -> None:
+    obspy = pytest.importorskip("obspy")
+    data = np.random.default_rng(0).integers(-1000, 1000, 1000).astype(np.int32)
+    files = [tmp_path / "day2.mseed", tmp_path / "day1.mseed"]
+    for path, begin in zip(files, (490, 0), strict=True):
+        start = obspy.UTCDateTime(START_S) + begin / 100
+        head = {"network": "XX", "station": "ROOF", "channel": "HNX", "sampling_rate": 100.0, "starttime": start}
+        obspy.Trace(data[begin : begin + 500], head).write(str(path), format="MSEED")
+    info, *_ = read(files, scale=1e-3)
+    assert (info.n_samples, info.t_start_ns) == (990, START_S * 10**9)
+    written = np.concatenate([block.samples[:, 0] for block in every_block(tmp_path / "out.mcap")])
+    np.testing.assert_allclose(written, 1e-3 * data[:990], rtol=1e-6)
+
+
+def test_three_components_of_one_record_have_names(tmp_path: Path) -> None:
+    obspy = pytest.importorskip("obspy")
+    sample = (Path(obspy.__file__).parent / "io/nied/tests/data/test.knet").read_text()
+    files = []
+    for suffix, direction in (("EW1", "E-W"), ("NS1", "N-S"), ("UD1", "U-D")):
+        files.append(tmp_path / f"AKT0139608101812.{suffix}")
+        files[-1].write_text(sample.replace("E-W", direction))
+    info, *_ = read(files)
+    assert info.channels[ACCELERATION] == ("BO.AKT013..EW", "BO.AKT013..NS", "BO.AKT013..UD")

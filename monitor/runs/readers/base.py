@@ -129,11 +129,16 @@ class Reader(Protocol):
         """Convert a file to tables, one for each clock; raise BadInputError if it is damaged."""
 
 
+def demand_file(path: Path) -> None:
+    """Raise MissingInputError if there is no such file."""
+    if not path.is_file():
+        raise MissingInputError(f"{path}: {'is no file' if path.exists() else 'does not exist'}")
+
+
 def read_bytes(path: Path) -> bytes:
     """Read a file; raise MissingInputError if it cannot be read."""
     try:
-        if not path.is_file():
-            raise MissingInputError(f"{path}: {'is no file' if path.exists() else 'does not exist'}")
+        demand_file(path)
         return path.read_bytes()
     except (OSError, ValueError) as error:
         raise MissingInputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error

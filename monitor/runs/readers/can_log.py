@@ -11,8 +11,8 @@ from drivers.can_bus import CanSource
 from drivers.can_open import LOG_SUFFIXES, CanSettings
 from drivers.frames import FrameError
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
-from monitor.core import BadInputError, MissingInputError
-from monitor.runs.readers.base import Options
+from monitor.core import BadInputError
+from monitor.runs.readers.base import Options, demand_file
 from monitor.runs.readers.table import OnWarning
 
 _UNREPORTED_COUNTS = ("frames", "samples", "foreign", "overruns")
@@ -31,21 +31,21 @@ def import_log(files: list[Path], out: Path, options: Options, on_warning: OnWar
     MissingInputError if one of them cannot be read.
     """
     path, dbc, rate_hz, bus = files[0], options.dbc, options.rate_hz, options.bus
-    if options.align:
-        raise BadInputError(f"{path}: --align is for several files with clocks of their own; this is a CAN log")
-    if len(files) > 1:
-        raise BadInputError(f"{path}: import CAN logs one by one")
-    if dbc is None:
-        raise BadInputError(f"{path}: a CAN log needs --dbc FILE.dbc to say what its frames mean")
-    if options.channels or options.forces or options.ground or options.start_ns is not None:
-        raise BadInputError(f"{path}: its DBC names the channels and it has times: no --channel, --ground, --start")
-    if rate_hz is None:
-        raise BadInputError(f"{path}: neither frames nor DBC tell the sample rate; give --rate HZ")
-    if not rate_hz <= 1e6:
-        raise BadInputError(f"--rate {rate_hz}: at most 1e6 Hz")
+    for reason, holds in {
+        "--align is for several files with clocks of their own; this is a CAN log": options.align,
+        "import CAN logs one by one": len(files) > 1,
+        "a CAN log needs --dbc FILE.dbc to say what its frames mean": dbc is None,
+        "its DBC names the channels and it has times: no --channel, --ground, --start": options.start_ns is not None
+        or any((options.channels, options.forces, options.ground, options.covariates)),
+        "neither frames nor DBC tell the sample rate; give --rate HZ": rate_hz is None,
+        f"--rate {rate_hz}: at most 1e6 Hz": rate_hz is not None and rate_hz > 1e6,
+    }.items():
+        if holds:
+            raise BadInputError(f"{path}: {reason}")
+    assert dbc is not None
+    assert rate_hz is not None
     for file in (path, dbc):
-        if not file.is_file():
-            raise MissingInputError(f"{file}: {'is no file' if file.exists() else 'does not exist'}")
+        demand_file(file)
     settings = CanSettings(
         interface="log", channel=str(path.resolve()), dbc=str(dbc.resolve()), sample_rate_hz=rate_hz, bus=bus
     )

@@ -97,61 +97,56 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
     With clocks, only the samples whose times agree in all files within half a step are kept. Without clocks, all files are
     assumed to begin at the same time.
     """
-    if any(table.time_ns is not None for table in tables):
-        tables = [_with_clock(table) for table in tables]
-    clocks = [table.time_ns for table in tables if table.time_ns is not None]
     if len(tables) == 1:
         return tables, tables[0].time_ns
-    shortest = min(len(table.values) for table in tables)
-    if not clocks:
-        _demand_one_rate(tables)
-        if shortest != max(len(table.values) for table in tables):
+    _demand_one_rate(tables)
+    shortest, longest = min(len(table.values) for table in tables), max(len(table.values) for table in tables)
+    if all(table.time_ns is None for table in tables):
+        if shortest != longest:
             on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
         return [table.rows(np.arange(shortest)) for table in tables], None
-    if len(clocks) != len(tables):
-        without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
+    tables = [_with_clock(table) for table in tables]
+    if without := ", ".join(str(table.path) for table in tables if table.time_ns is None):
         raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
-    if any((np.diff(clock) < 0).any() for clock in clocks):
-        raise BadInputError(f"{tables[0].path}: the files' times must rise throughout")
-    _demand_one_rate(tables)
+    clocks = [table.time_ns for table in tables if table.time_ns is not None]
     base = clocks[0]
     half_ns = 0.5e9 / sample_clock(base).rate_hz
-    keep = np.ones(len(base), dtype=bool)
-    partners = []
-    for clock in clocks:
-        right = np.clip(np.searchsorted(clock, base), 1, max(len(clock) - 1, 1))
-        nearest = right - (base - clock[right - 1] < clock[np.minimum(right, len(clock) - 1)] - base)
-        nearest = np.minimum(nearest, len(clock) - 1)
-        keep &= np.abs(clock[nearest] - base) <= half_ns
-        partners.append(nearest)
+    partners = [_nearest(clock, base) for clock in clocks]
+    keep = np.all([np.abs(clock[at] - base) <= half_ns for clock, at in zip(clocks, partners, strict=True)], axis=0)
     if keep.sum() * 2 < shortest:
-        offsets = "; ".join(
-            f"{table.path.name} starts {(clock[0] - base[0]) / 1e9:+.3f} s"
-            for table, clock in zip(tables[1:], clocks[1:], strict=True)
-        )
         raise BadInputError(
-            f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. "
-            f"Against {tables[0].path.name}: {offsets}. {_overlaps(tables)} "
+            f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. {_apart(tables)} "
             "Record with synchronised sensors, or give --align, which shifts the files until their readings fit each other"
         )
-    if keep.sum() < max(len(clock) for clock in clocks):
+    if keep.sum() < longest:
         on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
     return [table.rows(near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
 
 
-def _overlaps(tables: Sequence[Table]) -> str:
-    """Say which files overlap by their clocks, and for how long."""
+def _nearest(clock: Annotated[Ticks, "m"], base: Annotated[Ticks, "n"]) -> Annotated[Ticks, "n"]:
+    """Return the places in a clock that are nearest to the times of another one."""
+    last = len(clock) - 1
+    right = np.clip(np.searchsorted(clock, base), min(1, last), last)
+    left = np.maximum(right - 1, 0)
+    return np.where(base - clock[left] < clock[right] - base, left, right)
+
+
+def _apart(tables: Sequence[Table]) -> str:
+    """Say how far the clocks of files lie apart, which of them overlap, and for how long."""
     spans = {
         table.path.name: (int(table.time_ns[0]), int(table.time_ns[-1]))
         for table in tables
         if table.time_ns is not None
     }
+    (first, (begin, _)), *others = spans.items()
+    starts = "; ".join(f"{name} starts {(span[0] - begin) / 1e9:+.3f} s" for name, span in others)
     shared = [
         (one, other, (min(spans[one][1], spans[other][1]) - max(spans[one][0], spans[other][0])) / 1e9)
         for one, other in combinations(spans, 2)
     ]
-    told = [f"{one} with {other} ({length_s:.1f} s)" for one, other, length_s in shared if length_s > 0]
-    return f"By their clocks these overlap: {', '.join(told)}." if told else "By their clocks no two files overlap."
+    told = ", ".join(f"{one} with {other} ({length_s:.1f} s)" for one, other, length_s in shared if length_s > 0)
+    overlap = f"By their clocks these overlap: {told}." if told else "By their clocks no two files overlap."
+    return f"Against {first}: {starts}. {overlap}"
 
 
 def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning: OnWarning) -> list[Table]:
@@ -161,7 +156,8 @@ def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning:
     shifted by whole steps; half a step remains unknown. `on_warning` is told of each shift and of its correlation, for the user
     to judge.
     """
-    if len(tables) < 2 or any(table.time_ns is None or len(table.time_ns) < 2 for table in tables):
+    tables = [_with_clock(table) for table in tables]
+    if len(tables) < 2 or any(table.time_ns is None for table in tables):
         raise BadInputError(f"{tables[0].path}: --align is for several files, each with a column of time")
     chosen = {id(table): column for table, column in reversed(columns)}
     base, *others = tables

@@ -233,18 +233,27 @@ def _read(
             "K-NET states its own scale, and --unit is for the others"
         )
     if not options.align:
-        tables = clocks.follow(tables, on_warning)
-    if options.channels:
-        channels = _named(tables, options.channels)
-        named = [*channels.values(), *(place for one in _inputs(tables, options) for place in one.values())]
-        for table in tables:
-            if all(table is not other for other, _ in named):
-                on_warning(f"{table.path}: left out: no --channel names a column of {', '.join(table.columns)}")
-        tables = [table for table in tables if any(table is other for other, _ in named)]
-    if options.align:
-        leading = channels.values() if options.channels else ()
-        tables = clocks.align(tables, [p for p in leading if p[0].quantity(p[1]) != units.ROTATION], on_warning)
-    return tables
+        return _in_use(clocks.follow(tables, on_warning), options, on_warning)
+    tables = _in_use(tables, options, on_warning)
+    leading = _named(tables, options.channels).values()
+    return clocks.align(tables, [place for place in leading if not _turns(place)], on_warning)
+
+
+def _in_use(tables: list[Table], options: Options, on_warning: OnWarning) -> list[Table]:
+    """Leave out the tables of which no column is named, where the user names the channels, and tell it."""
+    if not options.channels:
+        return tables
+    of = [_named(tables, options.channels), *_inputs(tables, options)]
+    used = {id(table) for named in of for table, _ in named.values()}
+    for table in tables:
+        if id(table) not in used:
+            on_warning(f"{table.path}: left out: no --channel names a column of {', '.join(table.columns)}")
+    return [table for table in tables if id(table) in used]
+
+
+def _turns(place: Place) -> bool:
+    """Test whether a column holds a rate of rotation."""
+    return place[0].quantity(place[1]) == units.ROTATION
 
 
 def _named(tables: list[Table], references: dict[str, str] | None) -> dict[str, Place]:
@@ -266,7 +275,7 @@ def _streams(
     chosen = _named(tables, options.channels) or _choose(
         tables, options, [*base.values(), *forces.values()], covariates
     )
-    turning = {name: place for name, place in chosen.items() if place[0].quantity(place[1]) == units.ROTATION}
+    turning = {name: place for name, place in chosen.items() if _turns(place)}
     moving = {name: place for name, place in chosen.items() if name not in turning}
     if not moving:
         raise BadInputError(
@@ -325,14 +334,13 @@ def _others(
     left_out: list[str] = []
     kept = dict(covariates)
     used = [*used, *covariates.values()]
-    for table in tables:
-        for column in table.columns:
-            if (table, column) in used:
-                continue
-            if table.quantity(column) in ("", units.ACCELERATION, "counts"):
-                left_out.append(f"{table.path.name}:{column}" if len(tables) > 1 else column)
-            else:
-                kept[f"{table.names[0]}_{column}" if column in kept else column] = (table, column)
+    for table, column in ((one, name) for one in tables for name in one.columns):
+        if (table, column) in used:
+            continue
+        if table.quantity(column) in ("", units.ACCELERATION, "counts"):
+            left_out.append(f"{table.path.name}:{column}" if len(tables) > 1 else column)
+        else:
+            kept[f"{table.names[0]}_{column}" if column in kept else column] = (table, column)
     if left_out:
         on_warning(
             f"{tables[0].path}: left out: {', '.join(left_out)} (--channel and --covariate take columns by name)"
@@ -344,8 +352,8 @@ def _others(
         if stated is not None and stated.quantity == "temperature":
             values, unit = in_si(values, stated), UNIT_OF[TEMPERATURE]
             topic = topic if TEMPERATURE in streams else TEMPERATURE
-        if topic in streams or (topic in UNIT_OF and unit != UNIT_OF[TEMPERATURE]) or topic in _QUANTITY:
-            topic = next(t for k in count(2) if (t := f"{topic}_{k}") not in streams)
+        if topic in streams or unit != UNIT_OF.get(topic, unit) or topic in _QUANTITY:
+            topic = next(other for k in count(2) if (other := f"{topic}_{k}") not in streams)
         streams[topic] = _Stream(topic, unit, {name: (table, column)}, values)
         if name not in covariates:
             on_warning(f"{table.path}: {column} ({unit}) is kept as the covariate {topic}")
@@ -365,15 +373,14 @@ def _choose(
     Of several files, one that holds a base motion or a force holds no floor.
     """
     taken = [*inputs, *covariates.values()]
+    rest = [(table, column) for table in tables for column in table.default]
     if len(tables) > 1:
         taken += [(table, column) for table, _ in inputs for column in table.columns]
-    rest = [(table, column) for table in tables for column in table.default]
-    if len(tables) == 1:
-        (table,) = tables
-        rest += [(table, c) for c in table.columns if c not in table.default and table.quantity(c) == units.ROTATION]
-        rest = [place for place in rest if place not in taken]
-        if not rest and options.unit is not None:
-            rest = [(table, column) for column in table.columns]
+    else:
+        every = [(tables[0], column) for column in tables[0].columns]
+        rest += [place for place in every if place not in rest and _turns(place)]
+        if options.unit is not None and all(place in taken for place in rest):
+            rest = every
     rest = [place for place in rest if place not in taken]
     if not rest:
         table = tables[0]
@@ -385,7 +392,7 @@ def _choose(
     columns, files = [column for _, column in rest], [table.names[0] for table, _ in rest]
     both = [f"{file}_{column}" for file, column in zip(files, columns, strict=True)]
     # By the file, unless it has several columns or is one of the components of a record, which have names of their own.
-    for names in (columns, both) if len(tables) == 1 else (files, columns, both):
+    for names in (columns,) if len(tables) == 1 else (files, columns, both):
         if len(set(names)) == len(names):
             return dict(zip(names, rest, strict=True))
     raise BadInputError(
@@ -397,21 +404,21 @@ def find_column(tables: list[Table], reference: str) -> Place:
     """Find the column that "FILE", "FILE:COLUMN" or, with a single file, "COLUMN" denotes; BadInputError if there is none."""
     whole = [table for table in tables if reference in table.names]
     parts = [(t, reference[len(n) + 1 :]) for t in tables for n in t.names if reference.startswith(f"{n}:")]
-    if len({table.path for table in tables}) == 1 and not whole:
+    if len({table.path for table in tables}) == 1:
         parts += [(table, reference) for table in tables if reference in table.columns]
     if len(whole) == 1:
-        (table,) = whole
-        if len(table.default) != 1:
-            raise BadInputError(f"{table.path}: name a column: {', '.join(table.columns)}")
-        return table, table.default[0]
+        if len(whole[0].default) != 1:
+            raise BadInputError(f"{whole[0].path}: name a column: {', '.join(whole[0].columns)}")
+        return whole[0], whole[0].default[0]
     if parts and not whole:
         table, column = next((part for part in parts if part[1] in part[0].columns), parts[0])
         table.unit(column)  # or there is no such column
         return table, column
     held = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
+    what = "names several files" if whole else "names no file"
     meant = "" if whole else meant_instead(reference, [name for table in tables for name in _references(table)])
     raise BadInputError(
-        f"{reference!r} {'names several files' if whole else 'names no file'}{meant}; the files, with their columns, are {held}; "
+        f"{reference!r} {what}{meant}; the files, with their columns, are {held}; "
         f"write FILE:COLUMN, as {tables[0].names[0]}:{tables[0].columns[0]}"
     )
 
@@ -481,17 +488,17 @@ def _tell_clock(path: Path, clock: SampleClock, on_warning: OnWarning) -> None:
 
 
 def _start_ns(tables: list[Table], options: Options, on_warning: OnWarning) -> int:
-    """Return the time of the first sample, UTC in ns since 1970; tell the files whose times are taken as UTC where it matters."""
-    dated = [table for table in tables if table.start_ns is not None and table.start_ns >= 0]
-    bare = [table for table in dated if table.start_text]
-    if options.start_ns is None or 0 < len(bare) < len(dated):
-        for table in bare if len(bare) < len(dated) else bare[:1]:
-            on_warning(
-                f"{table.path}: its time {table.start_text} has no zone; taken as UTC: {utc(table.start_ns or 0, seconds=True)} "
-                "(see --start and --timezone)"
-            )
-    if options.start_ns is not None or dated:
-        return options.start_ns if options.start_ns is not None else dated[0].start_ns or 0
+    """Return the time of the first sample, UTC in ns since 1970; tell which files' times are taken as UTC, where it matters."""
+    starts = [(table.start_ns, table) for table in tables if table.start_ns is not None and table.start_ns >= 0]
+    bare = [(start_ns, table) for start_ns, table in starts if table.start_text]
+    mixed = len(bare) < len(starts)  # a zone shifts some of the files against the others
+    for start_ns, table in bare if mixed else bare[: options.start_ns is None]:
+        on_warning(
+            f"{table.path}: its time {table.start_text} has no zone; taken as UTC: {utc(start_ns, seconds=True)} "
+            "(see --start and --timezone)"
+        )
+    if options.start_ns is not None or starts:
+        return starts[0][0] if options.start_ns is None else options.start_ns
     if options.unknown_start_ns is None:
         on_warning("no file tells when it was recorded; the recording begins in 1970 (see --start)")
     return options.unknown_start_ns or 0
