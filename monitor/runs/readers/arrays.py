@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -37,39 +38,47 @@ def build_table(
     """
     told = {_own(name): array for name, array in arrays.items()}
     try:
-        clock = next((_vector(array) * tick for name, array in told.items() if (tick := _tick_s(name))), None)
-        if "samples" in told:
-            columns, values = _samples(told)
-            stated = (next((unit for name, unit in units.items() if _own(name) == "samples"), ""),) * len(columns)
-        else:
-            columns, stated, values = _readings(arrays, clock, units, path, on_warning)
-        if values.ndim != 2 or values.shape[1] != len(columns) or len(set(columns)) != len(columns):
-            raise ValueError(f"samples of shape {values.shape} for channels {', '.join(columns)}")
-        if clock is not None and (clock.shape != values.shape[:1] or not (np.abs(clock) < 4e9).all()):
-            raise ValueError(f"times of shape {clock.shape} for {len(values)} samples")
+        columns, stated, values, clock = _readings(path, arrays, told, on_warning, units)
         rate_hz = _rate_hz(told)
     except (ValueError, TypeError, OverflowError) as error:
         raise BadInputError(f"{path}: cannot be used as {kind}: {error}") from error
     whole = str(told["unit"].item()) if "unit" in told and told["unit"].size == 1 else ""
     named = units_in_names(columns)
     found = tuple(one or whole or behind for one, behind in zip(stated, named, strict=True))
-    known = [unit_of(unit) for unit in found]
     time_ns = None if clock is None else np.rint(clock * 1e9).astype(np.int64)
-    return Table(
+    table = Table(
         path=path,
         columns=columns,
         units=found,
         by_name=tuple(bool(behind) and unit == behind for unit, behind in zip(found, named, strict=True)),
         values=values,
         time_ns=time_ns,
-        chosen=tuple(
-            name
-            for name, unit, one in zip(columns, found, known, strict=True)
-            if not unit or (one is not None and one.quantity == ACCELERATION)
-        ),
         start_ns=int(time_ns[0]) if time_ns is not None and len(time_ns) and time_ns[0] > 10**18 else None,
         rate_hz=rate_hz,
     )
+    chosen = tuple(name for name in columns if not table.unit(name) or table.quantity(name) == ACCELERATION)
+    return replace(table, chosen=chosen)
+
+
+def _readings(
+    path: Path,
+    arrays: Mapping[str, AnyArray],
+    told: Mapping[str, AnyArray],
+    on_warning: OnWarning,
+    units: Mapping[str, str],
+) -> tuple[tuple[str, ...], tuple[str, ...], Annotated[Array, "n columns"], Annotated[Array, "n"] | None]:
+    """Return columns, their stated units, their readings, and the times in s; ValueError if they do not fit each other."""
+    clock = next((_vector(array) * tick for name, array in told.items() if (tick := _tick_s(name))), None)
+    if "samples" in told:
+        columns, values = _samples(told)
+        stated = (next((unit for name, unit in units.items() if _own(name) == "samples"), ""),) * len(columns)
+    else:
+        columns, stated, values = _of_one_length(arrays, clock, units, path, on_warning)
+    if values.ndim != 2 or values.shape[1] != len(columns) or len(set(columns)) != len(columns):
+        raise ValueError(f"samples of shape {values.shape} for channels {', '.join(columns)}")
+    if clock is not None and (clock.shape != values.shape[:1] or not (np.abs(clock) < 4e9).all()):
+        raise ValueError(f"times of shape {clock.shape} for {len(values)} samples")
+    return columns, stated, values, clock
 
 
 def _own(name: str) -> str:
@@ -115,17 +124,11 @@ def _vector(array: AnyArray) -> Array:
     return np.asarray(array, dtype=np.float64).ravel()
 
 
-def _readings(
+def _of_one_length(
     arrays: Mapping[str, AnyArray], clock: Array | None, units: Mapping[str, str], path: Path, on_warning: OnWarning
 ) -> tuple[tuple[str, ...], tuple[str, ...], Annotated[Array, "n columns"]]:
     """Return columns, their units and their readings of all arrays of the same length."""
-    found: dict[str, Array] = {}
-    for name, array in arrays.items():
-        is_real = np.issubdtype(array.dtype, np.number) and not np.issubdtype(array.dtype, np.complexfloating)
-        reserved = _own(name) in _RESERVED or _tick_s(_own(name))
-        if is_real and not reserved and array.ndim in (1, 2) and array.size > 1:
-            column = array[:, None] if array.ndim == 1 else array
-            found[name] = np.asarray(column if column.shape[0] >= column.shape[1] else column.T, dtype=np.float64)
+    found = {name: _along_time(array) for name, array in arrays.items() if _holds_readings(_own(name), array)}
     if not found:
         raise ValueError(f"no array `samples` and no vector or matrix of numbers; it has {', '.join(arrays) or 'none'}")
     length = max(map(len, found.values())) if clock is None else len(clock)
@@ -141,3 +144,15 @@ def _readings(
         for k in range(values.shape[1])
     }
     return tuple(columns), tuple(columns.values()), np.hstack(list(kept.values()))
+
+
+def _holds_readings(name: str, array: AnyArray) -> bool:
+    """Test whether an array is a vector or matrix of real numbers that its own name makes no time, rate or the like."""
+    is_real = np.issubdtype(array.dtype, np.number) and not np.issubdtype(array.dtype, np.complexfloating)
+    return is_real and name not in _RESERVED and not _tick_s(name) and array.ndim in (1, 2) and array.size > 1
+
+
+def _along_time(array: AnyArray) -> Annotated[Array, "n columns"]:
+    """Return a vector or matrix with its longer side as time."""
+    columns = array[:, None] if array.ndim == 1 else array
+    return np.asarray(columns if columns.shape[0] >= columns.shape[1] else columns.T, dtype=np.float64)

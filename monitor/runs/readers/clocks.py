@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import BadInputError
-from monitor.runs.readers.table import Array, OnWarning, Table, Ticks, in_order
+from monitor.runs.readers.table import Array, OnWarning, Table, Ticks
 from monitor.signals import sample_clock
 
 _LEAST_CORRELATION = 0.1
@@ -22,34 +22,56 @@ _LEAST_SHARE = 1e-6
 _MOST_ALIGNED = 1 << 24
 """Most samples of a file to be aligned. [samples; cost: half a GB of memory]"""
 _ONE_RATE = 1.02
-"""Ratio of the rates of files up to which they are one. [ratio; judgement: clocks of loggers, rates of some hundred samples]"""
+"""Ratio of the rates of files up to which they are one. [ratio; judgement: stamps of few rows, cut to ms]"""
 
 
 def follow(tables: list[Table], on_warning: OnWarning) -> list[Table]:
     """Join tables of the same columns that follow one another in time, as files of following days do.
 
-    Each shares less than half of its time with the one before; what stands in both is counted once.
+    Each shares less than half of its time with the one before, of which the readings are then kept.
     """
     tables = [_with_clock(table) for table in tables]
     if len(tables) < 2 or any(table.start_ns is None or table.time_ns is None for table in tables):
         return tables
-    by_start = sorted(tables, key=lambda table: table.start_ns or 0)
-    spans = [_span_ns(table) for table in by_start]
-    if len({(table.columns, table.units) for table in tables}) > 1 or any(
-        before[1] - after[0] > min(before[1] - before[0], after[1] - after[0]) / 2 for before, after in pairwise(spans)
-    ):
+    tables_in_time = sorted(tables, key=lambda table: table.start_ns or 0)
+    times = [_times_ns(table) for table in tables_in_time]
+    if len({(table.columns, table.units) for table in tables}) > 1 or not all(map(_follows, times, times[1:])):
         return tables
-    _demand_one_rate(tables)
-    first = by_start[0]
-    on_warning(f"{', '.join(table.path.name for table in by_start)}: follow one another in time, and are joined")
-    joined = replace(
-        first,
-        values=np.concatenate([table.values for table in by_start]),
-        time_ns=np.concatenate([_times_ns(table) for table in by_start]),
-        index=None,
-        start_text=next((table.start_text for table in by_start if table.start_text), ""),
-    )
-    return [in_order(joined, on_warning)]
+    _demand_one_rate(tables_in_time)
+    names = ", ".join(table.path.name for table in tables_in_time)
+    on_warning(f"{names}: follow one another in time, and are joined")
+    firsts = [0, *(_first_after(int(before[-1]), after) for before, after in pairwise(times))]
+    if again := sum(firsts):
+        on_warning(f"{names}: {again} samples stand twice; those of the file that begins first are kept")
+    return [
+        replace(
+            tables_in_time[0],
+            values=np.concatenate([t.values[first:] for t, first in zip(tables_in_time, firsts, strict=True)]),
+            time_ns=np.concatenate([t_ns[first:] for t_ns, first in zip(times, firsts, strict=True)]),
+            index=None,
+            start_text=next((table.start_text for table in tables_in_time if table.start_text), ""),
+        )
+    ]
+
+
+def _with_clock(table: Table) -> Table:
+    """Give a table that states start and rate the times that follow from them."""
+    if table.time_ns is not None or table.start_ns is None or table.rate_hz is None:
+        return table
+    steps = np.rint(np.arange(len(table.values)) * (1e9 / table.rate_hz)).astype(np.int64)
+    return replace(table, time_ns=table.start_ns + steps)
+
+
+def _follows(before: Annotated[Ticks, "n"], after: Annotated[Ticks, "m"]) -> bool:
+    """Test whether times share less than half of their length, or that of the others, with the times before them."""
+    length_ns = min(before[-1] - before[0], after[-1] - after[0])
+    return bool(before[-1] - after[0] <= length_ns / 2)
+
+
+def _first_after(end_ns: int, t_ns: Annotated[Ticks, "n"]) -> int:
+    """Return the place of the first of some times that lies half a step or more behind an end."""
+    step_ns = float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0.0
+    return int(np.searchsorted(t_ns, end_ns + step_ns / 2, side="left"))
 
 
 def _demand_one_rate(tables: Sequence[Table]) -> None:
@@ -77,20 +99,6 @@ def _times_ns(table: Table) -> Annotated[Ticks, "n"]:
     return table.time_ns + (0 if table.start_ns is None else table.start_ns - table.time_ns[0])
 
 
-def _span_ns(table: Table) -> tuple[int, int]:
-    """Return the times of first and last sample."""
-    t_ns = _times_ns(table)
-    return int(t_ns[0]), int(t_ns[-1])
-
-
-def _with_clock(table: Table) -> Table:
-    """Give a table that states start and rate the times that follow from them."""
-    if table.time_ns is not None or table.start_ns is None or table.rate_hz is None:
-        return table
-    steps = np.rint(np.arange(len(table.values)) * (1e9 / table.rate_hz)).astype(np.int64)
-    return replace(table, time_ns=table.start_ns + steps)
-
-
 def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annotated[Ticks, "n"] | None]:
     """Cut tables to their common samples, and return them with their common clock, ns; None without clocks.
 
@@ -100,15 +108,16 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
     if len(tables) == 1:
         return tables, tables[0].time_ns
     _demand_one_rate(tables)
-    shortest, longest = min(len(table.values) for table in tables), max(len(table.values) for table in tables)
-    if all(table.time_ns is None for table in tables):
+    shortest, *_, longest = sorted(len(table.values) for table in tables)
+    tables = tables if all(table.time_ns is None for table in tables) else [_with_clock(table) for table in tables]
+    clocks = [table.time_ns for table in tables if table.time_ns is not None]
+    if not clocks:
         if shortest != longest:
             on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
         return [table.rows(np.arange(shortest)) for table in tables], None
-    tables = [_with_clock(table) for table in tables]
-    if without := ", ".join(str(table.path) for table in tables if table.time_ns is None):
+    if len(clocks) < len(tables):
+        without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
         raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
-    clocks = [table.time_ns for table in tables if table.time_ns is not None]
     base = clocks[0]
     half_ns = 0.5e9 / sample_clock(base).rate_hz
     partners = [_nearest(clock, base) for clock in clocks]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -348,16 +348,23 @@ def _others(
     streams: dict[str, _Stream] = {}
     for name, (table, column) in kept.items():
         stated, values = unit_of(table.unit(column)), table.values[:, [table.columns.index(column)]]
-        topic, unit = f"/{_slug(name)}", table.unit(column) or "1"
+        unit = table.unit(column) or "1"
         if stated is not None and stated.quantity == "temperature":
             values, unit = in_si(values, stated), UNIT_OF[TEMPERATURE]
-            topic = topic if TEMPERATURE in streams else TEMPERATURE
-        if topic in streams or unit != UNIT_OF.get(topic, unit) or topic in _QUANTITY:
-            topic = next(other for k in count(2) if (other := f"{topic}_{k}") not in streams)
+        topic = _free_topic(name, unit, streams)
         streams[topic] = _Stream(topic, unit, {name: (table, column)}, values)
         if name not in covariates:
             on_warning(f"{table.path}: {column} ({unit}) is kept as the covariate {topic}")
     return list(streams.values())
+
+
+def _free_topic(name: str, unit: str, taken: Iterable[str]) -> str:
+    """Return the topic of a covariate: of the first temperature /temperature, of any other its name, which no other has."""
+    if unit == UNIT_OF[TEMPERATURE] and TEMPERATURE not in taken:
+        return TEMPERATURE
+    topic = f"/{_slug(name)}"
+    numbered = (f"{topic}_{number}" for number in count(2))
+    return next(one for one in chain([topic], numbered) if one not in taken and one not in UNIT_OF)
 
 
 def _slug(name: str) -> str:
@@ -379,7 +386,7 @@ def _choose(
     else:
         every = [(tables[0], column) for column in tables[0].columns]
         rest += [place for place in every if place not in rest and _turns(place)]
-        if options.unit is not None and all(place in taken for place in rest):
+        if options.unit is not None and not set(rest) - set(taken):
             rest = every
     rest = [place for place in rest if place not in taken]
     if not rest:
@@ -389,12 +396,16 @@ def _choose(
         raise BadInputError(
             f"{table.path}: no column is left for the floors besides the ground; it has {', '.join(table.columns)}"
         )
-    columns, files = [column for _, column in rest], [table.names[0] for table, _ in rest]
+    return _named_apart(rest, len(tables) == 1)
+
+
+def _named_apart(places: list[Place], of_one_file: bool) -> dict[str, Place]:
+    """Name columns: of several files by the file, unless it has several or holds a component of a record."""
+    columns, files = [column for _, column in places], [table.names[0] for table, _ in places]
     both = [f"{file}_{column}" for file, column in zip(files, columns, strict=True)]
-    # By the file, unless it has several columns or is one of the components of a record, which have names of their own.
-    for names in (columns,) if len(tables) == 1 else (files, columns, both):
+    for names in (columns,) if of_one_file else (files, columns, both):
         if len(set(names)) == len(names):
-            return dict(zip(names, rest, strict=True))
+            return dict(zip(names, places, strict=True))
     raise BadInputError(
         f"several columns would be channel {max(both, key=both.count)!r}; name each: --channel NAME=FILE:COLUMN"
     )
@@ -403,29 +414,34 @@ def _choose(
 def find_column(tables: list[Table], reference: str) -> Place:
     """Find the column that "FILE", "FILE:COLUMN" or, with a single file, "COLUMN" denotes; BadInputError if there is none."""
     whole = [table for table in tables if reference in table.names]
-    parts = [(t, reference[len(n) + 1 :]) for t in tables for n in t.names if reference.startswith(f"{n}:")]
-    if len({table.path for table in tables}) == 1:
-        parts += [(table, reference) for table in tables if reference in table.columns]
     if len(whole) == 1:
         if len(whole[0].default) != 1:
             raise BadInputError(f"{whole[0].path}: name a column: {', '.join(whole[0].columns)}")
         return whole[0], whole[0].default[0]
-    if parts and not whole:
-        table, column = next((part for part in parts if part[1] in part[0].columns), parts[0])
+    one_file = len({table.path for table in tables}) == 1
+    found = [place for table in tables for place in _denoted(table, reference, one_file)]
+    if found and not whole:
+        table, column = next((place for place in found if place[1] in place[0].columns), found[0])
         table.unit(column)  # or there is no such column
         return table, column
+    raise BadInputError(f"{reference!r} {_says_unknown(tables, reference, is_ambiguous=bool(whole))}")
+
+
+def _says_unknown(tables: list[Table], reference: str, *, is_ambiguous: bool) -> str:
+    """Say why a reference denotes no column, and how to write it."""
     held = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
-    what = "names several files" if whole else "names no file"
-    meant = "" if whole else meant_instead(reference, [name for table in tables for name in _references(table)])
-    raise BadInputError(
-        f"{reference!r} {what}{meant}; the files, with their columns, are {held}; "
+    known = [text for t in tables for n in t.names for text in (n, *t.columns, *(f"{n}:{c}" for c in t.columns))]
+    what = "names several files" if is_ambiguous else f"names no file{meant_instead(reference, known)}"
+    return (
+        f"{what}; the files, with their columns, are {held}; "
         f"write FILE:COLUMN, as {tables[0].names[0]}:{tables[0].columns[0]}"
     )
 
 
-def _references(table: Table) -> list[str]:
-    """List what may denote a file or a column of it."""
-    return [*table.names, *table.columns, *(f"{name}:{column}" for name in table.names for column in table.columns)]
+def _denoted(table: Table, reference: str, one_file: bool) -> list[Place]:
+    """Return what "FILE:COLUMN" denotes if it names the file, and of a single file what "COLUMN" does."""
+    found = [(table, reference[len(name) + 1 :]) for name in table.names if reference.startswith(f"{name}:")]
+    return [*found, (table, reference)] if one_file and reference in table.columns else found
 
 
 def _timing(

@@ -62,7 +62,7 @@ class Seismic:
         whole = json.loads(told[_WHOLE])
         for note in whole["notes"]:
             file.on_warning(f"{path}: {note}")
-        table = _joined(path, [_Trace(*json.loads(told[k]), data) for k, data in arrays.items()], file)
+        table = _joined(path, [_Trace(data, *json.loads(told[key])) for key, data in arrays.items()], file)
         unit = whole["unit"]
         if unit == "counts" and (options.scale is None) == (options.inventory is None):
             raise BadInputError(
@@ -84,10 +84,10 @@ class Seismic:
 class _Trace(NamedTuple):
     """Readings without a gap of one channel."""
 
+    data: Array
     name: str
     rate_hz: float
     begin_ns: int
-    data: Array
 
     @property
     def end_ns(self) -> float:
@@ -104,13 +104,8 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
         warnings.simplefilter("always")
         form = "MSEED" if _MINISEED.match(raw) else "KNET" if raw.startswith(_NIED) else None
         stream = obspy.read(io.BytesIO(raw), format=form, apply_calib=form == "KNET")
-    failed = Counter(str(one.message).partition(",")[0] for one in caught if "MSEED" in one.category.__name__)
-    notes = [f"{what}: {count} records" for what, count in failed.items()]
-    texts = Counter(trace.id for trace in stream if trace.data.dtype.kind not in "iuf")
-    notes += [f"{name}: {count} records of text are left out" for name, count in texts.items()]
-    if form == "MSEED" and (rest := len(raw) % (int(stream[0].stats.mseed.record_length) if stream else 512)):
-        notes.append(f"the last record is cut: {rest} bytes are left out")
-    traces = {str(k): t for k, t in enumerate(t for t in stream if t.stats.npts and t.id not in texts)}
+    notes = _notes(raw if form == "MSEED" else b"", stream, caught)
+    traces = {str(k): t for k, t in enumerate(t for t in stream if t.stats.npts and t.data.dtype.kind in "iuf")}
     demand_room(VALUE_BYTES * sum(trace.stats.npts for trace in traces.values()), most_bytes)
     # Whole numbers are counts; what a program wrote in floating point is in a unit that it does not say.
     whole = form == "MSEED" or all(trace.data.dtype.kind in "iu" for trace in traces.values())
@@ -120,6 +115,17 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
     }
     told[_WHOLE] = json.dumps({"notes": notes, "unit": "m/s^2" if form == "KNET" else "counts" if whole else ""})
     return {key: trace.data for key, trace in traces.items()}, told
+
+
+def _notes(miniseed: bytes, stream: Any, caught: Sequence[warnings.WarningMessage]) -> list[str]:
+    """Say what of a file is damaged or left out."""
+    failed = Counter(str(one.message).partition(",")[0] for one in caught if "MSEED" in one.category.__name__)
+    texts = Counter(trace.id for trace in stream if trace.data.dtype.kind not in "iuf")
+    notes = [f"{what}: {count} records" for what, count in failed.items()]
+    notes += [f"{name}: {count} records of text are left out" for name, count in texts.items()]
+    if rest := len(miniseed) % (int(stream[0].stats.mseed.record_length) if miniseed and stream else 512):
+        notes.append(f"the last record is cut: {rest} bytes are left out")
+    return notes
 
 
 def _joined(path: Path, traces: Sequence[_Trace], file: File) -> Table:

@@ -78,17 +78,8 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
 
 def _build(path: Path, functions: list[dict[str, Any]], si: bool, on_warning: OnWarning) -> Table:
     """Build a table of the time responses; raise ValueError if they do not fit each other."""
-    responses = [f for f in functions if f["func_type"] == _TIME_RESPONSE and np.isrealobj(f["data"])]
-    if not responses:
-        held = ", ".join(sorted({_FUNCTIONS.get(f["func_type"], f"type {f['func_type']}") for f in functions}))
-        raise ValueError(f"it holds no time response (dataset 58 of function type 1) but {held or 'no dataset 58'}")
+    responses = _responses(functions)
     first = responses[0]
-    for other in responses:
-        if len(other["data"]) != len(first["data"]) or not np.allclose(other["x"], first["x"], rtol=0, atol=1e-6):
-            raise ValueError(
-                f"{_label(first)} has {len(first['data'])} samples and {_label(other)} {len(other['data'])}, or other times; "
-                "save those of one rate and length together"
-            )
     names = [_label(f) for f in responses]
     columns = tuple(
         name if names.count(name) == 1 else f"{name}_{names[: at + 1].count(name)}" for at, name in enumerate(names)
@@ -108,6 +99,22 @@ def _build(path: Path, functions: list[dict[str, Any]], si: bool, on_warning: On
         start_ns=_start_ns(path, first, float(x[0]) if len(x) else 0.0, on_warning),
         rate_hz=_rounded(1.0 / float(first["abscissa_inc"])) if even else None,
     )
+
+
+def _responses(functions: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the time responses; raise ValueError if there is none, or their times differ."""
+    responses = [f for f in functions if f["func_type"] == _TIME_RESPONSE and np.isrealobj(f["data"])]
+    if not responses:
+        held = ", ".join(sorted({_FUNCTIONS.get(f["func_type"], f"type {f['func_type']}") for f in functions}))
+        raise ValueError(f"it holds no time response (dataset 58 of function type 1) but {held or 'no dataset 58'}")
+    first = responses[0]
+    for other in responses:
+        if len(other["data"]) != len(first["data"]) or not np.allclose(other["x"], first["x"], rtol=0, atol=1e-6):
+            raise ValueError(
+                f"{_label(first)} has {len(first['data'])} samples and {_label(other)} {len(other['data'])}, or other times; "
+                "save those of one rate and length together"
+            )
+    return responses
 
 
 def _rounded(rate_hz: float) -> float:
