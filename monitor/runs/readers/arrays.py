@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import BadInputError
-from monitor.runs.readers.table import Array, OnWarning, Table
+from monitor.runs.readers.table import Array, OnWarning, Table, Ticks
 from monitor.runs.readers.units import ACCELERATION, TIME, split_name, unit_of, units_in_names
 
 AnyArray = NDArray[np.generic]
@@ -45,7 +45,7 @@ def build_table(
     whole = str(told["unit"].item()) if "unit" in told and told["unit"].size == 1 else ""
     named = units_in_names(columns)
     found = tuple(one or whole or behind for one, behind in zip(stated, named, strict=True))
-    time_ns = None if clock is None else np.rint(clock * 1e9).astype(np.int64)
+    time_ns, start_ns = (None, None) if clock is None else _times(clock)
     table = Table(
         path=path,
         columns=columns,
@@ -53,7 +53,7 @@ def build_table(
         by_name=tuple(bool(behind) and unit == behind for unit, behind in zip(found, named, strict=True)),
         values=values,
         time_ns=time_ns,
-        start_ns=int(time_ns[0]) if time_ns is not None and len(time_ns) and time_ns[0] > 10**18 else None,
+        start_ns=start_ns,
         rate_hz=rate_hz,
     )
     chosen = tuple(name for name in columns if not table.unit(name) or table.quantity(name) == ACCELERATION)
@@ -79,6 +79,12 @@ def _readings(
     if clock is not None and (clock.shape != values.shape[:1] or not (np.abs(clock) < 4e9).all()):
         raise ValueError(f"times of shape {clock.shape} for {len(values)} samples")
     return columns, stated, values, clock
+
+
+def _times(clock: Annotated[Array, "n"]) -> tuple[Annotated[Ticks, "n"], int | None]:
+    """Return times in ns, and the first of them where it is a date."""
+    time_ns = np.rint(clock * 1e9).astype(np.int64)
+    return time_ns, int(time_ns[0]) if (time_ns[:1] > 10**18).any() else None
 
 
 def _own(name: str) -> str:

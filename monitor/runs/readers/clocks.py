@@ -43,15 +43,18 @@ def follow(tables: list[Table], on_warning: OnWarning) -> list[Table]:
     firsts = [0, *(_first_after(int(before[-1]), after) for before, after in pairwise(times))]
     if again := sum(firsts):
         on_warning(f"{names}: {again} samples stand twice; those of the file that begins first are kept")
-    return [
-        replace(
-            tables_in_time[0],
-            values=np.concatenate([t.values[first:] for t, first in zip(tables_in_time, firsts, strict=True)]),
-            time_ns=np.concatenate([t_ns[first:] for t_ns, first in zip(times, firsts, strict=True)]),
-            index=None,
-            start_text=next((table.start_text for table in tables_in_time if table.start_text), ""),
-        )
-    ]
+    return [_joined(tables_in_time, times, firsts)]
+
+
+def _joined(tables: Sequence[Table], times: Sequence[Ticks], firsts: Sequence[int]) -> Table:
+    """Put tables, each from its row in `firsts` on, behind one another."""
+    return replace(
+        tables[0],
+        values=np.concatenate([table.values[first:] for table, first in zip(tables, firsts, strict=True)]),
+        time_ns=np.concatenate([t_ns[first:] for t_ns, first in zip(times, firsts, strict=True)]),
+        index=None,
+        start_text=next((table.start_text for table in tables if table.start_text), ""),
+    )
 
 
 def _with_clock(table: Table) -> Table:
@@ -109,27 +112,34 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
         return tables, tables[0].time_ns
     _demand_one_rate(tables)
     shortest, *_, longest = sorted(len(table.values) for table in tables)
-    tables = tables if all(table.time_ns is None for table in tables) else [_with_clock(table) for table in tables]
-    clocks = [table.time_ns for table in tables if table.time_ns is not None]
+    clocks = _clocks(tables)
     if not clocks:
         if shortest != longest:
             on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
         return [table.rows(np.arange(shortest)) for table in tables], None
-    if len(clocks) < len(tables):
-        without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
-        raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
     base = clocks[0]
     half_ns = 0.5e9 / sample_clock(base).rate_hz
     partners = [_nearest(clock, base) for clock in clocks]
     keep = np.all([np.abs(clock[at] - base) <= half_ns for clock, at in zip(clocks, partners, strict=True)], axis=0)
     if keep.sum() * 2 < shortest:
         raise BadInputError(
-            f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. {_apart(tables)} "
+            f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. {_apart(tables, clocks)} "
             "Record with synchronised sensors, or give --align, which shifts the files until their readings fit each other"
         )
     if keep.sum() < longest:
         on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
     return [table.rows(near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
+
+
+def _clocks(tables: Sequence[Table]) -> list[Ticks]:
+    """Return the times of all tables, or none; BadInputError where some have a clock and others none."""
+    clocks = [table.time_ns for table in map(_with_clock, tables) if table.time_ns is not None]
+    if all(table.time_ns is None for table in tables):
+        return []
+    if len(clocks) < len(tables):
+        without = ", ".join(str(table.path) for table in tables if _with_clock(table).time_ns is None)
+        raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
+    return clocks
 
 
 def _nearest(clock: Annotated[Ticks, "m"], base: Annotated[Ticks, "n"]) -> Annotated[Ticks, "n"]:
@@ -140,13 +150,9 @@ def _nearest(clock: Annotated[Ticks, "m"], base: Annotated[Ticks, "n"]) -> Annot
     return np.where(base - clock[left] < clock[right] - base, left, right)
 
 
-def _apart(tables: Sequence[Table]) -> str:
+def _apart(tables: Sequence[Table], clocks: Sequence[Ticks]) -> str:
     """Say how far the clocks of files lie apart, which of them overlap, and for how long."""
-    spans = {
-        table.path.name: (int(table.time_ns[0]), int(table.time_ns[-1]))
-        for table in tables
-        if table.time_ns is not None
-    }
+    spans = {table.path.name: (int(t[0]), int(t[-1])) for table, t in zip(tables, clocks, strict=True)}
     (first, (begin, _)), *others = spans.items()
     starts = "; ".join(f"{name} starts {(span[0] - begin) / 1e9:+.3f} s" for name, span in others)
     shared = [

@@ -9,6 +9,7 @@ import lzma
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import IO, Any
@@ -31,32 +32,22 @@ _OPENERS: dict[bytes, Callable[[IO[bytes]], Any]] = {
 """First bytes of packed files, and what unpacks them."""
 
 
-class Recording:
-    """Our own recordings, which need no import."""
+@dataclass(slots=True)
+class Elsewhere:
+    """A format that is told by its first bytes and not read here."""
 
-    name = "MCAP"
-
-    def is_mine(self, file: File) -> bool:
-        """Test whether a file is of this format."""
-        return file.raw.startswith(MAGIC)
-
-    def read(self, file: File) -> list[Table]:
-        """Refuse it."""
-        raise BadInputError(f"{file.path}: is an MCAP recording already; use it as it is")
-
-
-class MisnamedCanLog:
-    """A CAN log with a suffix by which python-can does not know it."""
-
-    name = "CAN log"
+    name: str
+    magic: bytes
+    says: str
+    """What it is, and what to do."""
 
     def is_mine(self, file: File) -> bool:
         """Test whether a file is of this format."""
-        return file.raw.startswith(b"LOGG")
+        return file.raw.startswith(self.magic)
 
     def read(self, file: File) -> list[Table]:
         """Refuse it."""
-        raise BadInputError(f"{file.path}: is a CAN log; name it with the suffix .blf")
+        raise BadInputError(f"{file.path}: is {self.says}")
 
 
 class Packed:
@@ -144,8 +135,8 @@ class Text:
 
 
 READERS: tuple[Reader, ...] = (
-    Recording(),
-    MisnamedCanLog(),
+    Elsewhere("MCAP", MAGIC, "an MCAP recording already; use it as it is"),
+    Elsewhere("CAN log", b"LOGG", "a CAN log; name it with the suffix .blf"),
     seismic.Seismic(),
     hdf5.Hdf5(),
     mat.Mat(),

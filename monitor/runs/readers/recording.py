@@ -386,17 +386,20 @@ def _choose(
     else:
         every = [(tables[0], column) for column in tables[0].columns]
         rest += [place for place in every if place not in rest and _turns(place)]
-        if options.unit is not None and not set(rest) - set(taken):
-            rest = every
+        rest = every if options.unit and not set(rest) - set(taken) else rest
     rest = [place for place in rest if place not in taken]
     if not rest:
-        table = tables[0]
-        if not taken:  # or says that its unit is another
-            table.converted(next(filter(table.unit, table.columns), table.columns[0]), units.ACCELERATION, "m/s^2")
-        raise BadInputError(
-            f"{table.path}: no column is left for the floors besides the ground; it has {', '.join(table.columns)}"
-        )
+        raise _none_left(tables[0], is_taken=bool(taken))
     return _named_apart(rest, len(tables) == 1)
+
+
+def _none_left(table: Table, *, is_taken: bool) -> BadInputError:
+    """Return the error that no column holds accelerations; raise it where the columns are of another quantity."""
+    if not is_taken:
+        table.converted(next(filter(table.unit, table.columns), table.columns[0]), units.ACCELERATION, "m/s^2")
+    return BadInputError(
+        f"{table.path}: no column is left for the floors besides the ground; it has {', '.join(table.columns)}"
+    )
 
 
 def _named_apart(places: list[Place], of_one_file: bool) -> dict[str, Place]:

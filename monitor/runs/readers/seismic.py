@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from monitor.core import BadInputError, MissingInputError, import_extra
-from monitor.runs.readers.arrays import VALUE_BYTES
+from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray
 from monitor.runs.readers.base import File
 from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
-from monitor.runs.readers.table import Array, Table
+from monitor.runs.readers.table import Table
 
 _MINISEED = re.compile(rb"[0-9 ]{6}[DRQM][ \0]|MS\x03")
 """Begin of a file: sequence number and quality of the first record, or that of version 3. [text; FDSN]"""
@@ -84,7 +84,7 @@ class Seismic:
 class _Trace(NamedTuple):
     """Readings without a gap of one channel."""
 
-    data: Array
+    data: AnyArray
     name: str
     rate_hz: float
     begin_ns: int
