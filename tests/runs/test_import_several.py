@@ -67,6 +67,15 @@ def test_files_of_two_rates_that_follow_are_refused(tmp_path: Path) -> None:
         read(files)
 
 
+@pytest.mark.parametrize("heading", ["a1 [g],a2 [mg]", "a1 [g]"])
+def test_files_that_follow_with_other_columns_or_units_are_refused_with_the_reason(
+    tmp_path: Path, heading: str
+) -> None:
+    files = [table(tmp_path / "a.csv", 0.0), table(tmp_path / "b.csv", 10.0, heading=heading)]
+    with pytest.raises(BadInputError, match="joined where each states its date, and all the same columns and units"):
+        read(files)
+
+
 def test_files_that_are_to_be_aligned_are_not_joined_in_time(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).normal(size=2000)
     for name, begin in (("a.csv", 0.0), ("b.csv", 100.0)):

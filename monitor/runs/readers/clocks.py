@@ -160,8 +160,12 @@ def _apart(tables: Sequence[Table], clocks: Sequence[Ticks]) -> str:
         for one, other in combinations(spans, 2)
     ]
     told = ", ".join(f"{one} with {other} ({length_s:.1f} s)" for one, other, length_s in shared if length_s > 0)
-    overlap = f"By their clocks these overlap: {told}." if told else "By their clocks no two files overlap."
-    return f"Against {first}: {starts}. {overlap}"
+    if told:
+        return f"Against {first}: {starts}. By their clocks these overlap: {told}."
+    return (
+        f"Against {first}: {starts}. By their clocks no two files overlap; those that follow one another are joined "
+        "where each states its date, and all the same columns and units."
+    )
 
 
 def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning: OnWarning) -> list[Table]:
