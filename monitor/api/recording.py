@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,9 +12,8 @@ import numpy as np
 
 from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
 from drivers.mcap_file import read_recordings
-from drivers.mcap_records import MAGIC
-from monitor.core import Array, BadInputError, MissingInputError, import_extra, read_by_user
-from monitor.runs import Options, import_files
+from monitor.core import Array, BadInputError, import_extra, read_by_user
+from monitor.runs import Options, as_recordings
 
 _LEAST_FILLED = 0.1
 """Least share of a recording's time that must hold samples to be laid out as one array. [ratio; judgement: memory]"""
@@ -53,7 +51,7 @@ class Recording:
 def read(
     file: str | Path, *, unit: str | None = None, rate_hz: float | None = None, start_ns: int | None = None
 ) -> Recording:
-    """Read a recording (MCAP), or a table (CSV of any delimiter, NPZ, Xsens DOT), as arrays in SI units.
+    """Read a recording (MCAP), or a file of any format that `import` reads, as arrays in SI units.
 
     Parameters
     ----------
@@ -85,23 +83,10 @@ def read(
     (100.0, ('top',), array([1.961]))
     """
     path, told = Path(file), list[str]()
+    options = Options(rate_hz=rate_hz, unit=unit, start_ns=start_ns, unknown_start_ns=0)
     try:
-        with path.open("rb") as stream:
-            is_recording = stream.read(len(MAGIC)) == MAGIC
-        if is_recording:
-            return _gathered(path, told.append)
-        with tempfile.TemporaryDirectory() as folder:
-            imported = Path(folder, "imported.mcap")
-            import_files(
-                [path],
-                imported,
-                Options(rate_hz=rate_hz, unit=unit, start_ns=start_ns, unknown_start_ns=0),
-                ask_unit=lambda _: "m/s^2",
-                on_warning=told.append,
-            )
-            return _gathered(imported, told.append)
-    except OSError as error:
-        raise MissingInputError(f"{path}: {error.strerror or error}") from error
+        with as_recordings([path], options, told.append, ask_unit=lambda _: "m/s^2") as (recording,):
+            return _gathered(recording, told.append)
     finally:
         for message in told:
             warnings.warn(message, stacklevel=2)  # at the caller's line

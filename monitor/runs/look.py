@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from statistics import NormalDist
@@ -40,7 +40,7 @@ from monitor.identification import (
 from monitor.publish import G_M_S2, LookedBand, LookedMode, LookedRecording, mode_rows, write_look
 from monitor.runs.look_doubts import Facts, find_doubts, find_remarks, remark_modes
 from monitor.runs.look_structure import propose_structure
-from monitor.runs.readers import ImportedChannel, Options, are_recordings, doubt_unit, import_files
+from monitor.runs.readers import ImportedChannel, Options, are_recordings, as_recordings, doubt_unit
 from monitor.runs.recordings import OnWarning, Progress, file_names, read_topics
 from monitor.signals import (
     Conditioner,
@@ -104,57 +104,48 @@ def look(
 
     Raises BadInputError or MissingInputError if the files cannot be used; the message names them.
     """
-    if are_recordings(paths):
-        if rate_hz is not None or unit is not None:
-            raise BadInputError(
-                f"{paths[0]}: is a recording, which states its rate and unit: leave --rate and --unit out"
-            )
-        return _look(paths, (), on_warning, on_progress)
-    with tempfile.TemporaryDirectory() as folder:
-        recording = Path(folder) / "imported.mcap"
-        taken: list[str] = []
-        channels: list[ImportedChannel] = []
+    taken: list[ImportedChannel] = []
+    if not are_recordings(paths):
         on_progress(Step("reads the tables", then=_IDENTIFIES))
-        info = import_files(
-            list(paths),
-            recording,
-            Options(rate_hz=rate_hz, unit=unit),
-            ask_unit=lambda _: "m/s^2",  # the note says so
-            on_warning=taken.append,
-            on_channel=channels.append,
+    options = Options(rate_hz=rate_hz, unit=unit, unknown_start_ns=0)
+    # That no unit is stated is a doubt of the look, and no warning.
+    with as_recordings(paths, options, on_warning, ask_unit=lambda _: "m/s^2", on_channel=taken.append) as recordings:
+        found = _look(recordings, partial(_note, paths, taken, unit), on_warning, on_progress)
+    if unit is None and any(not one.stated for one in taken):
+        found = replace(found, doubts=(doubt_unit(taken), *found.doubts))
+    return replace(found, files=tuple(map(str, paths)))
+
+
+def _note(
+    paths: Sequence[Path], taken: Sequence[ImportedChannel], unit: str | None, rate_hz: float, t_start_ns: int
+) -> tuple[str, ...]:
+    """Say as what tables were taken; nothing of recordings."""
+    if not taken:
+        return ()
+    units = {
+        f"unit {one.unit} "
+        + (
+            ("as the columns' names say" if one.by_name else "as its file states")
+            if one.stated
+            else ("as --unit says" if unit else "as none is stated")
         )
-        begins = [one for one in taken if "1970" in one]
-        for one in taken:
-            if one not in begins:
-                on_warning(one)
-        units = {
-            f"unit {one.unit} "
-            + (
-                ("as the columns' names say" if one.by_name else "as its file states")
-                if one.stated
-                else ("as --unit says" if unit else "as none is stated")
-            )
-            for one in channels
-        }
-        note = f"taken from {file_names(paths)}: {info.sample_rate_hz:g} Hz, {'; '.join(sorted(units))}"
-        if begins:
-            note += "; no date is stated, so times count from 1970"
-        try:
-            found = _look([recording], (note,), on_warning, on_progress)
-        except BadInputError as error:
-            raise BadInputError(str(error).replace(str(recording), file_names(paths))) from error
-        taken_for_granted = unit is None and not all(one.stated for one in channels)
-        doubts = (doubt_unit(channels), *found.doubts) if taken_for_granted else found.doubts
-        return replace(found, files=tuple(map(str, paths)), doubts=doubts)
+        for one in taken
+    }
+    begins = "" if t_start_ns else "; no date is stated, so times count from 1970"
+    return (f"taken from {file_names(paths)}: {rate_hz:g} Hz, {'; '.join(sorted(units))}{begins}",)
 
 
 def _look(
-    paths: Sequence[Path], notes: tuple[str, ...], on_warning: OnWarning, on_progress: OnProgress
+    paths: Sequence[Path],
+    notes_of: Callable[[float, int], tuple[str, ...]],
+    on_warning: OnWarning,
+    on_progress: OnProgress,
 ) -> LookedRecording:
-    """Look at recordings."""
+    """Look at recordings, of whose rate in Hz and begin in ns `notes_of` makes the first notes."""
     read = _Reader(paths, on_warning, on_progress)
     on_progress(Step(_IDENTIFIES))
     runs, rate_hz = read.runs, read.rate_hz
+    notes = notes_of(rate_hz, runs[0].t_ns)
     longest = max(runs, key=lambda run: len(run.values))
     held = times_held(longest.values)
     if held > 1:

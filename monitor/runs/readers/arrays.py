@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import BadInputError
-from monitor.runs.readers.table import Array, OnWarning, Table
+from monitor.runs.readers.table import Array, OnWarning, Table, Ticks
 from monitor.runs.readers.units import ACCELERATION, TIME, split_name, unit_of, units_in_names
 
 AnyArray = NDArray[np.generic]
@@ -35,68 +36,79 @@ def build_table(
 
     The name of an array may be a path of groups with slashes; its unit is that which the file states.
     """
+    told = {_own(name): array for name, array in arrays.items()}
     try:
-        return _build(path, arrays, on_warning, units)
+        columns, stated, values, clock = _readings(path, arrays, told, on_warning, units)
+        rate_hz = _rate_hz(told)
     except (ValueError, TypeError, OverflowError) as error:
         raise BadInputError(f"{path}: cannot be used as {kind}: {error}") from error
-
-
-def _build(path: Path, arrays: Mapping[str, AnyArray], on_warning: OnWarning, stated: Mapping[str, str]) -> Table:
-    """Build a table of arrays; raise ValueError, TypeError or OverflowError if they do not fit each other."""
-    told = {name.rpartition("/")[2].casefold(): array for name, array in arrays.items()}
-    clock = next(
-        (_vector(array) * _tick_s(name) for name, array in told.items() if _is_time(name)),
-        None,
+    whole = str(told["unit"].item()) if "unit" in told and told["unit"].size == 1 else ""
+    named = units_in_names(columns)
+    found = tuple(one or whole or behind for one, behind in zip(stated, named, strict=True))
+    time_ns, start_ns = (None, None) if clock is None else _times(clock)
+    table = Table(
+        path=path,
+        columns=columns,
+        units=found,
+        by_name=tuple(bool(behind) and unit == behind for unit, behind in zip(found, named, strict=True)),
+        values=values,
+        time_ns=time_ns,
+        start_ns=start_ns,
+        rate_hz=rate_hz,
     )
+    chosen = tuple(name for name in columns if not table.unit(name) or table.quantity(name) == ACCELERATION)
+    return replace(table, chosen=chosen)
+
+
+def _readings(
+    path: Path,
+    arrays: Mapping[str, AnyArray],
+    told: Mapping[str, AnyArray],
+    on_warning: OnWarning,
+    units: Mapping[str, str],
+) -> tuple[tuple[str, ...], tuple[str, ...], Annotated[Array, "n columns"], Annotated[Array, "n"] | None]:
+    """Return columns, their stated units, their readings, and the times in s; ValueError if they do not fit each other."""
+    clock = next((_vector(array) * tick for name, array in told.items() if (tick := _tick_s(name))), None)
     if "samples" in told:
-        values = np.asarray(told["samples"], dtype=np.float64)
-        values = values[:, None] if values.ndim == 1 else values
-        columns = _names(told["channels"]) if "channels" in told else ()
-        columns = columns or tuple(f"a{at + 1}" for at in range(values.shape[-1]))
-        unit = next((u for name, u in stated.items() if name.rpartition("/")[2].casefold() == "samples"), "")
-        column_units = (unit,) * len(columns)
-        if values.ndim == 2 and values.shape[1] != len(columns) == values.shape[0]:
-            values = values.T
+        columns, values = _samples(told)
+        stated = (next((unit for name, unit in units.items() if _own(name) == "samples"), ""),) * len(columns)
     else:
-        columns, column_units, values = _readings(arrays, None if clock is None else len(clock), stated, on_warning)
+        columns, stated, values = _of_one_length(arrays, clock, units, path, on_warning)
     if values.ndim != 2 or values.shape[1] != len(columns) or len(set(columns)) != len(columns):
         raise ValueError(f"samples of shape {values.shape} for channels {', '.join(columns)}")
     if clock is not None and (clock.shape != values.shape[:1] or not (np.abs(clock) < 4e9).all()):
         raise ValueError(f"times of shape {clock.shape} for {len(values)} samples")
-    time_ns = None if clock is None else np.rint(clock * 1e9).astype(np.int64)
-    whole = str(told["unit"].item()) if "unit" in told and told["unit"].size == 1 else ""
-    behind = units_in_names(columns)
-    units = tuple(unit or whole or named for unit, named in zip(column_units, behind, strict=True))
-    return Table(
-        path=path,
-        columns=columns,
-        units=units,
-        by_name=tuple(bool(named) and unit == named for unit, named in zip(units, behind, strict=True)),
-        values=values,
-        time_ns=time_ns,
-        chosen=tuple(
-            name
-            for name, unit in zip(columns, units, strict=True)
-            if not unit or ((known := unit_of(unit)) is not None and known.quantity == ACCELERATION)
-        ),
-        start_ns=int(time_ns[0]) if time_ns is not None and len(time_ns) and time_ns[0] > 10**18 else None,
-        rate_hz=_rate_hz(told),
-    )
+    return columns, stated, values, clock
 
 
-def _is_time(name: str) -> bool:
-    """Test whether an array is that of the times, by its own name in lower case."""
-    return (
-        re.sub(r"[\s_.-]+(in[\s_]+)?[a-zµμ]+$", "", name) in _TIME
-        if _tick_s(name) != 1.0 or name[-2:] == "_s"
-        else name in _TIME
-    )
+def _times(clock: Annotated[Array, "n"]) -> tuple[Annotated[Ticks, "n"], int | None]:
+    """Return times in ns, and the first of them where it is a date."""
+    time_ns = np.rint(clock * 1e9).astype(np.int64)
+    return time_ns, int(time_ns[0]) if (time_ns[:1] > 10**18).any() else None
+
+
+def _own(name: str) -> str:
+    """Return the name of an array without its groups, in lower case."""
+    return name.rpartition("/")[2].casefold()
 
 
 def _tick_s(name: str) -> float:
-    """Return the unit of a time's name, s; 1 where it states none."""
+    """Return the unit of the times that an array holds by its own name, s; 0 where it holds no times."""
+    if name in _TIME:
+        return 1.0
     unit = unit_of(split_name(name)[1])
-    return unit.factor if unit is not None and unit.quantity == TIME else 1.0
+    is_time = unit is not None and unit.quantity == TIME and re.sub(r"[\s_.-]+(in[\s_]+)?[a-zµμ]+$", "", name) in _TIME
+    return unit.factor if unit is not None and is_time else 0.0
+
+
+def _samples(told: Mapping[str, AnyArray]) -> tuple[tuple[str, ...], Annotated[Array, "n columns"]]:
+    """Return the names and readings of `samples`, whose other side is the time where the channels' number says so."""
+    values = np.asarray(told["samples"], dtype=np.float64)
+    values = values[:, None] if values.ndim == 1 else values
+    columns = tuple(str(name) for name in np.atleast_1d(told.get("channels", np.empty(0))).ravel())
+    columns = columns or tuple(f"a{at + 1}" for at in range(values.shape[-1]))
+    turned = values.ndim == 2 and values.shape[1] != len(columns) == values.shape[0]
+    return columns, values.T if turned else values
 
 
 def _rate_hz(told: Mapping[str, AnyArray]) -> float | None:
@@ -111,10 +123,6 @@ def _number(array: AnyArray) -> float:
     return float(array.item())
 
 
-def _names(array: AnyArray) -> tuple[str, ...]:
-    return tuple(str(name) for name in np.atleast_1d(array).ravel())
-
-
 def _vector(array: AnyArray) -> Array:
     """Return an array with one long side at most as a vector of numbers; raise ValueError for another."""
     if array.ndim != 1 and array.size != max(array.shape, default=0):
@@ -122,30 +130,35 @@ def _vector(array: AnyArray) -> Array:
     return np.asarray(array, dtype=np.float64).ravel()
 
 
-def _readings(
-    arrays: Mapping[str, AnyArray], length: int | None, units: Mapping[str, str], on_warning: OnWarning
+def _of_one_length(
+    arrays: Mapping[str, AnyArray], clock: Array | None, units: Mapping[str, str], path: Path, on_warning: OnWarning
 ) -> tuple[tuple[str, ...], tuple[str, ...], Annotated[Array, "n columns"]]:
     """Return columns, their units and their readings of all arrays of the same length."""
-    found: dict[str, Array] = {}
-    for name, array in arrays.items():
-        numbers = np.issubdtype(array.dtype, np.number) and not np.issubdtype(array.dtype, np.complexfloating)
-        own = name.rpartition("/")[2].casefold()
-        if not numbers or own in _RESERVED or _is_time(own) or array.ndim not in (1, 2) or array.size < 2:
-            continue
-        column = array[:, None] if array.ndim == 1 else array
-        found[name] = np.asarray(column if column.shape[0] >= column.shape[1] else column.T, dtype=np.float64)
+    found = {name: _along_time(array) for name, array in arrays.items() if _holds_readings(_own(name), array)}
     if not found:
         raise ValueError(f"no array `samples` and no vector or matrix of numbers; it has {', '.join(arrays) or 'none'}")
-    length = max(len(values) for values in found.values()) if length is None else length
-    left_out = [f"{name} {arrays[name].shape}" for name, values in found.items() if len(values) != length]
-    if left_out:
-        on_warning(f"arrays of another length are left out: {', '.join(left_out)}")
+    length = max(map(len, found.values())) if clock is None else len(clock)
     kept = {name: values for name, values in found.items() if len(values) == length}
+    left_out = ", ".join(f"{name} {arrays[name].shape}" for name in found if name not in kept)
     if not kept:
-        raise ValueError(f"no array has the {length} samples that the times are for; {', '.join(left_out)}")
-    columns = [
-        (name if values.shape[1] == 1 else f"{name}_{k + 1}", units.get(name, ""))
+        raise ValueError(f"no array has the {length} samples that the times are for; {left_out}")
+    if left_out:
+        on_warning(f"{path}: arrays of another length are left out: {left_out}")
+    columns = {
+        name if values.shape[1] == 1 else f"{name}_{k + 1}": units.get(name, "")
         for name, values in kept.items()
         for k in range(values.shape[1])
-    ]
-    return tuple(name for name, _ in columns), tuple(unit for _, unit in columns), np.hstack(list(kept.values()))
+    }
+    return tuple(columns), tuple(columns.values()), np.hstack(list(kept.values()))
+
+
+def _holds_readings(name: str, array: AnyArray) -> bool:
+    """Test whether an array is a vector or matrix of real numbers that its own name makes no time, rate or the like."""
+    is_real = np.issubdtype(array.dtype, np.number) and not np.issubdtype(array.dtype, np.complexfloating)
+    return is_real and name not in _RESERVED and not _tick_s(name) and array.ndim in (1, 2) and array.size > 1
+
+
+def _along_time(array: AnyArray) -> Annotated[Array, "n columns"]:
+    """Return a vector or matrix with its longer side as time."""
+    columns = array[:, None] if array.ndim == 1 else array
+    return np.asarray(columns if columns.shape[0] >= columns.shape[1] else columns.T, dtype=np.float64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from datetime import tzinfo
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Protocol
 
 from monitor.core import BadInputError, MissingInputError
@@ -15,6 +16,8 @@ _UNPACKED_BYTES = 1 << 28
 """Most that any archive may unpack to, however small it is. [bytes; as a chunk of an MCAP file, `drivers.mcap_records`]"""
 _UNPACKED_RATIO = 16
 """Most that a larger archive may unpack to, over its own size. [ratio; judgement: digits pack to a half or a fifth]"""
+LINE_BYTES = 57
+"""Memory that a line of text takes besides its characters, which counts as unpacked. [bytes; measured: CPython 3.11]"""
 _MOST_UNPACKED_BYTES = 1 << 31
 """Most that an archive of any size may unpack to. [bytes; judgement]"""
 
@@ -76,6 +79,8 @@ class File:
     options: Options
     limits: Limits
     on_warning: OnWarning
+    is_packed: bool = False
+    """Whether another file holds it."""
 
     @property
     def most_bytes(self) -> int:
@@ -89,15 +94,26 @@ class File:
 
     def holding(self, raw: bytes, path: Path | None = None) -> File:
         """Return the file that this one holds, packed."""
-        return replace(self, raw=raw, path=path or self.path)
+        return replace(self, raw=raw, path=path or self.path, is_packed=True)
 
     def demand_room(self, size: int) -> None:
         """Raise BadInputError if the file unpacks to more bytes than it may."""
-        if size > self.most_bytes:
-            raise BadInputError(
-                f"{self.path}: would unpack to {size >> 20} MiB or more; at most {self.most_bytes >> 20} MiB are read: cut it "
-                "into several files, or unpack it and import what it holds"
-            )
+        try:
+            own_process.demand_room(size, self.most_bytes)
+        except ValueError as error:
+            raise BadInputError(f"{self.path}: {error}") from error
+
+    def read_apart(self, module: str, kind: str) -> tuple[own_process.Arrays, dict[str, str]]:
+        """Read the file's arrays, and what is told of them, in a process of its own (`own_process.read_apart`)."""
+        with TemporaryDirectory() as folder:
+            path = self.path
+            if self.is_packed:
+                path = Path(folder, self.path.name)
+                path.write_bytes(self.raw)
+            try:
+                return own_process.read_apart(module, kind, path, self.most_bytes, self.limits.reader_s)
+            except BadInputError as error:
+                raise BadInputError(str(error).replace(str(path), str(self.path))) from error
 
 
 class Reader(Protocol):
@@ -113,11 +129,16 @@ class Reader(Protocol):
         """Convert a file to tables, one for each clock; raise BadInputError if it is damaged."""
 
 
+def demand_file(path: Path) -> None:
+    """Raise MissingInputError if there is no such file."""
+    if not path.is_file():
+        raise MissingInputError(f"{path}: {'is no file' if path.exists() else 'does not exist'}")
+
+
 def read_bytes(path: Path) -> bytes:
     """Read a file; raise MissingInputError if it cannot be read."""
     try:
-        if not path.is_file():
-            raise MissingInputError(f"{path}: {'is no file' if path.exists() else 'does not exist'}")
+        demand_file(path)
         return path.read_bytes()
     except (OSError, ValueError) as error:
         raise MissingInputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error

@@ -11,8 +11,8 @@ from drivers.can_bus import CanSource
 from drivers.can_open import LOG_SUFFIXES, CanSettings
 from drivers.frames import FrameError
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
-from monitor.core import BadInputError, MissingInputError
-from monitor.runs.readers.base import Options
+from monitor.core import BadInputError
+from monitor.runs.readers.base import Options, demand_file
 from monitor.runs.readers.table import OnWarning
 
 _UNREPORTED_COUNTS = ("frames", "samples", "foreign", "overruns")
@@ -31,21 +31,9 @@ def import_log(files: list[Path], out: Path, options: Options, on_warning: OnWar
     MissingInputError if one of them cannot be read.
     """
     path, dbc, rate_hz, bus = files[0], options.dbc, options.rate_hz, options.bus
-    if options.align:
-        raise BadInputError(f"{path}: --align is for several files with clocks of their own; this is a CAN log")
-    if len(files) > 1:
-        raise BadInputError(f"{path}: import CAN logs one by one")
-    if dbc is None:
-        raise BadInputError(f"{path}: a CAN log needs --dbc FILE.dbc to say what its frames mean")
-    if options.channels or options.forces or options.ground or options.start_ns is not None:
-        raise BadInputError(f"{path}: its DBC names the channels and it has times: no --channel, --ground, --start")
-    if rate_hz is None:
-        raise BadInputError(f"{path}: neither frames nor DBC tell the sample rate; give --rate HZ")
-    if not rate_hz <= 1e6:
-        raise BadInputError(f"--rate {rate_hz}: at most 1e6 Hz")
-    for file in (path, dbc):
-        if not file.is_file():
-            raise MissingInputError(f"{file}: {'is no file' if file.exists() else 'does not exist'}")
+    _demand_use(files, options)
+    assert dbc is not None
+    assert rate_hz is not None
     settings = CanSettings(
         interface="log", channel=str(path.resolve()), dbc=str(dbc.resolve()), sample_rate_hz=rate_hz, bus=bus
     )
@@ -58,15 +46,8 @@ def import_log(files: list[Path], out: Path, options: Options, on_warning: OnWar
     except SourceError as error:  # of a log that cannot be opened it names the file
         text = str(error)
         raise BadInputError(text if str(path) in text or str(path.resolve()) in text else f"{path}: {text}") from error
-    counts = source.health().counts
     if first is None:
-        names = ", ".join(f"{layout.name} ({layout.frame_id:#x})" for layout in source.layouts)
-        if bus is not None and source.buses:
-            names += f" on bus {bus}, but on {', '.join(sorted(source.buses))}"
-        raise BadInputError(
-            f"{path}: no samples of {names}; it holds {counts['foreign']} other and {counts['undecodable']} undecodable "
-            f"frames{': ' + source.health().detail if source.health().detail else ''}"
-        )
+        raise BadInputError(_says_none(path, source, bus))
     try:
         with McapWriter(out) as writer:
             writer.write(first)
@@ -81,6 +62,35 @@ def import_log(files: list[Path], out: Path, options: Options, on_warning: OnWar
     if health.detail:
         on_warning(f"{path}: {health.detail}")
     return recording_info(out)
+
+
+def _says_none(path: Path, source: CanSource, bus: str | None) -> str:
+    """Say that a log holds none of the frames that are looked for, and what it holds."""
+    names = ", ".join(f"{layout.name} ({layout.frame_id:#x})" for layout in source.layouts)
+    if bus is not None and source.buses:
+        names += f" on bus {bus}, but on {', '.join(sorted(source.buses))}"
+    counts, detail = source.health().counts, source.health().detail
+    return (
+        f"{path}: no samples of {names}; it holds {counts['foreign']} other and {counts['undecodable']} undecodable "
+        f"frames{f': {detail}' if detail else ''}"
+    )
+
+
+def _demand_use(files: list[Path], options: Options) -> None:
+    """Refuse files and options that are not those of one CAN log."""
+    for reason, holds in {
+        "--align is for several files with clocks of their own; this is a CAN log": options.align,
+        "import CAN logs one by one": len(files) > 1,
+        "a CAN log needs --dbc FILE.dbc to say what its frames mean": options.dbc is None,
+        "its DBC names the channels and it has times: no --channel, --ground, --start": options.start_ns is not None
+        or any((options.channels, options.forces, options.ground, options.covariates)),
+        "neither frames nor DBC tell the sample rate; give --rate HZ": options.rate_hz is None,
+        f"--rate {options.rate_hz}: at most 1e6 Hz": options.rate_hz is not None and options.rate_hz > 1e6,
+    }.items():
+        if holds:
+            raise BadInputError(f"{files[0]}: {reason}")
+    for file in filter(None, (files[0], options.dbc)):
+        demand_file(file)
 
 
 def _blocks(source: CanSource) -> Iterator[SampleBlock]:

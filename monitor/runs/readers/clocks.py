@@ -21,28 +21,40 @@ _LEAST_SHARE = 1e-6
 """Part of the largest cross-spectrum below which a frequency counts less. [ratio; rounding]"""
 _MOST_ALIGNED = 1 << 24
 """Most samples of a file to be aligned. [samples; cost: half a GB of memory]"""
+_ONE_RATE = 1.02
+"""Ratio of the rates of files up to which they are one. [ratio; judgement: stamps of few rows, cut to ms]"""
 
 
 def follow(tables: list[Table], on_warning: OnWarning) -> list[Table]:
-    """Join the tables of the same columns of which each begins after the one before has ended, as files of following days do."""
-    if len(tables) < 2 or any(table.start_ns is None for table in tables):
-        return tables
+    """Join tables of the same columns that follow one another in time, as files of following days do.
+
+    Each shares less than half of its time with the one before, of which the readings are then kept.
+    """
     tables = [_with_clock(table) for table in tables]
-    if any(table.time_ns is None for table in tables):
+    if len(tables) < 2 or any(table.start_ns is None or table.time_ns is None for table in tables):
         return tables
-    by_start = sorted(tables, key=_begun_ns)
-    first = by_start[0]
-    for before, after in pairwise(by_start):
-        if (after.columns, after.units) != (before.columns, before.units) or _begun_ns(after) <= _ended_ns(before):
-            return tables
-    times = []
-    for table in by_start:
-        assert table.time_ns is not None
-        times.append(table.time_ns - table.time_ns[0] + (_begun_ns(table) - _begun_ns(first)))
-    on_warning(f"{', '.join(table.path.name for table in by_start)}: follow one another in time, and are joined")
-    return [
-        replace(first, values=np.concatenate([t.values for t in by_start]), time_ns=np.concatenate(times), index=None)
-    ]
+    tables_in_time = sorted(tables, key=lambda table: table.start_ns or 0)
+    times = [_times_ns(table) for table in tables_in_time]
+    if len({(table.columns, table.units) for table in tables}) > 1 or not all(map(_follows, times, times[1:])):
+        return tables
+    _demand_one_rate(tables_in_time)
+    names = ", ".join(table.path.name for table in tables_in_time)
+    on_warning(f"{names}: follow one another in time, and are joined")
+    firsts = [0, *(_first_after(int(before[-1]), after) for before, after in pairwise(times))]
+    if again := sum(firsts):
+        on_warning(f"{names}: {again} samples stand twice; those of the file that begins first are kept")
+    return [_joined(tables_in_time, times, firsts)]
+
+
+def _joined(tables: Sequence[Table], times: Sequence[Ticks], firsts: Sequence[int]) -> Table:
+    """Put tables, each from its row in `firsts` on, behind one another."""
+    return replace(
+        tables[0],
+        values=np.concatenate([table.values[first:] for table, first in zip(tables, firsts, strict=True)]),
+        time_ns=np.concatenate([t_ns[first:] for t_ns, first in zip(times, firsts, strict=True)]),
+        index=None,
+        start_text=next((table.start_text for table in tables if table.start_text), ""),
+    )
 
 
 def _with_clock(table: Table) -> Table:
@@ -53,14 +65,41 @@ def _with_clock(table: Table) -> Table:
     return replace(table, time_ns=table.start_ns + steps)
 
 
-def _begun_ns(table: Table) -> int:
-    assert table.start_ns is not None
-    return table.start_ns
+def _follows(before: Annotated[Ticks, "n"], after: Annotated[Ticks, "m"]) -> bool:
+    """Test whether times share less than half of their length, or that of the others, with the times before them."""
+    length_ns = min(before[-1] - before[0], after[-1] - after[0])
+    return bool(before[-1] - after[0] <= length_ns / 2)
 
 
-def _ended_ns(table: Table) -> int:
+def _first_after(end_ns: int, t_ns: Annotated[Ticks, "n"]) -> int:
+    """Return the place of the first of some times that lies half a step or more behind an end."""
+    step_ns = float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0.0
+    return int(np.searchsorted(t_ns, end_ns + step_ns / 2, side="left"))
+
+
+def _demand_one_rate(tables: Sequence[Table]) -> None:
+    """Raise BadInputError if files run at several rates, each as stated or by its times."""
+    rates = [table.rate_hz or _rate_hz(table) for table in tables]
+    told = [rate for rate in rates if rate]
+    if told and max(told) > _ONE_RATE * min(told):
+        each = ", ".join(f"{table.path.name} {rate:.6g} Hz" for table, rate in zip(tables, rates, strict=True) if rate)
+        raise BadInputError(
+            f"{tables[0].path}: several rates: {each}; import those of one rate, or name them by --channel"
+        )
+
+
+def _rate_hz(table: Table) -> float:
+    """Return the rate by a table's times; 0 where they tell none."""
+    try:
+        return 0.0 if table.time_ns is None else sample_clock(table.time_ns).rate_hz
+    except BadInputError:
+        return 0.0
+
+
+def _times_ns(table: Table) -> Annotated[Ticks, "n"]:
+    """Return the times of a table with a clock, UTC where it states its start."""
     assert table.time_ns is not None
-    return _begun_ns(table) + int(table.time_ns[-1] - table.time_ns[0])
+    return table.time_ns + (0 if table.start_ns is None else table.start_ns - table.time_ns[0])
 
 
 def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annotated[Ticks, "n"] | None]:
@@ -69,63 +108,64 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
     With clocks, only the samples whose times agree in all files within half a step are kept. Without clocks, all files are
     assumed to begin at the same time.
     """
-    if any(table.time_ns is not None for table in tables):
-        tables = [_with_clock(table) for table in tables]
-    clocks = [table.time_ns for table in tables if table.time_ns is not None]
     if len(tables) == 1:
         return tables, tables[0].time_ns
-    shortest = min(len(table.values) for table in tables)
+    _demand_one_rate(tables)
+    shortest, *_, longest = sorted(len(table.values) for table in tables)
+    clocks = _clocks(tables)
     if not clocks:
-        if shortest != max(len(table.values) for table in tables):
+        if shortest != longest:
             on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
         return [table.rows(np.arange(shortest)) for table in tables], None
-    if len(clocks) != len(tables):
-        without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
-        raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
     base = clocks[0]
-    steps = [1e9 / sample_clock(clock).rate_hz for clock in clocks]
-    if any((np.diff(clock) < 0).any() for clock in clocks) or max(steps) > 1.02 * min(steps):
-        each = "; ".join(
-            f"{table.path}: {1e9 / step if step else 0:.2f} Hz" for table, step in zip(tables, steps, strict=True)
-        )
-        raise BadInputError(f"the files' times must rise throughout and have one rate: {each}")
-    half = steps[0] / 2
-    keep = np.ones(len(base), dtype=bool)
-    partners = []
-    for clock in clocks:
-        right = np.clip(np.searchsorted(clock, base), 1, max(len(clock) - 1, 1))
-        nearest = right - (base - clock[right - 1] < clock[np.minimum(right, len(clock) - 1)] - base)
-        nearest = np.minimum(nearest, len(clock) - 1)
-        keep &= np.abs(clock[nearest] - base) <= half
-        partners.append(nearest)
+    half_ns = 0.5e9 / sample_clock(base).rate_hz
+    partners = [_nearest(clock, base) for clock in clocks]
+    keep = np.all([np.abs(clock[at] - base) <= half_ns for clock, at in zip(clocks, partners, strict=True)], axis=0)
     if keep.sum() * 2 < shortest:
-        offsets = "; ".join(
-            f"{table.path.name} starts {(clock[0] - base[0]) / 1e9:+.3f} s"
-            for table, clock in zip(tables[1:], clocks[1:], strict=True)
-        )
         raise BadInputError(
-            f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. "
-            f"Against {tables[0].path.name}: {offsets}. {_overlaps(tables)} "
+            f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. {_apart(tables, clocks)} "
             "Record with synchronised sensors, or give --align, which shifts the files until their readings fit each other"
         )
-    if keep.sum() < max(len(clock) for clock in clocks):
+    if keep.sum() < longest:
         on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
     return [table.rows(near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
 
 
-def _overlaps(tables: Sequence[Table]) -> str:
-    """Say which files overlap by their clocks, and for how long."""
-    spans = {
-        table.path.name: (int(table.time_ns[0]), int(table.time_ns[-1]))
-        for table in tables
-        if table.time_ns is not None
-    }
+def _clocks(tables: Sequence[Table]) -> list[Ticks]:
+    """Return the times of all tables, or none; BadInputError where some have a clock and others none."""
+    clocks = [table.time_ns for table in map(_with_clock, tables) if table.time_ns is not None]
+    if all(table.time_ns is None for table in tables):
+        return []
+    if len(clocks) < len(tables):
+        without = ", ".join(str(table.path) for table in tables if _with_clock(table).time_ns is None)
+        raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
+    return clocks
+
+
+def _nearest(clock: Annotated[Ticks, "m"], base: Annotated[Ticks, "n"]) -> Annotated[Ticks, "n"]:
+    """Return the places in a clock that are nearest to the times of another one."""
+    last = len(clock) - 1
+    right = np.clip(np.searchsorted(clock, base), min(1, last), last)
+    left = np.maximum(right - 1, 0)
+    return np.where(base - clock[left] < clock[right] - base, left, right)
+
+
+def _apart(tables: Sequence[Table], clocks: Sequence[Ticks]) -> str:
+    """Say how far the clocks of files lie apart, which of them overlap, and for how long."""
+    spans = {table.path.name: (int(t[0]), int(t[-1])) for table, t in zip(tables, clocks, strict=True)}
+    (first, (begin, _)), *others = spans.items()
+    starts = "; ".join(f"{name} starts {(span[0] - begin) / 1e9:+.3f} s" for name, span in others)
     shared = [
         (one, other, (min(spans[one][1], spans[other][1]) - max(spans[one][0], spans[other][0])) / 1e9)
         for one, other in combinations(spans, 2)
     ]
-    told = [f"{one} with {other} ({length_s:.1f} s)" for one, other, length_s in shared if length_s > 0]
-    return f"By their clocks these overlap: {', '.join(told)}." if told else "By their clocks no two files overlap."
+    told = ", ".join(f"{one} with {other} ({length_s:.1f} s)" for one, other, length_s in shared if length_s > 0)
+    if told:
+        return f"Against {first}: {starts}. By their clocks these overlap: {told}."
+    return (
+        f"Against {first}: {starts}. By their clocks no two files overlap; those that follow one another are joined "
+        "where each states its date, and all the same columns and units."
+    )
 
 
 def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning: OnWarning) -> list[Table]:
@@ -135,7 +175,8 @@ def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning:
     shifted by whole steps; half a step remains unknown. `on_warning` is told of each shift and of its correlation, for the user
     to judge.
     """
-    if len(tables) < 2 or any(table.time_ns is None or len(table.time_ns) < 2 for table in tables):
+    tables = [_with_clock(table) for table in tables]
+    if len(tables) < 2 or any(table.time_ns is None for table in tables):
         raise BadInputError(f"{tables[0].path}: --align is for several files, each with a column of time")
     chosen = {id(table): column for table, column in reversed(columns)}
     base, *others = tables

@@ -9,6 +9,7 @@ import lzma
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import IO, Any
@@ -16,11 +17,9 @@ from typing import IO, Any
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError
 from monitor.runs.readers import delimited, hdf5, mat, npz, peer, seismic, spreadsheet, tdms, uff, xsens_dot
-from monitor.runs.readers.base import File, Limits, Options, Reader, read_bytes
+from monitor.runs.readers.base import LINE_BYTES, File, Limits, Options, Reader, read_bytes
 from monitor.runs.readers.table import Table
 
-_LINE_BYTES = 57
-"""Memory that a line of text takes besides its characters, which counts as unpacked. [bytes; measured: CPython 3.11]"""
 _PIECE_BYTES = 1 << 20
 """Length of the pieces in which an archive is unpacked and counted. [bytes; cost]"""
 
@@ -33,32 +32,22 @@ _OPENERS: dict[bytes, Callable[[IO[bytes]], Any]] = {
 """First bytes of packed files, and what unpacks them."""
 
 
-class Recording:
-    """Our own recordings, which need no import."""
+@dataclass(slots=True)
+class Elsewhere:
+    """A format that is told by its first bytes and not read here."""
 
-    name = "MCAP"
-
-    def is_mine(self, file: File) -> bool:
-        """Test whether a file is of this format."""
-        return file.raw.startswith(MAGIC)
-
-    def read(self, file: File) -> list[Table]:
-        """Refuse it."""
-        raise BadInputError(f"{file.path}: is an MCAP recording already; use it as it is")
-
-
-class MisnamedCanLog:
-    """A CAN log with a suffix by which python-can does not know it."""
-
-    name = "CAN log"
+    name: str
+    magic: bytes
+    says: str
+    """What it is, and what to do."""
 
     def is_mine(self, file: File) -> bool:
         """Test whether a file is of this format."""
-        return file.raw.startswith(b"LOGG")
+        return file.raw.startswith(self.magic)
 
     def read(self, file: File) -> list[Table]:
         """Refuse it."""
-        raise BadInputError(f"{file.path}: is a CAN log; name it with the suffix .blf")
+        raise BadInputError(f"{file.path}: is {self.says}")
 
 
 class Packed:
@@ -105,7 +94,7 @@ class Zip:
                 if all(name.endswith(".npy") for name in members):
                     return npz.read_tables(file)
                 if "xl/workbook.xml" in members:
-                    return spreadsheet.read_tables(file)
+                    return _LAST.read(file.holding(spreadsheet.as_text(file).encode()))
                 tables = [name for name in members if ".csv" in name.lower()] or members
                 if len(tables) != 1:
                     raise BadInputError(
@@ -123,7 +112,7 @@ def _unpacked(file: File, packed: IO[bytes]) -> bytes:
     data, counted = bytearray(), 0
     while piece := packed.read(_PIECE_BYTES):
         data += piece
-        counted += len(piece) + _LINE_BYTES * piece.count(b"\n")
+        counted += len(piece) + LINE_BYTES * piece.count(b"\n")
         file.demand_room(counted)
     return bytes(data)
 
@@ -146,8 +135,8 @@ class Text:
 
 
 READERS: tuple[Reader, ...] = (
-    Recording(),
-    MisnamedCanLog(),
+    Elsewhere("MCAP", MAGIC, "an MCAP recording already; use it as it is"),
+    Elsewhere("CAN log", b"LOGG", "a CAN log; name it with the suffix .blf"),
     seismic.Seismic(),
     hdf5.Hdf5(),
     mat.Mat(),

@@ -13,7 +13,7 @@ import numpy as np
 from monitor.core import import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, build_table
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import demand_room, hand_over, read_apart
+from monitor.runs.readers.own_process import demand_room, hand_over
 from monitor.runs.readers.table import Table
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -44,7 +44,7 @@ class Hdf5:
     def read(self, file: File) -> list[Table]:
         """Convert the datasets; BadConfigurationError without the library h5py."""
         import_extra("h5py", f"{file.path}: HDF5 (MAT 7.3)")
-        arrays, units = read_apart(__name__, self.name, file.path, file.most_bytes, file.limits.reader_s)
+        arrays, units = file.read_apart(__name__, self.name)
         return [build_table(file.path, self.name, arrays, file.on_warning, units)]
 
 
@@ -61,7 +61,7 @@ def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, st
                 held += max(VALUE_BYTES, dataset.dtype.itemsize) * dataset.size
                 demand_room(held, most_bytes)
                 _demand_honest_chunks(name, dataset, most_bytes)
-                arrays[name] = _words(dataset) if _is_text(dataset) else np.asarray(dataset[()])
+                arrays[name] = _readings(dataset)
             elif name.rpartition("/")[2].casefold() in _WORDS and dataset.size < _MOST_OBJECTS:
                 words = dataset.asstr()[()] if h5py.check_string_dtype(dataset.dtype) else np.empty(0)
                 arrays[name] = np.asarray(words).astype(str)
@@ -95,13 +95,11 @@ def _datasets(h5py: Any, file: Any) -> Iterator[tuple[str, Any]]:
                 yield place, child
 
 
-def _is_text(dataset: Any) -> bool:
-    """Test whether MATLAB stored characters in a dataset."""
-    return bool(dataset.attrs.get("MATLAB_class", b"") == b"char")
-
-
-def _words(dataset: Any) -> AnyArray:
-    return np.array("".join(chr(code) for code in np.asarray(dataset[()]).ravel()[:80]))
+def _readings(dataset: Any) -> AnyArray:
+    """Return the numbers of a dataset, or the word that MATLAB stored in it as numbers of its characters."""
+    numbers = np.asarray(dataset[()])
+    is_text = bool(dataset.attrs.get("MATLAB_class", b"") == b"char")
+    return np.array("".join(map(chr, numbers.ravel()[:80]))) if is_text else numbers
 
 
 def _demand_honest_chunks(name: str, dataset: Any, most_bytes: int) -> None:

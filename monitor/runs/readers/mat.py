@@ -12,7 +12,7 @@ import numpy as np
 
 from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, build_table
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import demand_room, hand_over, read_apart
+from monitor.runs.readers.own_process import demand_room, hand_over
 from monitor.runs.readers.table import Table
 
 MAGIC = b"MATLAB 5.0 MAT-file"
@@ -36,7 +36,7 @@ class Mat:
 
     def read(self, file: File) -> list[Table]:
         """Convert the variables; structures, functions and objects are never read."""
-        arrays, units = read_apart(__name__, self.name, file.path, file.most_bytes, file.limits.reader_s)
+        arrays, units = file.read_apart(__name__, self.name)
         return [build_table(file.path, self.name, arrays, file.on_warning, units)]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from monitor.core import BadInputError
 from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, build_table
 from monitor.runs.readers.base import File
+from monitor.runs.readers.own_process import demand_room
 from monitor.runs.readers.table import Table
 
 
@@ -26,10 +27,7 @@ def read_tables(file: File) -> list[Table]:
                     raise ValueError(f"{name!r} is no array")
                 arrays[name] = array
                 held += max(array.nbytes, VALUE_BYTES * array.size)
-                if held > file.most_bytes:
-                    raise ValueError(
-                        f"its arrays take more than {file.most_bytes >> 20} MiB; cut it into several files"
-                    )
+                demand_room(held, file.most_bytes)
     except Exception as error:
         raise BadInputError(f"{file.path}: cannot be used as NPZ: {error}") from error
     return [build_table(file.path, "NPZ", arrays, file.on_warning, {})]

@@ -1,6 +1,6 @@
 """Reads a file in a process of its own, with a library that a damaged file may make crash, wait for ever, or take all memory.
 
-A reader's module calls `read_apart` where it converts a file, and `hand_over` where it is run as that process.
+A reader's module calls `File.read_apart` where it converts a file, and `hand_over` where it is run as that process.
 """
 
 from __future__ import annotations
@@ -29,23 +29,21 @@ _PROGRAM_BYTES = 4 << 30
 """Addresses of the process besides the arrays. [bytes; measured: libraries take some 2 GB]"""
 
 Arrays = dict[str, AnyArray]
-Read = Callable[..., tuple[Arrays, dict[str, str]]]
+Read = Callable[[Path, int], tuple[Arrays, dict[str, str]]]
 """Reads the arrays of a file, of at most so many bytes, and what it tells of each, such as its unit."""
 
 
-def read_apart(
-    module: str, kind: str, path: Path, most_bytes: int, least_s: float, *more: str
-) -> tuple[Arrays, dict[str, str]]:
+def read_apart(module: str, kind: str, path: Path, most_bytes: int, least_s: float) -> tuple[Arrays, dict[str, str]]:
     """Run a module as a process that reads the arrays of a file (`hand_over`); return them and what is told of them.
 
-    A small file is read for `least_s` at most. `more` are further arguments of the module's function.
+    A small file is read for `least_s` at most.
     """
     with TemporaryDirectory() as folder:
         out = Path(folder, "arrays.npz")
         limit_s = least_s + path.stat().st_size / _BYTES_PER_S
         try:
             done = subprocess.run(
-                [sys.executable, "-W", "ignore", "-m", module, str(path), str(out), str(most_bytes), *more],
+                [sys.executable, "-W", "ignore", "-m", module, str(path), str(out), str(most_bytes)],
                 capture_output=True,
                 text=True,
                 errors="replace",
@@ -70,16 +68,16 @@ def demand_room(size: int, most_bytes: int) -> None:
     if size > most_bytes:
         raise ValueError(
             f"would unpack to {size >> 20} MiB or more; at most {most_bytes >> 20} MiB are read: "
-            "cut it into several files"
+            "cut it into several files, or unpack it and import what it holds"
         )
 
 
-def hand_over(read: Read, path: str, out: str, most_bytes: str, *more: str) -> int:
+def hand_over(read: Read, path: str, out: str, most_bytes: str) -> int:
     """Read a file and write its arrays as NPZ (the process that `read_apart` starts); return the exit code."""
     room = 4 * int(most_bytes) + _PROGRAM_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (room, room))
     try:
-        arrays, told = read(Path(path), int(most_bytes), *more)
+        arrays, told = read(Path(path), int(most_bytes))
     except Exception as error:  # noqa: BLE001 - libraries raise whatever a damaged file makes them say
         print(error)  # not to standard error, to which libraries write too
         return BadInputError.exit_code

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -15,7 +16,7 @@ import numpy as np
 from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, TEMPERATURE, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
-from monitor.core import BadInputError, MissingInputError, OnProgress, Step, WrongUsageError, os_errors_of, utc
+from monitor.core import BadInputError, OnProgress, Step, WrongUsageError, os_errors_of, utc
 from monitor.runs.readers import can_log, clocks, formats, units
 from monitor.runs.readers.base import File, Limits, Options, read_bytes
 from monitor.runs.readers.table import KNOWN_UNITS, Array, OnWarning, Table, Ticks, in_order, in_si, meant_instead
@@ -60,6 +61,15 @@ class ImportedChannel:
 
 Place = tuple[Table, str]
 """A column of a table."""
+OnChannel = Callable[[ImportedChannel], None]
+AskUnit = Callable[[Sequence[str]], str]
+_QUANTITY = {
+    ACCELERATION: units.ACCELERATION,
+    GROUND: units.ACCELERATION,
+    FORCE: units.FORCE,
+    ROTATION_RATE: units.ROTATION,
+}
+"""Topic -> quantity of its columns."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,9 +93,9 @@ def import_files(
     out: Path,
     options: Options = _PLAIN,
     *,
-    ask_unit: Callable[[Sequence[str]], str] | None = None,
+    ask_unit: AskUnit | None = None,
     on_warning: OnWarning = lambda _: None,
-    on_channel: Callable[[ImportedChannel], None] = lambda _: None,
+    on_channel: OnChannel = lambda _: None,
     on_progress: OnProgress = lambda _: None,
     limits: Limits = _LIMITS,
 ) -> RecordingInfo:
@@ -119,40 +129,34 @@ def import_files(
     (100.0, ('a1',))
     """
     _check(options)
+    if any(map(can_log.is_log, files)) and (options.dbc is not None or not _is_text(files[0])):
+        return can_log.import_log(files, out, options, on_warning)
+    for option, value in ((f"--bus {options.bus}", options.bus), ("--dbc", options.dbc)):
+        if value is not None:
+            raise BadInputError(f"{option} is for CAN logs; {files[0]} is none by its name")
+    tables, clock = clocks.join(_read(files, options, limits, on_warning, on_progress), on_warning)
+    rate, numbers = _timing(tables, clock, options, on_warning)
+    start_ns = _start_ns(tables, options, on_warning)
+    # The time of the last sample must fit 64-bit nanoseconds, which a damaged counter violates.
+    if not 1e-3 <= rate <= 1e7 or start_ns + int(numbers[-1]) * 1e9 / rate > 4e18:
+        raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
+    streams, unit, is_taken = _streams(tables, options, ask_unit, on_warning)
+    _warn_of_missing(streams[0].values, numbers, rate, on_warning)
+    on_progress(Step("writes the recording"))
     try:
-        if any(map(can_log.is_log, files)) and (options.dbc is not None or not _is_text(files[0])):
-            return can_log.import_log(files, out, options, on_warning)
-        if options.bus is not None:
-            raise BadInputError(f"--bus {options.bus} is for CAN logs; {files[0]} is none by its name")
-        if options.dbc is not None:
-            raise BadInputError(f"{options.dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
-        tables = _read(files, options, limits, on_warning, on_progress)
-        if options.align:
-            leading = {name: find_column(tables, place) for name, place in (options.channels or {}).items()}
-            moving = [place for place in leading.values() if place[0].quantity(place[1]) != units.ROTATION]
-            tables = clocks.align(tables, moving, on_warning)
-        tables, clock = clocks.join(tables, on_warning)
-        rate, numbers = _timing(tables, clock, options, on_warning)
-        start_ns = _start_ns(tables, options, on_warning)
-        # The time of the last sample must fit 64-bit nanoseconds, which a damaged counter violates.
-        if not 1e-3 <= rate <= 1e7 or start_ns + int(numbers[-1]) * 1e9 / rate > 4e18:
-            raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
-        streams, unit, is_taken = _streams(tables, options, ask_unit, on_warning)
-        _warn_of_missing(streams[0].values, numbers, rate, on_warning)
-        on_progress(Step("writes the recording"))
-        _write(out, streams, rate, numbers, start_ns)
-        taken = [_taken(stream, name, at, unit) for stream in streams for at, name in enumerate(stream.places)]
-        for one in taken:
-            on_channel(one)
-        if is_taken:
-            on_warning(doubt_unit(taken))
-        for doubt in _doubts(rate, taken):
-            on_warning(f"{files[0]}: {doubt}")
-        return recording_info(out)
-    except OSError as error:
-        raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
+        with os_errors_of(out, "cannot be written: "):
+            _write(out, streams, rate, numbers, start_ns)
+        info = recording_info(out)
     except RecordingError as error:
-        raise BadInputError(str(error)) from error
+        raise BadInputError(f"{files[0]}: {error}") from error
+    taken = [_taken(stream, name, at, unit) for stream in streams for at, name in enumerate(stream.places)]
+    for one in taken:
+        on_channel(one)
+    if is_taken:
+        on_warning(doubt_unit(taken))
+    for doubt in _doubts(rate, taken):
+        on_warning(f"{files[0]}: {doubt}")
+    return info
 
 
 def are_recordings(paths: Sequence[Path]) -> bool:
@@ -168,18 +172,27 @@ def are_recordings(paths: Sequence[Path]) -> bool:
 
 @contextmanager
 def as_recordings(
-    paths: Sequence[Path], options: Options = _PLAIN, on_warning: OnWarning = lambda _: None
+    paths: Sequence[Path],
+    options: Options = _PLAIN,
+    on_warning: OnWarning = lambda _: None,
+    *,
+    ask_unit: AskUnit | None = None,
+    on_channel: OnChannel = lambda _: None,
 ) -> Iterator[list[Path]]:
     """Give recordings as they are, and files of any other format as one recording that lasts as long as the block.
 
     Errors within the block name the files (errors as `import_files`).
     """
     if are_recordings(paths):
+        if options.rate_hz is not None or options.unit is not None:
+            raise BadInputError(
+                f"{paths[0]}: is a recording, which states its rate and unit: leave --rate and --unit out"
+            )
         yield list(paths)
         return
     with TemporaryDirectory() as folder:
         out = Path(folder, f"{paths[0].stem}.mcap")
-        import_files(list(paths), out, options, on_warning=on_warning)
+        import_files(list(paths), out, options, ask_unit=ask_unit, on_warning=on_warning, on_channel=on_channel)
         try:
             yield [out]
         except BadInputError as error:
@@ -207,82 +220,111 @@ def _is_text(path: Path) -> bool:
 def _read(
     files: list[Path], options: Options, limits: Limits, on_warning: OnWarning, on_progress: OnProgress
 ) -> list[Table]:
-    """Read all files; those that follow one another in time are one."""
+    """Read all files, join those that follow one another in time, or align them; leave out those of which no column is named."""
     tables: list[Table] = []
     for number, path in enumerate(files):
         on_progress(Step(f"reads {path.name}", number, len(files), "files", then="writes the recording"))
         found = formats.read(File(path, read_bytes(path), options, limits, on_warning))
         tables += [in_order(table, on_warning) for table in found]
-    counts = any(
-        table.is_scaled or any(table.quantity(column) == "counts" for column in table.columns) for table in tables
-    )
-    if (options.scale is not None or options.inventory is not None) and not counts:
+    counted = any(table.is_scaled or "counts" in map(table.quantity, table.columns) for table in tables)
+    if (options.scale is not None or options.inventory is not None) and not counted:
         raise BadInputError(
             f"{', '.join(map(str, files))}: --scale and --inventory are for counts, as for MiniSEED, and none is here; "
             "K-NET states its own scale, and --unit is for the others"
         )
-    return clocks.follow(tables, on_warning)
+    if not options.align:
+        return _in_use(clocks.follow(tables, on_warning), options, on_warning)
+    tables = _in_use(tables, options, on_warning)
+    leading = _named(tables, options.channels).values()
+    return clocks.align(tables, [place for place in leading if not _turns(place)], on_warning)
+
+
+def _in_use(tables: list[Table], options: Options, on_warning: OnWarning) -> list[Table]:
+    """Leave out the tables of which no column is named, where the user names the channels, and tell it."""
+    if not options.channels:
+        return tables
+    of = [_named(tables, options.channels), *_inputs(tables, options)]
+    used = {id(table) for named in of for table, _ in named.values()}
+    for table in tables:
+        if id(table) not in used:
+            on_warning(f"{table.path}: left out: no --channel names a column of {', '.join(table.columns)}")
+    return [table for table in tables if id(table) in used]
+
+
+def _turns(place: Place) -> bool:
+    """Test whether a column holds a rate of rotation."""
+    return place[0].quantity(place[1]) == units.ROTATION
+
+
+def _named(tables: list[Table], references: dict[str, str] | None) -> dict[str, Place]:
+    """Find the columns of an option, by the names that it gives them."""
+    return {name: find_column(tables, reference) for name, reference in (references or {}).items()}
+
+
+def _inputs(tables: list[Table], options: Options) -> tuple[dict[str, Place], dict[str, Place], dict[str, Place]]:
+    """Find the columns of base motion, forces and covariates, by their names."""
+    ground = {"ground": options.ground} if options.ground else None
+    return _named(tables, ground), _named(tables, options.forces), _named(tables, options.covariates)
 
 
 def _streams(
-    tables: list[Table],
-    options: Options,
-    ask_unit: Callable[[Sequence[str]], str] | None,
-    on_warning: OnWarning,
+    tables: list[Table], options: Options, ask_unit: AskUnit | None, on_warning: OnWarning
 ) -> tuple[list[_Stream], str, bool]:
     """Choose the columns of each topic and convert them; also the unit of those that state none, and whether it was taken."""
-    forces = {name: find_column(tables, place) for name, place in (options.forces or {}).items()}
-    covariates = {name: find_column(tables, place) for name, place in (options.covariates or {}).items()}
-    chosen, base = _choose(tables, options, [*forces.values(), *covariates.values()])
-    turning = {name: place for name, place in chosen.items() if place[0].quantity(place[1]) == units.ROTATION}
+    base, forces, covariates = _inputs(tables, options)
+    chosen = _named(tables, options.channels) or _choose(
+        tables, options, [*base.values(), *forces.values()], covariates
+    )
+    turning = {name: place for name, place in chosen.items() if _turns(place)}
     moving = {name: place for name, place in chosen.items() if name not in turning}
     if not moving:
         raise BadInputError(
             f"{tables[0].path}: only rates of rotation are chosen; name a column of acceleration too, with --channel"
         )
-    bare = [
-        f"{table.path.name}:{column}"
-        for table, column in [*moving.values(), *([] if base is None else [base])]
-        if not table.unit(column)
+    unit, is_taken = _unit_of_others([*moving.values(), *base.values()], options, ask_unit, on_warning)
+    topics = {ACCELERATION: moving, GROUND: base, FORCE: forces, ROTATION_RATE: turning}
+    streams = [
+        _Stream(topic, UNIT_OF[topic], places, _converted(places, topic, unit, options))
+        for topic, places in topics.items()
+        if places
     ]
-    unit, override = options.unit, None
-    strange = [c for t, c in moving.values() if t.unit(c) and t.quantity(c) not in (units.ACCELERATION, "counts")]
-    if unit is not None and strange:
-        override = unit
-        on_warning(
-            f"--unit {unit} is taken for {', '.join(strange)}, whose stated unit is no known one of acceleration"
-        )
-    elif unit is not None and not bare and options.scale is None:
-        on_warning(
-            f"--unit {unit} is not used: the files state the unit of every column, or --scale and --inventory do"
-        )
-    is_taken = bool(bare) and unit is None and ask_unit is None
-    unit = unit or (ask_unit(bare) if bare and ask_unit is not None else "m/s^2")
-
-    def acceleration(place: Place) -> Annotated[Array, "n"]:
-        table, column = place
-        if table.quantity(column) == "counts":
-            if options.scale is None:
-                raise BadInputError(f"{table.path}: {column} holds counts; give --scale M/S^2-A-COUNT, or --inventory")
-            return table.values[:, table.columns.index(column)] * options.scale
-        own = override if table.quantity(column) != units.ACCELERATION and table.unit(column) else None
-        return table.converted(column, units.ACCELERATION, unit, own)
-
-    streams = [_Stream(ACCELERATION, "m/s^2", moving, np.column_stack([acceleration(p) for p in moving.values()]))]
-    if base is not None:
-        streams.append(_Stream(GROUND, "m/s^2", {"ground": base}, acceleration(base)[:, None]))
-    for topic, places, quantity in ((FORCE, forces, units.FORCE), (ROTATION_RATE, turning, units.ROTATION)):
-        if places:
-            columns = [table.converted(column, quantity, "N") for table, column in places.values()]
-            streams.append(_Stream(topic, UNIT_OF[topic], places, np.column_stack(columns)))
-    used = [
-        *moving.values(),
-        *turning.values(),
-        *forces.values(),
-        *covariates.values(),
-        *([] if base is None else [base]),
-    ]
+    used = [place for places in topics.values() for place in places.values()]
     return streams + _others(tables, covariates, used, on_warning), unit, is_taken
+
+
+def _unit_of_others(
+    places: list[Place], options: Options, ask_unit: AskUnit | None, on_warning: OnWarning
+) -> tuple[str, bool]:
+    """Return the unit of columns whose file states none of acceleration, and whether it was taken for granted."""
+    bare = [f"{table.path.name}:{column}" for table, column in places if not table.unit(column)]
+    if options.unit is None:
+        return (ask_unit(bare), False) if bare and ask_unit is not None else ("m/s^2", bool(bare))
+    strange = [c for t, c in places if t.unit(c) and t.quantity(c) not in (units.ACCELERATION, "counts")]
+    if strange:
+        on_warning(
+            f"--unit {options.unit} is taken for {', '.join(strange)}, whose stated unit is no known one of acceleration"
+        )
+    elif not bare:
+        on_warning(
+            f"--unit {options.unit} is not used: the files state the unit of every column, or --scale and --inventory do"
+        )
+    return options.unit, False
+
+
+def _converted(places: dict[str, Place], topic: str, unit: str, options: Options) -> Annotated[Array, "n c"]:
+    """Convert columns to the unit of their topic; `unit` is that of accelerations whose file states none."""
+    values = []
+    for table, column in places.values():
+        quantity, stated = _QUANTITY[topic], table.quantity(column)
+        if quantity != units.ACCELERATION:
+            values.append(table.converted(column, quantity, UNIT_OF[topic]))
+        elif stated != "counts":
+            values.append(table.converted(column, quantity, unit, options.unit if stated != quantity else None))
+        elif options.scale is not None:
+            values.append(table.values[:, table.columns.index(column)] * options.scale)
+        else:
+            raise BadInputError(f"{table.path}: {column} holds counts; give --scale M/S^2-A-COUNT, or --inventory")
+    return np.column_stack(values)
 
 
 def _others(
@@ -291,31 +333,38 @@ def _others(
     """Keep what is no acceleration: named covariates, and columns of another quantity, each as a topic of its own."""
     left_out: list[str] = []
     kept = dict(covariates)
-    for table in tables:
-        for column in table.columns:
-            if any(table is t and column == c for t, c in used):
-                continue
-            quantity = table.quantity(column)
-            if quantity and quantity != units.ACCELERATION and quantity != "counts":
-                kept.setdefault(column, (table, column))
-            else:
-                left_out.append(f"{table.path.name}:{column}" if len(tables) > 1 else column)
+    used = [*used, *covariates.values()]
+    for table, column in ((one, name) for one in tables for name in one.columns):
+        if (table, column) in used:
+            continue
+        if table.quantity(column) in ("", units.ACCELERATION, "counts"):
+            left_out.append(f"{table.path.name}:{column}" if len(tables) > 1 else column)
+        else:
+            kept[f"{table.names[0]}_{column}" if column in kept else column] = (table, column)
     if left_out:
         on_warning(
             f"{tables[0].path}: left out: {', '.join(left_out)} (--channel and --covariate take columns by name)"
         )
-    streams: list[_Stream] = []
+    streams: dict[str, _Stream] = {}
     for name, (table, column) in kept.items():
-        known = unit_of(table.unit(column))
-        values = table.values[:, table.columns.index(column)]
-        warm = known is not None and known.quantity == "temperature"
-        si = in_si(values, known) if known is not None and warm else values
-        unit = UNIT_OF[TEMPERATURE] if warm else (table.unit(column) or "1")
-        topic = TEMPERATURE if warm and not any(s.topic == TEMPERATURE for s in streams) else f"/{_slug(name)}"
-        streams.append(_Stream(topic, unit, {name: (table, column)}, si[:, None]))
+        stated, values = unit_of(table.unit(column)), table.values[:, [table.columns.index(column)]]
+        unit = table.unit(column) or "1"
+        if stated is not None and stated.quantity == "temperature":
+            values, unit = in_si(values, stated), UNIT_OF[TEMPERATURE]
+        topic = _free_topic(name, unit, streams)
+        streams[topic] = _Stream(topic, unit, {name: (table, column)}, values)
         if name not in covariates:
             on_warning(f"{table.path}: {column} ({unit}) is kept as the covariate {topic}")
-    return streams
+    return list(streams.values())
+
+
+def _free_topic(name: str, unit: str, taken: Iterable[str]) -> str:
+    """Return the topic of a covariate: of the first temperature /temperature, of any other its name, which no other has."""
+    if unit == UNIT_OF[TEMPERATURE] and TEMPERATURE not in taken:
+        return TEMPERATURE
+    topic = f"/{_slug(name)}"
+    numbered = (f"{topic}_{number}" for number in count(2))
+    return next(one for one in chain([topic], numbered) if one not in taken and one not in UNIT_OF)
 
 
 def _slug(name: str) -> str:
@@ -323,73 +372,79 @@ def _slug(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", name.casefold()).strip("_") or "covariate"
 
 
-def _choose(tables: list[Table], options: Options, inputs: list[Place]) -> tuple[dict[str, Place], Place | None]:
-    """Choose the column of each channel, by the channel's name, and the column of the base motion."""
-    base = find_column(tables, options.ground) if options.ground else None
-    if options.channels:
-        return {name: find_column(tables, place) for name, place in options.channels.items()}, base
+def _choose(
+    tables: list[Table], options: Options, inputs: list[Place], covariates: dict[str, Place]
+) -> dict[str, Place]:
+    """Choose the columns of accelerations and their names where the user names none.
+
+    Of several files, one that holds a base motion or a force holds no floor.
+    """
+    taken = [*inputs, *covariates.values()]
     rest = [(table, column) for table in tables for column in table.default]
-    if len(tables) == 1:
-        table = tables[0]
-        rest += [(table, c) for c in table.columns if c not in table.default and table.quantity(c) == units.ROTATION]
-    inputs = inputs if base is None else [base, *inputs]
-    rest = [pair for pair in rest if pair not in inputs]
     if len(tables) > 1:
-        rest = [pair for pair in rest if all(pair[0] is not table for table, _ in inputs)]
-    if options.unit is not None and not rest and len(tables) == 1:
-        rest = [(tables[0], column) for column in tables[0].columns if (tables[0], column) not in inputs]
+        taken += [(table, column) for table, _ in inputs for column in table.columns]
+    else:
+        every = [(tables[0], column) for column in tables[0].columns]
+        rest += [place for place in every if place not in rest and _turns(place)]
+        rest = every if options.unit and not set(rest) - set(taken) else rest
+    rest = [place for place in rest if place not in taken]
     if not rest:
-        table = tables[0]
-        column = next((c for c in table.columns if table.unit(c)), table.columns[0])
-        if base is None and not inputs:
-            table.converted(column, units.ACCELERATION, "m/s^2")  # or says that its unit is another
-        raise BadInputError(
-            f"{table.path}: no column is left for the floors besides the ground; it has {', '.join(table.columns)}"
-        )
-    names = [column if len(tables) == 1 else table.names[0] for table, column in rest]
-    if len(set(names)) != len(names):
-        names = [column for _, column in rest]  # three components of one record, or several columns a file
-    if len(set(names)) != len(names):
-        names = [f"{table.names[0]}_{column}" for table, column in rest]
-    if len(set(names)) != len(names):
-        raise BadInputError(
-            f"several columns would be channel {max(names, key=names.count)!r}; name each: --channel NAME=FILE:COLUMN"
-        )
-    return dict(zip(names, rest, strict=True)), base
+        raise _none_left(tables[0], is_taken=bool(taken))
+    return _named_apart(rest, len(tables) == 1)
+
+
+def _none_left(table: Table, *, is_taken: bool) -> BadInputError:
+    """Return the error that no column holds accelerations; raise it where the columns are of another quantity."""
+    if not is_taken:
+        table.converted(next(filter(table.unit, table.columns), table.columns[0]), units.ACCELERATION, "m/s^2")
+    return BadInputError(
+        f"{table.path}: no column is left for the floors besides the ground; it has {', '.join(table.columns)}"
+    )
+
+
+def _named_apart(places: list[Place], of_one_file: bool) -> dict[str, Place]:
+    """Name columns: of several files by the file, unless it has several or holds a component of a record."""
+    columns, files = [column for _, column in places], [table.names[0] for table, _ in places]
+    both = [f"{file}_{column}" for file, column in zip(files, columns, strict=True)]
+    for names in (columns,) if of_one_file else (files, columns, both):
+        if len(set(names)) == len(names):
+            return dict(zip(names, places, strict=True))
+    raise BadInputError(
+        f"several columns would be channel {max(both, key=both.count)!r}; name each: --channel NAME=FILE:COLUMN"
+    )
 
 
 def find_column(tables: list[Table], reference: str) -> Place:
     """Find the column that "FILE", "FILE:COLUMN" or, with a single file, "COLUMN" denotes; BadInputError if there is none."""
-    exact = [(table, None) for table in tables if reference in table.names]
-    parts = [
-        (table, reference[len(name) + 1 :])
-        for table in tables
-        for name in dict.fromkeys(table.names)
-        if reference.startswith(name + ":")
-    ]
-    found = exact or parts[:1]
-    if not found and len(tables) == 1 and reference in tables[0].columns:
-        return tables[0], reference
-    if len(found) != 1:
-        what = "names several files" if found else "names no file"
-        files_text = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
-        meant = "" if found else meant_instead(reference, [name for table in tables for name in _references(table)])
-        raise BadInputError(
-            f"{reference!r} {what}{meant}; the files, with their columns, are {files_text}; "
-            f"write FILE:COLUMN, as {tables[0].names[0]}:{tables[0].columns[0]}"
-        )
-    table, column = found[0]
-    if column is None:
-        if len(table.default) != 1:
-            raise BadInputError(f"{table.path}: name a column: {', '.join(table.columns)}")
-        column = table.default[0]
-    table.unit(column)  # or there is no such column
-    return table, column
+    whole = [table for table in tables if reference in table.names]
+    if len(whole) == 1:
+        if len(whole[0].default) != 1:
+            raise BadInputError(f"{whole[0].path}: name a column: {', '.join(whole[0].columns)}")
+        return whole[0], whole[0].default[0]
+    one_file = len({table.path for table in tables}) == 1
+    found = [place for table in tables for place in _denoted(table, reference, one_file)]
+    if found and not whole:
+        table, column = next((place for place in found if place[1] in place[0].columns), found[0])
+        table.unit(column)  # or there is no such column
+        return table, column
+    raise BadInputError(f"{reference!r} {_says_unknown(tables, reference, is_ambiguous=bool(whole))}")
 
 
-def _references(table: Table) -> list[str]:
-    """List what may denote a file or a column of it."""
-    return [*table.names, *table.columns, *(f"{name}:{column}" for name in table.names for column in table.columns)]
+def _says_unknown(tables: list[Table], reference: str, *, is_ambiguous: bool) -> str:
+    """Say why a reference denotes no column, and how to write it."""
+    held = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
+    known = [text for t in tables for n in t.names for text in (n, *t.columns, *(f"{n}:{c}" for c in t.columns))]
+    what = "names several files" if is_ambiguous else f"names no file{meant_instead(reference, known)}"
+    return (
+        f"{what}; the files, with their columns, are {held}; "
+        f"write FILE:COLUMN, as {tables[0].names[0]}:{tables[0].columns[0]}"
+    )
+
+
+def _denoted(table: Table, reference: str, one_file: bool) -> list[Place]:
+    """Return what "FILE:COLUMN" denotes if it names the file, and of a single file what "COLUMN" does."""
+    found = [(table, reference[len(name) + 1 :]) for name in table.names if reference.startswith(f"{name}:")]
+    return [*found, (table, reference)] if one_file and reference in table.columns else found
 
 
 def _timing(
@@ -452,17 +507,17 @@ def _tell_clock(path: Path, clock: SampleClock, on_warning: OnWarning) -> None:
 
 
 def _start_ns(tables: list[Table], options: Options, on_warning: OnWarning) -> int:
-    """Return the time of the first sample, UTC in ns since 1970."""
-    if options.start_ns is not None:
-        return options.start_ns
-    for table in tables:
-        if table.start_ns is not None and table.start_ns >= 0:
-            if table.start_text:
-                on_warning(
-                    f"{table.path}: its time {table.start_text} has no zone; taken as UTC: {utc(table.start_ns, seconds=True)} "
-                    "(see --start and --timezone)"
-                )
-            return table.start_ns
+    """Return the time of the first sample, UTC in ns since 1970; tell which files' times are taken as UTC, where it matters."""
+    starts = [(table.start_ns, table) for table in tables if table.start_ns is not None and table.start_ns >= 0]
+    bare = [(start_ns, table) for start_ns, table in starts if table.start_text]
+    mixed = len(bare) < len(starts)  # a zone shifts some of the files against the others
+    for start_ns, table in bare if mixed else bare[: options.start_ns is None]:
+        on_warning(
+            f"{table.path}: its time {table.start_text} has no zone; taken as UTC: {utc(start_ns, seconds=True)} "
+            "(see --start and --timezone)"
+        )
+    if options.start_ns is not None or starts:
+        return starts[0][0] if options.start_ns is None else options.start_ns
     if options.unknown_start_ns is None:
         on_warning("no file tells when it was recorded; the recording begins in 1970 (see --start)")
     return options.unknown_start_ns or 0

@@ -1,4 +1,4 @@
-"""Reads the first sheet with readings of a workbook (XLSX) as if its cells were a table of text."""
+"""Reads the one sheet with numbers of a workbook (XLSX) as a table of text."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ from datetime import date, datetime, time
 from typing import Any
 
 from monitor.core import BadInputError, import_extra
-from monitor.runs.readers import delimited
 from monitor.runs.readers.base import File
-from monitor.runs.readers.table import Table
 
 
-def read_tables(file: File) -> list[Table]:
-    """Convert a workbook; BadInputError if it is damaged, has no sheet of numbers or several."""
+def as_text(file: File) -> str:
+    """Write the sheet as a table of text; BadInputError if it is damaged, has no sheet of numbers or several."""
     calamine = import_extra("python_calamine", f"{file.path}: a workbook (XLSX)")
     try:
         book = calamine.CalamineWorkbook.from_filelike(io.BytesIO(file.raw))
@@ -27,9 +25,7 @@ def read_tables(file: File) -> list[Table]:
         raise BadInputError(
             f"{file.path}: {len(filled)} sheets hold numbers ({', '.join(filled) or 'none'}); save the one to be read as CSV"
         )
-    lines = "\n".join("\t".join(map(_cell, row)) for row in next(iter(filled.values())))
-    text = delimited.cut(file.path, lines, file.on_warning, file.options.time)
-    return [delimited.to_table(text, file.on_warning, file.options.zone)]
+    return "\n".join("\t".join(map(_cell, row)) for row in next(iter(filled.values())))
 
 
 def _cell(value: Any) -> str:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import io
 import json
 import sys
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from monitor.core import BadInputError, import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import Arrays, demand_room, hand_over, read_apart
+from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
 from monitor.runs.readers.table import Table
 
 
@@ -28,35 +30,32 @@ class Tdms:
     def read(self, file: File) -> list[Table]:
         """Convert the channels, a table for each rate, length and start."""
         import_extra("nptdms", f"{file.path}: TDMS")
-        arrays, told = read_apart(__name__, self.name, file.path, file.most_bytes, file.limits.reader_s)
-        groups: dict[str, list[str]] = {}
-        for name in arrays:
-            _, _, *clock = json.loads(told[name])
-            groups.setdefault(json.dumps([*clock, len(arrays[name])]), []).append(name)
-        tables = []
-        for clock, names in groups.items():
-            step_s, offset_s, start_ns, _ = json.loads(clock)
-            shown, units = zip(*(json.loads(told[name])[:2] for name in names), strict=True)
-            if len(set(shown)) != len(shown):
-                raise BadInputError(f"{file.path}: channels of the same name in several groups: {', '.join(shown)}")
-            start = None if start_ns is None else start_ns + round(offset_s * 1e9)
-            tables.append(
-                Table(
-                    file.path,
-                    tuple(shown),
-                    tuple(units),
-                    np.column_stack([arrays[name] for name in names]).astype(np.float64),
-                    start_ns=start,
-                    rate_hz=round(1.0 / step_s, 6) if step_s else None,
-                )
-            )
-        if not tables:
+        arrays, told = file.read_apart(__name__, self.name)
+        if not arrays:
             raise BadInputError(f"{file.path}: holds no channel of numbers")
-        return tables
+        channels = {key: json.loads(text) for key, text in told.items()}
+        several = Counter(name for _, name, *_ in channels.values())
+        clocks: dict[tuple[Any, ...], list[str]] = {}
+        for key, (_, _, _, *clock) in channels.items():
+            clocks.setdefault((*clock, len(arrays[key])), []).append(key)
+        return [
+            Table(
+                file.path,
+                tuple(
+                    f"{channels[k][0]}/{channels[k][1]}" if several[channels[k][1]] > 1 else channels[k][1]
+                    for k in keys
+                ),
+                tuple(channels[key][2] for key in keys),
+                np.column_stack([arrays[key] for key in keys]).astype(np.float64),
+                start_ns=None if start_ns is None else start_ns + round(offset_s * 1e9),
+                rate_hz=round(1.0 / step_s, 6) if step_s else None,
+            )
+            for (step_s, offset_s, start_ns, _), keys in clocks.items()
+        ]
 
 
 def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
-    """Read the channels of a file; of each are told name, unit, step and offset in s, and start in ns."""
+    """Read the channels of a file; of each are told group, name, unit, step and offset in s, and start in ns."""
     TdmsFile = import_extra("nptdms", "TDMS").TdmsFile  # noqa: N806
     arrays: Arrays = {}
     told: dict[str, str] = {}
@@ -69,17 +68,15 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
                 held += VALUE_BYTES * len(channel)
                 demand_room(held, most_bytes)
                 told_of = channel.properties
-                start = told_of.get("wf_start_time")
-                start_ns = (
-                    None
-                    if start is None or int(start.astype("datetime64[s]").astype(int)) <= 0
-                    else int(start.astype("datetime64[ns]").astype(int))
-                )
+                start = told_of.get("wf_start_time")  # by LabVIEW that of 1904 where there is none
+                dated = start is not None and int(start.astype("datetime64[s]").astype(int)) > 0
+                start_ns = int(start.astype("datetime64[ns]").astype(int)) if dated else None
                 unit = str(told_of.get("unit_string") or told_of.get("NI_UnitDescription") or "")
                 key = str(len(arrays))
                 arrays[key] = channel[:]
                 told[key] = json.dumps(
                     [
+                        group.name,
                         channel.name,
                         unit,
                         float(told_of.get("wf_increment", 0.0)),

@@ -12,13 +12,11 @@ import numpy as np
 
 from monitor.core import BadInputError, import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES
-from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import Arrays, demand_room, hand_over, read_apart
+from monitor.runs.readers.base import LINE_BYTES, File
+from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
 from monitor.runs.readers.table import OnWarning, Table
 
 _MARK = b"    -1"
-_LINE_BYTES = 57
-"""Memory that a line of text takes besides its characters. [bytes; measured: CPython 3.11]"""
 _TIME_RESPONSE = 1
 _ACCELERATION, _FORCE = 12, 13
 """Specific data types. [1; definition: universal dataset 58]"""
@@ -44,10 +42,10 @@ class Uff:
     def read(self, file: File) -> list[Table]:
         """Convert the time responses; BadConfigurationError without the library pyuff."""
         import_extra("pyuff", f"{file.path}: a universal file (UFF)")
-        file.demand_room(len(file.raw) + _LINE_BYTES * file.raw.count(b"\n"))
+        file.demand_room(len(file.raw) + LINE_BYTES * file.raw.count(b"\n"))
         if file.raw.count(_MARK) % 2:
             raise BadInputError(f"{file.path}: damaged UFF: its last dataset has no end; the file was cut")
-        arrays, told = read_apart(__name__, self.name, file.path, file.most_bytes, file.limits.reader_s)
+        arrays, told = file.read_apart(__name__, self.name)
         functions = [
             {**json.loads(told[key]), "data": arrays[f"y{key}"], "x": arrays[f"x{key}"]} for key in told if key != "si"
         ]
@@ -80,17 +78,8 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
 
 def _build(path: Path, functions: list[dict[str, Any]], si: bool, on_warning: OnWarning) -> Table:
     """Build a table of the time responses; raise ValueError if they do not fit each other."""
-    responses = [f for f in functions if f["func_type"] == _TIME_RESPONSE and np.isrealobj(f["data"])]
-    if not responses:
-        held = ", ".join(sorted({_FUNCTIONS.get(f["func_type"], f"type {f['func_type']}") for f in functions}))
-        raise ValueError(f"it holds no time response (dataset 58 of function type 1) but {held or 'no dataset 58'}")
+    responses = _responses(functions)
     first = responses[0]
-    for other in responses:
-        if len(other["data"]) != len(first["data"]) or not np.allclose(other["x"], first["x"], rtol=0, atol=1e-6):
-            raise ValueError(
-                f"{_label(first)} has {len(first['data'])} samples and {_label(other)} {len(other['data'])}, or other times; "
-                "save those of one rate and length together"
-            )
     names = [_label(f) for f in responses]
     columns = tuple(
         name if names.count(name) == 1 else f"{name}_{names[: at + 1].count(name)}" for at, name in enumerate(names)
@@ -110,6 +99,22 @@ def _build(path: Path, functions: list[dict[str, Any]], si: bool, on_warning: On
         start_ns=_start_ns(path, first, float(x[0]) if len(x) else 0.0, on_warning),
         rate_hz=_rounded(1.0 / float(first["abscissa_inc"])) if even else None,
     )
+
+
+def _responses(functions: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the time responses; raise ValueError if there is none, or their times differ."""
+    responses = [f for f in functions if f["func_type"] == _TIME_RESPONSE and np.isrealobj(f["data"])]
+    if not responses:
+        held = ", ".join(sorted({_FUNCTIONS.get(f["func_type"], f"type {f['func_type']}") for f in functions}))
+        raise ValueError(f"it holds no time response (dataset 58 of function type 1) but {held or 'no dataset 58'}")
+    first = responses[0]
+    for other in responses:
+        if len(other["data"]) != len(first["data"]) or not np.allclose(other["x"], first["x"], rtol=0, atol=1e-6):
+            raise ValueError(
+                f"{_label(first)} has {len(first['data'])} samples and {_label(other)} {len(other['data'])}, or other times; "
+                "save those of one rate and length together"
+            )
+    return responses
 
 
 def _rounded(rate_hz: float) -> float:
