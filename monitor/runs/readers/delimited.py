@@ -20,6 +20,8 @@ from monitor.runs.readers.units import TIME
 
 _CHUNK_CELLS = 1 << 15
 """Cells of the rows that are converted to numbers together. [count; cost: they take 3 MB]"""
+_LOOK_ALIKES = {0xA0: " ", 0x202F: " ", 0x2009: " ", 0x2212: "-"}
+"""Characters that stand for a space between groups of digits, or for a minus. [characters; typography]"""
 _FILLERS = (-7999.0, -9999.0, -99999.0, 9999.0, 99999.0, -6999.0, 7999.0)
 """Numbers that loggers write for a missing reading. [numbers; Campbell: 7999 and -7999, others by convention]"""
 _ABSURD = 1e30
@@ -128,7 +130,7 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
     Headings that stand again among the rows, as of files that were joined, and a last row that was cut off are left out and
     told.  Raises BadInputError if there is no table of numbers, or a row has another number of cells.
     """
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").translate(_LOOK_ALIKES).split("\n")
     while lines and not lines[-1].strip(" ,;\t|"):
         lines.pop()
     dialect = guess(path, lines, time)

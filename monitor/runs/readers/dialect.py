@@ -13,7 +13,7 @@ from pathlib import Path
 
 from monitor.core import BadInputError
 from monitor.runs.readers.stamps import CLOCK, DATE, DATED, looks_dated
-from monitor.runs.readers.units import TIME, Unit, split_name, unit_of, units_in_names
+from monitor.runs.readers.units import ACCELERATION, TIME, Unit, split_name, unit_of, units_in_names
 
 MISSING = frozenset(
     {
@@ -34,7 +34,7 @@ MISSING = frozenset(
             "*",
         ),
         *("-", "--", "---", "----", "error", "#value!", "#num!", "#div/0!", "1.#qnan", "-1.#ind", "1.#ind"),
-        *("ol", "over", "overrange", "underrange", "overload", "overflow", "inf", "+inf", "-inf", "1.#inf", "-1.#inf"),
+        *("ol", "over", "overrange", "underrange", "overload", "overflow", "inf", "+inf", "-inf", "∞", "-∞", "1.#inf", "-1.#inf"),
     }
 )
 """Words for a reading that is missing, in lower case, without spaces. [words; conventions of loggers and spreadsheets]"""
@@ -43,7 +43,7 @@ _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([,.' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 """A number whose digits are set off in groups of three. [pattern]"""
 _TIME_NAME = re.compile(
     r"(t|time.*|zeit.*|date.*|datum.*|stamp|timestamp.*|sampletimefine|elapsed.*|temps|tiempo|fecha.*|hora|epoch.*|utc.*"
-    r"|clock|x_value|seconds?|sec|ms|millis|micros|relative.?time|local.?time)",
+    r"|clock|x_value|seconds?|seconds?.elapsed|sec|ms|millis|micros|relative.?time|local.?time|unix.*)",
     re.IGNORECASE,
 )
 _COUNTER_NAME = re.compile(
@@ -57,8 +57,8 @@ _MAGNITUDE_NAME = re.compile(
 )
 _RATE_CELL = re.compile(r"(?:sr|rate|fs)?\s*[=:]?\s*([\d.]+)\s*(k?hz)", re.IGNORECASE)
 _RATE_LINE = re.compile(
-    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps)\b[^\d]{0,24}?(?:\(?\s*(k?hz|sps|samples/s\w*)\s*\)?)?"
-    r"[\s:=,;\t\"]+([\d.,]+)\s*(k?hz|sps)?",
+    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps)\b[^\d]{0,24}?(?:\(?\s*(k?hz|k?sps|ks/s|samples/s\w*)\s*\)?)?"
+    r"[\s:=,;\t\"]+([\d.,]+)\s*(k?hz|k?sps|ks/s)?",
     re.IGNORECASE,
 )
 _STEP_LINE = re.compile(
@@ -71,6 +71,15 @@ _START_LINE = re.compile(
     re.IGNORECASE,
 )
 _UNIT_LINE = re.compile(r"(?:y_?)?units?(?:_label)?\b[\s:=,;\t\"]+([^\s,;\t\"]+(?: s-2)?)", re.IGNORECASE)
+_UNIT_SENTENCE = re.compile(
+    r"^[\s#%!;]*(?:all\s+)?(?:accelerations?|values|data|amplitudes?|readings?)\s+(?:are\s+)?in\s+(?:units\s+of\s+)?(\S+)\s*$",
+    re.IGNORECASE,
+)
+_NO_RATE = re.compile(
+    r"filter|cut.?off|corner|natural|nyquist|baud|resonan|(?:low|high|band).?pass|band.?width|update|internal|maxim|\bmax\b",
+    re.IGNORECASE,
+)
+"""Words of a line whose frequency is not that of the samples. [words; conventions of loggers]"""
 _FEW = 3
 """Lines of a table so short that the last one counts as well. [lines; judgement]"""
 _TAIL = 100
@@ -180,7 +189,8 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
         first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width)), None)
         if first is None:
             raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
-        head = [split(line.lstrip("#%! "), delimiter) for line in lines[max(0, first - _HEAD) : first]]
+        preamble = lines[max(0, first - _HEAD) : first]
+        head = [_split_heading(line, delimiter, width) for line in preamble if delimiter or not _states(line)]
         rows = [
             cells
             for cells in (
@@ -195,6 +205,7 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
         all(len(cells) > width or not cells[width - 1] for cells in rows)
         and width > 1
         and not any(c[width - 1] for c in rows)
+        and not any(len(cells) == width and cells[-1] for cells in head[-1:])
     ):
         width -= 1  # rows end with a delimiter
     decimal, thousands, why_decimal = _marks([cell for cells in rows for cell in cells[:width]], delimiter)
@@ -207,17 +218,15 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
     rate_hz = rate
     if rate is not None:
         reasons["rate"] = "a row of rates stands above the columns"
-    preamble = [line for line in lines[max(0, first - _HEAD) : first]]
     start_text = unit_text = day = clock = ""
     for line in preamble:
-        if rate_hz is None and (found := _stated_rate(line)) is not None:
+        if rate_hz is None and (found := _stated_rate(line, decimal)) is not None:
             rate_hz, reasons["rate"] = found, f"stated: {line.strip()[:60]!r}"
         if not start_text and (match := _START_LINE.search(line)) is not None:
             start_text, reasons["start"] = match["stamp"].strip(), f"stated: {line.strip()[:60]!r}"
         day = day or _value_of("date", DATE, line)
         clock = clock or _value_of("time", CLOCK, line)
-        if not unit_text and (match := _UNIT_LINE.search(line)) is not None and unit_of(match[1]) is not None:
-            unit_text = match[1]
+        unit_text = unit_text or _unit_stated(line)
     if not start_text and day and clock:
         start_text, reasons["start"] = f"{day} {clock}", "date and time are stated above the table"
     columns = _columns(names, units, rows, unit_text, used, time)
@@ -271,6 +280,9 @@ def _marks(cells: Sequence[str], delimiter: str | None) -> tuple[str, str, str]:
         return ".", "", "no cell has a comma"
     if any(cell.count(",") > 1 for cell in commas):
         return ".", ",", f"as in {next(c for c in commas if c.count(',') > 1)!r}"
+    points = [cell for cell in numbers if "." in cell]
+    if points and all(_GROUPED.fullmatch(cell) and not cell.lstrip("+-").startswith("0") for cell in points):
+        return ",", ".", f"{commas[0]!r} beside {points[0]!r}: points set off thousands"
     grouped = all(_GROUPED.fullmatch(cell) for cell in commas)
     # Decimals fixed at three would leave no number without a comma; groups leave those below 1000 without one.
     bare = [cell for cell in numbers if "," not in cell and "." not in cell]
@@ -289,8 +301,9 @@ def _headings(
     units = [""] * width
     rate: float | None = None
     for cells in reversed(near):
-        cells = [*cells[:width], *[""] * (width - len(cells))] if abs(len(cells) - width) <= 1 else cells
+        cells = _fitted(cells, width)
         if len(cells) != width:
+            _demand_fit(path, cells, width, near)
             if names:
                 break
             continue
@@ -332,6 +345,47 @@ def _are_names(cells: Sequence[str], units: Sequence[str]) -> bool:
     return (len(set(cells)) == len(cells) and all(len(cell) == 1 and cell.isupper() for cell in cells)) or any(units)
 
 
+def _split_heading(line: str, delimiter: str | None, width: int) -> list[str]:
+    """Split a line above the rows; in a table of white space a name may have spaces, and its unit stands in brackets behind it."""
+    line = line.lstrip("#%! " if delimiter == ";" else "#%!; ")
+    cells = split(line, delimiter)
+    if delimiter is not None or len(cells) == width:
+        return cells
+    spaced = [re.split(pattern, line.strip()) for pattern in (r"\t+", r"\s{2,}|\t", r"\s+(?![\[(])|(?<=[\])])\s+")]
+    return next((found for found in spaced if len(found) == width), cells)
+
+
+def _fitted(cells: list[str], width: int) -> list[str]:
+    """Fit headings of which there is one too many or too few to the columns: a word before the name of the time is none."""
+    if len(cells) == width + 1:
+        named = [_TIME_NAME.fullmatch(split_name(cell)[0]) is not None for cell in cells[:2]]
+        return cells[1:] if named == [False, True] and not _COUNTER_NAME.fullmatch(cells[0]) else cells[:width]
+    return [*cells, ""] if len(cells) == width - 1 else cells
+
+
+def _demand_fit(path: Path, cells: list[str], width: int, near: Sequence[Sequence[str]]) -> None:
+    """Refuse headings with units of acceleration that stand next to the rows and cannot be those of the columns."""
+    known = [unit_of(split_name(cell)[1]) for cell in cells]
+    if list(near[-1]) == cells and sum(unit is not None and unit.quantity == ACCELERATION for unit in known) > 1:
+        raise BadInputError(
+            f"{path}: {len(cells)} headings stand above {width} columns, so that no unit belongs to one for sure; mend the "
+            "line of headings"
+        )
+
+
+def _states(line: str) -> bool:
+    """Test whether a line before the rows is a statement, as of rate, start or unit, and no row of headings."""
+    return any(pattern.search(line) for pattern in (_RATE_LINE, _STEP_LINE, _START_LINE)) or bool(_unit_stated(line))
+
+
+def _unit_stated(line: str) -> str:
+    """Return the unit that a line before the rows states for all columns; empty where it states none."""
+    for pattern in (_UNIT_LINE, _UNIT_SENTENCE):
+        if (match := pattern.search(line)) is not None and unit_of(match[1]) is not None:
+            return match[1]
+    return ""
+
+
 def _demand_names(path: Path, names: Sequence[str]) -> None:
     """Refuse a row of numbers and words as headings: it is a damaged row of readings, unless it begins with a time's name."""
     if any(map(is_number, names)) and not any(_TIME_NAME.fullmatch(split_name(name)[0]) for name in names):
@@ -355,22 +409,26 @@ def _value_of(name: str, pattern: re.Pattern[str], line: str) -> str:
     return "" if match is None else match[1]
 
 
-def _stated_rate(line: str) -> float | None:
+def _stated_rate(line: str, decimal: str) -> float | None:
     """Return the rate, Hz, that a line before the rows states; None if it states none."""
+    if _NO_RATE.search(line):
+        return None
     if (match := _STEP_LINE.search(line)) is not None:
-        step = _plain(match[2])
+        step = _plain(match[2], decimal)
         unit = unit_of(match[3] or match[1] or "s")
         if step and unit is not None and unit.quantity == TIME:
             return round(1.0 / (step * unit.factor), 6)
     if (match := _RATE_LINE.search(line)) is not None:
-        rate = _plain(match[2])
-        kilo = (match[1] or match[3] or "").casefold() == "khz"
+        rate = _plain(match[2], decimal)
+        kilo = (match[1] or match[3] or "").casefold() in ("khz", "ks/s", "ksps")
         return None if not rate else rate * (1e3 if kilo else 1.0)
     return None
 
 
-def _plain(text: str) -> float | None:
-    """Convert a number of a line before the rows."""
+def _plain(text: str, decimal: str) -> float | None:
+    """Convert a number of a line before the rows, of a table with this decimal mark."""
+    if decimal == "." and re.fullmatch(r"[1-9]\d{0,2}(,\d{3})+(\.\d*)?", text):
+        text = text.replace(",", "")
     try:
         value = float(text.replace(",", ".").rstrip("."))
     except ValueError:
@@ -397,6 +455,8 @@ def _columns(
         bare = name.strip() if cut[at][2] else bare
         unit = unit_of(unit_text) if unit_text else None
         cells = [row[at] for row in rows if len(row) > at]
+        if not unit_text and (alone := unit_of(bare)) is not None and alone.quantity == TIME and len(bare) > 1:
+            unit_text, unit = bare, alone
         role, why = _role(bare, unit, cells, at, found, used, named=None if time is None else time in (name, bare))
         if role is Role.READING and not unit_text and stated:
             unit_text, unit, why = stated, unit_of(stated), f"{why}; its unit stands above the table"
