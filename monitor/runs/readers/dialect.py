@@ -34,7 +34,21 @@ MISSING = frozenset(
             "*",
         ),
         *("-", "--", "---", "----", "error", "#value!", "#num!", "#div/0!", "1.#qnan", "-1.#ind", "1.#ind"),
-        *("ol", "over", "overrange", "underrange", "overload", "overflow", "inf", "+inf", "-inf", "∞", "-∞", "1.#inf", "-1.#inf"),
+        *(
+            "ol",
+            "over",
+            "overrange",
+            "underrange",
+            "overload",
+            "overflow",
+            "inf",
+            "+inf",
+            "-inf",
+            "∞",
+            "-∞",
+            "1.#inf",
+            "-1.#inf",
+        ),
     }
 )
 """Words for a reading that is missing, in lower case, without spaces. [words; conventions of loggers and spreadsheets]"""
@@ -48,7 +62,7 @@ _TIME_NAME = re.compile(
 )
 _COUNTER_NAME = re.compile(
     r"(|#|index|idx|id|sample|samples|sample.?(no|nr|number|index)\.?|counter|count|packetcounter|nr\.?|no\.?|num|number|n|record"
-    r"|rec|row|line|point|scan|seq(uence)?)",
+    r"|rec|row|line|point|place|scan|seq(uence)?)",
     re.IGNORECASE,
 )
 _FRACTION_NAME = re.compile(r"(ms|msec|millis|milliseconds?|millisecond|micros|us|usec)", re.IGNORECASE)
@@ -57,7 +71,7 @@ _MAGNITUDE_NAME = re.compile(
 )
 _RATE_CELL = re.compile(r"(?:sr|rate|fs)?\s*[=:]?\s*([\d.]+)\s*(k?hz)", re.IGNORECASE)
 _RATE_LINE = re.compile(
-    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps)\b[^\d]{0,24}?(?:\(?\s*(k?hz|k?sps|ks/s|samples/s\w*)\s*\)?)?"
+    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps|samples?(?:/|\s+per\s+)s\w*)\b[^\d]{0,24}?(?:\(?\s*(k?hz|k?sps|ks/s|samples/s\w*)\s*\)?)?"
     r"[\s:=,;\t\"]+([\d.,]+)\s*(k?hz|k?sps|ks/s)?",
     re.IGNORECASE,
 )
@@ -185,8 +199,8 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
     tail = [line for line in lines[-_TAIL - 1 :] if line.strip(" \t,;|")]
     tail = tail[:-1] if len(tail) > _FEW else tail  # the last line may be incomplete
     try:
-        delimiter, width, why = _delimiter(path, tail)
-        first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width)), None)
+        delimiter, width, texts, why = _delimiter(path, tail)
+        first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width, texts)), None)
         if first is None:
             raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
         preamble = lines[max(0, first - _HEAD) : first]
@@ -233,13 +247,20 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
     return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, reasons)
 
 
-def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, str]:
-    """Choose the mark by which most rows have one number of cells, all of them data; the widest of those."""
+def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, frozenset[int], str]:
+    """Choose the mark by which most rows have one number of cells, all of them data; the widest of those.
+
+    Also the columns of words, as of a state: where no mark makes all cells data, that by which most columns are.
+    """
+    cuts = [
+        (mark, [split(line, mark) for line in tail])
+        for mark in ("\t", ";", "|", ",", None)
+        if mark is None or any(mark in line for line in tail)
+    ]
     best: tuple[float, int, str | None] = (0.0, 0, None)
-    for mark in ("\t", ";", "|", ",", None):
-        if mark is not None and not any(mark in line for line in tail):
+    for mark, cut in cuts:
+        if mark == "," and _holds_decimals(cut):
             continue
-        cut = [split(line, mark) for line in tail]
         widths = Counter(len(cells) for cells in cut if all(map(_is_data, cells)) and any(map(is_number, cells)))
         if not widths:
             continue
@@ -247,9 +268,34 @@ def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, str]:
         share = count / len(tail)
         if (round(min(share, _SHARE), 3), width) > best[:2]:
             best = (round(min(share, _SHARE), 3), width, mark)
-    if best[0] < 0.5:
+    if best[0] >= 0.5:
+        return best[2], best[1], frozenset(), f"{best[1]} cells a row, all of them numbers, times or missing values"
+    worded = [(*_worded(cut), mark) for mark, cut in cuts]
+    data, width, texts, mark = max(worded, key=lambda one: one[0])
+    if data < 2:
         raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
-    return best[2], best[1], f"{best[1]} cells a row, all of them numbers, times or missing values"
+    return mark, width, texts, f"{width} cells a row, those of {data} columns numbers, times or missing values"
+
+
+def _worded(cut: Sequence[Sequence[str]]) -> tuple[int, int, frozenset[int]]:
+    """Return how many columns of rows of one width hold data, the width, and the columns of words; 0 columns if rows do not fit."""
+    width, count = Counter(map(len, cut)).most_common(1)[0]
+    if count < _SHARE * len(cut):
+        return 0, 0, frozenset()
+    rows = [cells for cells in cut if len(cells) == width]
+    texts = frozenset(
+        at for at in range(width) if sum(_is_data(cells[at]) for cells in rows) < (1.0 - _SHARE) * len(rows)
+    )
+    fit = sum(_is_row(cells, width, texts) for cells in rows) >= _SHARE * len(cut)
+    return (width - len(texts) if fit else 0), width, texts
+
+
+def _holds_decimals(cut: Sequence[Sequence[str]]) -> bool:
+    """Test whether the comma of two cells a row is a decimal mark: the second ones have one length, and a leading zero."""
+    behind = [
+        cells[1] for cells in cut if len(cells) == 2 and re.fullmatch(r"[+-]?\d+", cells[0]) and cells[1].isdigit()
+    ]
+    return len(behind) == len(cut) > _FEW and len(set(map(len, behind))) == 1 and any(c[0] == "0" != c for c in behind)
 
 
 def _is_data(cell: str) -> bool:
@@ -257,8 +303,11 @@ def _is_data(cell: str) -> bool:
     return is_missing(cell) or is_number(cell) or looks_dated(cell)
 
 
-def _is_row(cells: Sequence[str], width: int) -> bool:
-    """Test whether cells are a row of readings."""
+def _is_row(cells: Sequence[str], width: int, texts: frozenset[int]) -> bool:
+    """Test whether cells are a row of readings, with words in the columns of `texts`."""
+    if texts:
+        cells = [cell for at, cell in enumerate(cells) if at not in texts]
+        width -= len(texts)
     return len(cells) == width and all(map(_is_data, cells)) and any(map(is_number, cells))
 
 
@@ -286,7 +335,7 @@ def _marks(cells: Sequence[str], delimiter: str | None) -> tuple[str, str, str]:
     grouped = all(_GROUPED.fullmatch(cell) for cell in commas)
     # Decimals fixed at three would leave no number without a comma; groups leave those below 1000 without one.
     bare = [cell for cell in numbers if "," not in cell and "." not in cell]
-    small = any(abs(float(cell)) >= 100.0 for cell in bare if _NUMBER.fullmatch(cell))
+    small = any(abs(value) >= 100.0 for value in _floats(bare))
     if grouped and small and not any(cell.lstrip("+-").startswith("0") for cell in commas):
         return ".", ",", f"{commas[0]!r} beside {bare[0]!r}: commas set off thousands"
     return ",", "", f"as in {commas[0]!r}"
@@ -446,6 +495,9 @@ def _columns(
 ) -> tuple[Column, ...]:
     """Say what each column holds."""
     behind = units_in_names(names)
+    for at, name in enumerate(names):
+        if name.casefold() in ("unit", "units") and len(words := {row[at] for row in rows if len(row) > at}) == 1:
+            stated = next((word for word in words if unit_of(word)), stated)
     cut = [split_name(name) for name in names]
     found: list[Column] = []
     for at, name in enumerate(names):
@@ -503,7 +555,7 @@ def _role(
         return Role.FRACTION, "whole numbers below a second, named as a fraction, behind a time"
     if (
         named is None
-        and not has_time
+        and (not has_time or _rises(filled))
         and (
             _TIME_NAME.fullmatch(
                 re.sub(r"[\s_.-]+$", "", name.removesuffix(unit.symbol if unit and unit.quantity == TIME else "\0"))
@@ -519,9 +571,22 @@ def _role(
     return Role.READING, "numbers"
 
 
+def _floats(cells: Sequence[str]) -> list[float]:
+    """Convert the plain numbers among cells."""
+    plain = str.maketrans({",": ".", "d": "e", "D": "e"})
+    return [float(cell.translate(plain)) for cell in cells if _NUMBER.fullmatch(cell)]
+
+
+def _rises(cells: Sequence[str]) -> bool:
+    """Test whether numbers rise throughout the head of the table, as a second column of times does."""
+    values = _floats(cells)
+    half = values[: len(values) // 2]  # the head of the table
+    return len(half) > 2 and all(b >= a for a, b in pairwise(half)) and half[-1] > half[0]
+
+
 def _is_ramp(cells: Sequence[str]) -> bool:
     """Test whether numbers rise by much the same step throughout."""
-    values = [float(cell.replace(",", ".")) for cell in cells if _NUMBER.fullmatch(cell)]
+    values = _floats(cells)
     half = len(values) // 2  # the head of the table, then its tail
     steps = [b - a for a, b in pairwise(values[:half])]
     return len(steps) > 2 and min(steps) > 0.0 and max(steps) < 3.0 * sorted(steps)[len(steps) // 2]

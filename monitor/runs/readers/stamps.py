@@ -33,10 +33,12 @@ _MONTHS |= {
     "dic": 12,
 }
 _DATE = r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}|\d{1,2}[- .][A-Za-zäéû]{3,9}[- .]\d{2,4}|(?:19|20)\d{6}"
-_CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d{1,9})?)?(?:\s*[AaPp]\.?[Mm]\.?)?"
-_ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}:?\d{2}|[A-Z]{3,4}|\[[\w/]+\]))?"
+_CLOCK = r"(?:\d{1,2}:\d{2}[.,]\d{1,9}|\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d{1,9})?)?(?:\s*[AaPp]\.?[Mm]\.?)?)"
+_ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?|[A-Z]{3,4}|\[[\w/]+\]))?"
 DATE = re.compile(_DATE)
 CLOCK = re.compile(_CLOCK)
+_MINUTES = re.compile(r"\d{1,2}:\d{2}[.,]\d{1,9}")
+"""Minutes and seconds, as spreadsheets show them. [pattern]"""
 DATED = re.compile(rf"(?:{_DATE})[ T_,;]*\s*(?:{_CLOCK}){_ZONE}")
 """A date with a time of day. [pattern]"""
 _PARTS = re.compile(rf"({_DATE})?[ T_,;]*\s*({_CLOCK})?({_ZONE})")
@@ -113,7 +115,8 @@ def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> S
         out[at] = day * _DAY_NS + _clock_ns(match[2]) - zones[named]
     has_zone = any(match[3].strip() for match in parts if match[3])
     if not dates:
-        out += _DAY_NS * np.concatenate(([0], np.cumsum(np.diff(out) < -_DAY_NS // 2)))
+        turn_ns = _DAY_NS // 24 if _MINUTES.fullmatch(texts[0].strip()) else _DAY_NS
+        out += turn_ns * np.concatenate(([0], np.cumsum(np.diff(out) < -turn_ns // 2)))
     elif zone is not None and not has_zone:
         out -= _local_ns(out, zone)
     return Stamps(out, bool(dates), has_zone or zone is not None, order, doubtful)
@@ -126,6 +129,8 @@ def _order(dates: Sequence[str], twelve_hours: bool, hint: str) -> tuple[bool, s
     if not ambiguous:
         return False, "", False
     first, second = ({int(match[k]) for match in ambiguous} for k in (1, 3))
+    if max(first) > 12 and all(int(match.string.rpartition(match[2])[2]) <= 31 for match in ambiguous):
+        return False, f"day first and the year last, as in {ambiguous[0].string!r}", ambiguous[0][2] != "."
     if max(first) > 12:
         return False, f"day first, as in {ambiguous[0].string!r}", False
     if max(second) > 12:
@@ -170,6 +175,8 @@ def _clock_ns(text: str | None) -> int:
     half = text.casefold().replace(".m", "m").rstrip(".")
     bare = re.sub(r"\s*[ap]\.?m\.?$", "", half)
     parts = re.split(r"[:.,]", bare)
+    if _MINUTES.fullmatch(bare):
+        parts = ["0", *parts]
     hours, minutes = int(parts[0]), int(parts[1])
     seconds = int(parts[2]) if len(parts) > 2 else 0
     fraction = int(parts[3][:9].ljust(9, "0")) if len(parts) > 3 else 0
@@ -180,8 +187,8 @@ def _clock_ns(text: str | None) -> int:
 
 def _ahead_ns(zone: str) -> int:
     """Return by how much a named zone is ahead of UTC, ns; 0 for one that is not known."""
-    if (match := re.fullmatch(r"([+-])(\d{2}):?(\d{2})", zone)) is not None:
-        return (1 if match[1] == "+" else -1) * (int(match[2]) * 60 + int(match[3])) * 60 * 10**9
+    if (match := re.fullmatch(r"([+-])(\d{2})(?::?(\d{2}))?", zone)) is not None:
+        return (1 if match[1] == "+" else -1) * (int(match[2]) * 60 + int(match[3] or 0)) * 60 * 10**9
     return _HOURS.get(zone.upper(), 0) * 3600 * 10**9
 
 

@@ -149,7 +149,11 @@ def split_name(heading: str) -> tuple[str, str, bool]:
     (('Mid span', 'g', False), ('ax_g', 'g', True), ('time_ms', 'ms', True), ('roof', '', False))
     """
     heading = heading.strip()
-    if (match := _BRACKETS.fullmatch(heading)) is not None and (match[1] or match[3]) and not match[2].strip().isdigit():
+    if (
+        (match := _BRACKETS.fullmatch(heading)) is not None
+        and (match[1] or match[3])
+        and not match[2].strip().isdigit()
+    ):
         name = " ".join(part for part in (match[1].rstrip(" ,:-"), match[3]) if part)
         return name, match[2].strip(" -").removeprefix("in "), False
     # The longest end that is a unit: "a m s-2" ends with "m s-2", not with "s-2".
