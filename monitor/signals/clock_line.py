@@ -37,7 +37,7 @@ _CUT_PERIOD = 1e-4
 _LEAST_STAMPS = 16
 """Stamps up to which their scatter tells nothing. [stamps; judgement]"""
 _LEAST_RUN = 20
-"""Samples between two jumps by no whole number of samples, below which the stamps are not those of one clock. [samples; judgement]"""
+"""Samples between jumps by no whole number of them, below which the stamps are not those of one clock. [samples; judgement]"""
 _CHANGED = 1e-3
 """Standard deviation of the rate, relative, from which a line that samples leave by periods is none. [1; judgement: a clock
 that wanders is known ten times better]"""
@@ -105,8 +105,8 @@ def sample_clock(stamps_ns: Annotated[Ticks, "n"]) -> SampleClock:
     jitter = float(np.std(residuals))
     if std > _CHANGED * period and jitter > max(2.0 * period, resolution):
         raise BadInputError(
-            f"the rate changes within the record, or samples are missing here and there: about {1e9 / period:.4g} Hz; evenly spaced samples would be off by "
-            f"{1e-9 * jitter:.2g} s"
+            f"the rate changes within the record, or samples are missing here and there: about {1e9 / period:.4g} Hz; evenly "
+            f"spaced samples would be off by {1e-9 * jitter:.2g} s"
         )
     if len(stamps_ns) <= _LEAST_STAMPS and jitter > max(0.25 * period, 0.6 * resolution):
         raise BadInputError(f"{len(stamps_ns)} stamps that are not evenly spaced are too few to tell a rate")

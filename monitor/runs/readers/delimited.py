@@ -144,9 +144,11 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
     rows: list[str] = []
     numbers: list[int] = []
     again = comments = 0
-    marks = ("#", "%", "!", "//", *(() if dialect.delimiter == ";" else (";",)))
+    marks: tuple[str, ...] = ("#", "%", "!", "//", *(() if dialect.delimiter == ";" else (";",)))
     keys = {split(line, dialect.delimiter)[0] for line in lines[: dialect.first]}
     keys = {key for key in keys if len(key) > 1 and key[0].isalpha() and not is_missing(key)}
+    if dialect.columns[0].role is Role.TEXT:
+        marks, keys = (), set()
     for number, line in enumerate(lines[dialect.first :], dialect.first + 1):
         if not line.strip():
             continue
@@ -172,7 +174,7 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
         else:
             raise BadInputError(f"{path}: line {number}: {len(cells)} cells where {dialect.width} are expected")
     if comments:
-        on_warning(f"{path}: {comments} lines of comments among the readings are left out")
+        on_warning(f"{path}: {comments} {'line' if comments == 1 else 'lines'} of comments among the readings left out")
     if again:
         on_warning(f"{path}: {again} lines of headings stand again among the readings and are left out")
     return Text(path, rows, numbers, dialect, tuple(lines[: dialect.first]))
@@ -216,7 +218,7 @@ def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> T
 def _one_clock(
     path: Path, names: Sequence[str], moves: Sequence[bool], values: Annotated[Array, "n c"], on_warning: OnWarning
 ) -> Annotated[Ticks, "m"] | None:
-    """Return the rows of the accelerations where other columns have rows of their own, as sensors of another clock have; else None.
+    """Return the rows of the accelerations where other columns have rows of their own, as of another clock; else None.
 
     Raises BadInputError if accelerations have rows of their own among each other.
     """
@@ -298,7 +300,7 @@ def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
 def _unwound(
     path: Path, t_ns: Annotated[Ticks, "n"], turns_ns: Sequence[int], on_warning: OnWarning
 ) -> Annotated[Ticks, "n"]:
-    """Let times go on where a step back is a whole turn and one step: at midnight, in the night of winter time, or of a counter."""
+    """Let times go on where a step back is a whole turn and one step: at midnight, when winter time begins, or of a counter."""
     steps = np.diff(t_ns)
     if not (steps < 0).any() or not (steps > 0).any():
         return t_ns
@@ -307,7 +309,7 @@ def _unwound(
         turn = next((turn for turn in turns_ns if 0 <= int(steps[at]) + turn <= 2 * usual), 0)
         if turn and (turn != _HOUR_NS or _is_by_a_sunday(int(t_ns[at]))):
             on_warning(
-                f"{path}: from row {at + 2} its times are {(turn / 1e9):g} s earlier, one turn of their clock; they are taken to go on"
+                f"{path}: from row {at + 2} its times are {turn / 1e9:g} s earlier, one turn of their clock; taken to go on"
             )
             t_ns = t_ns + np.where(np.arange(len(t_ns)) > at, turn, 0)
     return t_ns

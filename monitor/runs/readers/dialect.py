@@ -278,7 +278,7 @@ def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, frozen
 
 
 def _worded(cut: Sequence[Sequence[str]]) -> tuple[int, int, frozenset[int]]:
-    """Return how many columns of rows of one width hold data, the width, and the columns of words; 0 columns if rows do not fit."""
+    """Return how many columns of rows of one width hold data (0 if rows do not fit), the width, and the columns of words."""
     width, count = Counter(map(len, cut)).most_common(1)[0]
     if count < _SHARE * len(cut):
         return 0, 0, frozenset()
@@ -395,7 +395,7 @@ def _are_names(cells: Sequence[str], units: Sequence[str]) -> bool:
 
 
 def _split_heading(line: str, delimiter: str | None, width: int) -> list[str]:
-    """Split a line above the rows; in a table of white space a name may have spaces, and its unit stands in brackets behind it."""
+    """Split a line above the rows; in a table of white space a name may have spaces, and a unit in brackets behind it."""
     line = line.lstrip("#%! " if delimiter == ";" else "#%!; ")
     cells = split(line, delimiter)
     if delimiter is not None or len(cells) == width:

@@ -91,29 +91,32 @@ def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> S
     >>> np.diff(stamps.t_ns).tolist(), stamps.order
     ([10000000], 'month first, since the time is of AM and PM')
     """
-    parts = []
+    out = np.empty(len(texts), dtype=np.int64)
+    of_date = np.empty(len(texts), dtype=np.int64)
+    dates: dict[str, int] = {}
+    zones: dict[str, int] = {}
+    twelve_hours = False
+    at_date = -1
     for at, text in enumerate(texts):
         match = _PARTS.fullmatch(text.strip())
         if match is None or not (match[1] or match[2]):
             raise ValueError(at)
-        parts.append(match)
-    dates = dict.fromkeys(match[1] for match in parts if match[1])
-    month_first, order, doubtful = _order(list(dates), any("m" in (match[2] or "").casefold() for match in parts), hint)
-    days = {text: _day(text, month_first) for text in dates}
-    zones: dict[str, int] = {}
-    out = np.empty(len(texts), dtype=np.int64)
-    day = 0
-    for at, match in enumerate(parts):
-        if match[1]:
-            found = days[match[1]]
-            if found is None:
-                raise ValueError(at)
-            day = found
-        named = (match[3] or "").strip()
-        if named not in zones:
-            zones[named] = _ahead_ns(named)
-        out[at] = day * _DAY_NS + _clock_ns(match[2]) - zones[named]
-    has_zone = any(match[3].strip() for match in parts if match[3])
+        day, clock, zone_text = match[1], match[2] or "", match[3].strip()
+        if day:
+            at_date = dates.setdefault(day, len(dates))
+        if zone_text not in zones:
+            zones[zone_text] = _ahead_ns(zone_text)
+        twelve_hours = twelve_hours or (clock[-1:] in "mM." and "m" in clock.casefold())
+        of_date[at] = at_date
+        out[at] = _clock_ns(clock) - zones[zone_text]
+    month_first, order, doubtful = _order(list(dates), twelve_hours, hint)
+    if dates:
+        days = [_day(text, month_first) for text in dates]
+        if None in days:
+            raise ValueError(int(np.argmax(of_date == days.index(None))))
+        # Times before the first date are of the day 0.
+        out += np.array([*days, 0], dtype=np.int64)[of_date] * _DAY_NS
+    has_zone = any(zones)
     if not dates:
         turn_ns = _DAY_NS // 24 if _MINUTES.fullmatch(texts[0].strip()) else _DAY_NS
         out += turn_ns * np.concatenate(([0], np.cumsum(np.diff(out) < -turn_ns // 2)))
@@ -168,10 +171,12 @@ def _day(text: str, month_first: bool) -> int | None:
         return None
 
 
-def _clock_ns(text: str | None) -> int:
+def _clock_ns(text: str) -> int:
     """Return the time of day, ns; a second may be 60, as before a carry."""
     if not text:
         return 0
+    if text[2:3] == ":" == text[5:6] and text[8:9] in (".", "") and (text[9:] + "0").isdigit():
+        return ((int(text[:2]) * 60 + int(text[3:5])) * 60 + int(text[6:8])) * 10**9 + int(text[9:18].ljust(9, "0"))
     half = text.casefold().replace(".m", "m").rstrip(".")
     bare = re.sub(r"\s*[ap]\.?m\.?$", "", half)
     parts = re.split(r"[:.,]", bare)
