@@ -428,7 +428,7 @@ def odd_tables() -> Iterator[LoggerFile]:
     yield one("minus_signs.csv", names + plain.replace(",-", ",\u2212"))
     yield one("percent.csv", "t,a1 (% g),a2 (% g),a3 (% g)\n" + lines(t, 100.0 * g), unit="% g")
     yield one("spaced_names.txt", "Time [s]  Acc X [g]  Acc Y [g]  Acc Z [g]\n" + lines(t, g, sep="  "))
-    column = {"columns": 1, "options": {"rate_hz": 100.0}}
+    column: dict[str, Any] = {"columns": 1, "options": {"rate_hz": 100.0}}
     yield one("one_column.txt", "Acceleration (g)\n" + "".join(f"{v:.7f}\n" for v in g[:, 0]), **column)
     yield one(
         "one_column_decimal_comma.txt", "Acceleration (g)\n" + "".join(f"{comma(v)}\n" for v in g[:, 0]), **column
@@ -468,6 +468,14 @@ def odd_tables() -> Iterator[LoggerFile]:
     own = [f"{x},,,,{k % 5}\n" if k % 2 else row[:-1] + ",\n" for k, (x, row) in enumerate(zip(elapsed(200.0, n=2 * N), np.repeat(rows, 2), strict=True))]  # fmt: skip
     own = [own[k] if k % 2 else f"{k / 200:.6f}" + own[k][own[k].index(",") :] for k in range(2 * N)]
     yield one("own_rows.csv", "t,a1 [g],a2 [g],a3 [g],w [deg/s]\n" + "".join(own), says="as of another clock")
+    yield one("labels.csv", "Name,Roof,Mid,Low\nUnit:,g,g,g\n" + plain)
+    yield one(
+        "update_rate.txt",
+        "// Update Rate: 100.0Hz\nCounter;X [g];Y [g];Z [g]\n" + lines([f"{k:05d}" for k in range(N)], g, sep=";"),
+    )
+    east = [x.replace("14:", "16:", 1) for x in stamps]
+    yield behind(east, "Time (UTC+2)", "zone_in_heading.csv", start_ns=START_NS)
+    yield one("stars.csv", names + "".join([*rows[:7], "0.07,*****,*****,****\n", *rows[8:]]), says="missing")
     short_zone = [x.replace("14:", "16:", 1) + "+02" for x in stamps]
     yield behind(short_zone, "time", "short_zone.csv", start_ns=START_NS)
     yield behind(

@@ -62,9 +62,17 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
             "t,ax [g],bx [g]\n" + "".join(f"{k / 100},{k % 7},\n{k / 100 + 0.003},,{k % 5}\n" for k in range(50)),
             "bx stand in rows without ax: they have clocks of their own",
         ),
+        (
+            "time,sensor,acc [g]\n" + "".join(f"{k // 2 / 100},roof{k % 2},{k % 7}\n" for k in range(100)),
+            "each time stands 2 times, for roof0, roof1 in column 'sensor'",
+        ),
+        (
+            "time,channel,acc [g]\n" + "".join(f"{k % 50 / 100},{k // 50},{k % 7}\n" for k in range(100)),
+            "each time stands 2 times, for 0, 1 in column 'channel'",
+        ),
         ("t,b [0.001 g/count]\n0.00,1\n0.01,2\n0.02,3\n0.03,3\n", "unit '0.001 g/count'"),
     ],
-    ids=["volts", "tick", "words", "date", "segments", "headings", "own rows", "scaled counts"],
+    ids=["volts", "tick", "words", "date", "segments", "headings", "own rows", "long", "long blocks", "scaled counts"],
 )
 def test_what_cannot_be_meant_is_refused_plainly(content: str, reason: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(content)

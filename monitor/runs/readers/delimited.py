@@ -32,6 +32,9 @@ _SINCE_1970_S = (3e8, 3.6e9)
 """Seconds since 1970 that are a date, of 1979 to 2084. [s; judgement]"""
 _SINCE_1904_S = (3.6e9, 4.4e9, 2_082_844_800)
 """Seconds since 1904 that are a date: least, most, that of 1970. [s; 2018 to 2043; LabVIEW]"""
+_MOST_SENSORS = 256
+"""Most sensors that a column may name. [count; judgement]"""
+_CHANNEL_NAME = re.compile(r"^(ch|chan|channel|sensor|node|axis|kanal|device|id|no|nr)\b", re.IGNORECASE)
 _OWN_ROWS = 0.1
 """Share of rows with readings of both, below which two columns have rows of their own. [ratio; judgement]"""
 _HOUR_NS = 3600 * 10**9
@@ -147,7 +150,7 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
     marks: tuple[str, ...] = ("#", "%", "!", "//", *(() if dialect.delimiter == ";" else (";",)))
     keys = {split(line, dialect.delimiter)[0] for line in lines[: dialect.first]}
     keys = {key for key in keys if len(key) > 1 and key[0].isalpha() and not is_missing(key)}
-    if dialect.columns[0].role is Role.TEXT:
+    if dialect.columns[0].role is Role.TEXT and dialect.columns[0].why != "empty":
         marks, keys = (), set()
     for number, line in enumerate(lines[dialect.first :], dialect.first + 1):
         if not line.strip():
@@ -192,6 +195,8 @@ def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> T
     if len(set(names)) != len(names):
         raise BadInputError(f"{path}: columns of the same name in the header: {', '.join(names)}")
     clock = _clock(text, on_warning, zone)
+    if clock.time_ns is not None and (np.diff(clock.time_ns) <= 0).any():
+        _demand_columns(text, clock.time_ns)
     values = text.values(readings, on_warning)
     _leave_out_fillers(path, names, values, on_warning)
     moves = [(unit := dialect.columns[at].unit) is not None and unit.quantity == ACCELERATION for at in readings]
@@ -213,6 +218,25 @@ def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> T
         start_text=clock.start_text,
     )
     return table if keep is None else table.rows(keep)
+
+
+def _demand_columns(text: Text, t_ns: Annotated[Ticks, "n"]) -> None:
+    """Refuse a table in which each sensor has rows of its own at the same times, named in a column."""
+    for at in text.dialect.of(Role.TEXT, Role.COUNTER, Role.READING):
+        column = text.dialect.columns[at]
+        if column.unit is not None or (column.role is Role.READING and _CHANNEL_NAME.search(column.name) is None):
+            continue
+        cells = text.cells(at)
+        names = sorted(set(cells))
+        if not 1 < len(names) <= min(_MOST_SENSORS, len(cells) // 2):
+            continue
+        labels = np.array(cells)
+        times = [t_ns[labels == name] for name in names]
+        if all(len(own) == len(times[0]) > 1 and (own == times[0]).all() and own[0] < own[-1] for own in times):
+            raise BadInputError(
+                f"{text.path}: each time stands {len(names)} times, for {', '.join(names[:4])} in column {column.name!r}; "
+                "bring the readings of each into a column of its own"
+            )
 
 
 def _one_clock(

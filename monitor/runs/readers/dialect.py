@@ -90,10 +90,11 @@ _UNIT_SENTENCE = re.compile(
     re.IGNORECASE,
 )
 _NO_RATE = re.compile(
-    r"filter|cut.?off|corner|natural|nyquist|baud|resonan|(?:low|high|band).?pass|band.?width|update|internal|maxim|\bmax\b",
+    r"filter|cut.?off|corner|natural|nyquist|baud|resonan|(?:low|high|band).?pass|band.?width|internal|maxim|\bmax\b",
     re.IGNORECASE,
 )
 """Words of a line whose frequency is not that of the samples. [words; conventions of loggers]"""
+_OF_SAMPLES = re.compile(r"sampl|scan|acqui|logg|abtast", re.IGNORECASE)
 _FEW = 3
 """Lines of a table so short that the last one counts as well. [lines; judgement]"""
 _TAIL = 100
@@ -183,7 +184,7 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 def is_missing(cell: str) -> bool:
     """Test whether a cell is empty or a word for a missing reading."""
-    return not cell or cell.casefold().replace(" ", "") in MISSING
+    return not cell.strip("*-#?") or cell.casefold().replace(" ", "") in MISSING
 
 
 def is_number(cell: str) -> bool:
@@ -233,9 +234,11 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
     if rate is not None:
         reasons["rate"] = "a row of rates stands above the columns"
     start_text = unit_text = day = clock = ""
-    for line in preamble:
+    # A rate of samples before any other, as of a sensor's own converter.
+    for line in sorted(preamble, key=lambda line: _OF_SAMPLES.search(line) is None):
         if rate_hz is None and (found := _stated_rate(line, decimal)) is not None:
             rate_hz, reasons["rate"] = found, f"stated: {line.strip()[:60]!r}"
+    for line in preamble:
         if not start_text and (match := _START_LINE.search(line)) is not None:
             start_text, reasons["start"] = match["stamp"].strip(), f"stated: {line.strip()[:60]!r}"
         day = day or _value_of("date", DATE, line)
@@ -362,13 +365,13 @@ def _headings(
             value = float(rates[0][1]) * (1e3 if rates[0][2].casefold() == "khz" else 1.0)
             rate = value
         elif 2 * sum(unit_of(cell) is not None for cell in filled) > len(filled) and not _are_names(filled, units):
-            units = [cell.strip("[](){} ") for cell in cells]
+            units = [cell.strip("[](){} ") for cell in _unlabelled(cells)]
         elif all(cell.casefold() in _PROCESSING for cell in filled):
             continue
         elif sum(is_number(cell) for cell in filled) * 2 > len(filled) and len(near) > 1:
             continue  # numbers of channels or of sensors
         elif not names:
-            names = cells
+            names = _unlabelled(cells)
             _demand_names(path, names)
             if any(units):
                 break
@@ -383,6 +386,15 @@ def _headings(
         rate,
         ("named in the heading" if names else "no heading"),
     )
+
+
+_LABELS = frozenset({"unit", "units", "einheit", "einheiten", "name", "channel", "channels", "kanal"})
+"""Words before a row of headings that say what it holds. [words; conventions of loggers]"""
+
+
+def _unlabelled(cells: list[str]) -> list[str]:
+    """Empty the first cell where it says what the row holds."""
+    return ["" if cells[0].casefold().rstrip(":") in _LABELS else cells[0], *cells[1:]]
 
 
 _PROCESSING = frozenset({"smp", "avg", "max", "min", "std", "tot", "sample", "raw", ""})

@@ -209,6 +209,8 @@ def _local_ns(t_ns: Annotated[Ticks, "n"], zone: tzinfo) -> Annotated[Ticks, "n"
 
 def zone_in(heading: str) -> tzinfo | None:
     """Return the zone that a heading names, as in "Time (UTC)"; None without one."""
+    if (match := re.search(r"(?:UTC|GMT)\s*([+-])(\d{1,2})(?::?(\d{2}))?\b", heading)) is not None:
+        return zone_named(f"{match[1]}{int(match[2]):02d}:{match[3] or '00'}")
     words = [w for w in re.findall(r"[A-Za-z]+", heading) if w.isupper() or w.casefold() in ("utc", "gmt")]
     return next((zone_named(word) for word in words if word.upper() in _HOURS and word != "Z"), None)
 
