@@ -421,7 +421,7 @@ def odd_tables() -> Iterator[LoggerFile]:
     )
     whole = [f"2026-03-02 14:00:{k // 100:02d},{k / 100:.2f}" for k in range(N)]
     yield behind(whole, "Timestamp,Elapsed (s)", "seconds_beside.csv", start_ns=START_NS, says="which is finer")
-    grouped = [f"{10_000 + 10 * k:,};".replace(",", ".") + ";".join(map(comma, row)) + "\n" for k, row in enumerate(g)]
+    grouped = [f"{10 * k:,};".replace(",", ".") + ";".join(map(comma, row)) + "\n" for k, row in enumerate(g)]
     yield one("groups_beside_decimals.csv", "Zeit [ms];a1 [g];a2 [g];a3 [g]\n" + "".join(grouped))
     narrow = [f"{x.replace('.', ',')};" + ";".join(f"{1e6 * v:,.1f}".replace(",", " ").replace(".", ",") for v in r) for x, r in zip(t, g, strict=True)]  # fmt: skip
     yield one("narrow_spaces.csv", "t;a1 [ug];a2 [ug];a3 [ug]\n" + "\n".join(narrow).replace(" ", "\u202f"), unit="ug")

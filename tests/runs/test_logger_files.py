@@ -70,9 +70,22 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
             "time,channel,acc [g]\n" + "".join(f"{k % 50 / 100},{k // 50},{k % 7}\n" for k in range(100)),
             "each time stands 2 times, for 0, 1 in column 'channel'",
         ),
+        ("t;a [g]\n1.000;0,5\n1.010;0,4\n1.020;0,3\n1.030;0,2\n", "column 1 may be 10.0 or 1.0.0"),
         ("t,b [0.001 g/count]\n0.00,1\n0.01,2\n0.02,3\n0.03,3\n", "unit '0.001 g/count'"),
     ],
-    ids=["volts", "tick", "words", "date", "segments", "headings", "own rows", "long", "long blocks", "scaled counts"],
+    ids=[
+        "volts",
+        "tick",
+        "words",
+        "date",
+        "segments",
+        "headings",
+        "own rows",
+        "long",
+        "long blocks",
+        "points",
+        "scaled counts",
+    ],
 )
 def test_what_cannot_be_meant_is_refused_plainly(content: str, reason: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(content)

@@ -223,7 +223,7 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
         and not any(len(cells) == width and cells[-1] for cells in head[-1:])
     ):
         width -= 1  # rows end with a delimiter
-    decimal, thousands, why_decimal = _marks([cell for cells in rows for cell in cells[:width]], delimiter)
+    decimal, thousands, why_decimal = _marks(path, [cell for cells in rows for cell in cells[:width]], width, delimiter)
     names, units, rate, used = _headings(path, head, width, rows)
     reasons = {
         "delimiter": why,
@@ -314,7 +314,19 @@ def _is_row(cells: Sequence[str], width: int, texts: frozenset[int]) -> bool:
     return len(cells) == width and all(map(_is_data, cells)) and any(map(is_number, cells))
 
 
-def _marks(cells: Sequence[str], delimiter: str | None) -> tuple[str, str, str]:
+def _demand_groups(path: Path, cells: Sequence[str], width: int) -> None:
+    """Refuse numbers such as 1.010 beside decimal commas where no number below 1000 shows that the point sets off digits."""
+    pointed = {at % width: cell for at, cell in enumerate(cells) if "." in cell and is_number(cell)}
+    below = {at % width for at, cell in enumerate(cells) if cell.lstrip("+-").isdigit()}
+    for at, cell in pointed.items():
+        if at not in below and cell.count(".") == 1:
+            raise BadInputError(
+                f"{path}: {cell!r} in column {at + 1} may be {cell.replace('.', '')} or {cell}, since other numbers have a "
+                "decimal comma; write all numbers with one decimal mark, and without groups of digits"
+            )
+
+
+def _marks(path: Path, cells: Sequence[str], width: int, delimiter: str | None) -> tuple[str, str, str]:
     """Return decimal mark and mark of groups of three digits, once for the whole table, and the reason."""
     if delimiter == "," and not any("," in cell for cell in cells):
         return ".", "", "the comma stands between cells"
@@ -334,6 +346,7 @@ def _marks(cells: Sequence[str], delimiter: str | None) -> tuple[str, str, str]:
         return ".", ",", f"as in {next(c for c in commas if c.count(',') > 1)!r}"
     points = [cell for cell in numbers if "." in cell]
     if points and all(_GROUPED.fullmatch(cell) and not cell.lstrip("+-").startswith("0") for cell in points):
+        _demand_groups(path, cells, width)
         return ",", ".", f"{commas[0]!r} beside {points[0]!r}: points set off thousands"
     grouped = all(_GROUPED.fullmatch(cell) for cell in commas)
     # Decimals fixed at three would leave no number without a comma; groups leave those below 1000 without one.
