@@ -36,6 +36,11 @@ _CUT_PERIOD = 1e-4
 """Distance, relative, to which a clock may cut its period. [1; judgement: 8333 us for 120 Hz]"""
 _LEAST_STAMPS = 16
 """Stamps up to which their scatter tells nothing. [stamps; judgement]"""
+_LEAST_RUN = 20
+"""Samples between jumps by no whole number of them, below which the stamps are not those of one clock. [samples; judgement]"""
+_CHANGED = 1e-3
+"""Standard deviation of the rate, relative, from which a line that samples leave by periods is none. [1; judgement: a clock
+that wanders is known ten times better]"""
 _LEAST_KNOWN = 0.05
 """Standard deviation of the rate, relative, from which stamps tell none. [1; judgement]"""
 
@@ -86,15 +91,31 @@ def sample_clock(stamps_ns: Annotated[Ticks, "n"]) -> SampleClock:
         raise BadInputError("the stamps do not rise")
     resolution = _resolution(stamps_ns)
     period = _first_period(stamps_ns, resolution)
-    lost = _lost(stamps_ns, steps, period, resolution)
-    period, std, residuals, lost = _line(stamps_ns, lost, resolution)
+    lost = _lost_of_grid(steps)
+    if lost is None:
+        lost = _lost(stamps_ns, steps, period, resolution)
+    else:
+        resolution = 1
+    period, std, residuals, lost, odd = _line(stamps_ns, lost, resolution)
     if not period > 0.0 or (len(stamps_ns) > _LEAST_STAMPS and std > _LEAST_KNOWN * period):
         raise BadInputError(
             f"the stamps scatter too much to tell a rate: about {1e9 / max(period, 1.0):.4g} Hz, known to "
             f"{100.0 * std / max(period, 1.0):.2g} %"
         )
+    jitter = float(np.std(residuals))
+    if std > _CHANGED * period and jitter > max(2.0 * period, resolution):
+        raise BadInputError(
+            f"the rate changes within the record, or samples are missing here and there: about {1e9 / period:.4g} Hz; evenly "
+            f"spaced samples would be off by {1e-9 * jitter:.2g} s"
+        )
+    if len(stamps_ns) <= _LEAST_STAMPS and jitter > max(0.25 * period, 0.6 * resolution):
+        raise BadInputError(f"{len(stamps_ns)} stamps that are not evenly spaced are too few to tell a rate")
+    if odd > max(_LEAST_STAMPS, len(stamps_ns) // _LEAST_RUN):
+        raise BadInputError(
+            f"the stamps jump {odd} times by no whole number of samples: sensors with clocks of their own, or packets"
+        )
     even = np.where(lost > 0, period, steps)
-    if len(stamps_ns) > _LEAST_STAMPS and (wander := _own_scatter(even)) > max(_MOST_WANDER * period, resolution):
+    if len(stamps_ns) > _LEAST_STAMPS and (wander := _own_scatter(even, period, resolution)) > _MOST_WANDER * period:
         raise BadInputError(
             f"the samples are not evenly spaced: each step scatters by {100.0 * wander / period:.0f} % on its own"
         )
@@ -109,10 +130,17 @@ def sample_clock(stamps_ns: Annotated[Ticks, "n"]) -> SampleClock:
     )
 
 
-def _own_scatter(steps: Annotated[Array, "n"]) -> float:
-    """Return the scatter of steps, ns, that jitter of their stamps does not explain: of that, the next step has the opposite."""
-    middle = float(np.median(steps))
-    away = np.clip(steps - middle, -3.0 * middle, 3.0 * middle)
+def _own_scatter(steps: Annotated[Array, "n"], period: float, resolution: int) -> float:
+    """Return the scatter of steps, ns, that jitter of their stamps does not explain: of that, the next step has the opposite.
+
+    Steps of cut stamps are summed over so many that the cutting no longer matters; 0 where that leaves too few.
+    """
+    summed = int(np.ceil((resolution / (0.5 * _MOST_WANDER * period)) ** 2 / 6.0))
+    if len(steps) < _LEAST_STAMPS * summed:
+        return 0.0
+    middle = period if summed > 1 else float(np.median(steps))
+    away = np.clip(steps - middle, -3.0 * middle, max(3.0 * middle, float(resolution)))
+    away = np.add.reduceat(away, np.arange(0, len(away), summed))[: len(away) // summed] / np.sqrt(summed)
     own = float(np.mean(away**2) + 2.0 * np.mean(away[1:] * away[:-1]))
     return float(np.sqrt(max(own, 0.0)))
 
@@ -135,6 +163,26 @@ def _first_period(stamps_ns: Annotated[Ticks, "n"], resolution: int) -> float:
     middle = float(np.median(spans))
     # A mean, since cut stamps have few values; of those pairs alone between which nothing is missing.
     return float(np.mean(spans[np.abs(spans - middle) <= 3.0 * scatter])) / apart
+
+
+def _lost_of_grid(steps: Annotated[Ticks, "n-1"]) -> Annotated[Ticks, "n-1"] | None:
+    """Count the samples that are missing between stamps that are not cut at all: each step is so many times the least one.
+
+    None where steps are of another kind, or no more than cut stamps show: these stay within a tick of evenly spaced ones, but
+    for a part of a tick after each pause.
+    """
+    tick = int(steps.min())
+    if (
+        tick <= 0
+        or len(steps) < _LEAST_STAMPS
+        or (steps % tick).any()
+        or 2 * np.count_nonzero(steps == tick) < len(steps)
+    ):
+        return None
+    lost = steps // tick - 1
+    near = lost[lost <= _STAYS]
+    walk = np.ptp(np.cumsum(near - near.mean()))
+    return lost if walk > 3.0 + 2.0 * np.sqrt(len(lost) - len(near)) else None
 
 
 def _lost(
@@ -188,8 +236,9 @@ def _above(high: Annotated[NDArray[np.bool_], "n"]) -> list[tuple[int, int]]:
 
 def _line(
     stamps_ns: Annotated[Ticks, "n"], lost: Annotated[Ticks, "n-1"], resolution: int
-) -> tuple[float, float, Annotated[Array, "n"], Annotated[Ticks, "n-1"]]:
-    """Fit one period to all runs of samples; return it, its standard deviation, the residuals, and the missing samples anew.
+) -> tuple[float, float, Annotated[Array, "n"], Annotated[Ticks, "n-1"], int]:
+    """Fit one period to all runs of samples; return it, its standard deviation, the residuals, the missing samples anew, and how
+    many jumps are surely no whole number of periods.
 
     At first each jump begins a run with an origin of its own.  Where whole periods fit a jump, and could not by chance, both
     sides are one run, whose line is then surer.
@@ -199,7 +248,7 @@ def _line(
     fit = _pooled(numbers, stamps_ns, np.concatenate(([0], jumps)), resolution)
     period, std, residuals = fit
     if not jumps.size or not period > 0.0:
-        return (*fit, lost)
+        return (*fit, lost, 0)
     ends = np.concatenate(([0], jumps, [len(stamps_ns)]))
     # Of each run: its origin against the line, by which the next one is off by whole periods or not.
     level = stamps_ns - stamps_ns[0] - period * np.arange(len(stamps_ns)) - residuals
@@ -214,7 +263,7 @@ def _line(
     lost[jumps - 1] = np.maximum(np.rint(gaps).astype(np.int64), 0)
     numbers = np.concatenate(([0], np.cumsum(1 + lost)))
     period, std, residuals = _pooled(numbers, stamps_ns, np.concatenate(([0], jumps[~fits])), resolution)
-    return period, std, residuals, lost
+    return period, std, residuals, lost, int(np.count_nonzero(~fits & (sure < 0.125)))
 
 
 def _pooled(

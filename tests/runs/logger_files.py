@@ -344,6 +344,169 @@ def tables() -> Iterator[LoggerFile]:
     )
 
 
+def lvm(columns: str, segments: int = 1) -> str:
+    """A LabVIEW file with a column of times for all channels (One), for each (Multi) or none (No)."""
+    multi, g = columns == "Multi", motion(100.0) / G
+    text = f"LabVIEW Measurement\t\nSeparator\tTab\nX_Columns\t{columns}\nDate\t2026/03/02\nTime\t14:00:00.0\n***End_of_Header***\t\n\t\n"
+    for begin in range(0, N, N // segments):
+        of_each = {
+            "Date": "2026/03/02",
+            "Time": f"14:00:{begin / 100:08.5f}",
+            "Y_Unit_Label": "g",
+            "X0": "0.0E+0",
+            "Delta_X": "0.01",
+        }
+        text += "Channels\t3\t\t\t\n"
+        text += "".join(
+            f"{key}\t" + ("\t\t" if multi else "\t").join([value] * 3) + "\t\n" for key, value in of_each.items()
+        )
+        heads = "\t".join(f"X_Value\tA{k}" for k in (1, 2, 3)) if multi else "X_Value\tA1\tA2\tA3"
+        text += f"***End_of_Header***\t\t\t\t\n{heads}\tComment\n"
+        for k, row in enumerate(g[begin : begin + N // segments]):
+            x, cells = f"{k / 100:.6f}", [f"{v:.6f}" for v in row]
+            text += (
+                "\t".join(f"{x}\t{v}" for v in cells) if multi else "\t".join(["" if columns == "No" else x, *cells])
+            )
+            text += "\n"
+    return text
+
+
+def at_midnight(form: str) -> list[str]:
+    """Times of 23:59:57 on, the day fixed in `form`."""
+    return [
+        form + f"{'23:59' if k < 300 else '00:00'}:{(57 + k / 100 if k < 300 else (k - 300) / 100):05.2f}"
+        for k in range(N)
+    ]
+
+
+def odd_tables() -> Iterator[LoggerFile]:
+    """Tables of text of loggers, phones and spreadsheets whose headings, cells or times are of a rarer form."""
+    a, t = motion(100.0), elapsed(100.0)
+    g = a / G
+    names, plain = "t,a1 [g],a2 [g],a3 [g]\n", lines(t, g)
+    rows = plain.splitlines(keepends=True)
+    stamps = dated(100.0, "%Y-%m-%d %H:%M:%S.%f", 2)
+
+    def one(name: str, text: str, rate: float = 100.0, unit: str = "g", **more: Any) -> LoggerFile:
+        return LoggerFile(name, text.encode(), rate, unit=unit, **more)
+
+    def behind(times: list[str], head: str, name: str, **more: Any) -> LoggerFile:
+        return one(name, f"{head},a1 [g],a2 [g],a3 [g]\n" + lines(times, g), **more)
+
+    toa5 = '"TOA5","s","CR6","1","CR6.Std.10","CPU:p.CR6","5","Accel"\n"TIMESTAMP","RECORD","BattV","PTemp_C","Acc(1)","Acc(2)","Acc(3)"\n"TS","RN","Volts","Deg C","g","g","g"\n"","","Min","Avg","Smp","Smp","Smp"\n'
+    shown = [
+        f"{x.rstrip('0').rstrip('.')},{k},13.1,21.4" for k, x in enumerate(stamps)
+    ]  # whole seconds lose their digits
+    yield one("toa5_array.dat", toa5 + lines(shown, g), start_ns=START_NS, says="/battv")
+    for columns in ("One", "Multi", "No"):
+        yield one(f"labview_{columns}.lvm", lvm(columns), start_ns=START_NS)
+    gcdc = ";Title, http://www.gcdataconcepts.com, X2-5\n;Start_time, 2026-03-02, 14:00:00.000\n;SampleRate, 100,Hz\n;Headers, time,Ax,Ay,Az\n"
+    yield one(
+        "gcdc.csv", gcdc + plain + ";Reset, 6 s\n", start_ns=START_NS, options={"unit": "g"}, says="1 line of comments"
+    )
+    yield one(
+        "comment_within.csv", names + "".join([*rows[:300], "# battery\n", *rows[300:]]), says="1 line of comments"
+    )
+    yield one(
+        "infinite.csv",
+        names + "".join([rows[0].replace("1", "1", 1), *rows[1:50], "0.50,∞,-∞,∞\n", *rows[51:]]),
+        says="missing",
+    )
+    head = "time,seconds_elapsed,z,y,x\n"
+    yield one(
+        "sensor_logger.csv",
+        head + lines([f"{START_NS + k * 10**7},{k / 100:.9f}" for k in range(N)], g),
+        start_ns=START_NS,
+        options={"unit": "g"},
+    )
+    whole = [f"2026-03-02 14:00:{k // 100:02d},{k / 100:.2f}" for k in range(N)]
+    yield behind(whole, "Timestamp,Elapsed (s)", "seconds_beside.csv", start_ns=START_NS, says="which is finer")
+    grouped = [f"{10 * k:,};".replace(",", ".") + ";".join(map(comma, row)) + "\n" for k, row in enumerate(g)]
+    yield one("groups_beside_decimals.csv", "Zeit [ms];a1 [g];a2 [g];a3 [g]\n" + "".join(grouped))
+    narrow = [f"{x.replace('.', ',')};" + ";".join(f"{1e6 * v:,.1f}".replace(",", " ").replace(".", ",") for v in r) for x, r in zip(t, g, strict=True)]  # fmt: skip
+    yield one("narrow_spaces.csv", "t;a1 [ug];a2 [ug];a3 [ug]\n" + "\n".join(narrow).replace(" ", "\u202f"), unit="ug")
+    yield one("minus_signs.csv", names + plain.replace(",-", ",\u2212"))
+    yield one("percent.csv", "t,a1 (% g),a2 (% g),a3 (% g)\n" + lines(t, 100.0 * g), unit="% g")
+    yield one("spaced_names.txt", "Time [s]  Acc X [g]  Acc Y [g]  Acc Z [g]\n" + lines(t, g, sep="  "))
+    column: dict[str, Any] = {"columns": 1, "options": {"rate_hz": 100.0}}
+    yield one("one_column.txt", "Acceleration (g)\n" + "".join(f"{v:.7f}\n" for v in g[:, 0]), **column)
+    yield one(
+        "one_column_decimal_comma.txt", "Acceleration (g)\n" + "".join(f"{comma(v)}\n" for v in g[:, 0]), **column
+    )
+    yield one(
+        "sentence.txt",
+        "Acceleration in cm/s/s\nSampling interval 0.010 s\n" + lines([""] * N, 100.0 * a, sep=" "),
+        unit="cm/s/s",
+    )
+    yield one("values_in.txt", "; All values in mg\n; time x y z\n" + lines(t, 1e3 * g, sep=" "), unit="mg")
+    bare = "a1 [g],a2 [g],a3 [g]\n"
+    yield one("kilo.csv", "Sample rate: 0.1 kS/s\n" + bare + lines([""] * N, g))
+    yield one("thousand.csv", "Sample rate: 1,000 Hz\n" + bare + lines([""] * N, motion(1000.0) / G), 1000.0)
+    yield one(
+        "cutoff.csv",
+        "Filter cutoff freq: 40 Hz\nSensor update rate: 1600 Hz\nSample rate: 100 Hz\n" + bare + lines([""] * N, g),
+    )
+    yield one(
+        "a_second.txt",
+        "Start Time: 03/02/2026 (061) 14:00\nSamples/sec = 100\nCh1 (g) Ch2 (g) Ch3 (g)\n"
+        + lines([""] * N, g, sep=" "),
+    )
+    for name, tail in (("state", "OK"), ("flag", "True"), ("hexadecimal", "0x1F"), ("note", '"ok, fine"')):
+        yield one(
+            f"{name}.csv", f"t,a1 [g],a2 [g],a3 [g],{name}\n" + lines(t, g, tail=f",{tail}"), says=f"no numbers: {name}"
+        )
+    noted = [f"{row[:-1]},{'hit' if k == 300 else ''}\n" for k, row in enumerate(rows)]
+    yield one("rare_note.csv", "t,a1 [g],a2 [g],a3 [g],note\n" + "".join(noted), says="no numbers: note")
+    placed = [f"{k + 1},{x.replace(' ', ',')}" for k, x in enumerate(stamps)]
+    yield one(
+        "unit_column.csv",
+        "Place,Date,Time,Value,Unit\n" + lines(placed, a[:, :1], tail=",m/s2"),
+        unit="m/s2",
+        columns=1,
+        start_ns=START_NS,
+    )
+    own = [f"{x},,,,{k % 5}\n" if k % 2 else row[:-1] + ",\n" for k, (x, row) in enumerate(zip(elapsed(200.0, n=2 * N), np.repeat(rows, 2), strict=True))]  # fmt: skip
+    own = [own[k] if k % 2 else f"{k / 200:.6f}" + own[k][own[k].index(",") :] for k in range(2 * N)]
+    yield one("own_rows.csv", "t,a1 [g],a2 [g],a3 [g],w [deg/s]\n" + "".join(own), says="as of another clock")
+    yield one("labels.csv", "Name,Roof,Mid,Low\nUnit:,g,g,g\n" + plain)
+    yield one(
+        "update_rate.txt",
+        "// Update Rate: 100.0Hz\nCounter;X [g];Y [g];Z [g]\n" + lines([f"{k:05d}" for k in range(N)], g, sep=";"),
+    )
+    east = [x.replace("14:", "16:", 1) for x in stamps]
+    yield behind(east, "Time (UTC+2)", "zone_in_heading.csv", start_ns=START_NS)
+    yield one("stars.csv", names + "".join([*rows[:7], "0.07,*****,*****,****\n", *rows[8:]]), says="missing")
+    short_zone = [x.replace("14:", "16:", 1) + "+02" for x in stamps]
+    yield behind(short_zone, "time", "short_zone.csv", start_ns=START_NS)
+    yield behind(
+        [f"{59 + k // 6000:02d}:{k / 100 % 60:05.2f}" for k in range(N)], "time", "minutes.csv", says="no date"
+    )
+    yield behind([f"{start % 3600 // 60:02d}:{start % 60 + k % 100 / 100:05.2f}" for k in range(N) for start in [3597 + k // 100]], "time", "past_the_hour.csv", says="no date")  # fmt: skip
+    turned = "one turn of their clock"
+    midnight_ns = START_NS + (10 * 3600 - 3) * 10**9
+    yield behind(at_midnight("2026-03-02,"), "Date,Time", "date_of_the_start.csv", start_ns=midnight_ns, says=turned)
+    winter = [x.replace("23:59", "02:59").replace("00:00:", "02:00:") for x in at_midnight("2026-10-25 ")]
+    yield behind(winter, "time", "winter_time.csv", says=turned)
+    for tick, ticks in (("ms", 10), ("us", 10_000)):
+        wrapped = [str((2**32 - 300 * ticks + ticks * k) % 2**32) for k in range(N)]
+        yield behind(wrapped, f"t_{tick}", f"wrapped_{tick}.csv", says=turned)
+    yield behind([str(10 * k) for k in range(N)], "millis", "millis.csv")
+    since_1904 = [f"{START.timestamp() + 2_082_844_800 + k / 100:.3f}" for k in range(N)]
+    yield behind(since_1904, "Time", "since_1904.csv", start_ns=START_NS, says="since 1904")
+    beside = [f"{int(START.timestamp()) + k // 100},{k % 100 * 10_000}" for k in range(N)]
+    yield behind(beside, "unix time,usec", "unix_and_usec.csv", start_ns=START_NS)
+    # These were read right before.
+    yield one(
+        "time_within.csv",
+        "a1 [g],a2 [g],time [s],a3 [g]\n" + "".join(f"{r[0]},{r[1]},{x},{r[2]}\n" for x, r in zip(t, g, strict=True)),
+    )
+    yield one(
+        "counter_that_wraps.csv",
+        "counter,t [s],a1 [g],a2 [g],a3 [g]\n" + lines([f"{k % 256},{x}" for k, x in enumerate(t)], g),
+    )
+    yield behind([f"2026-03-02T16:00:{x[:12]}{'0' * 8}"[:29] + "+02:00" for x in (f"{k / 100:09.6f}" for k in range(N))], "time", "zone_of_two.csv", start_ns=START_NS)  # fmt: skip
+
+
 def packed() -> Iterator[LoggerFile]:
     """Tables that are packed, and workbooks."""
     text = ("t,a1 [g],a2 [g],a3 [g]\n" + lines(elapsed(100.0), motion(100.0) / G)).encode()

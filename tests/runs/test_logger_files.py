@@ -17,12 +17,12 @@ from monitor.core import BadInputError
 from monitor.runs import look
 from monitor.runs.readers import ImportedChannel, explain_table
 from monitor.runs.recordings import read_topics
-from tests.runs.logger_files import START_NS, LoggerFile, lines, motion, packed, tables
+from tests.runs.logger_files import START_NS, LoggerFile, lines, lvm, motion, odd_tables, packed, tables
 from tests.runs.reading import imported
 from tests.support.ros2 import record
 from tests.support.samples import Cli
 
-FILES = {one.name: one for one in (*tables(), *packed())}
+FILES = {one.name: one for one in (*tables(), *odd_tables(), *packed())}
 _STAMP_NS = 2_000_000
 """Serial days are cut at some microseconds, stamps at milliseconds. [ns]"""
 
@@ -53,8 +53,39 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
         ("t [parsec],a1\n0.00,1\n0.01,2\n0.02,3\n", "unknown unit 'parsec'"),
         ("a,b\nx,y\nu,v\n", "no rows of numbers"),
         ("Date,a1 [g]\n31/31/2026 10:00:00,1\n31/31/2026 10:00:01,2\n31/31/2026 10:00:02,3\n", "is no date"),
+        (lvm("One", 3), "line 218: .*it holds several records; cut it"),
+        (
+            "t,ax [g],ay [g]\n" + "".join(f"{k / 100},{k % 7},{k % 5},1,1\n" for k in range(50)),
+            "3 headings stand above 5 columns",
+        ),
+        (
+            "t,ax [g],bx [g]\n" + "".join(f"{k / 100},{k % 7},\n{k / 100 + 0.003},,{k % 5}\n" for k in range(50)),
+            "bx stand in rows without ax: they have clocks of their own",
+        ),
+        (
+            "time,sensor,acc [g]\n" + "".join(f"{k // 2 / 100},roof{k % 2},{k % 7}\n" for k in range(100)),
+            "each time stands 2 times, for roof0, roof1 in column 'sensor'",
+        ),
+        (
+            "time,channel,acc [g]\n" + "".join(f"{k % 50 / 100},{k // 50},{k % 7}\n" for k in range(100)),
+            "each time stands 2 times, for 0, 1 in column 'channel'",
+        ),
+        ("t;a [g]\n1.000;0,5\n1.010;0,4\n1.020;0,3\n1.030;0,2\n", "column 1 may be 10.0 or 1.0.0"),
+        ("t,b [0.001 g/count]\n0.00,1\n0.01,2\n0.02,3\n0.03,3\n", "unit '0.001 g/count'"),
     ],
-    ids=["volts", "tick", "words", "date"],
+    ids=[
+        "volts",
+        "tick",
+        "words",
+        "date",
+        "segments",
+        "headings",
+        "own rows",
+        "long",
+        "long blocks",
+        "points",
+        "scaled counts",
+    ],
 )
 def test_what_cannot_be_meant_is_refused_plainly(content: str, reason: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(content)
@@ -75,6 +106,14 @@ def test_day_and_month_that_could_be_exchanged_are_told(tmp_path: Path) -> None:
     told: list[str] = []
     info = imported([tmp_path / "a.csv"], tmp_path / "o.mcap", on_warning=told.append)
     assert info.t_start_ns == START_NS and any("day and month are exchanged" in text for text in told)
+
+
+def test_a_year_of_two_digits_that_may_stand_first_is_told(tmp_path: Path) -> None:
+    rows = lines([f"26/03/02 14:00:{k / 100:05.2f}" for k in range(300)], motion(100.0, 300))
+    (tmp_path / "a.csv").write_text("Date,a1 (g),a2 (g),a3 (g)\n" + rows)
+    told: list[str] = []
+    imported([tmp_path / "a.csv"], tmp_path / "o.mcap", on_warning=told.append)
+    assert any("day first and the year last" in text and "exchanged" in text for text in told)
 
 
 def test_files_of_following_days_are_joined_in_time_and_files_of_one_time_are_channels(tmp_path: Path) -> None:

@@ -56,6 +56,23 @@ def test_samples_that_are_lost_one_by_one_leave_jumps() -> None:
     assert clock.rate_hz == 128.0
 
 
+@pytest.mark.parametrize(("rate_hz", "share"), [(100.0, 0.1), (100.0, 0.3), (512.0, 0.1)])
+def test_samples_that_are_lost_at_random_leave_jumps(rate_hz: float, share: float) -> None:
+    numbers = np.flatnonzero(np.random.default_rng(5).random(6000) > share)
+    clock = sample_clock(np.round(numbers * 1e9 / rate_hz).astype(np.int64))
+    np.testing.assert_array_equal(clock.numbers, numbers - numbers[0])
+    assert clock.rate_hz == rate_hz and clock.rate_std_hz < 1e-5 * rate_hz
+
+
+@pytest.mark.parametrize(("rate_hz", "cut_ns"), [(92.0, 10 * MS), (55.0, 10 * MS), (900.0, MS), (850.0, MS)])
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+def test_stamps_cut_to_nearly_the_period_are_no_lost_samples(rate_hz: float, cut_ns: int, jitter: float) -> None:
+    chance = np.random.default_rng(3)
+    for _ in range(3):
+        clock = sample_clock(stamps(rate_hz, chance, cut_ns=cut_ns, jitter_s=jitter * cut_ns * 1e-9, pauses=3))
+        assert (clock.rate_hz, clock.pauses) == (rate_hz, 3)
+
+
 def test_one_late_stamp_is_no_pause() -> None:
     times = np.arange(2000) * 10 * MS
     times[700] += 9 * MS
@@ -88,3 +105,24 @@ def test_stamps_without_a_pace_are_refused(kind: str) -> None:
     steps = np.random.default_rng(1).uniform(5.0, 15.0, size=500) if kind == "random" else np.zeros(500)
     with pytest.raises(BadInputError, match=r"not evenly spaced|do not rise"):
         sample_clock(np.cumsum(np.round(steps * MS).astype(np.int64)))
+
+
+def _interleaved(away_s: float) -> np.ndarray:
+    return np.sort(np.concatenate([np.arange(3000) / 100.0, np.arange(3000) / 100.0 + away_s]))
+
+
+@pytest.mark.parametrize(
+    "t",
+    [
+        _interleaved(0.0031),
+        np.concatenate([np.arange(3000) / 100.0, 30.0 + np.arange(3000) / 101.0]),
+        np.concatenate([np.arange(3000) / 100.0, 29.0 + np.arange(3000) / 100.0]),
+        np.arange(6000) / 100.0 + np.random.default_rng(0).exponential(0.03, 6000),
+        np.floor(np.flatnonzero(np.random.default_rng(5).random(6000) > 0.1) / 0.512) * 1e-3,
+        np.array([0.0, 0.01, 0.05]),
+    ],
+    ids=["two sensors", "rate changes", "clock set back", "late by periods", "lost and cut", "three stamps"],
+)
+def test_stamps_that_no_line_fits_are_refused(t: np.ndarray) -> None:
+    with pytest.raises(BadInputError, match=r"not evenly spaced|whole number of samples|rate changes"):
+        sample_clock(np.round(np.maximum.accumulate(t) * 1e9).astype(np.int64))

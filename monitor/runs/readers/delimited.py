@@ -16,18 +16,29 @@ from monitor.core import BadInputError
 from monitor.runs.readers import stamps
 from monitor.runs.readers.dialect import Dialect, Role, guess, is_missing, is_number, split
 from monitor.runs.readers.table import Array, OnWarning, Table, Ticks
-from monitor.runs.readers.units import TIME
+from monitor.runs.readers.units import ACCELERATION, TIME
 
 _CHUNK_CELLS = 1 << 15
 """Cells of the rows that are converted to numbers together. [count; cost: they take 3 MB]"""
+_LOOK_ALIKES = {0xA0: " ", 0x202F: " ", 0x2009: " ", 0x2212: "-"}
+"""Characters that stand for a space between groups of digits, or for a minus. [characters; typography]"""
 _FILLERS = (-7999.0, -9999.0, -99999.0, 9999.0, 99999.0, -6999.0, 7999.0)
 """Numbers that loggers write for a missing reading. [numbers; Campbell: 7999 and -7999, others by convention]"""
 _ABSURD = 1e30
 """Reading from which a number stands for none. [any unit; as floating point's largest]"""
 _APART = 10.0
 """Ratio to all other readings from which such a number is none of them. [1; judgement]"""
-_SINCE_1970_S = (3e8, 4e9)
-"""Seconds since 1970 that are a date, of 1979 to 2096. [s; judgement]"""
+_SINCE_1970_S = (3e8, 3.6e9)
+"""Seconds since 1970 that are a date, of 1979 to 2084. [s; judgement]"""
+_SINCE_1904_S = (3.6e9, 4.4e9, 2_082_844_800)
+"""Seconds since 1904 that are a date: least, most, that of 1970. [s; 2018 to 2043; LabVIEW]"""
+_MOST_SENSORS = 256
+"""Most sensors that a column may name. [count; judgement]"""
+_CHANNEL_NAME = re.compile(r"^(ch|chan|channel|sensor|node|axis|kanal|device|id|no|nr)\b", re.IGNORECASE)
+_OWN_ROWS = 0.1
+"""Share of rows with readings of both, below which two columns have rows of their own. [ratio; judgement]"""
+_HOUR_NS = 3600 * 10**9
+"""An hour. [ns; definition]"""
 _SERIAL_DAYS = (
     (3e4, 8e4, 25_569.0, "since 1900, as in spreadsheets"),
     (7.2e5, 8e5, 719_529.0, "since year 0, as in MATLAB"),
@@ -128,18 +139,31 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
     Headings that stand again among the rows, as of files that were joined, and a last row that was cut off are left out and
     told.  Raises BadInputError if there is no table of numbers, or a row has another number of cells.
     """
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").translate(_LOOK_ALIKES).split("\n")
     while lines and not lines[-1].strip(" ,;\t|"):
         lines.pop()
     dialect = guess(path, lines, time)
     headings = {line.strip() for line in lines[: dialect.first] if line.strip()}
     rows: list[str] = []
     numbers: list[int] = []
-    again = 0
+    again = comments = 0
+    marks: tuple[str, ...] = ("#", "%", "!", "//", *(() if dialect.delimiter == ";" else (";",)))
+    keys = {split(line, dialect.delimiter)[0] for line in lines[: dialect.first]}
+    keys = {key for key in keys if len(key) > 1 and key[0].isalpha() and not is_missing(key)}
+    if dialect.columns[0].role is Role.TEXT and dialect.columns[0].why != "empty":
+        marks, keys = (), set()
     for number, line in enumerate(lines[dialect.first :], dialect.first + 1):
         if not line.strip():
             continue
+        if line.lstrip().startswith(marks):
+            comments += 1
+            continue
         cells = split(line, dialect.delimiter)
+        if cells[0] in keys and line.strip() not in headings and rows:
+            raise BadInputError(
+                f"{path}: line {number}: lines as those above the table begin anew ({line.strip()[:40]!r}): it holds several "
+                "records; cut it before each of them, and import all files together"
+            )
         if len(cells) == dialect.width or (len(cells) > dialect.width and not any(cells[dialect.width :])):
             if line.strip() in headings:
                 again += 1
@@ -152,6 +176,8 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
             on_warning(f"{path}: line {number} is cut short and left out")
         else:
             raise BadInputError(f"{path}: line {number}: {len(cells)} cells where {dialect.width} are expected")
+    if comments:
+        on_warning(f"{path}: {comments} {'line' if comments == 1 else 'lines'} of comments among the readings left out")
     if again:
         on_warning(f"{path}: {again} lines of headings stand again among the readings and are left out")
     return Text(path, rows, numbers, dialect, tuple(lines[: dialect.first]))
@@ -169,13 +195,17 @@ def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> T
     if len(set(names)) != len(names):
         raise BadInputError(f"{path}: columns of the same name in the header: {', '.join(names)}")
     clock = _clock(text, on_warning, zone)
+    if clock.time_ns is not None and (np.diff(clock.time_ns) <= 0).any():
+        _demand_columns(text, clock.time_ns)
     values = text.values(readings, on_warning)
     _leave_out_fillers(path, names, values, on_warning)
+    moves = [(unit := dialect.columns[at].unit) is not None and unit.quantity == ACCELERATION for at in readings]
+    keep = _one_clock(path, names, moves, values, on_warning)
     counters = dialect.of(Role.COUNTER)
     index = text.values(counters[:1], on_warning)[:, 0] if counters else None
     if index is not None and not (np.isfinite(index).all() and (np.diff(index) >= 1).all()):
         index = None
-    return Table(
+    table = Table(
         path=path,
         columns=tuple(names),
         units=tuple(dialect.columns[at].unit_text for at in readings),
@@ -187,6 +217,52 @@ def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> T
         rate_hz=dialect.rate_hz,
         start_text=clock.start_text,
     )
+    return table if keep is None else table.rows(keep)
+
+
+def _demand_columns(text: Text, t_ns: Annotated[Ticks, "n"]) -> None:
+    """Refuse a table in which each sensor has rows of its own at the same times, named in a column."""
+    for at in text.dialect.of(Role.TEXT, Role.COUNTER, Role.READING):
+        column = text.dialect.columns[at]
+        if column.unit is not None or (column.role is Role.READING and _CHANNEL_NAME.search(column.name) is None):
+            continue
+        cells = text.cells(at)
+        names = sorted(set(cells))
+        if not 1 < len(names) <= min(_MOST_SENSORS, len(cells) // 2):
+            continue
+        labels = np.array(cells)
+        times = [t_ns[labels == name] for name in names]
+        if all(len(own) == len(times[0]) > 1 and (own == times[0]).all() and own[0] < own[-1] for own in times):
+            raise BadInputError(
+                f"{text.path}: each time stands {len(names)} times, for {', '.join(names[:4])} in column {column.name!r}; "
+                "bring the readings of each into a column of its own"
+            )
+
+
+def _one_clock(
+    path: Path, names: Sequence[str], moves: Sequence[bool], values: Annotated[Array, "n c"], on_warning: OnWarning
+) -> Annotated[Ticks, "m"] | None:
+    """Return the rows of the accelerations where other columns have rows of their own, as of another clock; else None.
+
+    Raises BadInputError if accelerations have rows of their own among each other.
+    """
+    here = np.isfinite(values)
+    counts = here.sum(axis=0)
+    lead = moves.index(True) if True in moves else 0
+    apart = [
+        at
+        for at in range(len(names))
+        if min(counts[at], counts[lead]) > _OWN_ROWS * len(values)
+        and (here[:, at] & here[:, lead]).sum() < _OWN_ROWS * min(counts[at], counts[lead])
+    ]
+    if not apart:
+        return None
+    told = f"{path}: {', '.join(names[at] for at in apart)} stand in rows without {names[lead]}"
+    if not moves[lead] or any(moves[at] for at in apart):
+        raise BadInputError(f"{told}: they have clocks of their own; export each sensor to a file of its own")
+    beside = [at for at in range(len(names)) if at not in apart]
+    on_warning(f"{told}, as of another clock; these rows are left out")
+    return np.flatnonzero(here[:, beside].any(axis=1))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -204,13 +280,14 @@ def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
     dialect, path = text.dialect, text.path
     stated = _stated_start(text, zone)
     at = next(iter(dialect.of(Role.STAMP)), None)
+    ticking = dialect.of(Role.TIME)
     dated, clocked = dialect.of(Role.DATE), dialect.of(Role.CLOCK)
     if at is not None:
         texts = text.cells(at)
     elif clocked:
         pairs = [text.cells(column) for column in (*dated[:1], clocked[0])]
         texts = [" ".join(cells) for cells in zip(*pairs, strict=True)]
-    elif ticking := dialect.of(Role.TIME):
+    elif ticking:
         return _ticking(text, ticking[0], stated, on_warning)
     else:
         return _Clock(None, *stated)
@@ -230,13 +307,41 @@ def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
         )
     elif read.order and "name" in read.order:
         on_warning(f"{path}: {texts[0]!r} is read with the {read.order}")
-    t_ns = read.t_ns + _fractions_ns(text, on_warning)
+    t_ns = _unwound(path, read.t_ns + _fractions_ns(text, on_warning), (_HOUR_NS, 24 * _HOUR_NS), on_warning)
+    if ticking and len(t_ns) > 2 and (np.diff(t_ns) == 0).mean() > 0.5:
+        finer = _ticking(text, ticking[0], (None, ""), on_warning)
+        if finer.time_ns is not None and (np.diff(finer.time_ns) > 0).all():
+            on_warning(f"{path}: the times are those of column {dialect.columns[ticking[0]].name!r}, which is finer")
+            t_ns = t_ns[0] + (finer.time_ns - finer.time_ns[0])
     if not read.has_date:
         start_ns, start_text = stated
         if start_ns is None:
             on_warning(f"{path}: its times of day have no date, which --start states")
         return _Clock(t_ns, start_ns, start_text)
     return _Clock(t_ns, int(t_ns[0]), "" if read.has_zone else texts[0])
+
+
+def _unwound(
+    path: Path, t_ns: Annotated[Ticks, "n"], turns_ns: Sequence[int], on_warning: OnWarning
+) -> Annotated[Ticks, "n"]:
+    """Let times go on where a step back is a whole turn and one step: at midnight, when winter time begins, or of a counter."""
+    steps = np.diff(t_ns)
+    if not (steps < 0).any() or not (steps > 0).any():
+        return t_ns
+    usual = int(np.median(steps[steps > 0]))
+    for at in np.flatnonzero(steps < 0).tolist():
+        turn = next((turn for turn in turns_ns if 0 <= int(steps[at]) + turn <= 2 * usual), 0)
+        if turn and (turn != _HOUR_NS or _is_by_a_sunday(int(t_ns[at]))):
+            on_warning(
+                f"{path}: from row {at + 2} its times are {turn / 1e9:g} s earlier, one turn of their clock; taken to go on"
+            )
+            t_ns = t_ns + np.where(np.arange(len(t_ns)) > at, turn, 0)
+    return t_ns
+
+
+def _is_by_a_sunday(t_ns: int) -> bool:
+    """Test whether it is Sunday in any zone, in the night to which clocks are set back."""
+    return any((t_ns + away * _HOUR_NS) // (24 * _HOUR_NS) % 7 == 3 for away in (-12, 0, 12))
 
 
 def _tell_swapped(path: Path, start_ns: int, on_warning: OnWarning) -> None:
@@ -279,6 +384,9 @@ def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: On
         raise BadInputError(
             f"{path}: unknown unit {column.unit_text!r} of column {column.name!r}; give s, ms, us or ns"
         )
+    for other in text.dialect.of(Role.TIME)[1:]:
+        name = text.dialect.columns[other].name
+        on_warning(f"{path}: column {name!r} holds times too and is not used; the times are those of {column.name!r}")
     numbers = text.values([at], on_warning)[:, 0]
     if not np.isfinite(numbers).all():
         bad = int(np.argmax(~np.isfinite(numbers)))
@@ -304,6 +412,13 @@ def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: On
     if np.abs(numbers).max() > 4e18 / (factor * 1e9):
         raise BadInputError(f"{path}: column {column.name!r} holds no times: {numbers[np.argmax(np.abs(numbers))]:g}")
     t_ns = _exact_ns(numbers, factor)
+    tick_ns = round(factor * 1e9)
+    t_ns = _unwound(path, t_ns, (tick_ns << 32, tick_ns << 16), on_warning)
+    if numbers[0].is_integer() and not (numbers % 1.0).any():
+        t_ns = t_ns + _fractions_ns(text, on_warning)
+    if column.unit is None and _SINCE_1904_S[0] < first < _SINCE_1904_S[1]:
+        on_warning(f"{path}: column {column.name!r} is taken as seconds since 1904, as in LabVIEW")
+        return _dated(t_ns - _SINCE_1904_S[2] * 10**9, "")
     if low < first * factor < high:
         return _dated(t_ns, "")
     step = float(np.median(np.abs(np.diff(numbers)))) if len(numbers) > 1 else 0.0

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from monitor.core import BadInputError
 from monitor.runs.readers.stamps import CLOCK, DATE, DATED, looks_dated
-from monitor.runs.readers.units import TIME, Unit, split_name, unit_of, units_in_names
+from monitor.runs.readers.units import ACCELERATION, TIME, Unit, split_name, unit_of, units_in_names
 
 MISSING = frozenset(
     {
@@ -34,7 +34,21 @@ MISSING = frozenset(
             "*",
         ),
         *("-", "--", "---", "----", "error", "#value!", "#num!", "#div/0!", "1.#qnan", "-1.#ind", "1.#ind"),
-        *("ol", "over", "overrange", "underrange", "overload", "overflow", "inf", "+inf", "-inf", "1.#inf", "-1.#inf"),
+        *(
+            "ol",
+            "over",
+            "overrange",
+            "underrange",
+            "overload",
+            "overflow",
+            "inf",
+            "+inf",
+            "-inf",
+            "∞",
+            "-∞",
+            "1.#inf",
+            "-1.#inf",
+        ),
     }
 )
 """Words for a reading that is missing, in lower case, without spaces. [words; conventions of loggers and spreadsheets]"""
@@ -43,12 +57,12 @@ _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([,.' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 """A number whose digits are set off in groups of three. [pattern]"""
 _TIME_NAME = re.compile(
     r"(t|time.*|zeit.*|date.*|datum.*|stamp|timestamp.*|sampletimefine|elapsed.*|temps|tiempo|fecha.*|hora|epoch.*|utc.*"
-    r"|clock|x_value|seconds?|sec|ms|millis|micros|relative.?time|local.?time)",
+    r"|clock|x_value|seconds?|seconds?.elapsed|sec|ms|millis|micros|relative.?time|local.?time|unix.*)",
     re.IGNORECASE,
 )
 _COUNTER_NAME = re.compile(
     r"(|#|index|idx|id|sample|samples|sample.?(no|nr|number|index)\.?|counter|count|packetcounter|nr\.?|no\.?|num|number|n|record"
-    r"|rec|row|line|point|scan|seq(uence)?)",
+    r"|rec|row|line|point|place|scan|seq(uence)?)",
     re.IGNORECASE,
 )
 _FRACTION_NAME = re.compile(r"(ms|msec|millis|milliseconds?|millisecond|micros|us|usec)", re.IGNORECASE)
@@ -57,8 +71,8 @@ _MAGNITUDE_NAME = re.compile(
 )
 _RATE_CELL = re.compile(r"(?:sr|rate|fs)?\s*[=:]?\s*([\d.]+)\s*(k?hz)", re.IGNORECASE)
 _RATE_LINE = re.compile(
-    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps)\b[^\d]{0,24}?(?:\(?\s*(k?hz|sps|samples/s\w*)\s*\)?)?"
-    r"[\s:=,;\t\"]+([\d.,]+)\s*(k?hz|sps)?",
+    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps|samples?(?:/|\s+per\s+)s\w*)\b[^\d]{0,24}?(?:\(?\s*(k?hz|k?sps|ks/s|samples/s\w*)\s*\)?)?"
+    r"[\s:=,;\t\"]+([\d.,]+)\s*(k?hz|k?sps|ks/s)?",
     re.IGNORECASE,
 )
 _STEP_LINE = re.compile(
@@ -71,6 +85,16 @@ _START_LINE = re.compile(
     re.IGNORECASE,
 )
 _UNIT_LINE = re.compile(r"(?:y_?)?units?(?:_label)?\b[\s:=,;\t\"]+([^\s,;\t\"]+(?: s-2)?)", re.IGNORECASE)
+_UNIT_SENTENCE = re.compile(
+    r"^[\s#%!;]*(?:all\s+)?(?:accelerations?|values|data|amplitudes?|readings?)\s+(?:are\s+)?in\s+(?:units\s+of\s+)?(\S+)\s*$",
+    re.IGNORECASE,
+)
+_NO_RATE = re.compile(
+    r"filter|cut.?off|corner|natural|nyquist|baud|resonan|(?:low|high|band).?pass|band.?width|internal|maxim|\bmax\b",
+    re.IGNORECASE,
+)
+"""Words of a line whose frequency is not that of the samples. [words; conventions of loggers]"""
+_OF_SAMPLES = re.compile(r"sampl|scan|acqui|logg|abtast", re.IGNORECASE)
 _FEW = 3
 """Lines of a table so short that the last one counts as well. [lines; judgement]"""
 _TAIL = 100
@@ -160,7 +184,7 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 def is_missing(cell: str) -> bool:
     """Test whether a cell is empty or a word for a missing reading."""
-    return not cell or cell.casefold().replace(" ", "") in MISSING
+    return not cell.strip("*-#?") or cell.casefold().replace(" ", "") in MISSING
 
 
 def is_number(cell: str) -> bool:
@@ -176,11 +200,12 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
     tail = [line for line in lines[-_TAIL - 1 :] if line.strip(" \t,;|")]
     tail = tail[:-1] if len(tail) > _FEW else tail  # the last line may be incomplete
     try:
-        delimiter, width, why = _delimiter(path, tail)
-        first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width)), None)
+        delimiter, width, texts, why = _delimiter(path, tail)
+        first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width, texts)), None)
         if first is None:
             raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
-        head = [split(line.lstrip("#%! "), delimiter) for line in lines[max(0, first - _HEAD) : first]]
+        preamble = lines[max(0, first - _HEAD) : first]
+        head = [_split_heading(line, delimiter, width) for line in preamble if delimiter or not _states(line)]
         rows = [
             cells
             for cells in (
@@ -195,9 +220,10 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
         all(len(cells) > width or not cells[width - 1] for cells in rows)
         and width > 1
         and not any(c[width - 1] for c in rows)
+        and not any(len(cells) == width and cells[-1] for cells in head[-1:])
     ):
         width -= 1  # rows end with a delimiter
-    decimal, thousands, why_decimal = _marks([cell for cells in rows for cell in cells[:width]], delimiter)
+    decimal, thousands, why_decimal = _marks(path, [cell for cells in rows for cell in cells[:width]], width, delimiter)
     names, units, rate, used = _headings(path, head, width, rows)
     reasons = {
         "delimiter": why,
@@ -207,30 +233,37 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
     rate_hz = rate
     if rate is not None:
         reasons["rate"] = "a row of rates stands above the columns"
-    preamble = [line for line in lines[max(0, first - _HEAD) : first]]
     start_text = unit_text = day = clock = ""
-    for line in preamble:
-        if rate_hz is None and (found := _stated_rate(line)) is not None:
+    # A rate of samples before any other, as of a sensor's own converter.
+    for line in sorted(preamble, key=lambda line: _OF_SAMPLES.search(line) is None):
+        if rate_hz is None and (found := _stated_rate(line, decimal)) is not None:
             rate_hz, reasons["rate"] = found, f"stated: {line.strip()[:60]!r}"
+    for line in preamble:
         if not start_text and (match := _START_LINE.search(line)) is not None:
             start_text, reasons["start"] = match["stamp"].strip(), f"stated: {line.strip()[:60]!r}"
         day = day or _value_of("date", DATE, line)
         clock = clock or _value_of("time", CLOCK, line)
-        if not unit_text and (match := _UNIT_LINE.search(line)) is not None and unit_of(match[1]) is not None:
-            unit_text = match[1]
+        unit_text = unit_text or _unit_stated(line)
     if not start_text and day and clock:
         start_text, reasons["start"] = f"{day} {clock}", "date and time are stated above the table"
     columns = _columns(names, units, rows, unit_text, used, time)
     return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, reasons)
 
 
-def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, str]:
-    """Choose the mark by which most rows have one number of cells, all of them data; the widest of those."""
+def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, frozenset[int], str]:
+    """Choose the mark by which most rows have one number of cells, all of them data; the widest of those.
+
+    Also the columns of words, as of a state: where no mark makes all cells data, that by which most columns are.
+    """
+    cuts = [
+        (mark, [split(line, mark) for line in tail])
+        for mark in ("\t", ";", "|", ",", None)
+        if mark is None or any(mark in line for line in tail)
+    ]
     best: tuple[float, int, str | None] = (0.0, 0, None)
-    for mark in ("\t", ";", "|", ",", None):
-        if mark is not None and not any(mark in line for line in tail):
+    for mark, cut in cuts:
+        if mark == "," and _holds_decimals(cut):
             continue
-        cut = [split(line, mark) for line in tail]
         widths = Counter(len(cells) for cells in cut if all(map(_is_data, cells)) and any(map(is_number, cells)))
         if not widths:
             continue
@@ -238,9 +271,34 @@ def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, str]:
         share = count / len(tail)
         if (round(min(share, _SHARE), 3), width) > best[:2]:
             best = (round(min(share, _SHARE), 3), width, mark)
-    if best[0] < 0.5:
+    if best[0] >= 0.5:
+        return best[2], best[1], frozenset(), f"{best[1]} cells a row, all of them numbers, times or missing values"
+    worded = [(*_worded(cut), mark) for mark, cut in cuts]
+    data, width, texts, mark = max(worded, key=lambda one: one[0])
+    if data < 2:
         raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
-    return best[2], best[1], f"{best[1]} cells a row, all of them numbers, times or missing values"
+    return mark, width, texts, f"{width} cells a row, those of {data} columns numbers, times or missing values"
+
+
+def _worded(cut: Sequence[Sequence[str]]) -> tuple[int, int, frozenset[int]]:
+    """Return how many columns of rows of one width hold data (0 if rows do not fit), the width, and the columns of words."""
+    width, count = Counter(map(len, cut)).most_common(1)[0]
+    if count < _SHARE * len(cut):
+        return 0, 0, frozenset()
+    rows = [cells for cells in cut if len(cells) == width]
+    texts = frozenset(
+        at for at in range(width) if sum(_is_data(cells[at]) for cells in rows) < (1.0 - _SHARE) * len(rows)
+    )
+    fit = sum(_is_row(cells, width, texts) for cells in rows) >= _SHARE * len(cut)
+    return (width - len(texts) if fit else 0), width, texts
+
+
+def _holds_decimals(cut: Sequence[Sequence[str]]) -> bool:
+    """Test whether the comma of two cells a row is a decimal mark: the second ones have one length, and a leading zero."""
+    behind = [
+        cells[1] for cells in cut if len(cells) == 2 and re.fullmatch(r"[+-]?\d+", cells[0]) and cells[1].isdigit()
+    ]
+    return len(behind) == len(cut) > _FEW and len(set(map(len, behind))) == 1 and any(c[0] == "0" != c for c in behind)
 
 
 def _is_data(cell: str) -> bool:
@@ -248,12 +306,27 @@ def _is_data(cell: str) -> bool:
     return is_missing(cell) or is_number(cell) or looks_dated(cell)
 
 
-def _is_row(cells: Sequence[str], width: int) -> bool:
-    """Test whether cells are a row of readings."""
+def _is_row(cells: Sequence[str], width: int, texts: frozenset[int]) -> bool:
+    """Test whether cells are a row of readings, with words in the columns of `texts`."""
+    if texts:
+        cells = [cell for at, cell in enumerate(cells) if at not in texts]
+        width -= len(texts)
     return len(cells) == width and all(map(_is_data, cells)) and any(map(is_number, cells))
 
 
-def _marks(cells: Sequence[str], delimiter: str | None) -> tuple[str, str, str]:
+def _demand_groups(path: Path, cells: Sequence[str], width: int) -> None:
+    """Refuse numbers such as 1.010 beside decimal commas where no number below 1000 shows that the point sets off digits."""
+    pointed = {at % width: cell for at, cell in enumerate(cells) if "." in cell and is_number(cell)}
+    below = {at % width for at, cell in enumerate(cells) if cell.lstrip("+-").isdigit()}
+    for at, cell in pointed.items():
+        if at not in below and cell.count(".") == 1:
+            raise BadInputError(
+                f"{path}: {cell!r} in column {at + 1} may be {cell.replace('.', '')} or {cell}, since other numbers have a "
+                "decimal comma; write all numbers with one decimal mark, and without groups of digits"
+            )
+
+
+def _marks(path: Path, cells: Sequence[str], width: int, delimiter: str | None) -> tuple[str, str, str]:
     """Return decimal mark and mark of groups of three digits, once for the whole table, and the reason."""
     if delimiter == "," and not any("," in cell for cell in cells):
         return ".", "", "the comma stands between cells"
@@ -271,10 +344,14 @@ def _marks(cells: Sequence[str], delimiter: str | None) -> tuple[str, str, str]:
         return ".", "", "no cell has a comma"
     if any(cell.count(",") > 1 for cell in commas):
         return ".", ",", f"as in {next(c for c in commas if c.count(',') > 1)!r}"
+    points = [cell for cell in numbers if "." in cell]
+    if points and all(_GROUPED.fullmatch(cell) and not cell.lstrip("+-").startswith("0") for cell in points):
+        _demand_groups(path, cells, width)
+        return ",", ".", f"{commas[0]!r} beside {points[0]!r}: points set off thousands"
     grouped = all(_GROUPED.fullmatch(cell) for cell in commas)
     # Decimals fixed at three would leave no number without a comma; groups leave those below 1000 without one.
     bare = [cell for cell in numbers if "," not in cell and "." not in cell]
-    small = any(abs(float(cell)) >= 100.0 for cell in bare if _NUMBER.fullmatch(cell))
+    small = any(abs(value) >= 100.0 for value in _floats(bare))
     if grouped and small and not any(cell.lstrip("+-").startswith("0") for cell in commas):
         return ".", ",", f"{commas[0]!r} beside {bare[0]!r}: commas set off thousands"
     return ",", "", f"as in {commas[0]!r}"
@@ -289,8 +366,9 @@ def _headings(
     units = [""] * width
     rate: float | None = None
     for cells in reversed(near):
-        cells = [*cells[:width], *[""] * (width - len(cells))] if abs(len(cells) - width) <= 1 else cells
+        cells = _fitted(cells, width)
         if len(cells) != width:
+            _demand_fit(path, cells, width, near)
             if names:
                 break
             continue
@@ -300,13 +378,13 @@ def _headings(
             value = float(rates[0][1]) * (1e3 if rates[0][2].casefold() == "khz" else 1.0)
             rate = value
         elif 2 * sum(unit_of(cell) is not None for cell in filled) > len(filled) and not _are_names(filled, units):
-            units = [cell.strip("[](){} ") for cell in cells]
+            units = [cell.strip("[](){} ") for cell in _unlabelled(cells)]
         elif all(cell.casefold() in _PROCESSING for cell in filled):
             continue
         elif sum(is_number(cell) for cell in filled) * 2 > len(filled) and len(near) > 1:
             continue  # numbers of channels or of sensors
         elif not names:
-            names = cells
+            names = _unlabelled(cells)
             _demand_names(path, names)
             if any(units):
                 break
@@ -323,6 +401,15 @@ def _headings(
     )
 
 
+_LABELS = frozenset({"unit", "units", "einheit", "einheiten", "name", "channel", "channels", "kanal"})
+"""Words before a row of headings that say what it holds. [words; conventions of loggers]"""
+
+
+def _unlabelled(cells: list[str]) -> list[str]:
+    """Empty the first cell where it says what the row holds."""
+    return ["" if cells[0].casefold().rstrip(":") in _LABELS else cells[0], *cells[1:]]
+
+
 _PROCESSING = frozenset({"smp", "avg", "max", "min", "std", "tot", "sample", "raw", ""})
 """Words of the rows in which loggers state the processing. [words; Campbell TOA5]"""
 
@@ -330,6 +417,47 @@ _PROCESSING = frozenset({"smp", "avg", "max", "min", "std", "tot", "sample", "ra
 def _are_names(cells: Sequence[str], units: Sequence[str]) -> bool:
     """Test whether cells that could be units are names: components, as E, N, Z."""
     return (len(set(cells)) == len(cells) and all(len(cell) == 1 and cell.isupper() for cell in cells)) or any(units)
+
+
+def _split_heading(line: str, delimiter: str | None, width: int) -> list[str]:
+    """Split a line above the rows; in a table of white space a name may have spaces, and a unit in brackets behind it."""
+    line = line.lstrip("#%! " if delimiter == ";" else "#%!; ")
+    cells = split(line, delimiter)
+    if delimiter is not None or len(cells) == width:
+        return cells
+    spaced = [re.split(pattern, line.strip()) for pattern in (r"\t+", r"\s{2,}|\t", r"\s+(?![\[(])|(?<=[\])])\s+")]
+    return next((found for found in spaced if len(found) == width), cells)
+
+
+def _fitted(cells: list[str], width: int) -> list[str]:
+    """Fit headings of which there is one too many or too few to the columns: a word before the name of the time is none."""
+    if len(cells) == width + 1:
+        named = [_TIME_NAME.fullmatch(split_name(cell)[0]) is not None for cell in cells[:2]]
+        return cells[1:] if named == [False, True] and not _COUNTER_NAME.fullmatch(cells[0]) else cells[:width]
+    return [*cells, ""] if len(cells) == width - 1 else cells
+
+
+def _demand_fit(path: Path, cells: list[str], width: int, near: Sequence[Sequence[str]]) -> None:
+    """Refuse headings with units of acceleration that stand next to the rows and cannot be those of the columns."""
+    known = [unit_of(split_name(cell)[1]) for cell in cells]
+    if list(near[-1]) == cells and sum(unit is not None and unit.quantity == ACCELERATION for unit in known) > 1:
+        raise BadInputError(
+            f"{path}: {len(cells)} headings stand above {width} columns, so that no unit belongs to one for sure; mend the "
+            "line of headings"
+        )
+
+
+def _states(line: str) -> bool:
+    """Test whether a line before the rows is a statement, as of rate, start or unit, and no row of headings."""
+    return any(pattern.search(line) for pattern in (_RATE_LINE, _STEP_LINE, _START_LINE)) or bool(_unit_stated(line))
+
+
+def _unit_stated(line: str) -> str:
+    """Return the unit that a line before the rows states for all columns; empty where it states none."""
+    for pattern in (_UNIT_LINE, _UNIT_SENTENCE):
+        if (match := pattern.search(line)) is not None and unit_of(match[1]) is not None:
+            return match[1]
+    return ""
 
 
 def _demand_names(path: Path, names: Sequence[str]) -> None:
@@ -355,22 +483,26 @@ def _value_of(name: str, pattern: re.Pattern[str], line: str) -> str:
     return "" if match is None else match[1]
 
 
-def _stated_rate(line: str) -> float | None:
+def _stated_rate(line: str, decimal: str) -> float | None:
     """Return the rate, Hz, that a line before the rows states; None if it states none."""
+    if _NO_RATE.search(line):
+        return None
     if (match := _STEP_LINE.search(line)) is not None:
-        step = _plain(match[2])
+        step = _plain(match[2], decimal)
         unit = unit_of(match[3] or match[1] or "s")
         if step and unit is not None and unit.quantity == TIME:
             return round(1.0 / (step * unit.factor), 6)
     if (match := _RATE_LINE.search(line)) is not None:
-        rate = _plain(match[2])
-        kilo = (match[1] or match[3] or "").casefold() == "khz"
+        rate = _plain(match[2], decimal)
+        kilo = (match[1] or match[3] or "").casefold() in ("khz", "ks/s", "ksps")
         return None if not rate else rate * (1e3 if kilo else 1.0)
     return None
 
 
-def _plain(text: str) -> float | None:
-    """Convert a number of a line before the rows."""
+def _plain(text: str, decimal: str) -> float | None:
+    """Convert a number of a line before the rows, of a table with this decimal mark."""
+    if decimal == "." and re.fullmatch(r"[1-9]\d{0,2}(,\d{3})+(\.\d*)?", text):
+        text = text.replace(",", "")
     try:
         value = float(text.replace(",", ".").rstrip("."))
     except ValueError:
@@ -388,6 +520,9 @@ def _columns(
 ) -> tuple[Column, ...]:
     """Say what each column holds."""
     behind = units_in_names(names)
+    for at, name in enumerate(names):
+        if name.casefold() in ("unit", "units") and len(words := {row[at] for row in rows if len(row) > at}) == 1:
+            stated = next((word for word in words if unit_of(word)), stated)
     cut = [split_name(name) for name in names]
     found: list[Column] = []
     for at, name in enumerate(names):
@@ -397,6 +532,8 @@ def _columns(
         bare = name.strip() if cut[at][2] else bare
         unit = unit_of(unit_text) if unit_text else None
         cells = [row[at] for row in rows if len(row) > at]
+        if not unit_text and (alone := unit_of(bare)) is not None and alone.quantity == TIME and len(bare) > 1:
+            unit_text, unit = bare, alone
         role, why = _role(bare, unit, cells, at, found, used, named=None if time is None else time in (name, bare))
         if role is Role.READING and not unit_text and stated:
             unit_text, unit, why = stated, unit_of(stated), f"{why}; its unit stands above the table"
@@ -443,7 +580,7 @@ def _role(
         return Role.FRACTION, "whole numbers below a second, named as a fraction, behind a time"
     if (
         named is None
-        and not has_time
+        and (not has_time or _rises(filled))
         and (
             _TIME_NAME.fullmatch(
                 re.sub(r"[\s_.-]+$", "", name.removesuffix(unit.symbol if unit and unit.quantity == TIME else "\0"))
@@ -459,9 +596,22 @@ def _role(
     return Role.READING, "numbers"
 
 
+def _floats(cells: Sequence[str]) -> list[float]:
+    """Convert the plain numbers among cells."""
+    plain = str.maketrans({",": ".", "d": "e", "D": "e"})
+    return [float(cell.translate(plain)) for cell in cells if _NUMBER.fullmatch(cell)]
+
+
+def _rises(cells: Sequence[str]) -> bool:
+    """Test whether numbers rise throughout the head of the table, as a second column of times does."""
+    values = _floats(cells)
+    half = values[: len(values) // 2]  # the head of the table
+    return len(half) > 2 and all(b >= a for a, b in pairwise(half)) and half[-1] > half[0]
+
+
 def _is_ramp(cells: Sequence[str]) -> bool:
     """Test whether numbers rise by much the same step throughout."""
-    values = [float(cell.replace(",", ".")) for cell in cells if _NUMBER.fullmatch(cell)]
+    values = _floats(cells)
     half = len(values) // 2  # the head of the table, then its tail
     steps = [b - a for a, b in pairwise(values[:half])]
     return len(steps) > 2 and min(steps) > 0.0 and max(steps) < 3.0 * sorted(steps)[len(steps) // 2]

@@ -33,10 +33,12 @@ _MONTHS |= {
     "dic": 12,
 }
 _DATE = r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}|\d{1,2}[- .][A-Za-zäéû]{3,9}[- .]\d{2,4}|(?:19|20)\d{6}"
-_CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d{1,9})?)?(?:\s*[AaPp]\.?[Mm]\.?)?"
-_ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}:?\d{2}|[A-Z]{3,4}|\[[\w/]+\]))?"
+_CLOCK = r"(?:\d{1,2}:\d{2}[.,]\d{1,9}|\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d{1,9})?)?(?:\s*[AaPp]\.?[Mm]\.?)?)"
+_ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?|[A-Z]{3,4}|\[[\w/]+\]))?"
 DATE = re.compile(_DATE)
 CLOCK = re.compile(_CLOCK)
+_MINUTES = re.compile(r"\d{1,2}:\d{2}[.,]\d{1,9}")
+"""Minutes and seconds, as spreadsheets show them. [pattern]"""
 DATED = re.compile(rf"(?:{_DATE})[ T_,;]*\s*(?:{_CLOCK}){_ZONE}")
 """A date with a time of day. [pattern]"""
 _PARTS = re.compile(rf"({_DATE})?[ T_,;]*\s*({_CLOCK})?({_ZONE})")
@@ -89,31 +91,35 @@ def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> S
     >>> np.diff(stamps.t_ns).tolist(), stamps.order
     ([10000000], 'month first, since the time is of AM and PM')
     """
-    parts = []
+    out = np.empty(len(texts), dtype=np.int64)
+    of_date = np.empty(len(texts), dtype=np.int64)
+    dates: dict[str, int] = {}
+    zones: dict[str, int] = {}
+    twelve_hours = False
+    at_date = -1
     for at, text in enumerate(texts):
         match = _PARTS.fullmatch(text.strip())
         if match is None or not (match[1] or match[2]):
             raise ValueError(at)
-        parts.append(match)
-    dates = dict.fromkeys(match[1] for match in parts if match[1])
-    month_first, order, doubtful = _order(list(dates), any("m" in (match[2] or "").casefold() for match in parts), hint)
-    days = {text: _day(text, month_first) for text in dates}
-    zones: dict[str, int] = {}
-    out = np.empty(len(texts), dtype=np.int64)
-    day = 0
-    for at, match in enumerate(parts):
-        if match[1]:
-            found = days[match[1]]
-            if found is None:
-                raise ValueError(at)
-            day = found
-        named = (match[3] or "").strip()
-        if named not in zones:
-            zones[named] = _ahead_ns(named)
-        out[at] = day * _DAY_NS + _clock_ns(match[2]) - zones[named]
-    has_zone = any(match[3].strip() for match in parts if match[3])
+        day, clock, zone_text = match[1], match[2] or "", match[3].strip()
+        if day:
+            at_date = dates.setdefault(day, len(dates))
+        if zone_text not in zones:
+            zones[zone_text] = _ahead_ns(zone_text)
+        twelve_hours = twelve_hours or (clock[-1:] in "mM." and "m" in clock.casefold())
+        of_date[at] = at_date
+        out[at] = _clock_ns(clock) - zones[zone_text]
+    month_first, order, doubtful = _order(list(dates), twelve_hours, hint)
+    if dates:
+        days = [_day(text, month_first) for text in dates]
+        if None in days:
+            raise ValueError(int(np.argmax(of_date == days.index(None))))
+        # Times before the first date are of the day 0.
+        out += np.array([*days, 0], dtype=np.int64)[of_date] * _DAY_NS
+    has_zone = any(zones)
     if not dates:
-        out += _DAY_NS * np.concatenate(([0], np.cumsum(np.diff(out) < -_DAY_NS // 2)))
+        turn_ns = _DAY_NS // 24 if _MINUTES.fullmatch(texts[0].strip()) else _DAY_NS
+        out += turn_ns * np.concatenate(([0], np.cumsum(np.diff(out) < -turn_ns // 2)))
     elif zone is not None and not has_zone:
         out -= _local_ns(out, zone)
     return Stamps(out, bool(dates), has_zone or zone is not None, order, doubtful)
@@ -126,6 +132,8 @@ def _order(dates: Sequence[str], twelve_hours: bool, hint: str) -> tuple[bool, s
     if not ambiguous:
         return False, "", False
     first, second = ({int(match[k]) for match in ambiguous} for k in (1, 3))
+    if max(first) > 12 and all(int(match.string.rpartition(match[2])[2]) <= 31 for match in ambiguous):
+        return False, f"day first and the year last, as in {ambiguous[0].string!r}", ambiguous[0][2] != "."
     if max(first) > 12:
         return False, f"day first, as in {ambiguous[0].string!r}", False
     if max(second) > 12:
@@ -163,13 +171,17 @@ def _day(text: str, month_first: bool) -> int | None:
         return None
 
 
-def _clock_ns(text: str | None) -> int:
+def _clock_ns(text: str) -> int:
     """Return the time of day, ns; a second may be 60, as before a carry."""
     if not text:
         return 0
+    if text[2:3] == ":" == text[5:6] and text[8:9] in (".", "") and (text[9:] + "0").isdigit():
+        return ((int(text[:2]) * 60 + int(text[3:5])) * 60 + int(text[6:8])) * 10**9 + int(text[9:18].ljust(9, "0"))
     half = text.casefold().replace(".m", "m").rstrip(".")
     bare = re.sub(r"\s*[ap]\.?m\.?$", "", half)
     parts = re.split(r"[:.,]", bare)
+    if _MINUTES.fullmatch(bare):
+        parts = ["0", *parts]
     hours, minutes = int(parts[0]), int(parts[1])
     seconds = int(parts[2]) if len(parts) > 2 else 0
     fraction = int(parts[3][:9].ljust(9, "0")) if len(parts) > 3 else 0
@@ -180,8 +192,8 @@ def _clock_ns(text: str | None) -> int:
 
 def _ahead_ns(zone: str) -> int:
     """Return by how much a named zone is ahead of UTC, ns; 0 for one that is not known."""
-    if (match := re.fullmatch(r"([+-])(\d{2}):?(\d{2})", zone)) is not None:
-        return (1 if match[1] == "+" else -1) * (int(match[2]) * 60 + int(match[3])) * 60 * 10**9
+    if (match := re.fullmatch(r"([+-])(\d{2})(?::?(\d{2}))?", zone)) is not None:
+        return (1 if match[1] == "+" else -1) * (int(match[2]) * 60 + int(match[3] or 0)) * 60 * 10**9
     return _HOURS.get(zone.upper(), 0) * 3600 * 10**9
 
 
@@ -197,6 +209,8 @@ def _local_ns(t_ns: Annotated[Ticks, "n"], zone: tzinfo) -> Annotated[Ticks, "n"
 
 def zone_in(heading: str) -> tzinfo | None:
     """Return the zone that a heading names, as in "Time (UTC)"; None without one."""
+    if (match := re.search(r"(?:UTC|GMT)\s*([+-])(\d{1,2})(?::?(\d{2}))?\b", heading)) is not None:
+        return zone_named(f"{match[1]}{int(match[2]):02d}:{match[3] or '00'}")
     words = [w for w in re.findall(r"[A-Za-z]+", heading) if w.isupper() or w.casefold() in ("utc", "gmt")]
     return next((zone_named(word) for word in words if word.upper() in _HOURS and word != "Z"), None)
 

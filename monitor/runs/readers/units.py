@@ -31,8 +31,8 @@ _LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm":
 """Lengths, m. [definition: SI, international inch and foot]"""
 _PER_S2 = r"(?:/\(?s(?:\^?2|/s)\)?|\*?s\^?-2|_s_?2|ps2|s2|/s/s)"
 _PER_LENGTH = re.compile(rf"({'|'.join(sorted(_LENGTHS, key=len, reverse=True))})\*?{_PER_S2}")
-_GRAVITY = re.compile(r"(m|milli|u|micro)?-?_?(?:g(?:'?s|n|_n|_?0|rav|ravity|-?force)?)")
-_PARTS = MappingProxyType({"": 1.0, "m": 1e-3, "milli": 1e-3, "u": 1e-6, "micro": 1e-6})
+_GRAVITY = re.compile(r"(m|milli|u|micro|%)?-?_?(?:g(?:'?s|n|_n|_?0|rav|ravity|-?force)?)")
+_PARTS = MappingProxyType({"": 1.0, "m": 1e-3, "milli": 1e-3, "u": 1e-6, "micro": 1e-6, "%": 1e-2})
 _FIXED = MappingProxyType(
     {
         "gal": Unit("Gal", ACCELERATION, 1e-2),
@@ -88,7 +88,7 @@ _SPELLINGS = tuple(
     (re.compile(pattern), plain)
     for pattern, plain in (
         ("⁻²", "-2"),
-        ("²", "^2"),
+        ("â²|²", "^2"),
         ("[µμ]", "u"),
         ("°", "deg"),
         (r"\*\*", "^"),
@@ -149,7 +149,11 @@ def split_name(heading: str) -> tuple[str, str, bool]:
     (('Mid span', 'g', False), ('ax_g', 'g', True), ('time_ms', 'ms', True), ('roof', '', False))
     """
     heading = heading.strip()
-    if (match := _BRACKETS.fullmatch(heading)) is not None and (match[1] or match[3]):
+    if (
+        (match := _BRACKETS.fullmatch(heading)) is not None
+        and (match[1] or match[3])
+        and not match[2].strip().isdigit()
+    ):
         name = " ".join(part for part in (match[1].rstrip(" ,:-"), match[3]) if part)
         return name, match[2].strip(" -").removeprefix("in "), False
     # The longest end that is a unit: "a m s-2" ends with "m s-2", not with "s-2".

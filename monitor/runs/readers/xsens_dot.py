@@ -50,6 +50,7 @@ def to_table(text: Text, on_warning: OnWarning) -> Table:
         time_ns=1000 * clock[first:],
         index=counter[first:].astype(np.int64),
         start_ns=start_ns,
+        rate_hz=text.dialect.rate_hz,
         chosen=("Acc_X",) if "Acc_X" in columns else moved[:1],
     )
 
