@@ -25,6 +25,7 @@ from monitor.service.manifest import (
     is_unique,
     to_get,
     to_put,
+    without_renamed,
 )
 from monitor.service.objects import OBJECT_BYTES, Objects
 
@@ -74,6 +75,7 @@ class Mirror:
         fetched that it lacks; one that does not go on from the stored one, or that a monitor `is_running` may write, stays, and
         the stored one is put aside.
         """
+        files = without_renamed(files)
         aside = self._out / SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
         present: dict[str, tuple[int, int]] = {}
         for name in self._names():
