@@ -159,7 +159,8 @@ def without_renamed(files: Files) -> Files:
 
     A manifest of files that are stored so far may name both; the unfinished one, which has less, would replace the other.
     """
-    return {name: file for name, file in files.items() if (end := name.removesuffix(".part")) == name or end not in files}
+    unfinished = {f"{name}.part" for name in files}
+    return {name: file for name, file in files.items() if name not in unfinished}
 
 
 def to_delete(before: Files, after: Files) -> set[str]:

@@ -63,8 +63,10 @@ class Mirror:
         writer = _Writer(uuid4().hex, full)
         for name in sorted(self._names(), key=lambda name: (not is_state(name), name)):
             self._goes_on()
-            with suppress(FileNotFoundError):  # gone since it was listed
-                files[name] = self._store(name, stored.get(name), writer)
+            for place in (name, name.removesuffix(".part")):  # a recording may have been finished since it was listed
+                with suppress(FileNotFoundError):
+                    files[place] = self._store(place, stored.get(place), writer)
+                    break
         writer.close()
         return files
 
