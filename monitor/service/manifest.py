@@ -154,6 +154,15 @@ def to_get(
     return [name for name, file in files.items() if is_unique(name) and is_behind(name, file)]
 
 
+def without_renamed(files: Files) -> Files:
+    """Leave out the unfinished form of a recording that is also named as finished.
+
+    A manifest of files that are stored so far may name both; the unfinished one, which has less, would replace the other.
+    """
+    unfinished = {f"{name}.part" for name in files}
+    return {name: file for name, file in files.items() if name not in unfinished}
+
+
 def to_delete(before: Files, after: Files) -> set[str]:
     """Name the objects that a manifest refers to and the next one does not."""
     return _objects(before) - _objects(after)

@@ -25,6 +25,7 @@ from monitor.service.manifest import (
     is_unique,
     to_get,
     to_put,
+    without_renamed,
 )
 from monitor.service.objects import OBJECT_BYTES, Objects
 
@@ -62,8 +63,10 @@ class Mirror:
         writer = _Writer(uuid4().hex, full)
         for name in sorted(self._names(), key=lambda name: (not is_state(name), name)):
             self._goes_on()
-            with suppress(FileNotFoundError):  # gone since it was listed
-                files[name] = self._store(name, stored.get(name), writer)
+            for place in (name, name.removesuffix(".part")):  # a recording may have been finished since it was listed
+                with suppress(FileNotFoundError):
+                    files[place] = self._store(place, stored.get(place), writer)
+                    break
         writer.close()
         return files
 
@@ -74,6 +77,7 @@ class Mirror:
         fetched that it lacks; one that does not go on from the stored one, or that a monitor `is_running` may write, stays, and
         the stored one is put aside.
         """
+        files = without_renamed(files)
         aside = self._out / SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
         present: dict[str, tuple[int, int]] = {}
         for name in self._names():

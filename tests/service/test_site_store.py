@@ -651,3 +651,37 @@ def test_a_small_file_that_was_replaced_within_a_tick_of_the_clock_is_stored(mac
         a.push()
     silent(b, clock)
     assert b.open().content() == {"state/alarms": b"2"}
+
+
+def test_of_a_recording_that_is_finished_while_files_are_stored_nothing_is_lost(
+    machine: Machines, bucket: Bucket, clock: Clock
+) -> None:
+    def cut_off(call: str, is_done: bool) -> None:
+        if is_done and bucket.calls[-1] == MANIFEST:
+            bucket.fail = away
+
+    def finish(call: str, is_done: bool) -> None:
+        if is_done and bucket.calls[-1] != MANIFEST:
+            bucket.fail = no_failure
+            (a.folder / "recordings" / "2.mcap.part").rename(a.folder / "recordings" / "2.mcap")
+
+    a, b, c = machine("a", at_work=True), machine("b"), machine("c")
+    a.write("recordings/1.mcap.part", b"da")
+    a.push()
+    a.write("recordings/1.mcap.part", b"data")
+    (a.folder / "recordings" / "1.mcap.part").rename(a.folder / "recordings" / "1.mcap")
+    clock.now_s += 5.0
+    bucket.fail = cut_off
+    a.push()
+    bucket.fail = no_failure
+    silent(b, clock)
+    assert b.open().content() == a.content(), "the manifest had both names"
+    a = b
+    a.write("recordings/2.mcap.part", b"da")
+    a.push()
+    a.write("a.mcap", bytes(OBJECT_BYTES))
+    a.write("b.mcap", b"data")
+    bucket.fail = finish
+    a.push()
+    silent(c, clock)
+    assert c.open().content() == a.content(), "it was renamed after it had been listed"
