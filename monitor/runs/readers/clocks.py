@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -83,7 +84,7 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
         without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
         raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
     base = clocks[0]
-    steps = [1e9 / sample_clock(clock).rate_hz for clock in clocks]
+    steps = [_step_ns(table.path, clock) for table, clock in zip(tables, clocks, strict=True)]
     if any((np.diff(clock) < 0).any() for clock in clocks) or max(steps) > 1.02 * min(steps):
         each = "; ".join(
             f"{table.path}: {1e9 / step if step else 0:.2f} Hz" for table, step in zip(tables, steps, strict=True)
@@ -111,6 +112,13 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
     if keep.sum() < max(len(clock) for clock in clocks):
         on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
     return [table.rows(near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
+
+
+def _step_ns(path: Path, clock: Annotated[Ticks, "n"]) -> float:
+    try:
+        return 1e9 / sample_clock(clock).rate_hz
+    except BadInputError as error:
+        raise BadInputError(f"{path}: its times are irregular: {error}") from error
 
 
 def _overlaps(tables: Sequence[Table]) -> str:

@@ -71,12 +71,17 @@ _START_LINE = re.compile(
     re.IGNORECASE,
 )
 _UNIT_LINE = re.compile(r"(?:y_?)?units?(?:_label)?\b[\s:=,;\t\"]+([^\s,;\t\"]+(?: s-2)?)", re.IGNORECASE)
+MARKS = ("\t", ";", "|", ",", None)
+"""Marks between cells; None for white space. [characters; convention]"""
 _FEW = 3
 """Lines of a table so short that the last one counts as well. [lines; judgement]"""
 _TAIL = 100
 """Rows from the end that show the shape of a table. [rows; judgement: the head may be comments]"""
 _HEAD = 400
 """Most lines before the rows that are looked at. [lines; judgement]"""
+_LONGEST_LINE, _LONGEST_NAME = 1000, 200
+"""Most of a line before the rows that is searched, and of a heading that is its name. [characters; cost: patterns that are
+searched take a time that grows with the square]"""
 _SHARE = 0.9
 """Share of the rows that must fit. [ratio; judgement: a row in ten may be damaged]"""
 
@@ -131,6 +136,12 @@ class Dialect:
         """List the columns of these roles."""
         return [at for at, column in enumerate(self.columns) if column.role in roles]
 
+    def plain(self, cell: str) -> str:
+        """Write a number with a decimal point and without groups of digits."""
+        if self.thousands:
+            cell = cell.replace(self.thousands, "")
+        return cell.replace(",", ".") if self.decimal == "," else cell
+
     def explained(self) -> list[tuple[str, str, str]]:
         """Return what was taken, for what, and the reason, for a table."""
         shown = {None: "white space", "\t": "tab", ",": "comma", ";": "semicolon", "|": "stroke"}
@@ -153,7 +164,7 @@ class Dialect:
 
 def split(line: str, delimiter: str | None) -> list[str]:
     """Split a line into cells; without a delimiter, at white space."""
-    if delimiter and '"' in line:
+    if delimiter and '"' in line and len(line) <= csv.field_size_limit():
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""])]
     return [cell.strip(' \t"') for cell in (line.split(delimiter) if delimiter else line.split())]
 
@@ -168,19 +179,20 @@ def is_number(cell: str) -> bool:
     return _NUMBER.fullmatch(cell) is not None or _GROUPED.fullmatch(cell) is not None
 
 
-def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
-    """Guess how a table of text is written; `time` names the column of the times.
+def guess(path: Path, lines: Sequence[str], time: str | None = None, marks: Sequence[str | None] = MARKS) -> Dialect:
+    """Guess how a table of text is written; `time` names the column of the times, `marks` are those that may be between cells.
 
     Raises BadInputError if there is no table of numbers.
     """
     tail = [line for line in lines[-_TAIL - 1 :] if line.strip(" \t,;|")]
     tail = tail[:-1] if len(tail) > _FEW else tail  # the last line may be incomplete
     try:
-        delimiter, width, why = _delimiter(path, tail)
+        delimiter, width, why = _delimiter(path, tail, marks)
         first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width)), None)
         if first is None:
             raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
-        head = [split(line.lstrip("#%! "), delimiter) for line in lines[max(0, first - _HEAD) : first]]
+        above = lines[max(0, first - _HEAD) : first]
+        head = [[cell[:_LONGEST_NAME] for cell in split(line.lstrip("#%! "), delimiter)] for line in above]
         rows = [
             cells
             for cells in (
@@ -207,9 +219,8 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
     rate_hz = rate
     if rate is not None:
         reasons["rate"] = "a row of rates stands above the columns"
-    preamble = [line for line in lines[max(0, first - _HEAD) : first]]
     start_text = unit_text = day = clock = ""
-    for line in preamble:
+    for line in (line[:_LONGEST_LINE] for line in above):
         if rate_hz is None and (found := _stated_rate(line)) is not None:
             rate_hz, reasons["rate"] = found, f"stated: {line.strip()[:60]!r}"
         if not start_text and (match := _START_LINE.search(line)) is not None:
@@ -224,10 +235,10 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
     return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, reasons)
 
 
-def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, str]:
+def _delimiter(path: Path, tail: Sequence[str], marks: Sequence[str | None]) -> tuple[str | None, int, str]:
     """Choose the mark by which most rows have one number of cells, all of them data; the widest of those."""
     best: tuple[float, int, str | None] = (0.0, 0, None)
-    for mark in ("\t", ";", "|", ",", None):
+    for mark in marks:
         if mark is not None and not any(mark in line for line in tail):
             continue
         cut = [split(line, mark) for line in tail]
