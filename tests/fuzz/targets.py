@@ -52,8 +52,8 @@ from monitor.config import configuration
 from monitor.core import BadInputError, UserError
 from monitor.damage import load_baseline, save_baseline
 from monitor.runs import Session, ledger
-from monitor.runs.recordings import read_topics
 from tests.fuzz.files import FILES, Target, imported_file, placed, scratch, written
+from tests.runs.hostile import imu_topics
 from tests.service import hostile
 from tests.support.frame_text import THREE_STORIES
 from tests.support.ros2 import record
@@ -343,9 +343,8 @@ def _mcap(data: bytes) -> None:
 
 
 def _ros2(data: bytes) -> None:
-    path = placed("ros2.mcap", data)
     with contextlib.suppress(RecordingError, UserError):
-        for got in read_topics([path], (ACCELERATION,), lambda _: None, topic_map={"/i1": "a1", "/i2": "a2"}):
+        for got in imu_topics(placed("ros2.mcap", data)):
             sound(got)
 
 

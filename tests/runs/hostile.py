@@ -15,7 +15,9 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from drivers.base import ACCELERATION, SampleBlock
 from monitor.runs.readers import own_process
+from monitor.runs.recordings import read_topics
 
 _ROOM_BYTES = 2 << 30
 """Memory that a file may take."""
@@ -72,3 +74,8 @@ def _run(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     assert code != -signal.SIGXCPU, f"{module}: did not end within {_LONGEST_S} s"
     return subprocess.CompletedProcess(command, code, told.read_text(errors="replace"), "")
+
+
+def imu_topics(path: Path) -> Iterator[SampleBlock]:
+    """The topics /i1 and /i2 of a ROS 2 recording."""
+    return read_topics([path], (ACCELERATION,), lambda _: None, topic_map={"/i1": "a1", "/i2": "a2"})
