@@ -29,6 +29,7 @@ PARSE_ERRORS = (
     ArithmeticError,
     AssertionError,
     EOFError,
+    MemoryError,
     struct.error,
     zlib.error,
     can.CanError,

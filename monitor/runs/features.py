@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from monitor.core import BadInputError, Level, OnProgress, Step, os_errors_of, rounded, utc_ns, write_atomically
+from monitor.core import Array, BadInputError, Level, OnProgress, Step, rounded, write_atomically
 from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
+from monitor.runs.readers import delimited, stamps
+from monitor.runs.readers.base import read_bytes
+from monitor.runs.readers.delimited import Text
+from monitor.runs.readers.dialect import MARKS, Dialect, Role, guess, is_missing, is_number, split
+from monitor.runs.readers.table import Table, without_fillers
 
-_MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
-"""Texts, in lower case, of a value that is missing. [words; convention]"""
 _NAMED_LINES = 5
 """Most lines that a message names. [lines; judgement]"""
+_HEAD = 400
+"""Lines among which the heading is looked for. [lines; judgement]"""
+_NEAR_ZERO = 0.5
+"""Smallest reading over the median one, in size, from which none is near zero. [ratio; judgement]"""
 _LEARNS = "learns the features of the healthy rows"
 RESULT_FILES = ("results.jsonl", "summary.json")
 """Files that are written. [names; definition]"""
@@ -36,8 +40,8 @@ def features(
 ) -> dict[str, Any]:
     """Learn the features' law from the rows up to a time, judge the later ones, and write results.jsonl and summary.json.
 
-    The file has a line of column names, separated by commas, semicolons or tabs; an empty field is a missing value.  The column
-    `time` is in ISO 8601 (UTC where it names no zone), or in s since 1970.
+    The file is a table of text of any dialect with a line of column names.  The column `time` holds dates in any form (UTC where
+    they name no zone) or numbers, as s since 1970.
 
     Raises MissingInputError or BadInputError if the file cannot be read or used; the message names the place.
     """
@@ -62,82 +66,75 @@ def read_table(
 ) -> FeatureTable:
     """Read the columns of a table; rows that cannot be read are left out and named (errors as of `features`)."""
     wanted = [time, *names, *covariates]
-    rows, bad = _read_columns(path, wanted)
-    if bad:
-        more = f" and {len(bad) - _NAMED_LINES} more" if len(bad) > _NAMED_LINES else ""
-        on_warning(f"{path}: left out {'; '.join(bad[:_NAMED_LINES])}{more}")
+    text = _read_rows(path, wanted, on_warning)
+    all_ns = delimited.times_in(text, 0, on_warning)
+    if (np.diff(all_ns) < 0).any():
+        on_warning(f"{path}: the times do not increase: the rows were sorted")
+    t_ns, first = np.unique(all_ns, return_index=True)
+    if t_ns.size < all_ns.size:
+        on_warning(f"{path}: {all_ns.size - t_ns.size} rows repeat a time: of each the first was kept")
+    read = Table(path, tuple(wanted[1:]), (), text.values(range(1, len(wanted)), on_warning))
+    values = dict(zip(read.columns, without_fillers(read, on_warning).values[first].T, strict=True))
+    for name, column in values.items():
+        _doubt_zeros(path, name, column, on_warning)
+    return FeatureTable(t_ns, {n: values[n] for n in names}, {n: values[n] for n in covariates})
+
+
+def _read_rows(path: Path, wanted: list[str], on_warning: Callable[[str], None]) -> Text:
+    """Read the rows that can be read, as a table of the wanted columns alone."""
+    lines = delimited.lines_of(delimited.decode(path, read_bytes(path)))
+    at, delimiter, header = _heading(lines, wanted)
+    if absent := [name for name in wanted if name not in header]:
+        raise BadInputError(f"{path}: no column {', '.join(absent)}; the columns are {', '.join(header)}")
+    if twice := sorted({name for name in wanted if header.count(name) > 1 or wanted.count(name) > 1}):
+        raise BadInputError(f"{path}: column {', '.join(twice)} stands or is named twice: give each its own name")
+    columns = [header.index(name) for name in wanted]
+    rows: dict[int, list[str]] = {}
+    bad: dict[int, str] = {}
+    for number, line in enumerate(lines[at + 1 :], at + 2):
+        cells = split(line, delimiter)
+        if len(cells) < len(header) or any(cells[len(header) :]):
+            bad |= {number: f"{len(cells)} fields of {len(header)}"} if any(cells) else {}
+        elif any(cells):
+            rows[number] = [cells[column] for column in columns]
     if not rows:
         raise BadInputError(f"{path}: no row can be read")
-    if any(a[0] > b[0] for a, b in pairwise(rows)):
-        on_warning(f"{path}: the times do not increase: the rows were sorted")
-    t_ns, first = np.unique(np.array([t for t, _ in rows], dtype=np.int64), return_index=True)
-    if t_ns.size < len(rows):
-        on_warning(f"{path}: {len(rows) - t_ns.size} rows repeat a time: of each the first was kept")
-    values = np.array([v for _, v in rows]).reshape(len(rows), -1)[first].T
-    columns = dict(zip(wanted[1:], values, strict=True))
-    return FeatureTable(t_ns, {n: columns[n] for n in names}, {n: columns[n] for n in covariates})
+    dialect = guess(path, ["\t".join(cells) for cells in (wanted, *rows.values())], wanted[0], "\t")
+    bad |= {number: reason for number, cells in rows.items() if (reason := _unreadable(cells, dialect))}
+    if bad:
+        named = "; ".join(f"line {number}: {bad[number]}" for number in sorted(bad)[:_NAMED_LINES])
+        more = f" and {len(bad) - _NAMED_LINES} more" if len(bad) > _NAMED_LINES else ""
+        on_warning(f"{path}: left out {named}{more}")
+    good = [number for number in rows if number not in bad]
+    if not good:
+        raise BadInputError(f"{path}: no row can be read")
+    return Text(path, ["\t".join(rows[number]) for number in good], good, dialect, ())
 
 
-def _read_columns(path: Path, wanted: list[str]) -> tuple[list[tuple[int, list[float]]], list[str]]:
-    """Read the time and the other wanted columns of a file, row by row, and the reason for each row that is left out."""
-    try:
-        with os_errors_of(path):
-            text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadInputError(f"{path}: not UTF-8 text: save the table as CSV in UTF-8") from error
-    head = text.split("\n", 1)[0]
-    separator = max(";\t,", key=head.count)
-    reader = csv.reader(io.StringIO(text), delimiter=separator)
-    try:
-        header = [field.strip() for field in next(reader, [])]
-        if absent := [name for name in wanted if name not in header]:
-            raise BadInputError(f"{path}: no column {', '.join(absent)}; the columns are {', '.join(header)}")
-        if twice := sorted({name for name in wanted if header.count(name) > 1 or wanted.count(name) > 1}):
-            raise BadInputError(f"{path}: column {', '.join(twice)} stands or is named twice: give each its own name")
-        return _rows(reader, [header.index(name) for name in wanted], len(header), decimal_comma=separator == ";")
-    except csv.Error as error:
-        raise BadInputError(f"{path}: line {reader.line_num}: {error}") from error
+def _heading(lines: list[str], wanted: list[str]) -> tuple[int, str | None, list[str]]:
+    """Find the line, and the mark between its cells, that names most of the wanted columns, the most cells among those."""
+    cut = ((at, mark, split(line.lstrip("#%! "), mark)) for at, line in enumerate(lines[:_HEAD]) for mark in MARKS)
+    return max(cut, key=lambda one: (len({*wanted} & {*one[2]}), -one[0], len(one[2])))
 
 
-def _rows(
-    reader: Any, columns: list[int], width: int, *, decimal_comma: bool
-) -> tuple[list[tuple[int, list[float]]], list[str]]:
-    """Parse the rows; return time and values of each, and the reason for each row that was left out."""
-    rows, bad = [], []
-    for fields in reader:
-        if not any(field.strip() for field in fields):
-            continue
-        if len(fields) != width:
-            bad.append(f"line {reader.line_num}: {len(fields)} fields of {width}")
-            continue
-        texts = [fields[c].strip() for c in columns]
-        try:
-            rows.append((_time_ns(texts[0]), [_number(text, decimal_comma) for text in texts[1:]]))
-        except ValueError as error:
-            bad.append(f"line {reader.line_num}: {error}")
-    return rows, bad
+def _unreadable(cells: list[str], dialect: Dialect) -> str:
+    """Return why a row of the wanted columns cannot be read; empty where it can."""
+    time, *others = cells
+    is_dated = dialect.columns[0].role in (Role.STAMP, Role.DATE, Role.CLOCK)
+    if not (stamps.is_time(time) if is_dated else is_number(time)):
+        return f"{time!r} is no time"
+    return next((f"{cell!r} is no number" for cell in others if not (is_missing(cell) or is_number(cell))), "")
 
 
-def _time_ns(text: str) -> int:
-    """Parse a time: s since 1970, or ISO 8601."""
-    try:
-        seconds = float(text)
-    except ValueError:
-        return utc_ns(text.replace("/", "-"))
-    if not np.isfinite(seconds) or abs(seconds) > 9e9:
-        raise ValueError(f"{text!r} is no time in s since 1970")
-    return round(seconds * 1e9)
-
-
-def _number(text: str, decimal_comma: bool) -> float:
-    """Parse a number; a missing one is NaN."""
-    if text.lower() in _MISSING:
-        return float("nan")
-    try:
-        value = float(text.replace(",", ".") if decimal_comma else text)
-    except ValueError:
-        raise ValueError(f"{text!r} is no number") from None
-    return value if np.isfinite(value) else float("nan")
+def _doubt_zeros(path: Path, name: str, values: Annotated[Array, "n"], on_warning: Callable[[str], None]) -> None:
+    """Tell of readings of exactly 0 where no other is near it: some programs write it for none."""
+    zero = values == 0.0
+    others = np.abs(values[~zero & np.isfinite(values)])
+    if 0 < np.count_nonzero(zero) < others.size and others.min() > _NEAR_ZERO * np.median(others):
+        on_warning(
+            f"{path}: {name}: {np.count_nonzero(zero)} readings are exactly 0, and no other is near it: if they stand for "
+            "none, leave the cells empty"
+        )
 
 
 def _line(verdict: FeatureVerdict) -> dict[str, Any]:

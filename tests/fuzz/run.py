@@ -20,7 +20,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.fuzz.targets import MEMORY, TARGETS
+from tests.fuzz.files import MEMORY
+from tests.fuzz.targets import TARGETS
 
 
 def one(name: str, runs: int, seed: int) -> None:

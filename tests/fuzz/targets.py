@@ -5,24 +5,17 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import copy
 import functools
-import importlib
-import io
 import json
 import logging
 import math
 import os
-import shutil
 import socket
 import struct
-import tempfile
-import warnings
-import zipfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -59,10 +52,11 @@ from monitor.config import configuration
 from monitor.core import BadInputError, UserError
 from monitor.damage import load_baseline, save_baseline
 from monitor.runs import Session, ledger
-from tests.runs.hostile import seismic_file
-from tests.runs.reading import imported
+from tests.fuzz.files import FILES, Target, imported_file, placed, scratch, written
+from tests.runs.hostile import imu_topics
 from tests.service import hostile
 from tests.support.frame_text import THREE_STORIES
+from tests.support.ros2 import record
 
 ROOT = Path(__file__).parents[2]
 T0_NS = 1_767_225_600_000_000_000
@@ -70,42 +64,9 @@ CHANNELS = ("a1", "a2", "a3")
 STRUCTURE = THREE_STORIES + "\n[processing]\nwindow_s = 20.0\nhop_s = 5.0\n"
 
 
-@dataclass(frozen=True)
-class Target:
-    """One way in."""
-
-    run: Callable[[bytes], object]
-    """Takes bytes; anything that it raises is a fault."""
-    seeds: Callable[[], list[bytes]]
-    """Inputs that are right."""
-    share: float
-    """Of the messages of a whole run; what is slow gets fewer."""
-    longest: int = 20_000
-    """Bytes; a stream of frames takes a time that grows with them."""
-    least: int = 40
-    """Of the messages of the tests; what is fast gets more."""
-
-
-MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
-
-
-@functools.cache
-def scratch() -> Path:
-    """A folder in memory, of this process."""
-    folder = tempfile.mkdtemp(prefix="shm-fuzz-", dir=os.environ.get("TMPDIR", MEMORY))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
-
-
-def _file(name: str, data: bytes) -> Path:
-    path = scratch() / name
-    path.write_bytes(data)
-    return path
-
-
 @functools.cache
 def _settings() -> configuration.Configuration:
-    return configuration.load(_file("structure.toml", STRUCTURE.encode()))
+    return configuration.load(placed("structure.toml", STRUCTURE.encode()))
 
 
 def block(k: int = 0, n: int = 16, **changes: Any) -> SampleBlock:
@@ -355,7 +316,7 @@ def _udp_multicast_seeds() -> list[bytes]:
 
 
 def _can_log(data: bytes) -> None:
-    text = _file("a.log", data)
+    text = placed("a.log", data)
     settings = CanSettings(
         interface="log", channel=str(text), dbc=str(ROOT / "deploy" / "frame.dbc"), sample_rate_hz=1024.0
     )
@@ -375,10 +336,21 @@ def _can_log_seeds() -> list[bytes]:
 
 
 def _mcap(data: bytes) -> None:
-    path = _file("a.mcap", data)
+    path = placed("a.mcap", data)
     with contextlib.suppress(RecordingError):
         for got in read_recordings([path]):
             sound(got)
+
+
+def _ros2(data: bytes) -> None:
+    with contextlib.suppress(RecordingError, UserError):
+        for got in imu_topics(placed("ros2.mcap", data)):
+            sound(got)
+
+
+def _ros2_seeds() -> list[bytes]:
+    stamps = {topic: [T0_NS + at + k * 10**7 for k in range(40)] for at, topic in enumerate(("/i1", "/i2"))}
+    return [record(scratch() / "ros2-seed.mcap", stamps).read_bytes()]
 
 
 def _crash_file(data: bytes) -> None:
@@ -405,7 +377,7 @@ def _mcap_seeds() -> list[bytes]:
 
 
 def _toml(data: bytes) -> None:
-    path = _file("site.toml", data)
+    path = placed("site.toml", data)
     with contextlib.suppress(UserError):
         settings = configuration.load(path)
         settings.model().modes()
@@ -414,130 +386,6 @@ def _toml(data: bytes) -> None:
 def _toml_seeds() -> list[bytes]:
     names = ("site", "can", "zenoh", "mqtt", "mcap")
     return [STRUCTURE.encode(), *((ROOT / "deploy" / f"{name}.toml").read_bytes() for name in names)]
-
-
-def _imported(
-    suffix: str, seeds: Callable[[], list[bytes]], share: float = 0.01, least: int = 300, **options: Any
-) -> Target:
-    """A file that `import` reads."""
-
-    def run(data: bytes) -> None:
-        path, out = _file("a" + suffix, data), scratch() / "out.mcap"
-        try:
-            imported([path], out, on_warning=lambda _: None, **options)
-        except UserError as refused:
-            assert path.name in str(refused)
-        out.unlink(missing_ok=True)
-        assert not out.with_name("out.mcap.part").exists()
-
-    return Target(run, seeds, share, 20_000 if share > 0.01 else 4000, least)
-
-
-def _csv_seeds() -> list[bytes]:
-    rows = "\n".join(f"{k / 100:.2f},{math.sin(k):.4f},{math.cos(k):.4f},0.1" for k in range(30))
-    dotted = "\n".join(f"{k};{k * 16667};0,1;0,2;9,{k:02d}" for k in range(30))
-    return [
-        f"time,a1,a2,a3\n{rows}\n".encode(),
-        f"t [s];a1 [g];a2 [g];a3 [g]\n{rows.replace(',', ';')}\n".encode(),
-        b"DeviceTag:,x\nOutputRate:,60Hz\n\nPacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z\n"
-        + dotted.replace(";", ",").encode(),
-        b"2026-01-01T00:00:00.000Z,1,2,3\n2026-01-01T00:00:00.010Z,1,2,3\n2026-01-01T00:00:00.020Z,2,3,4\n",
-        f"time,a1\n{rows}".encode("utf-16"),
-    ]
-
-
-def _zip_seeds() -> list[bytes]:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("a.csv", _csv_seeds()[0])
-    return [file.getvalue()]
-
-
-def _npz_seeds() -> list[bytes]:
-    samples, made = np.sin(np.arange(90.0).reshape(30, 3)), []
-    t = np.arange(30) / 100
-    named: dict[str, Any] = {"samples": samples, "rate_hz": 100.0, "channels": ["a1", "a2", "a3"]}
-    for arrays in (named, {"x": samples[:, 0], "t": t}):
-        for save in (np.savez, np.savez_compressed):
-            file = io.BytesIO()
-            save(file, **arrays)
-            made.append(file.getvalue())
-    return made
-
-
-def _npz_array(data: bytes) -> None:
-    """An array in a sound archive, whose checksum would hide it otherwise."""
-    for deflated in (False, True):
-        file = io.BytesIO()
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED if deflated else zipfile.ZIP_STORED) as archive:
-            archive.writestr("samples.npy", data)
-        TARGETS["npz"].run(file.getvalue())
-
-
-def _npz_array_seeds() -> list[bytes]:
-    arrays = (np.sin(np.arange(90.0).reshape(30, 3)), np.arange(9, dtype=np.int16), np.array(["a1", "a2"]))
-    made = []
-    for array in arrays:
-        file = io.BytesIO()
-        np.save(file, array)
-        made.append(file.getvalue())
-    return made
-
-
-@functools.cache
-def _obspy() -> Any:
-    """ObsPy, which calls what newer Pythons call outdated."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return importlib.import_module("obspy")
-
-
-def _miniseed_seeds() -> list[bytes]:
-    obspy = _obspy()
-    counts, made = np.random.default_rng(0).integers(-1000, 1000, (300, 2)).astype(np.int32), []
-    header = {"network": "XX", "station": "ROOF", "sampling_rate": 100.0}
-    traces = [obspy.Trace(counts[:, k].copy(), {**header, "channel": f"HN{k}"}) for k in range(2)]
-    text = np.frombuffer(b"clock locked\n" * 4, "S1").copy()
-    for encoding in ("STEIM2", "STEIM1", "INT32"):
-        file = io.BytesIO()
-        obspy.Stream(traces).write(file, format="MSEED", encoding=encoding, reclen=256)
-        made.append(file.getvalue())
-    file = io.BytesIO()
-    obspy.Stream([obspy.Trace(text, {**header, "channel": "LOG", "sampling_rate": 0.0})]).write(file, format="MSEED")
-    return [*made, made[0] + file.getvalue()]
-
-
-def _knet_seeds() -> list[bytes]:
-    return [(Path(_obspy().__file__).parent / "io" / "nied" / "tests" / "data" / "test.knet").read_bytes()[:3000]]
-
-
-def _written(suffix: str, write: Callable[[Path], object]) -> Callable[[], list[bytes]]:
-    """A file as the library that reads it writes it."""
-
-    def seeds() -> list[bytes]:
-        path = scratch() / ("seed" + suffix)
-        path.unlink(missing_ok=True)
-        write(path)
-        return [path.read_bytes()]
-
-    return seeds
-
-
-def _write_mat(path: Path) -> None:
-    from scipy.io import savemat
-
-    savemat(path, {"acc": np.sin(np.arange(90.0).reshape(30, 3)), "fs": 100.0, "unit": "g"}, do_compression=True)
-
-
-def _write_uff(path: Path) -> None:
-    import pyuff
-
-    x = np.arange(30) / 100
-    data = pyuff.prepare_58(
-        func_type=1, rsp_node=1, rsp_dir=3, ref_node=0, ref_dir=0, data=np.sin(x), x=x, abscissa_spacing=1,
-        abscissa_spec_data_type=17, ordinate_spec_data_type=12, orddenom_spec_data_type=0, id1="x",
-    )  # fmt: skip
-    pyuff.UFF(str(path)).write_sets(data, "add")
 
 
 def _write_log(path: Path) -> None:
@@ -566,7 +414,7 @@ def _checkpoint_seeds() -> list[bytes]:
 
 
 def _baseline(data: bytes) -> None:
-    path = _file("baseline.json", data)
+    path = placed("baseline.json", data)
     with contextlib.suppress(UserError):
         load_baseline(path, _settings().instrumented(), _settings().updating)
 
@@ -587,7 +435,7 @@ def _baseline_seeds() -> list[bytes]:
 
 
 def _finding(data: bytes) -> None:
-    path = _file("finding.json", data)
+    path = placed("finding.json", data)
     with contextlib.suppress(UserError):
         finding, settings = ledger.read_finding(path), _settings()
         for with_baseline in (False, True):
@@ -602,7 +450,7 @@ def _finding_seeds() -> list[bytes]:
 
 
 def _outbox_seeds() -> list[bytes]:
-    place = Path(_file("outbox.jsonl", b""))
+    place = Path(placed("outbox.jsonl", b""))
     hostile.write_outbox(place)
     return [place.read_bytes()]
 
@@ -648,19 +496,13 @@ TARGETS: dict[str, Target] = {
     "mcap": Target(_mcap, _mcap_seeds, 0.05),
     "crash_file": Target(_crash_file, _mcap_seeds, 0.02),
     "toml": Target(_toml, _toml_seeds, 0.03),
-    "csv": _imported(".csv", _csv_seeds, 0.03),
-    "zip": _imported(".zip", _zip_seeds),
-    "npz": _imported(".npz", _npz_seeds, 0.02),
-    "npz_array": Target(_npz_array, _npz_array_seeds, 0.01, 4000, 300),
-    "mat": _imported(".mat", _written(".mat", _write_mat), share=0.001, least=6, rate_hz=100.0),  # each takes a process
-    "miniseed": Target(lambda data: seismic_file(_file("a.mseed", data), "MiniSEED"), _miniseed_seeds, 0.01, 4000, 300),
-    "knet": Target(lambda data: seismic_file(_file("a.mseed", data), "K-NET"), _knet_seeds, 0.01, 4000, 300),
-    "uff": _imported(".uff", _written(".uff", _write_uff), rate_hz=100.0),
-    **{kind: _imported(f".{kind}", _written(f".{kind}", _write_log), **DBC) for kind in ("asc", "blf", "trc")},
+    "ros2": Target(_ros2, _ros2_seeds, 0.02),
+    **FILES,
+    **{kind: imported_file(f".{kind}", written(f".{kind}", _write_log), **DBC) for kind in ("asc", "blf", "trc")},
     "checkpoint": Target(hostile.checkpoint, _checkpoint_seeds, 0.03),
     "baseline": Target(_baseline, _baseline_seeds, 0.02),
     "finding": Target(_finding, _finding_seeds, 0.02),
-    "outbox": Target(lambda data: hostile.outbox(_file("outbox.jsonl", data)), _outbox_seeds, 0.02),
+    "outbox": Target(lambda data: hostile.outbox(placed("outbox.jsonl", data)), _outbox_seeds, 0.02),
     "pipeline": Target(lambda data: _stream().push(data), _protobuf_seeds, 0.01),
 }
 

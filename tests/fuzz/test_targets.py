@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
+from tests.fuzz.files import APART, FILES
 from tests.fuzz.targets import TARGETS
 
 _TOKENS = (*b'-1 1e999 NaN null " < > \x80'.split(), b"\n", b"\xff" * 8, b"\0" * 8, b"[" * 3000, b"9" * 400)
@@ -53,6 +56,52 @@ def test_mutations_of_what_is_right(name: str) -> None:
         target.run(data)
     for _ in range(max(target.least, round(3000 * target.share))):
         target.run(mutated(draw.choice(seeds), seeds, draw))
+
+
+def _mutate(name: str, count: int) -> None:
+    target, draw = TARGETS[name], random.Random(f"{name} {count}")
+    seeds = target.seeds()
+    for _ in range(count):
+        target.run(mutated(draw.choice(seeds), seeds, draw))
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("name", [*FILES, "ros2", "can_log", "asc", "blf", "trc"])
+def test_200_mutated_files_of_each_format_are_read_or_refused_within_bounds(name: str) -> None:
+    _mutate(name, 200)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", [*FILES, "ros2", "can_log", "asc", "blf", "trc"])
+def test_2000_mutated_files_of_each_format_are_read_or_refused_within_bounds(name: str) -> None:
+    _mutate(name, 2000)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_that_is_right_is_read(name: str) -> None:
+    """Else its mutations would all be refused for one reason."""
+    target = FILES[name]
+    assert any(target.run(data) for data in target.seeds())
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("name", APART)
+def test_a_few_mutated_files_are_read_or_refused_by_a_process_of_its_own(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tests.fuzz.files.forked", lambda apart: contextlib.nullcontext())
+    _mutate(name, 3)
+
+
+@pytest.mark.parametrize("where", ["preamble", "heading", "units"])
+@pytest.mark.parametrize("word", ["_a", "date ", "9", " ", '"'])
+def test_a_long_line_takes_a_time_that_grows_with_it_and_no_faster(word: str, where: str) -> None:
+    line = (word * 20_000)[:20_000]
+    above = {"preamble": f"{line}\nt,a", "heading": f"t,{line}", "units": f"t,a\ns,{line}"}[where]
+    begun = time.process_time()
+    FILES["csv"].run((above + "".join(f"\n{k / 100},0.{k:03d}" for k in range(50))).encode())
+    assert time.process_time() - begun < 2.0
 
 
 @pytest.mark.parametrize("name", TARGETS)

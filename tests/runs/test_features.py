@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from monitor.damage import FeatureTable
+from monitor.runs import features
 from tests.support.samples import Cli
 
 ROWS = 400
@@ -65,6 +68,56 @@ def test_what_cannot_be_done_is_said(
     assert done.returncode == code
     assert words in done.stderr.replace("\n", " ")
     assert "Traceback" not in done.stderr
+
+
+def told_table(content: str | bytes, tmp_path: Path, time: str = "time") -> tuple[FeatureTable, str]:
+    path, told = tmp_path / "f.csv", list[str]()
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return features.read_table(path, time, ["f1"], ["air"], told.append), "\n".join(told)
+
+
+@pytest.mark.parametrize(
+    ("form", "comma", "sep", "head"),
+    [
+        ("{:%d.%m.%Y %H:%M}", True, ";", "time;f1;air"),
+        ("{:%m/%d/%Y %I:%M:%S %p}", False, ",", '"time","f1","air"'),
+        ("{:%Y-%m-%dT%H:%M:%S+00:00}", False, "\t", "sep=\t\nBridge 7\ntime\tf1\tair"),
+        ("{:%Y/%m/%d %H:%M:%S}", False, ",", "time,f1,air,remark"),
+    ],
+)
+def test_a_table_is_read_in_the_dialect_in_which_it_is_written(
+    form: str, comma: bool, sep: str, head: str, tmp_path: Path
+) -> None:
+    moments = [datetime(2026, 3, 1, tzinfo=UTC) + timedelta(hours=k) for k in range(60)]
+    rows = [[form.format(m), f"{4.0 + k / 100:.3f}", f"{k / 4:.2f}"] for k, m in enumerate(moments)]
+    rows = [[cell.replace(".", ",") if comma and at else cell for at, cell in enumerate(row)] for row in rows]
+    rows[5][1], rows[6][2] = "---", "NaN"
+    tail = f"{sep}all well" if "remark" in head else ""
+    table, _ = told_table(head + "\n" + "".join(sep.join(row) + tail + "\r\n" for row in rows), tmp_path)
+    assert table.t_ns.tolist() == [int(m.timestamp()) * 10**9 for m in moments]
+    expected = 4.0 + np.arange(60) / 100
+    expected[5] = np.nan
+    assert table.features["f1"] == pytest.approx(expected, nan_ok=True)
+    assert np.isnan(table.covariates["air"][6])
+
+
+def test_what_stands_for_no_reading_is_missing_and_zeros_far_from_all_others_are_doubted(tmp_path: Path) -> None:
+    rows = [[str(1_700_000_000 + 3600 * k), f"{4.0 + k % 7 / 100:.3f}", f"{k / 4 - 5:.2f}"] for k in range(60)]
+    rows[9][1], rows[12][1], rows[20][2] = "0.0", "-9999", "0"
+    table, told = told_table("time,f1,air\n" + "".join(",".join(row) + "\n" for row in rows), tmp_path)
+    assert "f1: 1 readings are exactly 0, and no other is near it" in told and "air:" not in told
+    assert np.isnan(table.features["f1"][12]) and "-9999" in told and table.features["f1"][9] == 0.0
+
+
+def test_rows_that_cannot_be_read_are_left_out_wherever_they_stand(tmp_path: Path) -> None:
+    rows = [f"2026-03-{k + 1:02d},4.0{k},5.0" for k in range(28)]
+    rows[0], rows[3], rows[8], rows[9] = "soon,4.0,5.0", "2026-02-30,4.0,5.0", "2026-03-09,4.0.1,5.0", "2026-03-10,4.0"
+    table, told = told_table("time,f1,air\n" + "\n".join(rows), tmp_path)
+    assert table.t_ns.size == 24
+    assert (
+        "line 2: 'soon' is no time; line 5: '2026-02-30' is no time; line 10: '4.0.1' is no number; line 11: 2 f"
+        in told
+    )
 
 
 @pytest.mark.parametrize(

@@ -329,6 +329,16 @@ def test_npz_layouts(tmp_path: Path, arrays: dict[str, object], names: tuple[str
     np.testing.assert_allclose(values, np.column_stack([RAMP, -RAMP]), atol=1e-6)
 
 
+def test_numbers_that_stand_for_no_reading_are_missing_in_arrays_too(tmp_path: Path) -> None:
+    samples = np.sin(np.arange(300.0).reshape(100, 3))
+    samples[7, 0], samples[9, 1] = -9999.0, 1e200
+    np.savez(tmp_path / "a.npz", samples=samples, rate_hz=100.0)
+    told: list[str] = []
+    imported([tmp_path / "a.npz"], tmp_path / "a.mcap", on_warning=told.append)
+    assert any("a1: 1 readings are missing: -9999 stands for them" in text for text in told)
+    assert any("a2: 1 readings are missing: 1e+200 stands for them" in text for text in told)
+
+
 @pytest.mark.parametrize(
     ("arrays", "reason"),
     [

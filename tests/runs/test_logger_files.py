@@ -1,12 +1,9 @@
-# ruff: noqa: E501 - parts of a workbook stand in one line
 """Files as loggers write them are read with the right rate, unit, columns, start and readings, and what is odd is told."""
 
 from __future__ import annotations
 
-import zipfile
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +14,7 @@ from monitor.core import BadInputError
 from monitor.runs import look
 from monitor.runs.readers import ImportedChannel, explain_table
 from monitor.runs.recordings import read_topics
-from tests.runs.logger_files import START_NS, LoggerFile, lines, lvm, motion, odd_tables, packed, tables
+from tests.runs.logger_files import START_NS, LoggerFile, lines, lvm, motion, odd_tables, packed, tables, workbook
 from tests.runs.reading import imported
 from tests.support.ros2 import record
 from tests.support.samples import Cli
@@ -189,42 +186,6 @@ def test_the_rate_of_ros_2_topics_is_that_of_all_stamps_and_jitter_loses_no_row(
     assert sum(block.n_samples for block in blocks) == 3000
     jumps = [b.sequence - a.sequence - a.n_samples for a, b in pairwise(blocks)]
     assert sum(jump != 0 for jump in jumps) == 1 and sum(jumps) == pytest.approx(20.0 * rate_hz, abs=1.0)
-
-
-def workbook(path: Path, rows: list[list[Any]]) -> None:
-    """The least that is a workbook of one sheet."""
-
-    def cell(value: Any) -> str:
-        return f'<c t="inlineStr"><is><t>{value}</t></is></c>' if isinstance(value, str) else f"<c><v>{value!r}</v></c>"
-
-    sheet = "".join(f"<row>{''.join(map(cell, row))}</row>" for row in rows)
-    main_ns = 'xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"'
-    of_types, rels = (
-        "http://schemas.openxmlformats.org/package/2006",
-        "http://schemas.openxmlformats.org/officeDocument/2006/relationships",
-    )
-    form = "application/vnd.openxmlformats-officedocument.spreadsheetml"
-    with zipfile.ZipFile(path, "w") as book:
-        book.writestr(
-            "[Content_Types].xml",
-            f'<Types xmlns="{of_types}/content-types"><Default Extension="xml" ContentType="application/xml"/>'
-            '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
-            f'<Override PartName="/xl/workbook.xml" ContentType="{form}.sheet.main+xml"/>'
-            f'<Override PartName="/xl/worksheets/sheet1.xml" ContentType="{form}.worksheet+xml"/></Types>',
-        )
-        book.writestr(
-            "_rels/.rels",
-            f'<Relationships xmlns="{of_types}/relationships"><Relationship Id="r1" Type="{rels}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
-        )
-        book.writestr(
-            "xl/workbook.xml",
-            f'<workbook {main_ns} xmlns:r="{rels}"><sheets><sheet name="Data" sheetId="1" r:id="r1"/></sheets></workbook>',
-        )
-        book.writestr(
-            "xl/_rels/workbook.xml.rels",
-            f'<Relationships xmlns="{of_types}/relationships"><Relationship Id="r1" Type="{rels}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
-        )
-        book.writestr("xl/worksheets/sheet1.xml", f"<worksheet {main_ns}><sheetData>{sheet}</sheetData></worksheet>")
 
 
 def test_a_workbook_is_read_as_a_table(tmp_path: Path) -> None:

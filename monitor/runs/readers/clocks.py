@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -118,7 +119,7 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
             on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
         return [table.rows(np.arange(shortest)) for table in tables], None
     base = clocks[0]
-    half_ns = 0.5e9 / sample_clock(base).rate_hz
+    half_ns = _step_ns(tables[0].path, base) / 2
     partners = [_nearest(clock, base) for clock in clocks]
     keep = np.all([np.abs(clock[at] - base) <= half_ns for clock, at in zip(clocks, partners, strict=True)], axis=0)
     if keep.sum() * 2 < shortest:
@@ -129,6 +130,13 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
     if keep.sum() < longest:
         on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
     return [table.rows(near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
+
+
+def _step_ns(path: Path, clock: Annotated[Ticks, "n"]) -> float:
+    try:
+        return 1e9 / sample_clock(clock).rate_hz
+    except BadInputError as error:
+        raise BadInputError(f"{path}: its times are irregular: {error}") from error
 
 
 def _clocks(tables: Sequence[Table]) -> list[Ticks]:

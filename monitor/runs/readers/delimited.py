@@ -15,19 +15,13 @@ import numpy as np
 from monitor.core import BadInputError
 from monitor.runs.readers import stamps
 from monitor.runs.readers.dialect import Dialect, Role, guess, is_missing, is_number, split
-from monitor.runs.readers.table import Array, OnWarning, Table, Ticks
+from monitor.runs.readers.table import Array, OnWarning, Table, Ticks, without_fillers
 from monitor.runs.readers.units import ACCELERATION, TIME
 
 _CHUNK_CELLS = 1 << 15
 """Cells of the rows that are converted to numbers together. [count; cost: they take 3 MB]"""
 _LOOK_ALIKES = {0xA0: " ", 0x202F: " ", 0x2009: " ", 0x2212: "-"}
 """Characters that stand for a space between groups of digits, or for a minus. [characters; typography]"""
-_FILLERS = (-7999.0, -9999.0, -99999.0, 9999.0, 99999.0, -6999.0, 7999.0)
-"""Numbers that loggers write for a missing reading. [numbers; Campbell: 7999 and -7999, others by convention]"""
-_ABSURD = 1e30
-"""Reading from which a number stands for none. [any unit; as floating point's largest]"""
-_APART = 10.0
-"""Ratio to all other readings from which such a number is none of them. [1; judgement]"""
 _SINCE_1970_S = (3e8, 3.6e9)
 """Seconds since 1970 that are a date, of 1979 to 2084. [s; judgement]"""
 _SINCE_1904_S = (3.6e9, 4.4e9, 2_082_844_800)
@@ -75,7 +69,7 @@ class Text:
                 cells = [row[column] for row in rows]
                 try:
                     out[begin : begin + len(rows), at] = np.array(
-                        [self._plain(cell) for cell in cells], dtype=np.float64
+                        [self.dialect.plain(cell) for cell in cells], dtype=np.float64
                     )
                 except ValueError:
                     out[begin : begin + len(rows), at] = [
@@ -88,19 +82,13 @@ class Text:
             on_warning(f"{self.path}: {words.total()} readings are missing: {told}")
         return out
 
-    def _plain(self, cell: str) -> str:
-        """Write a number with a decimal point and without groups of digits."""
-        if self.dialect.thousands:
-            cell = cell.replace(self.dialect.thousands, "")
-        return cell.replace(",", ".") if self.dialect.decimal == "," else cell
-
     def _number(self, cell: str, row: int, column: int, words: Counter[str]) -> float:
         """Convert one cell, and count it where it stands for a missing reading."""
         if is_missing(cell):
             words[cell] += 1
             return np.nan
         try:
-            return float(self._plain(cell).replace("D", "e").replace("d", "e"))
+            return float(self.dialect.plain(cell).replace("D", "e").replace("d", "e"))
         except ValueError:
             raise BadInputError(
                 f"{self.path}: line {self.numbers[row]}: {cell[:40]!r} in column {column + 1} is no number"
@@ -133,22 +121,28 @@ def decode(path: Path, raw: bytes) -> str:
     return raw.decode("latin-1")
 
 
+def lines_of(text: str) -> list[str]:
+    """Split a text into lines, without empty ones at its end."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").translate(_LOOK_ALIKES).split("\n")
+    while lines and not lines[-1].strip(" ,;\t|"):
+        lines.pop()
+    return lines
+
+
 def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -> Text:
     """Guess the dialect of a text and cut it into rows.
 
     Headings that stand again among the rows, as of files that were joined, and a last row that was cut off are left out and
     told.  Raises BadInputError if there is no table of numbers, or a row has another number of cells.
     """
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").translate(_LOOK_ALIKES).split("\n")
-    while lines and not lines[-1].strip(" ,;\t|"):
-        lines.pop()
+    lines = lines_of(text)
     dialect = guess(path, lines, time)
     headings = {line.strip() for line in lines[: dialect.first] if line.strip()}
     rows: list[str] = []
     numbers: list[int] = []
     again = comments = 0
     marks: tuple[str, ...] = ("#", "%", "!", "//", *(() if dialect.delimiter == ";" else (";",)))
-    keys = {split(line, dialect.delimiter)[0] for line in lines[: dialect.first]}
+    keys = {cell for line in lines[: dialect.first] for cell in split(line, dialect.delimiter)[:1]}
     keys = {key for key in keys if len(key) > 1 and key[0].isalpha() and not is_missing(key)}
     if dialect.columns[0].role is Role.TEXT and dialect.columns[0].why != "empty":
         marks, keys = (), set()
@@ -198,9 +192,7 @@ def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> T
     if clock.time_ns is not None and (np.diff(clock.time_ns) <= 0).any():
         _demand_columns(text, clock.time_ns)
     values = text.values(readings, on_warning)
-    _leave_out_fillers(path, names, values, on_warning)
     moves = [(unit := dialect.columns[at].unit) is not None and unit.quantity == ACCELERATION for at in readings]
-    keep = _one_clock(path, names, moves, values, on_warning)
     counters = dialect.of(Role.COUNTER)
     index = text.values(counters[:1], on_warning)[:, 0] if counters else None
     if index is not None and not (np.isfinite(index).all() and (np.diff(index) >= 1).all()):
@@ -217,6 +209,8 @@ def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> T
         rate_hz=dialect.rate_hz,
         start_text=clock.start_text,
     )
+    table = without_fillers(table, on_warning)
+    keep = _one_clock(path, names, moves, table.values, on_warning)
     return table if keep is None else table.rows(keep)
 
 
@@ -275,11 +269,21 @@ class _Clock:
     """Time of the first row as written, where it has no zone."""
 
 
-def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
-    """Form the times of the rows from the columns that hold them."""
+def times_in(text: Text, at: int, on_warning: OnWarning) -> Annotated[Ticks, "n"]:
+    """Convert a column of dates or of numbers to times, ns since 1970."""
+    role = text.dialect.columns[at].role
+    if role in (Role.STAMP, Role.DATE, Role.CLOCK):
+        clock = _clock(text, on_warning, None, at)
+        assert clock.time_ns is not None
+        return clock.time_ns
+    return _ticks(text, at, on_warning)[0]
+
+
+def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None, at: int | None = None) -> _Clock:
+    """Form the times of the rows from the columns that hold them, of which one may be known."""
     dialect, path = text.dialect, text.path
     stated = _stated_start(text, zone)
-    at = next(iter(dialect.of(Role.STAMP)), None)
+    at = next(iter(dialect.of(Role.STAMP)), None) if at is None else at
     ticking = dialect.of(Role.TIME)
     dated, clocked = dialect.of(Role.DATE), dialect.of(Role.CLOCK)
     if at is not None:
@@ -374,13 +378,27 @@ def _fractions_ns(text: Text, on_warning: OnWarning) -> Annotated[Ticks, "n"] | 
 
 
 def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: OnWarning) -> _Clock:
-    """Convert a column of numbers to times: by its unit, else by its size."""
-    column, path = text.dialect.columns[at], text.path
-    if column.unit is not None and column.unit.quantity != TIME:
-        raise BadInputError(
-            f"{path}: unknown unit {column.unit_text!r} of column {column.name!r}; give s, ms, us or ns"
+    """Convert a column of numbers to a clock."""
+    column = text.dialect.columns[at]
+    t_ns, written = _ticks(text, at, on_warning)
+    if written is not None:
+        return _Clock(t_ns, int(t_ns[0]), written)
+    step = float(np.median(np.abs(np.diff(t_ns)))) * 1e-9 if len(t_ns) > 1 else 0.0
+    if column.unit is None and step > 1.0 / _LEAST_RATE_HZ and text.dialect.rate_hz is None:
+        on_warning(
+            f"{text.path}: column {column.name!r} states no unit and steps by {step:g}: in s that is {1.0 / step:.4g} Hz, "
+            f"in ms {1e3 / step:.4g} Hz; taken as s (write the unit into its heading, as '{column.name} [ms]', or give --rate)"
         )
-    if column.unit is None and column.unit_text:
+    return _Clock(t_ns, *stated)
+
+
+def _ticks(text: Text, at: int, on_warning: OnWarning) -> tuple[Annotated[Ticks, "n"], str | None]:
+    """Convert a column of numbers to times, by its unit, else by its size.
+
+    Where they are dates, the first one is returned as written if it has no zone, else an empty text (s since 1970 are UTC).
+    """
+    column, path = text.dialect.columns[at], text.path
+    if column.unit_text and (column.unit is None or column.unit.quantity != TIME):
         raise BadInputError(
             f"{path}: unknown unit {column.unit_text!r} of column {column.name!r}; give s, ms, us or ns"
         )
@@ -394,16 +412,11 @@ def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: On
     first = float(numbers[0])
     low, high = _SINCE_1970_S
     for least, most, zero, words in _SERIAL_DAYS:
-        if (
-            column.unit is None
-            and least < first < most
-            and (np.diff(numbers) < 1.0).all()
-            and not float(first).is_integer()
-        ):
+        if column.unit is None and least < first < most and (np.diff(numbers) < 1.0).all() and not first.is_integer():
             on_warning(f"{path}: column {column.name!r} is taken as days {words}")
             # Days with ten decimals are cut at 10 us.
             t_ns = np.rint((numbers - np.floor(first)) * 86_400e6).astype(np.int64) * 1000
-            return _dated(t_ns + int(np.floor(first) - zero) * 86_400 * 10**9, f"{first:.6f}")
+            return t_ns + int(np.floor(first) - zero) * 86_400 * 10**9, f"{first:.6f}"
     factor = (
         column.unit.factor
         if column.unit is not None
@@ -418,21 +431,8 @@ def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: On
         t_ns = t_ns + _fractions_ns(text, on_warning)
     if column.unit is None and _SINCE_1904_S[0] < first < _SINCE_1904_S[1]:
         on_warning(f"{path}: column {column.name!r} is taken as seconds since 1904, as in LabVIEW")
-        return _dated(t_ns - _SINCE_1904_S[2] * 10**9, "")
-    if low < first * factor < high:
-        return _dated(t_ns, "")
-    step = float(np.median(np.abs(np.diff(numbers)))) if len(numbers) > 1 else 0.0
-    if column.unit is None and step and step * factor > 1.0 / _LEAST_RATE_HZ and text.dialect.rate_hz is None:
-        on_warning(
-            f"{path}: column {column.name!r} states no unit and steps by {step:g}: in s that is {1.0 / step:.4g} Hz, "
-            f"in ms {1e3 / step:.4g} Hz; taken as s (write the unit into its heading, as '{column.name} [ms]', or give --rate)"
-        )
-    return _Clock(t_ns, *stated)
-
-
-def _dated(t_ns: Annotated[Ticks, "n"], text: str) -> _Clock:
-    """Form a clock whose times are dates; seconds since 1970 are UTC, as without `text`."""
-    return _Clock(t_ns, int(t_ns[0]), text)
+        return t_ns - _SINCE_1904_S[2] * 10**9, ""
+    return t_ns, "" if low < first * factor < high else None
 
 
 def _exact_ns(numbers: Annotated[Array, "n"], factor: float) -> Annotated[Ticks, "n"]:
@@ -442,25 +442,4 @@ def _exact_ns(numbers: Annotated[Array, "n"], factor: float) -> Annotated[Ticks,
     return whole.astype(np.int64) * ticks + np.rint((numbers - whole) * ticks).astype(np.int64)
 
 
-def _leave_out_fillers(
-    path: Path, names: Sequence[str], values: Annotated[Array, "n c"], on_warning: OnWarning
-) -> None:
-    """Replace numbers that stand for no reading by NaN, and tell it."""
-    for at, name in enumerate(names):
-        column = values[:, at]
-        with np.errstate(invalid="ignore"):
-            absurd = np.abs(column) >= _ABSURD
-        if absurd.any():
-            on_warning(
-                f"{path}: {name}: {np.count_nonzero(absurd)} readings are missing: {column[absurd][0]:g} stands for them"
-            )
-            column[absurd] = np.nan
-        for filler in _FILLERS:
-            held = column == filler
-            rest = np.abs(column[~held & np.isfinite(column)])
-            if held.any() and rest.size and rest.max() * _APART < abs(filler):
-                on_warning(f"{path}: {name}: {np.count_nonzero(held)} readings are missing: {filler:g} stands for them")
-                column[held] = np.nan
-
-
-__all__ = ["Text", "cut", "decode", "is_number", "to_table"]
+__all__ = ["Text", "cut", "decode", "is_number", "lines_of", "times_in", "to_table"]

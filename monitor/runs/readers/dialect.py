@@ -95,12 +95,17 @@ _NO_RATE = re.compile(
 )
 """Words of a line whose frequency is not that of the samples. [words; conventions of loggers]"""
 _OF_SAMPLES = re.compile(r"sampl|scan|acqui|logg|abtast", re.IGNORECASE)
+MARKS = ("\t", ";", "|", ",", None)
+"""Marks between cells; None for white space. [characters; convention]"""
 _FEW = 3
 """Lines of a table so short that the last one counts as well. [lines; judgement]"""
 _TAIL = 100
 """Rows from the end that show the shape of a table. [rows; judgement: the head may be comments]"""
 _HEAD = 400
 """Most lines before the rows that are looked at. [lines; judgement]"""
+_LONGEST_LINE, _LONGEST_NAME = 1000, 200
+"""Most of a line before the rows that is searched, and of a heading that is its name. [characters; cost: patterns that are
+searched take a time that grows with the square]"""
 _SHARE = 0.9
 """Share of the rows that must fit. [ratio; judgement: a row in ten may be damaged]"""
 
@@ -155,6 +160,12 @@ class Dialect:
         """List the columns of these roles."""
         return [at for at, column in enumerate(self.columns) if column.role in roles]
 
+    def plain(self, cell: str) -> str:
+        """Write a number with a decimal point and without groups of digits."""
+        if self.thousands:
+            cell = cell.replace(self.thousands, "")
+        return cell.replace(",", ".") if self.decimal == "," else cell
+
     def explained(self) -> list[tuple[str, str, str]]:
         """Return what was taken, for what, and the reason, for a table."""
         shown = {None: "white space", "\t": "tab", ",": "comma", ";": "semicolon", "|": "stroke"}
@@ -177,7 +188,7 @@ class Dialect:
 
 def split(line: str, delimiter: str | None) -> list[str]:
     """Split a line into cells; without a delimiter, at white space."""
-    if delimiter and '"' in line:
+    if delimiter and '"' in line and len(line) <= csv.field_size_limit():
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""])]
     return [cell.strip(' \t"') for cell in (line.split(delimiter) if delimiter else line.split())]
 
@@ -192,20 +203,26 @@ def is_number(cell: str) -> bool:
     return _NUMBER.fullmatch(cell) is not None or _GROUPED.fullmatch(cell) is not None
 
 
-def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
-    """Guess how a table of text is written; `time` names the column of the times.
+def guess(path: Path, lines: Sequence[str], time: str | None = None, marks: Sequence[str | None] = MARKS) -> Dialect:
+    """Guess how a table of text is written; `time` names the column of the times, `marks` are those that may be between cells.
 
     Raises BadInputError if there is no table of numbers.
     """
     tail = [line for line in lines[-_TAIL - 1 :] if line.strip(" \t,;|")]
     tail = tail[:-1] if len(tail) > _FEW else tail  # the last line may be incomplete
     try:
-        delimiter, width, texts, why = _delimiter(path, tail)
+        delimiter, width, texts, why = _delimiter(path, tail, marks)
         first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width, texts)), None)
         if first is None:
             raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
-        preamble = lines[max(0, first - _HEAD) : first]
-        head = [_split_heading(line, delimiter, width) for line in preamble if delimiter or not _states(line)]
+        above = lines[max(0, first - _HEAD) : first]
+        preamble = [line[:_LONGEST_LINE] for line in above]
+        split_above = [
+            _split_heading(line, delimiter, width)
+            for line, start in zip(above, preamble, strict=True)
+            if delimiter or not _states(start)
+        ]
+        head = [[cell[:_LONGEST_NAME] for cell in cells] for cells in split_above]
         rows = [
             cells
             for cells in (
@@ -250,14 +267,16 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None) -> Dialect:
     return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, reasons)
 
 
-def _delimiter(path: Path, tail: Sequence[str]) -> tuple[str | None, int, frozenset[int], str]:
+def _delimiter(
+    path: Path, tail: Sequence[str], marks: Sequence[str | None]
+) -> tuple[str | None, int, frozenset[int], str]:
     """Choose the mark by which most rows have one number of cells, all of them data; the widest of those.
 
     Also the columns of words, as of a state: where no mark makes all cells data, that by which most columns are.
     """
     cuts = [
         (mark, [split(line, mark) for line in tail])
-        for mark in ("\t", ";", "|", ",", None)
+        for mark in marks
         if mark is None or any(mark in line for line in tail)
     ]
     best: tuple[float, int, str | None] = (0.0, 0, None)

@@ -18,7 +18,7 @@ from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError
 from monitor.runs.readers import delimited, hdf5, mat, npz, peer, seismic, spreadsheet, tdms, uff, xsens_dot
 from monitor.runs.readers.base import LINE_BYTES, File, Limits, Options, Reader, read_bytes
-from monitor.runs.readers.table import Table
+from monitor.runs.readers.table import Table, without_fillers
 
 _PIECE_BYTES = 1 << 20
 """Length of the pieces in which an archive is unpacked and counted. [bytes; cost]"""
@@ -153,7 +153,7 @@ def read(file: File) -> list[Table]:
     """Convert a file of any format to tables; raise BadInputError if it is damaged or of none that is known."""
     others = [entry.load()() for entry in entry_points(group="shm_monitor.readers")]
     reader = next((one for one in (*others, *READERS) if one.is_mine(file)), _LAST)
-    tables = reader.read(file)
+    tables = [without_fillers(table, file.on_warning) for table in reader.read(file)]
     for table in tables:
         if len(table.values) < 2:
             raise BadInputError(f"{table.path}: {len(table.values)} samples are too few")

@@ -23,7 +23,7 @@ from monitor.runs.readers.arrays import AnyArray
 
 _TOLD = "/told of the arrays"
 """Name of what the process tells besides the arrays; no array's name begins with a slash."""
-LEAST_S, _BYTES_PER_S = 120.0, 1e6
+LEAST_S, _BYTES_PER_S = 30.0, 1e6
 """Longest time of reading, and bytes of the file for each second more. [s, bytes; judgement]"""
 _PROGRAM_BYTES = 4 << 30
 """Addresses of the process besides the arrays. [bytes; measured: libraries take some 2 GB]"""

@@ -66,6 +66,14 @@ def looks_dated(cell: str) -> bool:
     return any(pattern.fullmatch(cell) for pattern in (DATED, DATE, CLOCK))
 
 
+def is_time(cell: str) -> bool:
+    """Test whether a cell is a date, a time of day, or both, and a date that there is."""
+    try:
+        return looks_dated(cell) and parse([cell]).t_ns.size == 1
+    except ValueError:
+        return False
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Stamps:
     """Times of the rows of a table."""

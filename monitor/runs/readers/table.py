@@ -26,6 +26,12 @@ KNOWN_UNITS = {
 """Quantity -> units that a message names."""
 _SAME = 1e-3
 """Distance, relative to its largest reading, within which a column is the magnitude of others. [1; rounding: four digits]"""
+_FILLERS = (-7999.0, -9999.0, -99999.0, 9999.0, 99999.0, -6999.0, 7999.0)
+"""Numbers that loggers write for a missing reading. [numbers; Campbell: 7999 and -7999, others by convention]"""
+_ABSURD = 1e30
+"""Reading from which a number stands for none. [any unit; as floating point's largest]"""
+_APART = 10.0
+"""Ratio to all other readings from which such a number is none of them. [1; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -153,6 +159,27 @@ def meant_instead(name: str, known: Iterable[str]) -> str:
     """
     near = get_close_matches(name, list(known), 1)
     return f", did you mean {near[0]!r}?" if near else ""
+
+
+def without_fillers(table: Table, on_warning: OnWarning) -> Table:
+    """Replace numbers that stand for no reading by NaN, and tell it."""
+    values = table.values if table.values.flags.writeable else table.values.copy()
+    for name, column in zip(table.columns, values.T, strict=True):
+        absurd = np.abs(column) >= _ABSURD
+        if absurd.any():
+            on_warning(
+                f"{table.path}: {name}: {np.count_nonzero(absurd)} readings are missing: {column[absurd][0]:g} stands for them"
+            )
+            column[absurd] = np.nan
+        for filler in _FILLERS:
+            held = column == filler
+            rest = np.abs(column[~held & np.isfinite(column)])
+            if held.any() and rest.size and rest.max() * _APART < abs(filler):
+                on_warning(
+                    f"{table.path}: {name}: {np.count_nonzero(held)} readings are missing: {filler:g} stands for them"
+                )
+                column[held] = np.nan
+    return replace(table, values=values)
 
 
 def in_order(table: Table, on_warning: OnWarning) -> Table:

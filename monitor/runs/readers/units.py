@@ -136,6 +136,8 @@ _BEHIND = re.compile(r"(.+?)(?:[\s_/:.,-]+(?:in[\s_]+)?|\s*[\[({])([^\[\](){}]+?
 _BRACKETS = re.compile(r"(.*?)\s*[\[({]([^\[\](){}]*)[\])}]\s*(.*)")
 _ALONE = frozenset({"c", "k", "h", "n", "m", "v", "a", "in", "min", "s"})
 """Units that a name may end with by chance."""
+_LONGEST = 40
+"""Longest unit that a name may end with. [characters; judgement: "metres per second squared" has 25]"""
 
 
 def split_name(heading: str) -> tuple[str, str, bool]:
@@ -159,6 +161,8 @@ def split_name(heading: str) -> tuple[str, str, bool]:
     # The longest end that is a unit: "a m s-2" ends with "m s-2", not with "s-2".
     for match in re.finditer(r"[\s_/:.,-]+(?:in[\s_]+)?", heading):
         end = heading[match.end() :]
+        if len(end) > _LONGEST:
+            continue
         unit = unit_of(end) or unit_of(end.replace("_", "/"))
         if match.start() and unit is not None:
             by_chance = unit.quantity not in (ACCELERATION, ROTATION, TIME) and end.casefold() in _ALONE
