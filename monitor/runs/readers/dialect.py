@@ -52,7 +52,7 @@ MISSING = frozenset(
     }
 )
 """Words for a reading that is missing, in lower case, without spaces. [words; conventions of loggers and spreadsheets]"""
-_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eEdD][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?(\d+(?:[.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([,.' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 """A number whose digits are set off in groups of three. [pattern]"""
 _TIME_NAME = re.compile(
