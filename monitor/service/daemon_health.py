@@ -134,6 +134,8 @@ class Vitals:
         """Describe the source: what its driver counts, since when it is away, when it is tried again, and all that in words."""
         health = SourceHealth(False, {}) if reader is None else reader.source.health()
         ended = reader is not None and reader.ended
+        lost = 0 if reader is None else reader.lost + health.counts.get("links_lost", 0)
+        is_starting = reader is None or not (reader.opened or lost or ended or health.connected)
         self._away_ns = None if health.connected or ended else self._away_ns or time.time_ns()
         source = {
             "connected": health.connected,
@@ -141,13 +143,13 @@ class Vitals:
             "trouble": health.trouble or self._recent.latest,
             "counts": dict(health.counts),
             "clocks": health.clocks,
-            "lost": 0 if reader is None else reader.lost + health.counts.get("links_lost", 0),
-            "error": _STARTING if reader is None else reader.error,
+            "lost": lost,
+            "error": _STARTING if reader is None or is_starting else reader.error,
             "ended": ended,
             "away_since_ns": self._away_ns,
             "next_try_s": None if reader is None else reader.next_try_s,
         }
-        return {**source, "says": _STARTING if reader is None else source_words(source)}
+        return {**source, "says": _STARTING if is_starting else source_words(source)}
 
 
 def source_words(source: Mapping[str, Any]) -> str:

@@ -278,7 +278,7 @@ def _warm_up(warm: Callable[[], object], health: HealthLines) -> None:
     worker.put(warm)
     is_warm = False
     while not is_warm:
-        is_warm = worker.settle(health.quiet_s)
+        is_warm = worker.settle(max(health.quiet_s, _LEAN_POLL_S))  # not at once: it would take the compiler's time
         health.tell_start()
     worker.ask_to_end()
     if worker.failed is not None:

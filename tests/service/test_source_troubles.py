@@ -108,6 +108,11 @@ def test_a_source_that_is_lost_is_told_everywhere_with_its_reason_since_when_and
     assert f"source    {says}; " in tell(found)
 
 
+def test_a_source_that_is_being_opened_for_the_first_time_is_not_called_lost(tmp_path: Path) -> None:
+    line = Vitals(tmp_path).line(None, Reader(Fixed(SourceHealth(False, {}))), None, ())
+    assert line["source"]["says"] == line["source"]["error"] == "the monitor is starting"
+
+
 def test_blocks_that_are_refused_stand_beside_what_is_blocked(tmp_path: Path) -> None:
     vitals = Vitals(tmp_path)
     vitals.refuse("channels b1 are none of the structure's")
