@@ -187,35 +187,22 @@ def in_order(table: Table, on_warning: OnWarning) -> Table:
 
     Of readings that differ at one time, as of records that overlap, those that stand first in the file are kept.
     """
-    if table.time_ns is None:
+    if table.time_ns is None or (np.diff(table.time_ns) > 0).all():
         return table
     backwards = bool((np.diff(table.time_ns) < 0).any())
     order = np.argsort(table.time_ns, kind="stable")
-    t_ns, values = table.time_ns[order], table.values[order]
-    same_time = np.diff(t_ns) == 0
-    same = (
-        same_time & np.array_equal(values[1:], values[:-1], equal_nan=True)
-        if len(values) < 2
-        else (same_time & ((values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))).all(axis=1))
-    )
-    left_out = same if backwards or not (same_time & ~same).any() else np.zeros_like(same)
-    if backwards:
-        differ = same_time & ~same
-        if differ.any():
-            on_warning(
-                f"{table.path}: records overlap: {np.count_nonzero(differ)} samples stand twice with other readings; "
-                "those that stand first are kept"
-            )
-        left_out = left_out | differ
-        if not same.any() and not differ.any():
-            on_warning(f"{table.path}: its rows are not in the order of their times, and are put into it")
-    if count := int(np.count_nonzero(same & left_out)):
-        on_warning(f"{table.path}: {count} rows stand twice and are counted once")
-    if not backwards and not left_out.any():
-        return table
-    keep = order[np.concatenate(([True], ~left_out))]
-    first_ns = int(table.time_ns[0])
-    sorted_table = table.rows(keep)
-    if table.start_ns is None:
-        return sorted_table
-    return replace(sorted_table, start_ns=table.start_ns + int(table.time_ns[keep[0]]) - first_ns)
+    same_time = np.diff(table.time_ns[order]) == 0
+    before, after = table.values[order[:-1][same_time]], table.values[order[1:][same_time]]
+    same = ((after == before) | (np.isnan(after) & np.isnan(before))).all(axis=1)
+    twice, differ = np.count_nonzero(same), np.count_nonzero(~same)
+    if differ and not backwards:
+        return table  # as of stamps that are cut
+    if differ:
+        on_warning(
+            f"{table.path}: records overlap: {differ} samples stand twice with other readings; those that stand first are kept"
+        )
+    elif not twice:
+        on_warning(f"{table.path}: its rows are not in the order of their times, and are put into it")
+    if twice:
+        on_warning(f"{table.path}: {twice} rows stand twice and are counted once")
+    return table.rows(order[np.concatenate(([True], ~same_time))])
