@@ -496,6 +496,7 @@ def odd_tables() -> Iterator[LoggerFile]:
     yield behind(since_1904, "Time", "since_1904.csv", start_ns=START_NS, says="since 1904")
     beside = [f"{int(START.timestamp()) + k // 100},{k % 100 * 10_000}" for k in range(N)]
     yield behind(beside, "unix time,usec", "unix_and_usec.csv", start_ns=START_NS)
+    yield one("note_beyond.csv", ",,,,exported by hand\n" + names + plain)
     # These were read right before.
     yield one(
         "time_within.csv",

@@ -49,6 +49,7 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
         ("t,a1 [V],a2 [V]\n" + "".join(f"{k / 100},{k % 7},{k % 5}\n" for k in range(50)), "has unit 'V'.*--unit"),
         ("t [parsec],a1\n0.00,1\n0.01,2\n0.02,3\n", "unknown unit 'parsec'"),
         ("a,b\nx,y\nu,v\n", "no rows of numbers"),
+        (",,,\n;;\n", "no rows of numbers"),
         ("Date,a1 [g]\n31/31/2026 10:00:00,1\n31/31/2026 10:00:01,2\n31/31/2026 10:00:02,3\n", "is no date"),
         (lvm("One", 3), "line 218: .*it holds several records; cut it"),
         (
@@ -74,6 +75,7 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
         "volts",
         "tick",
         "words",
+        "marks alone",
         "date",
         "segments",
         "headings",

@@ -210,6 +210,8 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None, marks: Sequ
     """
     tail = [line for line in lines[-_TAIL - 1 :] if line.strip(" \t,;|")]
     tail = tail[:-1] if len(tail) > _FEW else tail  # the last line may be incomplete
+    if not tail:
+        raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
     try:
         delimiter, width, texts, why = _delimiter(path, tail, marks)
         first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width, texts)), None)
@@ -380,12 +382,11 @@ def _headings(
     path: Path, head: Sequence[Sequence[str]], width: int, rows: Sequence[Sequence[str]]
 ) -> tuple[list[str], list[str], float | None, str]:
     """Find names, units and rate among the rows above the readings: what each row is shows by its cells."""
-    near = [[*cells] for cells in head[-8:] if sum(bool(cell) for cell in cells) > 0]
+    near = [cells for cells in (_fitted([*cells], width) for cells in head[-8:]) if any(cells)]
     names: list[str] = []
     units = [""] * width
     rate: float | None = None
     for cells in reversed(near):
-        cells = _fitted(cells, width)
         if len(cells) != width:
             _demand_fit(path, cells, width, near)
             if names:
@@ -459,7 +460,7 @@ def _fitted(cells: list[str], width: int) -> list[str]:
 def _demand_fit(path: Path, cells: list[str], width: int, near: Sequence[Sequence[str]]) -> None:
     """Refuse headings with units of acceleration that stand next to the rows and cannot be those of the columns."""
     known = [unit_of(split_name(cell)[1]) for cell in cells]
-    if list(near[-1]) == cells and sum(unit is not None and unit.quantity == ACCELERATION for unit in known) > 1:
+    if cells is near[-1] and sum(unit is not None and unit.quantity == ACCELERATION for unit in known) > 1:
         raise BadInputError(
             f"{path}: {len(cells)} headings stand above {width} columns, so that no unit belongs to one for sure; mend the "
             "line of headings"
