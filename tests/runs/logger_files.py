@@ -497,6 +497,7 @@ def odd_tables() -> Iterator[LoggerFile]:
     beside = [f"{int(START.timestamp()) + k // 100},{k % 100 * 10_000}" for k in range(N)]
     yield behind(beside, "unix time,usec", "unix_and_usec.csv", start_ns=START_NS)
     yield one("note_beyond.csv", ",,,,exported by hand\n" + names + plain)
+    yield behind([f"{k / 8.64e6:.12f}" for k in range(N)], "time_days", "days_by_name.csv")
     # These were read right before.
     yield one(
         "time_within.csv",

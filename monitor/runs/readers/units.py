@@ -56,7 +56,7 @@ _FIXED = MappingProxyType(
         "min": Unit("min", TIME, 60.0),
         "h": Unit("h", TIME, 3600.0),
         "hours": Unit("h", TIME, 3600.0),
-        "days": Unit("d", TIME, 86400.0),
+        "days": Unit("days", TIME, 86400.0),
         "degc": Unit("degC", "temperature", 1.0),
         "celsius": Unit("degC", "temperature", 1.0),
         "c": Unit("degC", "temperature", 1.0),
