@@ -13,44 +13,13 @@ from pathlib import Path
 
 from monitor.core import BadInputError
 from monitor.runs.readers.stamps import CLOCK, DATE, DATED, looks_dated
-from monitor.runs.readers.units import ACCELERATION, TIME, Unit, split_name, unit_of, units_in_names
+from monitor.runs.readers.units import ACCELERATION, TIME, Unit, split_name, split_names, unit_of
 
-MISSING = frozenset(
-    {
-        *(
-            "nan",
-            "na",
-            "n/a",
-            "#n/a",
-            "#na",
-            "null",
-            "none",
-            "nil",
-            "missing",
-            "invalid",
-            "nodata",
-            "no-data",
-            "?",
-            "*",
-        ),
-        *("-", "--", "---", "----", "error", "#value!", "#num!", "#div/0!", "1.#qnan", "-1.#ind", "1.#ind"),
-        *(
-            "ol",
-            "over",
-            "overrange",
-            "underrange",
-            "overload",
-            "overflow",
-            "inf",
-            "+inf",
-            "-inf",
-            "∞",
-            "-∞",
-            "1.#inf",
-            "-1.#inf",
-        ),
-    }
-)
+_MISSING = frozenset({
+    "nan", "na", "n/a", "#n/a", "#na", "null", "none", "nil", "missing", "invalid", "nodata", "no-data", "?", "*",
+    "-", "--", "---", "----", "error", "#value!", "#num!", "#div/0!", "1.#qnan", "-1.#ind", "1.#ind",
+    "ol", "over", "overrange", "underrange", "overload", "overflow", "inf", "+inf", "-inf", "∞", "-∞", "1.#inf", "-1.#inf",
+})  # fmt: skip
 """Words for a reading that is missing, in lower case, without spaces. [words; conventions of loggers and spreadsheets]"""
 _NUMBER = re.compile(r"[+-]?(\d+(?:[.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([,.' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
@@ -66,18 +35,16 @@ _COUNTER_NAME = re.compile(
     re.IGNORECASE,
 )
 _FRACTION_NAME = re.compile(r"(ms|msec|millis|milliseconds?|millisecond|micros|us|usec)", re.IGNORECASE)
-_MAGNITUDE_NAME = re.compile(
-    r".*(mag|magnitude|abs|absolute|total|resultant|norm|\|a\||vector|vsum|rms).*", re.IGNORECASE
-)
 _RATE_CELL = re.compile(r"(?:sr|rate|fs)?\s*[=:]?\s*([\d.]+)\s*(k?hz)", re.IGNORECASE)
+_RATE_UNIT, _STEP_UNIT = r"k?hz|k?sps|ks/s", r"s|sec|seconds|ms|msec|us"
 _RATE_LINE = re.compile(
-    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps|samples?(?:/|\s+per\s+)s\w*)\b[^\d]{0,24}?(?:\(?\s*(k?hz|k?sps|ks/s|samples/s\w*)\s*\)?)?"
-    r"[\s:=,;\t\"]+([\d.,]+)\s*(k?hz|k?sps|ks/s)?",
+    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps|samples?(?:/|\s+per\s+)s\w*)\b[^\d]{0,24}?"
+    rf"(?:\(?\s*({_RATE_UNIT}|samples/s\w*)\s*\)?)?[\s:=,;\t\"]+([\d.,]+)\s*({_RATE_UNIT})?",
     re.IGNORECASE,
 )
 _STEP_LINE = re.compile(
     r"(?:sampl\w*[\s_]*(?:interval|period|time|step)|time[\s_]*(?:step|interval)|interval|delta[\s_]?[xt]|dt|period)\b"
-    r"\s*[\[(]?\s*(s|sec|seconds|ms|msec|us)?\s*[\])]?[\s:=,;\t\"]+([\d.,eE+-]+)\s*(s|sec|seconds|ms|msec|us)?\b",
+    rf"\s*[\[(]?\s*({_STEP_UNIT})?\s*[\])]?[\s:=,;\t\"]+([\d.,eE+-]+)\s*({_STEP_UNIT})?\b",
     re.IGNORECASE,
 )
 _START_LINE = re.compile(
@@ -194,8 +161,8 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 
 def is_missing(cell: str) -> bool:
-    """Test whether a cell is empty or a word for a missing reading."""
-    return not cell.strip("*-#?") or cell.casefold().replace(" ", "") in MISSING
+    """Test whether a cell is empty, of marks alone, or a word for a missing reading."""
+    return not cell.strip("*-#?") or cell.casefold().replace(" ", "") in _MISSING
 
 
 def is_number(cell: str) -> bool:
@@ -218,55 +185,64 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None, marks: Sequ
         if first is None:
             raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
         above = lines[max(0, first - _HEAD) : first]
-        preamble = [line[:_LONGEST_LINE] for line in above]
-        split_above = [
-            _split_heading(line, delimiter, width)
-            for line, start in zip(above, preamble, strict=True)
-            if delimiter or not _states(start)
-        ]
-        head = [[cell[:_LONGEST_NAME] for cell in cells] for cells in split_above]
-        rows = [
-            cells
-            for cells in (
-                split(line, delimiter)
-                for line in [*lines[first : first + _TAIL], *lines[max(first, len(lines) - _TAIL) :]]
-            )
-            if len(cells) >= width
-        ]
+        head = _cells_above(above, delimiter, width)
+        both_ends = [*lines[first : first + _TAIL], *lines[max(first, len(lines) - _TAIL) :]]
+        rows = [cells for cells in (split(line, delimiter) for line in both_ends) if len(cells) >= width]
     except csv.Error as error:
         raise BadInputError(f"{path}: {error}") from error
-    if (
-        all(len(cells) > width or not cells[width - 1] for cells in rows)
-        and width > 1
-        and not any(c[width - 1] for c in rows)
-        and not any(len(cells) == width and cells[-1] for cells in head[-1:])
-    ):
-        width -= 1  # rows end with a delimiter
+    if _ends_with_mark(rows, head, width):
+        width -= 1
     decimal, thousands, why_decimal = _marks(path, [cell for cells in rows for cell in cells[:width]], width, delimiter)
-    names, units, rate, used = _headings(path, head, width, rows)
+    preamble = [line[:_LONGEST_LINE] for line in above]
+    headings = _headings(path, head, width)
+    rate_hz, why_rate = headings.rate_hz, "a row of rates stands above the columns"
+    if rate_hz is None:
+        rate_hz, why_rate = _rate_above(preamble, decimal)
+    start_text, why_start = _start_above(preamble)
+    unit_text = _unit_in_column(headings.names, rows) or next(filter(None, map(_unit_stated, preamble)), "")
+    columns = _columns(headings, rows, unit_text, time)
     reasons = {
         "delimiter": why,
         "decimal": why_decimal,
         "first": f"the first line of {width} numbers, times or missing values",
+        "rate": why_rate,
+        "start": why_start,
     }
-    rate_hz = rate
-    if rate is not None:
-        reasons["rate"] = "a row of rates stands above the columns"
-    start_text = unit_text = day = clock = ""
-    # A rate of samples before any other, as of a sensor's own converter.
-    for line in sorted(preamble, key=lambda line: _OF_SAMPLES.search(line) is None):
-        if rate_hz is None and (found := _stated_rate(line, decimal)) is not None:
-            rate_hz, reasons["rate"] = found, f"stated: {line.strip()[:60]!r}"
-    for line in preamble:
-        if not start_text and (match := _START_LINE.search(line)) is not None:
-            start_text, reasons["start"] = match["stamp"].strip(), f"stated: {line.strip()[:60]!r}"
-        day = day or _value_of("date", DATE, line)
-        clock = clock or _value_of("time", CLOCK, line)
-        unit_text = unit_text or _unit_stated(line)
-    if not start_text and day and clock:
-        start_text, reasons["start"] = f"{day} {clock}", "date and time are stated above the table"
-    columns = _columns(names, units, rows, unit_text, used, time)
     return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, reasons)
+
+
+def _cells_above(above: Sequence[str], delimiter: str | None, width: int) -> list[list[str]]:
+    """Split the lines before the rows that may be headings: at white space, a statement would make some too."""
+    return [
+        [cell[:_LONGEST_NAME] for cell in _split_heading(line, delimiter, width)]
+        for line in above
+        if delimiter or not _states(line[:_LONGEST_LINE])
+    ]
+
+
+def _ends_with_mark(rows: Sequence[Sequence[str]], head: Sequence[Sequence[str]], width: int) -> bool:
+    """Test whether rows end with a delimiter: behind it nothing ever stands, and no heading."""
+    named = any(len(cells) == width and cells[-1] for cells in head[-1:])
+    return width > 1 and not named and not any(cells[width - 1] for cells in rows)
+
+
+def _rate_above(preamble: Sequence[str], decimal: str) -> tuple[float | None, str]:
+    """Return the rate, Hz, that a line before the rows states, and the reason; that of samples before any other."""
+    # A sensor's own converter may have another one.
+    for line in sorted(preamble, key=lambda line: _OF_SAMPLES.search(line) is None):
+        if (rate := _stated_rate(line, decimal)) is not None:
+            return rate, f"stated: {line.strip()[:60]!r}"
+    return None, ""
+
+
+def _start_above(preamble: Sequence[str]) -> tuple[str, str]:
+    """Return the time of the first sample that lines before the rows state, as written, and the reason; else empty texts."""
+    for line in preamble:
+        if (match := _START_LINE.search(line)) is not None:
+            return match["stamp"].strip(), f"stated: {line.strip()[:60]!r}"
+    day = next(filter(None, (_value_of("date", DATE, line) for line in preamble)), "")
+    clock = next(filter(None, (_value_of("time", CLOCK, line) for line in preamble)), "")
+    return (f"{day} {clock}", "date and time are stated above the table") if day and clock else ("", "")
 
 
 def _delimiter(
@@ -347,6 +323,11 @@ def _demand_groups(path: Path, cells: Sequence[str], width: int) -> None:
             )
 
 
+def _is_grouped(cell: str) -> bool:
+    """Test whether a number may be one whose digits are set off in groups of three."""
+    return _GROUPED.fullmatch(cell) is not None and not cell.lstrip("+-").startswith("0")
+
+
 def _marks(path: Path, cells: Sequence[str], width: int, delimiter: str | None) -> tuple[str, str, str]:
     """Return decimal mark and mark of groups of three digits, once for the whole table, and the reason."""
     if delimiter == "," and not any("," in cell for cell in cells):
@@ -366,21 +347,30 @@ def _marks(path: Path, cells: Sequence[str], width: int, delimiter: str | None) 
     if any(cell.count(",") > 1 for cell in commas):
         return ".", ",", f"as in {next(c for c in commas if c.count(',') > 1)!r}"
     points = [cell for cell in numbers if "." in cell]
-    if points and all(_GROUPED.fullmatch(cell) and not cell.lstrip("+-").startswith("0") for cell in points):
+    if points and all(map(_is_grouped, points)):
         _demand_groups(path, cells, width)
         return ",", ".", f"{commas[0]!r} beside {points[0]!r}: points set off thousands"
-    grouped = all(_GROUPED.fullmatch(cell) for cell in commas)
     # Decimals fixed at three would leave no number without a comma; groups leave those below 1000 without one.
     bare = [cell for cell in numbers if "," not in cell and "." not in cell]
-    small = any(abs(value) >= 100.0 for value in _floats(bare))
-    if grouped and small and not any(cell.lstrip("+-").startswith("0") for cell in commas):
+    if all(map(_is_grouped, commas)) and any(abs(value) >= 100.0 for value in _floats(bare)):
         return ".", ",", f"{commas[0]!r} beside {bare[0]!r}: commas set off thousands"
     return ",", "", f"as in {commas[0]!r}"
 
 
-def _headings(
-    path: Path, head: Sequence[Sequence[str]], width: int, rows: Sequence[Sequence[str]]
-) -> tuple[list[str], list[str], float | None, str]:
+@dataclass(frozen=True, slots=True)
+class _Headings:
+    """What the rows of cells above the readings say of the columns."""
+
+    names: list[str]
+    units: list[str]
+    """Of each column, that of a row of units; empty where there is none."""
+    rate_hz: float | None
+    """That of a row of rates."""
+    are_given: bool
+    """Whether there is a row of names."""
+
+
+def _headings(path: Path, head: Sequence[Sequence[str]], width: int) -> _Headings:
     """Find names, units and rate among the rows above the readings: what each row is shows by its cells."""
     near = [cells for cells in (_fitted([*cells], width) for cells in head[-8:]) if any(cells)]
     names: list[str] = []
@@ -393,32 +383,25 @@ def _headings(
                 break
             continue
         filled = [cell for cell in cells if cell]
-        rates = [match for cell in filled if (match := _RATE_CELL.fullmatch(cell)) is not None]
-        if len(rates) == len(filled):
-            value = float(rates[0][1]) * (1e3 if rates[0][2].casefold() == "khz" else 1.0)
-            rate = value
-        elif 2 * sum(unit_of(cell) is not None for cell in filled) > len(filled) and not _are_names(filled, units):
+        if (found := _rate_of(filled)) is not None:
+            rate = found
+        elif _are_units(filled) and not any(units) and (names or not _are_components(filled)):
             units = [cell.strip("[](){} ") for cell in _unlabelled(cells)]
         elif all(cell.casefold() in _PROCESSING for cell in filled):
             continue
-        elif sum(is_number(cell) for cell in filled) * 2 > len(filled) and len(near) > 1:
+        elif sum(map(is_number, filled)) * 2 > len(filled) and len(near) > 1:
             continue  # numbers of channels or of sensors
         elif not names:
             names = _unlabelled(cells)
             _demand_names(path, names)
             if any(units):
                 break
-        elif not any(units) and 2 * sum(unit_of(cell) is not None for cell in filled) > len(filled):
-            units = cells
         else:
             break
-    short = bool(names) and names[-1] == "" and not any(unit_of(n) for n in names)
-    return (
-        _placed(names, width, rows) if short else (names or [f"column{at + 1}" for at in range(width)]),
-        units,
-        rate,
-        ("named in the heading" if names else "no heading"),
-    )
+    if not names:
+        return _Headings([f"column{at + 1}" for at in range(width)], units, rate, False)
+    is_short = names[-1] == "" and not any(map(unit_of, names))
+    return _Headings(_placed(names, width) if is_short else names, units, rate, True)
 
 
 _LABELS = frozenset({"unit", "units", "einheit", "einheiten", "name", "channel", "channels", "kanal"})
@@ -430,13 +413,31 @@ def _unlabelled(cells: list[str]) -> list[str]:
     return ["" if cells[0].casefold().rstrip(":") in _LABELS else cells[0], *cells[1:]]
 
 
-_PROCESSING = frozenset({"smp", "avg", "max", "min", "std", "tot", "sample", "raw", ""})
+_PROCESSING = frozenset({"smp", "avg", "max", "min", "std", "tot", "sample", "raw"})
 """Words of the rows in which loggers state the processing. [words; Campbell TOA5]"""
 
 
-def _are_names(cells: Sequence[str], units: Sequence[str]) -> bool:
+def _rate_of(cells: Sequence[str]) -> float | None:
+    """Return the rate, Hz, that a row of rates states, by its first cell; None where the row is another one."""
+    rates = [_RATE_CELL.fullmatch(cell) for cell in cells]
+    if (first := rates[0]) is None or None in rates:
+        return None
+    return float(first[1]) * (1e3 if first[2].casefold() == "khz" else 1.0)
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Test whether most cells are units."""
+    return 2 * sum(unit_of(cell) is not None for cell in cells) > len(cells)
+
+
+def _are_components(cells: Sequence[str]) -> bool:
     """Test whether cells that could be units are names: components, as E, N, Z."""
-    return (len(set(cells)) == len(cells) and all(len(cell) == 1 and cell.isupper() for cell in cells)) or any(units)
+    return len(set(cells)) == len(cells) and all(len(cell) == 1 and cell.isupper() for cell in cells)
+
+
+def _is_time_name(heading: str) -> bool:
+    """Test whether a heading, without a unit in brackets, is a name of times."""
+    return _TIME_NAME.fullmatch(split_name(heading).name) is not None
 
 
 def _split_heading(line: str, delimiter: str | None, width: int) -> list[str]:
@@ -452,14 +453,14 @@ def _split_heading(line: str, delimiter: str | None, width: int) -> list[str]:
 def _fitted(cells: list[str], width: int) -> list[str]:
     """Fit headings of which there is one too many or too few to the columns: a word before the name of the time is none."""
     if len(cells) == width + 1:
-        named = [_TIME_NAME.fullmatch(split_name(cell)[0]) is not None for cell in cells[:2]]
+        named = [_is_time_name(cell) for cell in cells[:2]]
         return cells[1:] if named == [False, True] and not _COUNTER_NAME.fullmatch(cells[0]) else cells[:width]
     return [*cells, ""] if len(cells) == width - 1 else cells
 
 
 def _demand_fit(path: Path, cells: list[str], width: int, near: Sequence[Sequence[str]]) -> None:
     """Refuse headings with units of acceleration that stand next to the rows and cannot be those of the columns."""
-    known = [unit_of(split_name(cell)[1]) for cell in cells]
+    known = [unit_of(split_name(cell).unit) for cell in cells]
     if cells is near[-1] and sum(unit is not None and unit.quantity == ACCELERATION for unit in known) > 1:
         raise BadInputError(
             f"{path}: {len(cells)} headings stand above {width} columns, so that no unit belongs to one for sure; mend the "
@@ -482,15 +483,15 @@ def _unit_stated(line: str) -> str:
 
 def _demand_names(path: Path, names: Sequence[str]) -> None:
     """Refuse a row of numbers and words as headings: it is a damaged row of readings, unless it begins with a time's name."""
-    if any(map(is_number, names)) and not any(_TIME_NAME.fullmatch(split_name(name)[0]) for name in names):
+    if any(map(is_number, names)) and not any(map(_is_time_name, names)):
         bad = next((name for name in names if name and not is_number(name)), names[0])
         raise BadInputError(f"{path}: {bad[:40]!r} is no number, in the row above the first one of numbers alone")
 
 
-def _placed(names: list[str], width: int, rows: Sequence[Sequence[str]]) -> list[str]:
-    """Place headings, of which there is one too few: the column without one is the first, where that counts or is a time."""
+def _placed(names: list[str], width: int) -> list[str]:
+    """Place headings, of which there is one too few: the column without one is the first, unless the first one is a time's."""
     given = names[:-1]
-    if any(_TIME_NAME.fullmatch(split_name(name)[0]) for name in given[:1]):
+    if any(map(_is_time_name, given[:1])):
         return [*given, f"column{width}"]
     return ["", *given]
 
@@ -530,90 +531,88 @@ def _plain(text: str, decimal: str) -> float | None:
     return value if value > 0.0 else None
 
 
-def _columns(
-    names: Sequence[str],
-    units: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    stated: str,
-    used: str,
-    time: str | None,
-) -> tuple[Column, ...]:
-    """Say what each column holds."""
-    behind = units_in_names(names)
+def _unit_in_column(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return the unit that a column of units states; empty without such a column."""
+    stated = ""
     for at, name in enumerate(names):
-        if name.casefold() in ("unit", "units") and len(words := {row[at] for row in rows if len(row) > at}) == 1:
-            stated = next((word for word in words if unit_of(word)), stated)
-    cut = [split_name(name) for name in names]
+        if name.casefold() in ("unit", "units") and len(words := {row[at] for row in rows}) == 1:
+            stated = next(filter(unit_of, words), stated)
+    return stated
+
+
+def _columns(headings: _Headings, rows: Sequence[Sequence[str]], stated: str, time: str | None) -> tuple[Column, ...]:
+    """Say what each column holds; `stated` is the unit of readings whose headings state none, `time` the name of the times."""
     found: list[Column] = []
-    for at, name in enumerate(names):
-        bare, unit_text, by_name = cut[at]
-        unit_text = units[at] or (behind[at] if by_name else unit_text)
-        by_name = by_name and bool(behind[at]) and not units[at]
-        bare = name.strip() if cut[at][2] else bare
-        unit = unit_of(unit_text) if unit_text else None
-        cells = [row[at] for row in rows if len(row) > at]
-        if not unit_text and (alone := unit_of(bare)) is not None and alone.quantity == TIME and len(bare) > 1:
-            unit_text, unit = bare, alone
-        role, why = _role(bare, unit, cells, at, found, used, named=None if time is None else time in (name, bare))
+    split_headings = zip(headings.names, split_names(headings.names), headings.units, strict=True)
+    for at, (heading, (name, unit_text, by_name), unit_of_row) in enumerate(split_headings):
+        if unit_of_row:
+            unit_text, by_name = unit_of_row, False
+        unit = unit_of(unit_text)
+        if not unit_text and (alone := unit_of(name)) is not None and alone.quantity == TIME and len(name) > 1:
+            unit_text, unit = name, alone
+        cells = [row[at] for row in rows if not is_missing(row[at])]
+        is_named = None if time is None else time in (heading, name)
+        role, why = _role(name, unit, cells, found, headings.are_given, is_named)
         if role is Role.READING and not unit_text and stated:
             unit_text, unit, why = stated, unit_of(stated), f"{why}; its unit stands above the table"
-        found.append(
-            Column(
-                bare or f"column{at + 1}",
-                role,
-                unit,
-                unit_text if unit or units[at] or not by_name else "",
-                by_name,
-                why,
-            )
-        )
+        found.append(Column(name or f"column{at + 1}", role, unit, unit_text, by_name, why))
     return tuple(found)
 
 
 def _role(
-    name: str, unit: Unit | None, cells: Sequence[str], at: int, before: Sequence[Column], used: str, named: bool | None
+    name: str,
+    unit: Unit | None,
+    cells: Sequence[str],
+    before: Sequence[Column],
+    has_heading: bool,
+    is_named: bool | None,
 ) -> tuple[Role, str]:
-    """Say what a column holds, by its cells first and by its name then."""
-    filled = [cell for cell in cells if not is_missing(cell)]
-    whole = filled and sum(map(bool, map(DATED.fullmatch, filled))) >= _SHARE * len(filled)
-    if whole:
-        return Role.STAMP, f"dates and times, as {filled[0]!r}"
-    if filled and all(map(DATE.fullmatch, filled)):
-        return Role.DATE, f"dates, as {filled[0]!r}"
-    if filled and all(map(CLOCK.fullmatch, filled)):
-        return Role.CLOCK, f"times of day, as {filled[0]!r}"
-    if not any(map(is_number, filled)):
-        return Role.TEXT, f"no numbers, as {filled[0]!r}" if filled else "empty"
-    has_time = any(column.role in (Role.STAMP, Role.CLOCK, Role.TIME) for column in before)
-    if named:
+    """Say what a column holds, by its cells first and by its name then, and why.
+
+    `cells` are those that are not missing, `before` the columns on its left; `is_named` says whether the caller names it as the
+    times, None where the caller names none.
+    """
+    if (form := _form(cells)) is not None:
+        return form
+    if is_named:
         return Role.TIME, "named as the times"
-    integers = [int(cell) for cell in filled if re.fullmatch(r"[+-]?\d+", cell)]
-    counts = len(integers) == len(filled) > 2 and sum(b - a == 1 for a, b in pairwise(integers)) >= 0.8 * (
-        len(filled) - 2
-    )
-    if (
-        has_time
-        and _FRACTION_NAME.fullmatch(name)
-        and len(integers) == len(filled)
-        and max(integers, default=1000) < 1_000_000
-    ):
+    has_time = any(column.role in (Role.STAMP, Role.CLOCK, Role.TIME) for column in before)
+    integers = [int(cell) for cell in cells if re.fullmatch(r"[+-]?\d+", cell)]
+    are_whole = len(integers) == len(cells)
+    if has_time and _FRACTION_NAME.fullmatch(name) and are_whole and max(integers) < 1_000_000:
         return Role.FRACTION, "whole numbers below a second, named as a fraction, behind a time"
-    if (
-        named is None
-        and (not has_time or _rises(filled))
-        and (
-            _TIME_NAME.fullmatch(
-                re.sub(r"[\s_.-]+$", "", name.removesuffix(unit.symbol if unit and unit.quantity == TIME else "\0"))
-            )
-            or (unit is not None and unit.quantity == TIME)
-        )
-    ):
-        return Role.TIME, "named as a time" if unit is None or unit.quantity != TIME else f"in {unit.symbol}"
-    if counts and (_COUNTER_NAME.fullmatch(name) or (at == 0 and used == "no heading")):
+    if is_named is None and (why := _why_time(name, unit)) and (not has_time or _rises(cells)):
+        return Role.TIME, why
+    if are_whole and _counts_on(integers) and (_COUNTER_NAME.fullmatch(name) or (not before and not has_heading)):
         return Role.COUNTER, "whole numbers that count on"
-    if at == 0 and (used == "no heading" or not name) and _is_ramp(filled):
+    if not before and not (has_heading and name) and _is_ramp(cells):
         return Role.TIME, "rises by one step throughout"
     return Role.READING, "numbers"
+
+
+def _form(cells: Sequence[str]) -> tuple[Role, str] | None:
+    """Return what a column of cells that are not missing holds, where it is no numbers, and why; None for numbers."""
+    if not cells:
+        return Role.TEXT, "empty"
+    if sum(DATED.fullmatch(cell) is not None for cell in cells) >= _SHARE * len(cells):
+        return Role.STAMP, f"dates and times, as {cells[0]!r}"
+    if all(map(DATE.fullmatch, cells)):
+        return Role.DATE, f"dates, as {cells[0]!r}"
+    if all(map(CLOCK.fullmatch, cells)):
+        return Role.CLOCK, f"times of day, as {cells[0]!r}"
+    return None if any(map(is_number, cells)) else (Role.TEXT, f"no numbers, as {cells[0]!r}")
+
+
+def _why_time(name: str, unit: Unit | None) -> str:
+    """Return why numbers may be times, by their unit or their name; empty where neither says so."""
+    if unit is not None and unit.quantity == TIME:
+        return f"in {unit.symbol}"
+    return "named as a time" if _TIME_NAME.fullmatch(re.sub(r"[\s_.-]+$", "", name)) else ""
+
+
+def _counts_on(numbers: Sequence[int]) -> bool:
+    """Test whether whole numbers go up by one, but for a few of them."""
+    return len(numbers) > 2 and sum(b - a == 1 for a, b in pairwise(numbers)) >= 0.8 * (len(numbers) - 2)
 
 
 def _floats(cells: Sequence[str]) -> list[float]:

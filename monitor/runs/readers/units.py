@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import radians
 from types import MappingProxyType
+from typing import NamedTuple
 
 G_M_S2 = 9.80665
 """Standard gravity. [m/s^2; definition]"""
@@ -131,8 +132,6 @@ def unit_of(text: str) -> Unit | None:
     return Unit(text.strip(), _OTHERS[tight], 1.0) if tight in _OTHERS else None
 
 
-_BEHIND = re.compile(r"(.+?)(?:[\s_/:.,-]+(?:in[\s_]+)?|\s*[\[({])([^\[\](){}]+?)[\])}]?\s*")
-"""A name, and what may be a unit behind it. [pattern]"""
 _BRACKETS = re.compile(r"(.*?)\s*[\[({]([^\[\](){}]*)[\])}]\s*(.*)")
 _ALONE = frozenset({"c", "k", "h", "n", "m", "v", "a", "in", "min", "s"})
 """Units that a name may end with by chance."""
@@ -140,15 +139,23 @@ _LONGEST = 40
 """Longest unit that a name may end with. [characters; judgement: "metres per second squared" has 25]"""
 
 
-def split_name(heading: str) -> tuple[str, str, bool]:
-    """Split a heading into name and unit; the last says that the unit is part of the name and not in brackets.
+class Heading(NamedTuple):
+    """Heading of a column, split."""
 
-    A unit is empty where the heading states none.
+    name: str
+    unit: str
+    """As it is written or meant; empty where the heading states none."""
+    is_by_name: bool
+    """Whether the unit is part of the name, and not in brackets."""
+
+
+def split_name(heading: str) -> Heading:
+    """Split a heading into name and unit.
 
     Examples
     --------
-    >>> split_name("Mid span [g]"), split_name("ax_g"), split_name("time_ms"), split_name("roof")
-    (('Mid span', 'g', False), ('ax_g', 'g', True), ('time_ms', 'ms', True), ('roof', '', False))
+    >>> [tuple(split_name(heading)) for heading in ("Mid span [g]", "ax_g", "time_ms", "roof")]
+    [('Mid span', 'g', False), ('ax_g', 'g', True), ('time_ms', 'ms', True), ('roof', '', False)]
     """
     heading = heading.strip()
     if (
@@ -157,7 +164,7 @@ def split_name(heading: str) -> tuple[str, str, bool]:
         and not match[2].strip().isdigit()
     ):
         name = " ".join(part for part in (match[1].rstrip(" ,:-"), match[3]) if part)
-        return name, match[2].strip(" -").removeprefix("in "), False
+        return Heading(name, match[2].strip(" -").removeprefix("in "), False)
     # The longest end that is a unit: "a m s-2" ends with "m s-2", not with "s-2".
     for match in re.finditer(r"[\s_/:.,-]+(?:in[\s_]+)?", heading):
         end = heading[match.end() :]
@@ -167,23 +174,25 @@ def split_name(heading: str) -> tuple[str, str, bool]:
         if match.start() and unit is not None:
             by_chance = unit.quantity not in (ACCELERATION, ROTATION, TIME) and end.casefold() in _ALONE
             if not by_chance:
-                return heading, end if end.casefold() == unit.symbol.casefold() else unit.symbol, True
-    return heading, "", False
+                return Heading(heading, end if end.casefold() == unit.symbol.casefold() else unit.symbol, True)
+    return Heading(heading, "", False)
+
+
+def split_names(headings: Sequence[str]) -> list[Heading]:
+    """Split the headings of one table: a single letter is no unit where another heading differs in that letter alone."""
+    shared = Counter(heading.strip()[:-1] for heading in headings)
+    return [
+        Heading(one.name, "", False) if one.is_by_name and len(one.unit) == 1 and shared[one.name[:-1]] > 1 else one
+        for one in map(split_name, headings)
+    ]
 
 
 def units_in_names(headings: Sequence[str]) -> list[str]:
-    """Return the unit that each heading ends with, without brackets; empty where it ends with none.
-
-    A single letter is no unit where another heading differs in that letter alone.
+    """Return the unit that each heading of a table ends with, without brackets; empty where it ends with none.
 
     Examples
     --------
     >>> units_in_names(["ax_g", "acc_y_mg", "Accel in g", "roof", "a_m_s2"]), units_in_names(["ch_f", "ch_g"])
     (['g', 'mg', 'g', '', 'm/s^2'], ['', ''])
     """
-    shared = Counter(name.strip()[:-1] for name in headings)
-    found = []
-    for heading in headings:
-        _, unit, by_name = split_name(heading)
-        found.append(unit if by_name and not (len(unit) == 1 and shared[heading.strip()[:-1]] > 1) else "")
-    return found
+    return [one.unit if one.is_by_name else "" for one in split_names(headings)]
