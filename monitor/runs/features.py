@@ -14,7 +14,7 @@ from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_fea
 from monitor.runs.readers import delimited, stamps
 from monitor.runs.readers.base import read_bytes
 from monitor.runs.readers.delimited import Text
-from monitor.runs.readers.dialect import MARKS, Dialect, Role, guess, is_missing, is_number, split
+from monitor.runs.readers.dialect import CALENDAR, MARKS, Dialect, guess, is_missing, is_number, split
 from monitor.runs.readers.table import Table, without_fillers
 
 _NAMED_LINES = 5
@@ -99,7 +99,7 @@ def _read_rows(path: Path, wanted: list[str], on_warning: Callable[[str], None])
             rows[number] = [cells[column] for column in columns]
     if not rows:
         raise BadInputError(f"{path}: no row can be read")
-    dialect = guess(path, ["\t".join(cells) for cells in (wanted, *rows.values())], wanted[0], "\t")
+    dialect = guess(path, ["\t".join(cells) for cells in (wanted, *rows.values())], wanted[0], ("\t",))
     bad |= {number: reason for number, cells in rows.items() if (reason := _unreadable(cells, dialect))}
     if bad:
         named = "; ".join(f"line {number}: {bad[number]}" for number in sorted(bad)[:_NAMED_LINES])
@@ -120,8 +120,8 @@ def _heading(lines: list[str], wanted: list[str]) -> tuple[int, str | None, list
 def _unreadable(cells: list[str], dialect: Dialect) -> str:
     """Return why a row of the wanted columns cannot be read; empty where it can."""
     time, *others = cells
-    is_dated = dialect.columns[0].role in (Role.STAMP, Role.DATE, Role.CLOCK)
-    if not (stamps.is_time(time) if is_dated else is_number(time)):
+    is_time = stamps.is_time if dialect.columns[0].role in CALENDAR else is_number
+    if not is_time(time):
         return f"{time!r} is no time"
     return next((f"{cell!r} is no number" for cell in others if not (is_missing(cell) or is_number(cell))), "")
 

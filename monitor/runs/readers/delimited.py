@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +14,7 @@ import numpy as np
 
 from monitor.core import BadInputError
 from monitor.runs.readers import stamps
-from monitor.runs.readers.dialect import Dialect, Role, guess, is_missing, is_number, split
+from monitor.runs.readers.dialect import CALENDAR, Dialect, Role, guess, is_missing, is_number, split
 from monitor.runs.readers.table import Array, OnWarning, Table, Ticks, without_fillers
 from monitor.runs.readers.units import ACCELERATION, TIME
 
@@ -147,25 +147,24 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
     if dialect.columns[0].role is Role.TEXT and dialect.columns[0].why != "empty":
         marks, keys = (), set()
     for number, line in enumerate(lines[dialect.first :], dialect.first + 1):
-        if not line.strip():
+        bare = line.strip()
+        if not bare:
             continue
-        if line.lstrip().startswith(marks):
+        if bare.startswith(marks):
             comments += 1
             continue
+        if bare in headings:
+            again += 1
+            continue
         cells = split(line, dialect.delimiter)
-        if cells[0] in keys and line.strip() not in headings and rows:
+        if cells[0] in keys and rows:
             raise BadInputError(
-                f"{path}: line {number}: lines as those above the table begin anew ({line.strip()[:40]!r}): it holds several "
+                f"{path}: line {number}: lines as those above the table begin anew ({bare[:40]!r}): it holds several "
                 "records; cut it before each of them, and import all files together"
             )
-        if len(cells) == dialect.width or (len(cells) > dialect.width and not any(cells[dialect.width :])):
-            if line.strip() in headings:
-                again += 1
-                continue
+        if len(cells) >= dialect.width and not any(cells[dialect.width :]):
             rows.append(line)
             numbers.append(number)
-        elif line.strip() in headings:
-            again += 1
         elif number == len(lines) and rows:
             on_warning(f"{path}: line {number} is cut short and left out")
         else:
@@ -271,31 +270,35 @@ class _Clock:
 
 def times_in(text: Text, at: int, on_warning: OnWarning) -> Annotated[Ticks, "n"]:
     """Convert a column of dates or of numbers to times, ns since 1970."""
-    role = text.dialect.columns[at].role
-    if role in (Role.STAMP, Role.DATE, Role.CLOCK):
-        clock = _clock(text, on_warning, None, at)
-        assert clock.time_ns is not None
-        return clock.time_ns
+    if text.dialect.columns[at].role in CALENDAR:
+        return _dated(text, [at], None, on_warning)[0].t_ns
     return _ticks(text, at, on_warning)[0]
 
 
-def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None, at: int | None = None) -> _Clock:
-    """Form the times of the rows from the columns that hold them, of which one may be known."""
-    dialect, path = text.dialect, text.path
+def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
+    """Form the times of the rows from the columns that hold them."""
+    dialect = text.dialect
     stated = _stated_start(text, zone)
-    at = next(iter(dialect.of(Role.STAMP)), None) if at is None else at
+    columns = dialect.of(Role.STAMP)[:1]
+    if not columns and (clocked := dialect.of(Role.CLOCK)[:1]):
+        columns = [*dialect.of(Role.DATE)[:1], *clocked]
     ticking = dialect.of(Role.TIME)
-    dated, clocked = dialect.of(Role.DATE), dialect.of(Role.CLOCK)
-    if at is not None:
-        texts = text.cells(at)
-    elif clocked:
-        pairs = [text.cells(column) for column in (*dated[:1], clocked[0])]
-        texts = [" ".join(cells) for cells in zip(*pairs, strict=True)]
-    elif ticking:
-        return _ticking(text, ticking[0], stated, on_warning)
-    else:
-        return _Clock(None, *stated)
-    heading = dialect.columns[at if at is not None else clocked[0]]
+    if not columns:
+        return _ticking(text, ticking[0], stated, on_warning) if ticking else _Clock(None, *stated)
+    read, first_text = _dated(text, columns, zone, on_warning)
+    t_ns = _finer(text, ticking[0], read.t_ns, on_warning) if ticking else read.t_ns
+    if read.has_date:
+        return _Clock(t_ns, int(t_ns[0]), "" if read.has_zone else first_text)
+    if stated[0] is None:
+        on_warning(f"{text.path}: its times of day have no date, which --start states")
+    return _Clock(t_ns, *stated)
+
+
+def _dated(text: Text, columns: Sequence[int], zone: tzinfo | None, on_warning: OnWarning) -> tuple[stamps.Stamps, str]:
+    """Read the times that stand in columns as dates, as times of day or as both; also the first one as written."""
+    path = text.path
+    texts = [" ".join(cells) for cells in zip(*map(text.cells, columns), strict=True)]
+    heading = text.dialect.columns[columns[-1]]
     try:
         read = stamps.parse(texts, zone or stamps.zone_in(f"{heading.name} {heading.unit_text}"), path.name)
     except ValueError as error:
@@ -312,17 +315,18 @@ def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None, at: int | Non
     elif read.order and "name" in read.order:
         on_warning(f"{path}: {texts[0]!r} is read with the {read.order}")
     t_ns = _unwound(path, read.t_ns + _fractions_ns(text, on_warning), (_HOUR_NS, 24 * _HOUR_NS), on_warning)
-    if ticking and len(t_ns) > 2 and (np.diff(t_ns) == 0).mean() > 0.5:
-        finer = _ticking(text, ticking[0], (None, ""), on_warning)
-        if finer.time_ns is not None and (np.diff(finer.time_ns) > 0).all():
-            on_warning(f"{path}: the times are those of column {dialect.columns[ticking[0]].name!r}, which is finer")
-            t_ns = t_ns[0] + (finer.time_ns - finer.time_ns[0])
-    if not read.has_date:
-        start_ns, start_text = stated
-        if start_ns is None:
-            on_warning(f"{path}: its times of day have no date, which --start states")
-        return _Clock(t_ns, start_ns, start_text)
-    return _Clock(t_ns, int(t_ns[0]), "" if read.has_zone else texts[0])
+    return replace(read, t_ns=t_ns), texts[0]
+
+
+def _finer(text: Text, at: int, t_ns: Annotated[Ticks, "n"], on_warning: OnWarning) -> Annotated[Ticks, "n"]:
+    """Take the times of a column of numbers where those of the dates stand still and these rise."""
+    if len(t_ns) <= 2 or (np.diff(t_ns) == 0).mean() <= 0.5:
+        return t_ns
+    finer_ns = _ticking(text, at, (None, ""), on_warning).time_ns
+    if finer_ns is None or not (np.diff(finer_ns) > 0).all():
+        return t_ns
+    on_warning(f"{text.path}: the times are those of column {text.dialect.columns[at].name!r}, which is finer")
+    return t_ns[0] + (finer_ns - finer_ns[0])
 
 
 def _unwound(
@@ -410,13 +414,11 @@ def _ticks(text: Text, at: int, on_warning: OnWarning) -> tuple[Annotated[Ticks,
         bad = int(np.argmax(~np.isfinite(numbers)))
         raise BadInputError(f"{path}: line {text.numbers[bad]}: no time in column {column.name!r}")
     first = float(numbers[0])
+    if column.unit is None and (days := _serial_days(numbers)) is not None:
+        t_ns, words = days
+        on_warning(f"{path}: column {column.name!r} is taken as days {words}")
+        return t_ns, f"{first:.6f}"
     low, high = _SINCE_1970_S
-    for least, most, zero, words in _SERIAL_DAYS:
-        if column.unit is None and least < first < most and (np.diff(numbers) < 1.0).all() and not first.is_integer():
-            on_warning(f"{path}: column {column.name!r} is taken as days {words}")
-            # Days with ten decimals are cut at 10 us.
-            t_ns = np.rint((numbers - np.floor(first)) * 86_400e6).astype(np.int64) * 1000
-            return t_ns + int(np.floor(first) - zero) * 86_400 * 10**9, f"{first:.6f}"
     factor = (
         column.unit.factor
         if column.unit is not None
@@ -427,12 +429,23 @@ def _ticks(text: Text, at: int, on_warning: OnWarning) -> tuple[Annotated[Ticks,
     t_ns = _exact_ns(numbers, factor)
     tick_ns = round(factor * 1e9)
     t_ns = _unwound(path, t_ns, (tick_ns << 32, tick_ns << 16), on_warning)
-    if numbers[0].is_integer() and not (numbers % 1.0).any():
+    if not (numbers % 1.0).any():
         t_ns = t_ns + _fractions_ns(text, on_warning)
     if column.unit is None and _SINCE_1904_S[0] < first < _SINCE_1904_S[1]:
         on_warning(f"{path}: column {column.name!r} is taken as seconds since 1904, as in LabVIEW")
         return t_ns - _SINCE_1904_S[2] * 10**9, ""
     return t_ns, "" if low < first * factor < high else None
+
+
+def _serial_days(numbers: Annotated[Array, "n"]) -> tuple[Annotated[Ticks, "n"], str] | None:
+    """Convert numbers that may be days since a time long ago to times, and return since which; None for others."""
+    first = float(numbers[0])
+    for least, most, zero, words in _SERIAL_DAYS:
+        if least < first < most and not first.is_integer() and (np.diff(numbers) < 1.0).all():
+            # Days with ten decimals are cut at 10 us.
+            t_ns = np.rint((numbers - np.floor(first)) * 86_400e6).astype(np.int64) * 1000
+            return t_ns + int(np.floor(first) - zero) * 86_400 * 10**9, words
+    return None
 
 
 def _exact_ns(numbers: Annotated[Array, "n"], factor: float) -> Annotated[Ticks, "n"]:

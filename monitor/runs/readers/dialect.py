@@ -90,6 +90,10 @@ class Role(Enum):
     TEXT = "text"
 
 
+CALENDAR = frozenset({Role.STAMP, Role.DATE, Role.CLOCK})
+"""Roles of columns whose cells are dates, times of day or both."""
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """One column of a table of text."""
