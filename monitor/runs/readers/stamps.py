@@ -42,20 +42,22 @@ _MINUTES = re.compile(r"\d{1,2}:\d{2}[.,]\d{1,9}")
 DATED = re.compile(rf"(?:{_DATE})[ T_,;]*\s*(?:{_CLOCK}){_ZONE}")
 """A date with a time of day. [pattern]"""
 _PARTS = re.compile(rf"({_DATE})?[ T_,;]*\s*({_CLOCK})?({_ZONE})")
-_HOURS = {
-    "Z": 0,
-    "UTC": 0,
-    "GMT": 0,
-    "PST": -8,
-    "PDT": -7,
-    "MST": -7,
-    "MDT": -6,
-    "CST": -6,
-    "CDT": -5,
-    "EST": -5,
-    "EDT": -4,
+ZONE_HOURS = {
+    **{
+        "Z": 0,
+        "UTC": 0,
+        "GMT": 0,
+        "CET": 1,
+        "CEST": 2,
+        "MEZ": 1,
+        "MESZ": 2,
+        "BST": 1,
+        "JST": 9,
+        "NZST": 12,
+        "HST": -10,
+    },
+    **{"EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8, "PDT": -7, "AKST": -9, "AKDT": -8},
 }
-_HOURS |= {"CET": 1, "CEST": 2, "MEZ": 1, "MESZ": 2, "BST": 1, "JST": 9, "HST": -10, "AKST": -9, "AKDT": -8, "NZST": 12}
 """Zones by name, hours ahead of UTC. [h; convention: North American and European ones]"""
 _EPOCH = date(1970, 1, 1).toordinal()
 _DAY_NS = 86_400 * 10**9
@@ -68,10 +70,13 @@ def looks_dated(cell: str) -> bool:
 
 def is_time(cell: str) -> bool:
     """Test whether a cell is a date, a time of day, or both, and a date that there is."""
+    if not looks_dated(cell):
+        return False
     try:
-        return looks_dated(cell) and parse([cell]).t_ns.size == 1
+        parse([cell])
     except ValueError:
         return False
+    return True
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -153,10 +158,11 @@ def _order(dates: Sequence[str], twelve_hours: bool, hint: str) -> tuple[bool, s
     if twelve_hours:
         return True, "month first, since the time is of AM and PM", False
     if (named := re.search(r"(\d{4})-?(\d{2})-?(\d{2})", hint)) is not None:
-        pair = (int(ambiguous[0][1]), int(ambiguous[0][3]))
-        for month_first, (month, day) in ((True, pair), (False, pair[::-1])):
-            if (int(named[2]), int(named[3])) == (month, day):
-                return month_first, f"{'month' if month_first else 'day'} first, as the file's name says", False
+        month_and_day, pair = [int(named[2]), int(named[3])], [int(ambiguous[0][1]), int(ambiguous[0][3])]
+        if pair == month_and_day:
+            return True, "month first, as the file's name says", False
+        if pair[::-1] == month_and_day:
+            return False, "day first, as the file's name says", False
     if ambiguous[0][2] == ".":
         return False, "day first, since points stand between", False
     return True, "month first", ambiguous[0][1] != ambiguous[0][3]
@@ -202,7 +208,7 @@ def _ahead_ns(zone: str) -> int:
     """Return by how much a named zone is ahead of UTC, ns; 0 for one that is not known."""
     if (match := re.fullmatch(r"([+-])(\d{2})(?::?(\d{2}))?", zone)) is not None:
         return (1 if match[1] == "+" else -1) * (int(match[2]) * 60 + int(match[3] or 0)) * 60 * 10**9
-    return _HOURS.get(zone.upper(), 0) * 3600 * 10**9
+    return ZONE_HOURS.get(zone.upper(), 0) * 3600 * 10**9
 
 
 def _local_ns(t_ns: Annotated[Ticks, "n"], zone: tzinfo) -> Annotated[Ticks, "n"]:
@@ -220,14 +226,14 @@ def zone_in(heading: str) -> tzinfo | None:
     if (match := re.search(r"(?:UTC|GMT)\s*([+-])(\d{1,2})(?::?(\d{2}))?\b", heading)) is not None:
         return zone_named(f"{match[1]}{int(match[2]):02d}:{match[3] or '00'}")
     words = [w for w in re.findall(r"[A-Za-z]+", heading) if w.isupper() or w.casefold() in ("utc", "gmt")]
-    return next((zone_named(word) for word in words if word.upper() in _HOURS and word != "Z"), None)
+    return next((zone_named(word) for word in words if word.upper() in ZONE_HOURS and word != "Z"), None)
 
 
 def zone_named(name: str) -> tzinfo | None:
     """Return the zone of a name, as UTC, +01:00 or Europe/Zurich; None if there is none of it."""
     from zoneinfo import ZoneInfo
 
-    if name.upper() in _HOURS or re.fullmatch(r"[+-]\d{2}:?\d{2}", name):
+    if name.upper() in ZONE_HOURS or re.fullmatch(r"[+-]\d{2}:?\d{2}", name):
         return timezone(timedelta(microseconds=_ahead_ns(name) // 1000))
     try:
         return ZoneInfo(name)

@@ -8,11 +8,10 @@ import numpy as np
 
 from monitor.core import BadInputError, utc_ns
 from monitor.runs.readers.delimited import Text
+from monitor.runs.readers.stamps import ZONE_HOURS
 from monitor.runs.readers.table import OnWarning, Table
 
 _START = re.compile(r"StartTime:[\s,;]*(\d{4}-\d{2}-\d{2})_(\d{2}:\d{2}:\d{2})_(\d{3})\s*(\w*)")
-_HOURS = {"UTC": 0, "GMT": 0, "PST": -8, "PDT": -7, "MST": -7, "MDT": -6, "CST": -6, "CDT": -5, "EST": -5}
-_HOURS |= {"EDT": -4, "CET": 1, "CEST": 2, "": 0}
 _WRAP = 1 << 32
 
 
@@ -60,7 +59,7 @@ def _start_ns(text: Text, on_warning: OnWarning) -> int | None:
     found = next((match for line in text.preamble if (match := _START.search(line))), None)
     if found is None:
         return None
-    hours = _HOURS.get(found[4].upper())
+    hours = ZONE_HOURS.get(found[4].upper() or "UTC")
     if hours is None:
         on_warning(f"{text.path}: unknown time zone {found[4]!r} in StartTime; taken as UTC")
     try:
