@@ -477,6 +477,8 @@ def odd_tables() -> Iterator[LoggerFile]:
     east = [x.replace("14:", "16:", 1) for x in stamps]
     yield behind(east, "Time (UTC+2)", "zone_in_heading.csv", start_ns=START_NS)
     yield one("stars.csv", names + "".join([*rows[:7], "0.07,*****,*****,****\n", *rows[8:]]), says="missing")
+    yield behind([f"{x} IST" for x in stamps], "time", "unknown_zone.csv", start_ns=START_NS, says="IST has no zone")
+    yield behind(stamps, "Time (UTC+99)", "absurd_zone.csv", start_ns=START_NS, says="has no zone")
     short_zone = [x.replace("14:", "16:", 1) + "+02" for x in stamps]
     yield behind(short_zone, "time", "short_zone.csv", start_ns=START_NS)
     yield behind(

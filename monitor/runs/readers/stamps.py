@@ -87,6 +87,7 @@ class Stamps:
     """UTC, ns since 1970; since the first midnight where there is no date."""
     has_date: bool
     has_zone: bool
+    """Whether the zone is known."""
     order: str
     """How a date is read, and why; empty where it can be read in one way."""
     is_doubtful: bool
@@ -107,7 +108,7 @@ def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> S
     out = np.empty(len(texts), dtype=np.int64)
     of_date = np.empty(len(texts), dtype=np.int64)
     dates: dict[str, int] = {}
-    zones: dict[str, int] = {}
+    zones: dict[str, int | None] = {}
     twelve_hours = False
     at_date = -1
     for at, text in enumerate(texts):
@@ -121,7 +122,7 @@ def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> S
             zones[zone_text] = _ahead_ns(zone_text)
         twelve_hours = twelve_hours or (clock[-1:] in "mM." and "m" in clock.casefold())
         of_date[at] = at_date
-        out[at] = _clock_ns(clock) - zones[zone_text]
+        out[at] = _clock_ns(clock) - (zones[zone_text] or 0)
     month_first, order, doubtful = _order(list(dates), twelve_hours, hint)
     if dates:
         days = [_day(text, month_first) for text in dates]
@@ -129,7 +130,7 @@ def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> S
             raise ValueError(int(np.argmax(of_date == days.index(None))))
         # Times before the first date are of the day 0.
         out += np.array([*days, 0], dtype=np.int64)[of_date] * _DAY_NS
-    has_zone = any(zones)
+    has_zone = any(ahead_ns is not None for ahead_ns in zones.values())
     if not dates:
         turn_ns = _DAY_NS // 24 if _MINUTES.fullmatch(texts[0].strip()) else _DAY_NS
         out += turn_ns * np.concatenate(([0], np.cumsum(np.diff(out) < -turn_ns // 2)))
@@ -204,11 +205,12 @@ def _clock_ns(text: str) -> int:
     return ((hours * 60 + minutes) * 60 + seconds) * 10**9 + fraction
 
 
-def _ahead_ns(zone: str) -> int:
-    """Return by how much a named zone is ahead of UTC, ns; 0 for one that is not known."""
+def _ahead_ns(zone: str) -> int | None:
+    """Return by how much a named zone is ahead of UTC, ns; None for one that is not known."""
     if (match := re.fullmatch(r"([+-])(\d{2})(?::?(\d{2}))?", zone)) is not None:
         return (1 if match[1] == "+" else -1) * (int(match[2]) * 60 + int(match[3] or 0)) * 60 * 10**9
-    return ZONE_HOURS.get(zone.upper(), 0) * 3600 * 10**9
+    hours = ZONE_HOURS.get(zone.upper())
+    return None if hours is None else hours * 3600 * 10**9
 
 
 def _local_ns(t_ns: Annotated[Ticks, "n"], zone: tzinfo) -> Annotated[Ticks, "n"]:
@@ -233,9 +235,8 @@ def zone_named(name: str) -> tzinfo | None:
     """Return the zone of a name, as UTC, +01:00 or Europe/Zurich; None if there is none of it."""
     from zoneinfo import ZoneInfo
 
-    if name.upper() in ZONE_HOURS or re.fullmatch(r"[+-]\d{2}:?\d{2}", name):
-        return timezone(timedelta(microseconds=_ahead_ns(name) // 1000))
+    ahead_ns = _ahead_ns(name) if name.upper() in ZONE_HOURS or re.fullmatch(r"[+-]\d{2}:?\d{2}", name) else None
     try:
-        return ZoneInfo(name)
+        return ZoneInfo(name) if ahead_ns is None else timezone(timedelta(microseconds=ahead_ns // 1000))
     except (KeyError, ValueError, OSError):
         return None
