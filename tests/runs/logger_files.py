@@ -410,7 +410,7 @@ def odd_tables() -> Iterator[LoggerFile]:
     )
     yield one(
         "infinite.csv",
-        names + "".join([rows[0].replace("1", "1", 1), *rows[1:50], "0.50,∞,-∞,∞\n", *rows[51:]]),
+        names + "".join([*rows[:50], "0.50,∞,-∞,∞\n", *rows[51:]]),
         says="missing",
     )
     head = "time,seconds_elapsed,z,y,x\n"
@@ -498,9 +498,9 @@ def odd_tables() -> Iterator[LoggerFile]:
     yield behind(since_1904, "Time", "since_1904.csv", start_ns=START_NS, says="since 1904")
     beside = [f"{int(START.timestamp()) + k // 100},{k % 100 * 10_000}" for k in range(N)]
     yield behind(beside, "unix time,usec", "unix_and_usec.csv", start_ns=START_NS)
+    yield one("versions.csv", ",".join(["1.0.2 Hz"] * 4) + "\n" + names + plain)
     yield one("note_beyond.csv", ",,,,exported by hand\n" + names + plain)
     yield behind([f"{k / 8.64e6:.12f}" for k in range(N)], "time_days", "days_by_name.csv")
-    # These were read right before.
     yield one(
         "time_within.csv",
         "a1 [g],a2 [g],time [s],a3 [g]\n" + "".join(f"{r[0]},{r[1]},{x},{r[2]}\n" for x, r in zip(t, g, strict=True)),

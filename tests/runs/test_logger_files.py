@@ -69,6 +69,10 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
             "each time stands 2 times, for 0, 1 in column 'channel'",
         ),
         ("t;a [g]\n1.000;0,5\n1.010;0,4\n1.020;0,3\n1.030;0,2\n", "column 1 may be 10.0 or 1.0.0"),
+        (
+            "t,x,unit,y,unit\n" + "".join(f"{k / 100},{k % 7},g,{k % 5},mg\n" for k in range(50)),
+            "columns of units state g and mg",
+        ),
         ("t,b [0.001 g/count]\n0.00,1\n0.01,2\n0.02,3\n0.03,3\n", "unit '0.001 g/count'"),
     ],
     ids=[
@@ -83,6 +87,7 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
         "long",
         "long blocks",
         "points",
+        "two units",
         "scaled counts",
     ],
 )

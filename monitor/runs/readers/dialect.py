@@ -35,7 +35,7 @@ _COUNTER_NAME = re.compile(
     re.IGNORECASE,
 )
 _FRACTION_NAME = re.compile(r"(ms|msec|millis|milliseconds?|millisecond|micros|us|usec)", re.IGNORECASE)
-_RATE_CELL = re.compile(r"(?:sr|rate|fs)?\s*[=:]?\s*([\d.]+)\s*(k?hz)", re.IGNORECASE)
+_RATE_CELL = re.compile(r"(?:sr|rate|fs)?\s*[=:]?\s*(\d+\.?\d*|\.\d+)\s*(k?hz)", re.IGNORECASE)
 _RATE_UNIT, _STEP_UNIT = r"k?hz|k?sps|ks/s", r"s|sec|seconds|ms|msec|us"
 _RATE_LINE = re.compile(
     r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps|samples?(?:/|\s+per\s+)s\w*)\b[^\d]{0,24}?"
@@ -203,7 +203,7 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None, marks: Sequ
     if rate_hz is None:
         rate_hz, why_rate = _rate_above(preamble, decimal)
     start_text, why_start = _start_above(preamble)
-    unit_text = _unit_in_column(headings.names, rows) or next(filter(None, map(_unit_stated, preamble)), "")
+    unit_text = _unit_in_column(path, headings.names, rows) or next(filter(None, map(_unit_stated, preamble)), "")
     columns = _columns(headings, rows, unit_text, time)
     reasons = {
         "delimiter": why,
@@ -535,13 +535,18 @@ def _plain(text: str, decimal: str) -> float | None:
     return value if value > 0.0 else None
 
 
-def _unit_in_column(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return the unit that a column of units states; empty without such a column."""
-    stated = ""
-    for at, name in enumerate(names):
-        if name.casefold() in ("unit", "units") and len(words := {row[at] for row in rows}) == 1:
-            stated = next(filter(unit_of, words), stated)
-    return stated
+def _unit_in_column(path: Path, names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return the unit that a column of units states; empty without such a column.
+
+    Raises BadInputError if several columns state units that differ: nothing tells of which readings each is.
+    """
+    columns = [{row[at] for row in rows} for at, name in enumerate(names) if name.casefold() in ("unit", "units")]
+    stated = {word for words in columns if len(words) == 1 for word in words if unit_of(word)}
+    if len(stated) > 1:
+        raise BadInputError(
+            f"{path}: columns of units state {' and '.join(sorted(stated))}; write the unit of each reading into its heading"
+        )
+    return next(iter(stated), "")
 
 
 def _columns(headings: _Headings, rows: Sequence[Sequence[str]], stated: str, time: str | None) -> tuple[Column, ...]:
