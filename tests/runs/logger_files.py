@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import bz2
-import csv
 import gzip
 import io
 import lzma
@@ -44,7 +43,6 @@ class LoggerFile:
     says: str = ""
     """What must be told of it."""
     options: dict[str, Any] | None = None
-    samples: int = N
 
 
 Cell = Callable[[float], str]
@@ -145,9 +143,7 @@ def tables() -> Iterator[LoggerFile]:
         + lines(t, a / G, sep="\t"),
         unit="g",
     )
-    yield one(
-        "sensors_row.csv", "Time,Acc1,Acc2,Acc3\ns,g,g,g\nID,4711,4712,4713\n" + lines(t, a / G), unit="g", samples=N
-    )
+    yield one("sensors_row.csv", "Time,Acc1,Acc2,Acc3\ns,g,g,g\nID,4711,4712,4713\n" + lines(t, a / G), unit="g")
     toa5 = '"TOA5","s","CR6","1","CR6.Std.10","CPU:p.CR6","5","Accel"\n"TIMESTAMP","RECORD","X","Y","Z"\n"TS","RN","m/s^2","m/s^2","m/s^2"\n"","","Smp","Smp","Smp"\n'
     stamps = dated(100.0, "%Y-%m-%d %H:%M:%S.%f", 2)
     yield one(
@@ -525,11 +521,6 @@ def packed() -> Iterator[LoggerFile]:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("inner.csv", text)
     yield LoggerFile("p.zip", buffer.getvalue(), 100.0, unit="g")
-
-
-def as_rows(content: bytes) -> list[list[str]]:
-    """Cells of a comma-separated table."""
-    return list(csv.reader(io.StringIO(content.decode())))
 
 
 def workbook(path: Path, rows: list[list[Any]]) -> None:
