@@ -14,13 +14,11 @@ from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_fea
 from monitor.runs.readers import delimited, stamps
 from monitor.runs.readers.base import read_bytes
 from monitor.runs.readers.delimited import Text
-from monitor.runs.readers.dialect import CALENDAR, MARKS, Dialect, guess, is_missing, is_number, split
+from monitor.runs.readers.dialect import CALENDAR, HEAD, MARKS, Dialect, guess, is_missing, is_number, split
 from monitor.runs.readers.table import Table, without_fillers
 
 _NAMED_LINES = 5
 """Most lines that a message names. [lines; judgement]"""
-_HEAD = 400
-"""Lines among which the heading is looked for. [lines; judgement]"""
 _NEAR_ZERO = 0.5
 """Smallest reading over the median one, in size, from which none is near zero. [ratio; judgement]"""
 _LEARNS = "learns the features of the healthy rows"
@@ -93,9 +91,11 @@ def _read_rows(path: Path, wanted: list[str], on_warning: Callable[[str], None])
     bad: dict[int, str] = {}
     for number, line in enumerate(lines[at + 1 :], at + 2):
         cells = split(line, delimiter)
+        if not any(cells):
+            continue
         if len(cells) < len(header) or any(cells[len(header) :]):
-            bad |= {number: f"{len(cells)} fields of {len(header)}"} if any(cells) else {}
-        elif any(cells):
+            bad[number] = f"{len(cells)} fields of {len(header)}"
+        else:
             rows[number] = [cells[column] for column in columns]
     if not rows:
         raise BadInputError(f"{path}: no row can be read")
@@ -113,7 +113,7 @@ def _read_rows(path: Path, wanted: list[str], on_warning: Callable[[str], None])
 
 def _heading(lines: list[str], wanted: list[str]) -> tuple[int, str | None, list[str]]:
     """Find the line, and the mark between its cells, that names most of the wanted columns, the most cells among those."""
-    cut = ((at, mark, split(line.lstrip("#%! "), mark)) for at, line in enumerate(lines[:_HEAD]) for mark in MARKS)
+    cut = ((at, mark, split(line.lstrip("#%! "), mark)) for at, line in enumerate(lines[:HEAD]) for mark in MARKS)
     return max(cut, key=lambda one: (len({*wanted} & {*one[2]}), -one[0], len(one[2])))
 
 

@@ -89,13 +89,10 @@ def sample_clock(stamps_ns: Annotated[Ticks, "n"]) -> SampleClock:
     steps = np.diff(stamps_ns)
     if not steps.size or stamps_ns[-1] <= stamps_ns[0]:
         raise BadInputError("the stamps do not rise")
-    resolution = _resolution(stamps_ns)
-    period = _first_period(stamps_ns, resolution)
-    lost = _lost_of_grid(steps)
+    lost, resolution = _lost_of_grid(steps), 1
     if lost is None:
-        lost = _lost(stamps_ns, steps, period, resolution)
-    else:
-        resolution = 1
+        resolution = _resolution(stamps_ns)
+        lost = _lost(stamps_ns, steps, _first_period(stamps_ns, resolution), resolution)
     period, std, residuals, lost, odd = _line(stamps_ns, lost, resolution)
     if not period > 0.0 or (len(stamps_ns) > _LEAST_STAMPS and std > _LEAST_KNOWN * period):
         raise BadInputError(
@@ -119,14 +116,13 @@ def sample_clock(stamps_ns: Annotated[Ticks, "n"]) -> SampleClock:
         raise BadInputError(
             f"the samples are not evenly spaced: each step scatters by {100.0 * wander / period:.0f} % on its own"
         )
-    numbers = np.concatenate(([0], np.cumsum(1 + lost)))
     rate, rate_std = 1e9 / period, 1e9 / period * std / period
     whole = float(round(rate))
-    cut = min(_CUT_PERIOD, resolution / period) if float(np.std(residuals)) < 0.1 * resolution else 0.0
+    cut = min(_CUT_PERIOD, resolution / period) if jitter < 0.1 * resolution else 0.0
     meant = whole if whole and abs(rate - whole) <= max(2.0 * rate_std, max(_CRYSTAL, cut) * whole) else rate
     even = stamps_ns - np.rint(residuals).astype(np.int64)
     return SampleClock(
-        meant, rate_std, numbers, even, resolution * 1e-9, float(np.std(residuals)) * 1e-9, int(np.count_nonzero(lost))
+        meant, rate_std, _numbers(lost), even, resolution * 1e-9, jitter * 1e-9, int(np.count_nonzero(lost))
     )
 
 
@@ -192,14 +188,13 @@ def _lost(
     scatter = float(np.median(np.abs(steps - period))) * 1.4826 / np.sqrt(2.0)
     scatter = max(scatter, resolution / np.sqrt(12.0))
     level = (stamps_ns - stamps_ns[0]) - period * np.arange(len(stamps_ns))
-    plain = _plain_jumps(level, max(0.5 * period, _SCATTERS * 2.0 * scatter))
+    clear = _SCATTERS * 2.0 * scatter  # the difference of two medians scatters by 1.8 over root n
+    plain = _plain_jumps(level, max(0.5 * period, clear))
     lost = np.zeros(len(steps), dtype=np.int64)
     for at, jump in plain.items():
         lost[at] = max(1, round(jump / period))
         level[at + 1 :] -= jump
-    needed = (
-        _SCATTERS * 2.0 * scatter / (0.5 * period)
-    ) ** 2  # the difference of two medians scatters by 1.8 over root n
+    needed = (clear / (0.5 * period)) ** 2
     width = int(min(_MOST_AVERAGED, np.ceil(needed), len(stamps_ns) // 4))
     if needed <= 1.0 or width < 2:
         return lost
@@ -208,7 +203,7 @@ def _lost(
     after = median_filter(level, width, origin=-(width // 2) + (width % 2 == 0), mode="nearest")
     before = median_filter(level, width, origin=(width - 1) // 2, mode="nearest")
     jumps = after[1:] - before[:-1]
-    for begin, end in _above(jumps > max(0.5 * period, _SCATTERS * 2.0 * scatter / np.sqrt(width))):
+    for begin, end in _above(jumps > max(0.5 * period, clear / np.sqrt(width))):
         # The step itself shows where in the stretch the level jumps.
         at = begin + int(np.argmax(np.diff(level[begin : end + 1])))
         lost[at] += max(1, round(float(jumps[begin:end].max()) / period))
@@ -234,6 +229,11 @@ def _above(high: Annotated[NDArray[np.bool_], "n"]) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
+def _numbers(lost: Annotated[Ticks, "n-1"]) -> Annotated[Ticks, "n"]:
+    """Number samples from 0 by how many are missing behind each one but the last."""
+    return np.concatenate(([0], np.cumsum(1 + lost)))
+
+
 def _line(
     stamps_ns: Annotated[Ticks, "n"], lost: Annotated[Ticks, "n-1"], resolution: int
 ) -> tuple[float, float, Annotated[Array, "n"], Annotated[Ticks, "n-1"], int]:
@@ -244,8 +244,7 @@ def _line(
     sides are one run, whose line is then surer.
     """
     jumps = np.flatnonzero(lost) + 1
-    numbers = np.concatenate(([0], np.cumsum(1 + lost)))
-    fit = _pooled(numbers, stamps_ns, np.concatenate(([0], jumps)), resolution)
+    fit = _pooled(_numbers(lost), stamps_ns, np.concatenate(([0], jumps)), resolution)
     period, std, residuals = fit
     if not jumps.size or not period > 0.0:
         return (*fit, lost, 0)
@@ -261,8 +260,7 @@ def _line(
     fits = (np.abs(gaps - np.rint(gaps)) <= sure) & (sure < 0.125)
     lost = lost.copy()
     lost[jumps - 1] = np.maximum(np.rint(gaps).astype(np.int64), 0)
-    numbers = np.concatenate(([0], np.cumsum(1 + lost)))
-    period, std, residuals = _pooled(numbers, stamps_ns, np.concatenate(([0], jumps[~fits])), resolution)
+    period, std, residuals = _pooled(_numbers(lost), stamps_ns, np.concatenate(([0], jumps[~fits])), resolution)
     return period, std, residuals, lost, int(np.count_nonzero(~fits & (sure < 0.125)))
 
 

@@ -68,8 +68,8 @@ _FEW = 3
 """Lines of a table so short that the last one counts as well. [lines; judgement]"""
 _TAIL = 100
 """Rows from the end that show the shape of a table. [rows; judgement: the head may be comments]"""
-_HEAD = 400
-"""Most lines before the rows that are looked at. [lines; judgement]"""
+HEAD = 400
+"""Most lines before the rows, or before a heading, that are looked at. [lines; judgement]"""
 _LONGEST_LINE, _LONGEST_NAME = 1000, 200
 """Most of a line before the rows that is searched, and of a heading that is its name. [characters; cost: patterns that are
 searched take a time that grows with the square]"""
@@ -188,7 +188,7 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None, marks: Sequ
         first = next((at for at, line in enumerate(lines) if _is_row(split(line, delimiter), width, texts)), None)
         if first is None:
             raise BadInputError(f"{path}: no rows of numbers found; is it a table?")
-        above = lines[max(0, first - _HEAD) : first]
+        above = lines[max(0, first - HEAD) : first]
         head = _cells_above(above, delimiter, width)
         both_ends = [*lines[first : first + _TAIL], *lines[max(first, len(lines) - _TAIL) :]]
         rows = [cells for cells in (split(line, delimiter) for line in both_ends) if len(cells) >= width]
