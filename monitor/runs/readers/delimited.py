@@ -337,14 +337,21 @@ def _unwound(
     if not (steps < 0).any() or not (steps > 0).any():
         return t_ns
     usual = int(np.median(steps[steps > 0]))
+    gone, places = 0, dict[int, list[int]]()
+    added = np.zeros_like(t_ns)
     for at in np.flatnonzero(steps < 0).tolist():
         turn = next((turn for turn in turns_ns if 0 <= int(steps[at]) + turn <= 2 * usual), 0)
-        if turn and (turn != _HOUR_NS or _is_by_a_sunday(int(t_ns[at]))):
-            on_warning(
-                f"{path}: from row {at + 2} its times are {turn / 1e9:g} s earlier, one turn of their clock; taken to go on"
-            )
-            t_ns = t_ns + np.where(np.arange(len(t_ns)) > at, turn, 0)
-    return t_ns
+        if turn and (turn != _HOUR_NS or _is_by_a_sunday(int(t_ns[at]) + gone)):
+            places.setdefault(turn, []).append(at)
+            added[at + 1] = turn
+            gone += turn
+    for turn, rows in places.items():
+        more = f", and {len(rows) - 1} times more," if len(rows) > 1 else ""
+        on_warning(
+            f"{path}: from row {rows[0] + 2}{more} its times are {turn / 1e9:g} s earlier, one turn of their clock; taken to go "
+            "on"
+        )
+    return t_ns + np.cumsum(added)
 
 
 def _is_by_a_sunday(t_ns: int) -> bool:

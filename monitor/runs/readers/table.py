@@ -173,8 +173,10 @@ def without_fillers(table: Table, on_warning: OnWarning) -> Table:
             column[absurd] = np.nan
         for filler in _FILLERS:
             held = column == filler
+            if not held.any():
+                continue
             rest = np.abs(column[~held & np.isfinite(column)])
-            if held.any() and rest.size and rest.max() * _APART < abs(filler):
+            if rest.size and rest.max() * _APART < abs(filler):
                 on_warning(
                     f"{table.path}: {name}: {np.count_nonzero(held)} readings are missing: {filler:g} stands for them"
                 )
