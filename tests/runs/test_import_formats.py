@@ -20,7 +20,7 @@ import scipy.io
 from drivers.base import ACCELERATION, FORCE
 from drivers.mcap_file import RecordingInfo, read_recordings
 from monitor.core import BadInputError, UserError
-from monitor.runs.readers import ImportedChannel, Options, import_files
+from monitor.runs.readers import ImportedChannel, Options, import_files, zone_named
 from monitor.runs.readers.clocks import best_shift
 from tests.runs.reading import imported
 from tests.support.samples import Cli
@@ -77,6 +77,15 @@ def test_a_file_of_catman(tmp_path: Path) -> None:
     assert info.t_start_ns == 1_588_273_972 * 10**9 and len(warnings) == 1 and "no zone" in warnings[0]
     assert values[[0, 12], 0].tolist() == pytest.approx([-3.81956, -5.84096])
     assert (taken[0].unit, taken[0].stated, taken[0].source) == ("m/s²", True, "c.uff:1x")
+
+
+def test_the_time_of_a_universal_file_is_of_the_zone_that_is_told_and_doubted_where_it_counts(tmp_path: Path) -> None:
+    path = uff(tmp_path / "a.uff", BOTH)
+    as_utc, _, told, _ = load(path, start_ns=None)
+    assert any("its time 02-JAN-26 03:04:05 has no zone; taken as UTC" in one for one in told)
+    in_zone, _, told, _ = load(path, start_ns=None, zone=zone_named("+01:00"))
+    assert (as_utc.t_start_ns - in_zone.t_start_ns, told) == (3600 * 10**9, [])
+    assert load(path, start_ns=0)[2] == []
 
 
 @pytest.mark.filterwarnings(
