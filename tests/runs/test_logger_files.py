@@ -199,6 +199,28 @@ def test_a_workbook_is_read_as_a_table(tmp_path: Path) -> None:
     assert (info.sample_rate_hz, info.channels[ACCELERATION], info.n_samples) == (100.0, ("a1", "a2", "a3"), 600)
 
 
+@pytest.mark.parametrize(
+    ("told", "unit", "factor"),
+    [
+        ("IN UNITS OF G", "g", 9.80665),
+        ("IN UNITS OF CM/S/S", "cm/s^2", 0.01),
+        ("(G)", "g", 9.80665),
+        ("", "m/s^2", 1.0),
+    ],
+)
+def test_a_peer_record_is_in_the_unit_that_it_states_whatever_its_station_is_called(
+    told: str, unit: str, factor: float, tmp_path: Path
+) -> None:
+    head = f"PEER NGA STRONG MOTION DATABASE RECORD\nLoma Prieta, Gilroy Array, 90\nACCELERATION TIME SERIES {told}\n"
+    values = motion(100.0)[:, 0] / factor
+    (tmp_path / "a.AT2").write_text(head + "NPTS= 600, DT= .0100 SEC\n" + "\n".join(f"{v:.7E}" for v in values) + "\n")
+    taken: list[ImportedChannel] = []
+    imported([tmp_path / "a.AT2"], tmp_path / "o.mcap", on_channel=taken.append)
+    samples = np.concatenate([b.samples[:, 0] for b in read_recordings([tmp_path / "o.mcap"])])
+    np.testing.assert_allclose(samples, motion(100.0)[:, 0], rtol=1e-5, atol=1e-6)
+    assert [(one.unit, one.stated) for one in taken] == [(unit, bool(told))]
+
+
 def test_tdms_states_names_units_rate_and_start(tmp_path: Path) -> None:
     nptdms = pytest.importorskip("nptdms")
     told = {
