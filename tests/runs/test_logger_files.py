@@ -97,6 +97,20 @@ def test_volts_are_taken_as_acceleration_when_the_user_says_so(tmp_path: Path) -
     assert any("--unit g is taken for a1" in text for text in told)
 
 
+@pytest.mark.parametrize("heading", ["a1 [V]", "a1_mV"])
+def test_what_is_told_of_a_channel_is_the_unit_as_which_it_was_read(heading: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"t,{heading}\n" + "".join(f"{k / 100},{k % 7}\n" for k in range(50)))
+    taken: list[ImportedChannel] = []
+    imported(
+        [tmp_path / "a.csv"],
+        tmp_path / "o.mcap",
+        unit="g",
+        channels={"top": heading.partition(" ")[0]},
+        on_channel=taken.append,
+    )
+    assert [(one.unit, one.stated, one.by_name) for one in taken] == [("g", False, False)]
+
+
 def test_day_and_month_that_could_be_exchanged_are_told(tmp_path: Path) -> None:
     rows = lines([f"3/2/2026 14:00:{k / 100:05.2f}" for k in range(300)], motion(100.0, 300))
     (tmp_path / "a.csv").write_text("Date,a1 (g),a2 (g),a3 (g)\n" + rows)

@@ -48,9 +48,9 @@ class ImportedChannel:
     source: str
     """As FILE:COLUMN."""
     unit: str
-    """Of the column."""
+    """As which the column was read."""
     stated: bool
-    """Whether the file states the unit."""
+    """Whether the file states this unit."""
     by_name: bool
     """Whether it does so in the column's name."""
     mean: float
@@ -524,18 +524,19 @@ def _start_ns(tables: list[Table], options: Options, on_warning: OnWarning) -> i
 
 
 def _taken(stream: _Stream, name: str, at: int, unit: str) -> ImportedChannel:
-    """Form what is told of a channel; `unit` is that of a column of acceleration whose file states none."""
+    """Form what is told of a channel; `unit` is that of a column of acceleration whose file states none of acceleration."""
     table, column = stream.places[name]
     readings = stream.values[:, at]
     finite = readings[np.isfinite(readings)]
     with np.errstate(over="ignore", invalid="ignore"):
         level = (float(finite.mean()), float(finite.std())) if len(finite) else (0.0, 0.0)
     mean, rms = (value if np.isfinite(value) else 0.0 for value in level)
-    stated = table.unit(column)
-    taken = stated or (unit if stream.topic in (ACCELERATION, GROUND) else stream.unit)
-    return ImportedChannel(
-        stream.topic, name, f"{table.path.name}:{column}", taken, bool(stated), table.is_by_name(column), mean, rms
-    )
+    moves = stream.topic in (ACCELERATION, GROUND)
+    of_other = moves and table.quantity(column) not in (units.ACCELERATION, "counts")  # which --unit stands for
+    stated = "" if of_other else table.unit(column)
+    taken = stated or (unit if moves else stream.unit)
+    by_name = bool(stated) and table.is_by_name(column)
+    return ImportedChannel(stream.topic, name, f"{table.path.name}:{column}", taken, bool(stated), by_name, mean, rms)
 
 
 def doubt_unit(channels: Sequence[ImportedChannel]) -> str:
