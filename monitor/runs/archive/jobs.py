@@ -152,7 +152,7 @@ def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
         spans = recorded_spans(paths, settings)
         session = whole_session(settings, healthy, (rows, written), (task.structure, task.baseline), folder, spans)
         with ending(session, rows.abandon, written.abandon):
-            factor = pass_through(session, source, paths, event_suffices=True)
+            factor = pass_through(session, source, paths, spans, event_suffices=True)
             written.close(session.content(factor) | recorded_content(session, spans) | kept, ())
             rows.close()  # the run counts as done once this file is there, so it comes last
         warn_of_losses(session, spans, on_warning)
