@@ -174,6 +174,14 @@ def test_layouts_of_mat(tmp_path: Path, arrays: dict[str, Any], names: tuple[str
     assert all(t.stated for t in taken)
 
 
+@pytest.mark.parametrize("words", ["g", np.array(["g", "mg"], object)], ids=["all", "each"])
+def test_the_unit_of_arrays_stands_beside_them_for_all_or_for_each(tmp_path: Path, words: Any) -> None:
+    _, values, _, taken = load(mat(tmp_path / "m.mat", acc=BOTH, fs=100.0, units=words))
+    factors = 9.80665 * np.array([1.0, 1.0 if isinstance(words, str) else 1e-3])
+    np.testing.assert_allclose(values, factors * BOTH, rtol=1e-6, atol=1e-6)
+    assert [(one.unit, one.stated) for one in taken] == list(zip(np.broadcast_to(words, 2), [True] * 2, strict=True))
+
+
 def test_times_are_taken_up_to_the_year_2096_and_later_ones_refused(tmp_path: Path) -> None:
     clock = 4e9 + np.arange(250) / 250.0
     info, *_ = load(mat(tmp_path / "early.mat", t=clock - 1.0, a=X, unit="g"))
