@@ -116,6 +116,8 @@ def test_units_code_si_of_dataset_164_is_the_unit_where_none_is_written(tmp_path
 def test_universal_files_without_time_responses_or_of_unlike_ones_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"no time response .* but frequency response"):
         load(uff(tmp_path / "a.uff", BOTH, func_type=4))
+    mixed = uff(uff(tmp_path / "d.uff", BOTH), BOTH[:, :1], func_type=4)
+    assert ["time responses are samples: frequency response" in one for one in load(mixed)[2]] == [True]
     with pytest.raises(BadInputError, match="10-z has 250 samples and 10-z 100"):
         load(uff(uff(tmp_path / "b.uff", BOTH[:, :1]), BOTH[:100, :1]))
     (tmp_path / "c.uff").write_bytes(b"    -1\n    58\n" + b"\n" * (5 << 20))
@@ -172,6 +174,11 @@ def test_layouts_of_mat(tmp_path: Path, arrays: dict[str, Any], names: tuple[str
     assert (info.channels[ACCELERATION], info.sample_rate_hz, warnings) == (names, rate_hz, [])
     np.testing.assert_allclose(values, 9.80665 * BOTH, rtol=1e-6, atol=1e-6)
     assert all(t.stated for t in taken)
+
+
+def test_arrays_besides_the_samples_are_told_to_be_left_out(tmp_path: Path) -> None:
+    _, values, told, _ = load(mat(tmp_path / "m.mat", samples=BOTH, air=X, fs=100.0, unit="g"))
+    assert values.shape == BOTH.shape and ["samples` are left out: air" in one for one in told] == [True]
 
 
 @pytest.mark.parametrize("words", ["g", np.array(["g", "mg"], object)], ids=["all", "each"])

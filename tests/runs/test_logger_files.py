@@ -252,6 +252,21 @@ def test_tdms_states_names_units_rate_and_start(tmp_path: Path) -> None:
     assert [(one.name, one.unit) for one in taken] == [("a1", "g"), ("a2", "g"), ("a3", "g")]
 
 
+def test_a_tdms_channel_of_words_is_told_to_be_left_out(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    told = {"wf_increment": 0.01, "unit_string": "g"}
+    with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as file:
+        file.write_segment(
+            [
+                nptdms.ChannelObject("Log", "a1", motion(100.0)[:, 0], properties=told),
+                nptdms.ChannelObject("Log", "notes", ["begun", "ended"]),
+            ]
+        )
+    warned: list[str] = []
+    imported([tmp_path / "a.tdms"], tmp_path / "o.mcap", start_ns=0, on_warning=warned.append)
+    assert [one.rpartition(": ")[2] for one in warned] == ["notes"]
+
+
 @pytest.mark.parametrize(
     ("form", "suffix"), [("SAC", "sac"), ("SLIST", "asc"), ("TSPAIR", "txt"), ("GSE2", "gse2"), ("MSEED", "x")]
 )

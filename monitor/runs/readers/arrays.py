@@ -74,6 +74,8 @@ def _readings(
     clock = next((_vector(array) * tick for name, array in told.items() if (tick := _tick_s(name))), None)
     if "samples" in told:
         columns, values = _samples(told)
+        if others := ", ".join(name for name, array in arrays.items() if _holds_readings(_own(name), array)):
+            on_warning(f"{path}: arrays besides `samples` are left out: {others}")
         stated = (next((unit for name, unit in units.items() if _own(name) == "samples"), ""),) * len(columns)
     else:
         columns, stated, values = _of_one_length(arrays, clock, units, path, on_warning)

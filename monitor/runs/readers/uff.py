@@ -79,6 +79,8 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
 def _build(file: File, functions: list[dict[str, Any]], si: bool) -> Table:
     """Build a table of the time responses; raise ValueError if they do not fit each other."""
     responses = _responses(functions)
+    if others := _kinds([one for one in functions if not _is_response(one)]):
+        file.on_warning(f"{file.path}: left out, since only time responses are samples: {others}")
     first = responses[0]
     names = [_label(f) for f in responses]
     columns = tuple(
@@ -105,10 +107,10 @@ def _build(file: File, functions: list[dict[str, Any]], si: bool) -> Table:
 
 def _responses(functions: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the time responses; raise ValueError if there is none, or their times differ."""
-    responses = [f for f in functions if f["func_type"] == _TIME_RESPONSE and np.isrealobj(f["data"])]
+    responses = list(filter(_is_response, functions))
     if not responses:
-        held = ", ".join(sorted({_FUNCTIONS.get(f["func_type"], f"type {f['func_type']}") for f in functions}))
-        raise ValueError(f"it holds no time response (dataset 58 of function type 1) but {held or 'no dataset 58'}")
+        held = _kinds(functions) or "no dataset 58"
+        raise ValueError(f"it holds no time response (dataset 58 of function type 1) but {held}")
     first = responses[0]
     for other in responses:
         if len(other["data"]) != len(first["data"]) or not np.allclose(other["x"], first["x"], rtol=0, atol=1e-6):
@@ -117,6 +119,16 @@ def _responses(functions: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "save those of one rate and length together"
             )
     return responses
+
+
+def _is_response(function: dict[str, Any]) -> bool:
+    """Test whether a function is a time response."""
+    return bool(function["func_type"] == _TIME_RESPONSE and np.isrealobj(function["data"]))
+
+
+def _kinds(functions: list[dict[str, Any]]) -> str:
+    """Name the kinds of functions."""
+    return ", ".join(sorted({_FUNCTIONS.get(f["func_type"], f"type {f['func_type']}") for f in functions}))
 
 
 def _rounded(rate_hz: float) -> float:
