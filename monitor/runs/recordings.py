@@ -57,11 +57,11 @@ def read_topics(
             topic_map=topic_map or None,
             on_warning=on_warning,
             longest_s=longest_s,
-            evenly=_evenly,
+            evenly=evenly,
         )
 
 
-def _evenly(stamps_ns: NDArray[np.int64]) -> tuple[float, NDArray[np.int64]]:
+def evenly(stamps_ns: NDArray[np.int64]) -> tuple[float, NDArray[np.int64]]:
     """Find rate, Hz, and evenly spaced stamps, ns, of a topic's stamps; ValueError where they tell no rate."""
     try:
         found = sample_clock(stamps_ns)
@@ -85,7 +85,7 @@ def recorded_spans(paths: list[Path], config: Configuration) -> list[RecordedSpa
     spans = []
     for path in paths:
         try:
-            begin_ns, end_ns = recorded_time(path, topic_map=config.topics or None)
+            begin_ns, end_ns = recorded_time(path, topic_map=config.topics or None, evenly=evenly)
         except (RecordingError, KeyError):  # of other quantities alone, such as temperature
             continue
         spans.append(RecordedSpan(path.name, begin_ns, end_ns))
@@ -187,7 +187,7 @@ class Progress:
         if self._spans is not None:
             return sum(span.t_end_ns - span.t_begin_ns for span in self._spans) * 1e-9
         try:
-            spans = [recorded_time(path, topic_map=self._topics) for path in self._paths]
+            spans = [recorded_time(path, topic_map=self._topics, evenly=evenly) for path in self._paths]
         except (RecordingError, KeyError):
             return 0.0
         return sum(end_ns - begin_ns for begin_ns, end_ns in spans) * 1e-9

@@ -10,10 +10,13 @@ import pytest
 
 from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
+from monitor.config import configuration
 from monitor.core import BadInputError
 from monitor.runs import look
+from monitor.runs.archive.inventory import Survey
+from monitor.runs.archive.jobs import survey_recording
 from monitor.runs.readers import ImportedChannel, explain_table
-from monitor.runs.recordings import read_topics
+from monitor.runs.recordings import read_topics, recorded_spans
 from tests.runs.logger_files import START_NS, LoggerFile, lines, lvm, motion, odd_tables, packed, tables, workbook
 from tests.runs.reading import imported
 from tests.support.ros2 import record
@@ -187,15 +190,32 @@ def test_readings_that_stand_twice_are_told_and_feign_no_mode(tmp_path: Path) ->
     assert all(mode.frequency_hz < 50.0 for mode in found.modes)
 
 
-def test_the_rate_of_ros_2_topics_is_that_of_all_stamps_and_jitter_loses_no_row(tmp_path: Path) -> None:
-    chance, rate_hz = np.random.default_rng(4), 98.7
-    stamps = {}
-    for topic in ("/i1", "/i2"):
+TOPICS = {"/i1": "a1", "/i2": "a2"}
+
+
+def jittered(path: Path, rate_hz: float, seed: int) -> Path:
+    """ROS 2 topics whose stamps jitter by 1.5 ms, with a pause of 20 s."""
+    chance, stamps = np.random.default_rng(seed), {}
+    for topic in TOPICS:
         t = np.sort(np.arange(3000) / rate_hz + chance.normal(scale=1.5e-3, size=3000))
         t[1500:] += 20.0
         stamps[topic] = [1_700_000_000 * 10**9 + round(x * 1e9) for x in t]
-    path = record(tmp_path / "a.mcap", stamps)
-    blocks = list(read_topics([path], (ACCELERATION,), lambda _: None, topic_map={"/i1": "a1", "/i2": "a2"}))
+    return record(path, stamps)
+
+
+def test_what_is_told_of_ros_2_topics_is_by_all_stamps_too(tmp_path: Path) -> None:
+    settings = configuration.load(Path("recordings/frame.toml")).model_copy(update={"topics": TOPICS})
+    paths = [jittered(tmp_path / f"{seed}.mcap", 98.7, seed) for seed in range(8)]
+    assert len(recorded_spans(paths, settings)) == 8
+    for path in paths:
+        found = survey_recording((path, TOPICS))
+        assert isinstance(found, Survey) and found.rate_hz == pytest.approx(98.7, rel=5e-5)
+
+
+def test_the_rate_of_ros_2_topics_is_that_of_all_stamps_and_jitter_loses_no_row(tmp_path: Path) -> None:
+    rate_hz = 98.7
+    path = jittered(tmp_path / "a.mcap", rate_hz, 4)
+    blocks = list(read_topics([path], (ACCELERATION,), lambda _: None, topic_map=TOPICS))
     assert blocks[0].sample_rate_hz == pytest.approx(rate_hz, rel=5e-5)
     assert sum(block.n_samples for block in blocks) == 3000
     jumps = [b.sequence - a.sequence - a.n_samples for a, b in pairwise(blocks)]
