@@ -105,13 +105,15 @@ def read_recordings(
     return merged(blocks, longest_s) if longest_s else blocks
 
 
-def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) -> RecordingInfo:
-    """Read a recording and return its channels, rate, duration and number of samples (errors as `read_recordings`)."""
+def recording_info(
+    path: Path, *, topic_map: Mapping[str, str] | None = None, evenly: Evenly | None = None
+) -> RecordingInfo:
+    """Read a recording and return its channels, rate, duration and number of samples (all else as `read_recordings`)."""
     channels: dict[str, tuple[str, ...]] = {}
     samples: dict[str, int] = {}
     first: dict[str, SampleBlock] = {}
     last: dict[str, SampleBlock] = {}
-    for block in read_recordings([path], topic_map=topic_map):
+    for block in read_recordings([path], topic_map=topic_map, evenly=evenly):
         channels.setdefault(block.topic, block.channels)
         samples[block.topic] = samples.get(block.topic, 0) + block.n_samples
         first.setdefault(block.topic, block)
@@ -121,12 +123,14 @@ def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) ->
     return RecordingInfo(tuple(channels), channels, start.sample_rate_hz, duration_s, start.t_ns, samples[ACCELERATION])
 
 
-def recorded_time(path: Path, *, topic_map: Mapping[str, str] | None = None) -> tuple[int, int]:
+def recorded_time(
+    path: Path, *, topic_map: Mapping[str, str] | None = None, evenly: Evenly | None = None
+) -> tuple[int, int]:
     """Read when a recording begins and ends, UTC in ns, as `recording_info` does, of a file with an index from its ends alone."""
     survey = _Survey(McapFile(path), tuple(UNIT_OF), topic_map or {})
     end = survey.last_block(ACCELERATION) if survey.use_index() else None
     if end is None:
-        info = recording_info(path, topic_map=topic_map)
+        info = recording_info(path, topic_map=topic_map, evenly=evenly)
         return info.t_start_ns, info.t_end_ns
     start = next(block for block in _join_topics([survey], {}, 0.0, lambda _: None) if block.topic == ACCELERATION)
     return start.t_ns, start.t_ns + round(_duration_s(start, end) * 1e9)

@@ -35,7 +35,7 @@ from monitor.model import FORMS, Modes, StructuralPrior
 from monitor.pipeline import Pipeline
 from monitor.runs import diagnose
 from monitor.runs.baselines import modal_origin
-from monitor.runs.recordings import OnWarning, Progress, file_names, push_block, read_blocks
+from monitor.runs.recordings import OnWarning, Progress, evenly, file_names, push_block, read_blocks
 
 _COMMON_MODE_SHARE = 0.9
 """Share of the windows in which a mode must be identified to belong to the baseline."""
@@ -233,7 +233,7 @@ def _learned_share(paths: list[Path], config: Configuration) -> float:
     """Compute the share of every hour from which the reference is learned, so that memory stays bounded."""
     if sum(p.stat().st_size for p in paths) < _SHORT_RECORDINGS_BYTES:
         return 1.0
-    seconds = sum(recording_info(p, topic_map=config.topics or None).duration_s for p in paths)
+    seconds = sum(recording_info(p, topic_map=config.topics or None, evenly=evenly).duration_s for p in paths)
     return min(1.0, _MAX_LEARNED_S / seconds)
 
 

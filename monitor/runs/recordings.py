@@ -57,11 +57,11 @@ def read_topics(
             topic_map=topic_map or None,
             on_warning=on_warning,
             longest_s=longest_s,
-            evenly=_evenly,
+            evenly=evenly,
         )
 
 
-def _evenly(stamps_ns: NDArray[np.int64]) -> tuple[float, NDArray[np.int64]]:
+def evenly(stamps_ns: NDArray[np.int64]) -> tuple[float, NDArray[np.int64]]:
     """Find rate, Hz, and evenly spaced stamps, ns, of a topic's stamps; ValueError where they tell no rate."""
     try:
         found = sample_clock(stamps_ns)
@@ -85,7 +85,7 @@ def recorded_spans(paths: list[Path], config: Configuration) -> list[RecordedSpa
     spans = []
     for path in paths:
         try:
-            begin_ns, end_ns = recorded_time(path, topic_map=config.topics or None)
+            begin_ns, end_ns = recorded_time(path, topic_map=config.topics or None, evenly=evenly)
         except (RecordingError, KeyError):  # of other quantities alone, such as temperature
             continue
         spans.append(RecordedSpan(path.name, begin_ns, end_ns))
@@ -151,7 +151,8 @@ _READING = Step("", unit="min of data")
 class Progress:
     """Progress through the data of recordings, with a check that they are long enough for one window.
 
-    `on_progress` is told after each block how much of the accelerations of `paths` there was, in the words of `step`.
+    `on_progress` is told after each block how much of the accelerations of `paths` there was, in the words of `step`; `spans`
+    are theirs, where they are known.
     """
 
     def __init__(
@@ -160,6 +161,7 @@ class Progress:
         paths: Sequence[Path] = (),
         topics: Mapping[str, str] | None = None,
         step: Step = _READING,
+        spans: Sequence[RecordedSpan] | None = None,
     ) -> None:
         self.first: SampleBlock | None = None
         """First block of acceleration."""
@@ -168,7 +170,7 @@ class Progress:
         self.data_s = 0.0
         """Length of the acceleration data so far, the time between recordings apart."""
         self._on_progress, self._step = on_progress, step._replace(unit=_READING.unit)
-        self._paths, self._topics = paths, topics or None
+        self._paths, self._topics, self._spans = paths, topics or None, spans
 
     def add(self, block: SampleBlock) -> None:
         """Count a block."""
@@ -182,8 +184,10 @@ class Progress:
     @cached_property
     def _total_s(self) -> float:
         """Length of the accelerations, s; 0 where a recording does not tell."""
+        if self._spans is not None:
+            return sum(span.t_end_ns - span.t_begin_ns for span in self._spans) * 1e-9
         try:
-            spans = [recorded_time(path, topic_map=self._topics) for path in self._paths]
+            spans = [recorded_time(path, topic_map=self._topics, evenly=evenly) for path in self._paths]
         except (RecordingError, KeyError):
             return 0.0
         return sum(end_ns - begin_ns for begin_ns, end_ns in spans) * 1e-9

@@ -121,7 +121,7 @@ def replay(
     publishers = (written,) if view is None else (written, view)
     session = whole_session(config, baseline, publishers, files, out, spans)
     with ending(session, written.abandon, *([] if view is None else [view.abort])):
-        factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress, event_suffices=True)
+        factor = pass_through(session, source, paths, spans, speed=speed, on_progress=on_progress, event_suffices=True)
         content = session.content(factor) | recorded_content(session, spans)
         written.close(content, session.online_diagnosis.findings)
         if view is not None:
@@ -168,6 +168,7 @@ def pass_through(
     session: Session,
     source: Iterable[SampleBlock],
     paths: list[Path],
+    spans: list[RecordedSpan],
     *,
     speed: float | None = None,
     on_progress: OnProgress = lambda _: None,
@@ -178,7 +179,7 @@ def pass_through(
     `speed` is a multiple of real time, by default as fast as possible; time without samples is not waited for. Recordings
     shorter than a window are welcome if `event_suffices` and they hold an event, as those of earthquakes do.
     """
-    progress, started = Progress(on_progress, paths, session.config.topics), time.monotonic()
+    progress, started = Progress(on_progress, spans=spans), time.monotonic()
     for block in source:
         progress.add(block)
         if speed is not None:

@@ -23,6 +23,8 @@ _SLOW = (
     "rerun",
     "matplotlib",
     "apprise",
+    "can",
+    "cantools",
 )
 """Each takes a tenth of a second to more than a second to load."""
 

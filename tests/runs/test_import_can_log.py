@@ -48,6 +48,15 @@ def test_every_format_gives_the_same_samples_at_the_same_times(tmp_path: Path, s
     assert warnings == [f"{log}: 20 lost samples"]
 
 
+def test_an_option_that_a_log_has_no_use_for_is_told(tmp_path: Path) -> None:
+    log, out, told = tmp_path / "x.log", tmp_path / "o.mcap", list[str]()
+    samples = write(log)
+    import_files([log], out, Options(dbc=DBC, rate_hz=1024.0, unit="g", scale=2.0), on_warning=told.append)
+    assert [one.partition(": ")[2].partition(" is not used")[0] for one in told] == ["--unit", "--scale"]
+    taken = np.concatenate([block.samples for block in read_recordings([out])])
+    np.testing.assert_array_equal(taken, samples)
+
+
 def test_the_command(tmp_path: Path, main: Callable[..., subprocess.CompletedProcess[str]]) -> None:
     write(tmp_path / "x.blf")
     done = main("import", tmp_path / "x.blf", "--dbc", DBC, "--rate", "1024", "--out", tmp_path / "o.mcap")

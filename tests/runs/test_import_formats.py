@@ -20,7 +20,7 @@ import scipy.io
 from drivers.base import ACCELERATION, FORCE
 from drivers.mcap_file import RecordingInfo, read_recordings
 from monitor.core import BadInputError, UserError
-from monitor.runs.readers import ImportedChannel, Options, import_files
+from monitor.runs.readers import ImportedChannel, Options, import_files, zone_named
 from monitor.runs.readers.clocks import best_shift
 from tests.runs.reading import imported
 from tests.support.samples import Cli
@@ -79,6 +79,15 @@ def test_a_file_of_catman(tmp_path: Path) -> None:
     assert (taken[0].unit, taken[0].stated, taken[0].source) == ("m/s²", True, "c.uff:1x")
 
 
+def test_the_time_of_a_universal_file_is_of_the_zone_that_is_told_and_doubted_where_it_counts(tmp_path: Path) -> None:
+    path = uff(tmp_path / "a.uff", BOTH)
+    as_utc, _, told, _ = load(path, start_ns=None)
+    assert any("its time 02-JAN-26 03:04:05 has no zone; taken as UTC" in one for one in told)
+    in_zone, _, told, _ = load(path, start_ns=None, zone=zone_named("+01:00"))
+    assert (as_utc.t_start_ns - in_zone.t_start_ns, told) == (3600 * 10**9, [])
+    assert load(path, start_ns=0)[2] == []
+
+
 @pytest.mark.filterwarnings(
     "ignore::pytest.PytestUnraisableExceptionWarning"
 )  # pyuff writes 58b through a file left open
@@ -107,6 +116,8 @@ def test_units_code_si_of_dataset_164_is_the_unit_where_none_is_written(tmp_path
 def test_universal_files_without_time_responses_or_of_unlike_ones_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"no time response .* but frequency response"):
         load(uff(tmp_path / "a.uff", BOTH, func_type=4))
+    mixed = uff(uff(tmp_path / "d.uff", BOTH), BOTH[:, :1], func_type=4)
+    assert ["time responses are samples: frequency response" in one for one in load(mixed)[2]] == [True]
     with pytest.raises(BadInputError, match="10-z has 250 samples and 10-z 100"):
         load(uff(uff(tmp_path / "b.uff", BOTH[:, :1]), BOTH[:100, :1]))
     (tmp_path / "c.uff").write_bytes(b"    -1\n    58\n" + b"\n" * (5 << 20))
@@ -163,6 +174,19 @@ def test_layouts_of_mat(tmp_path: Path, arrays: dict[str, Any], names: tuple[str
     assert (info.channels[ACCELERATION], info.sample_rate_hz, warnings) == (names, rate_hz, [])
     np.testing.assert_allclose(values, 9.80665 * BOTH, rtol=1e-6, atol=1e-6)
     assert all(t.stated for t in taken)
+
+
+def test_arrays_besides_the_samples_are_told_to_be_left_out(tmp_path: Path) -> None:
+    _, values, told, _ = load(mat(tmp_path / "m.mat", samples=BOTH, air=X, fs=100.0, unit="g"))
+    assert values.shape == BOTH.shape and ["samples` are left out: air" in one for one in told] == [True]
+
+
+@pytest.mark.parametrize("words", ["g", np.array(["g", "mg"], object)], ids=["all", "each"])
+def test_the_unit_of_arrays_stands_beside_them_for_all_or_for_each(tmp_path: Path, words: Any) -> None:
+    _, values, _, taken = load(mat(tmp_path / "m.mat", acc=BOTH, fs=100.0, units=words))
+    factors = 9.80665 * np.array([1.0, 1.0 if isinstance(words, str) else 1e-3])
+    np.testing.assert_allclose(values, factors * BOTH, rtol=1e-6, atol=1e-6)
+    assert [(one.unit, one.stated) for one in taken] == list(zip(np.broadcast_to(words, 2), [True] * 2, strict=True))
 
 
 def test_times_are_taken_up_to_the_year_2096_and_later_ones_refused(tmp_path: Path) -> None:

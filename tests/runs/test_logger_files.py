@@ -10,10 +10,13 @@ import pytest
 
 from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
+from monitor.config import configuration
 from monitor.core import BadInputError
 from monitor.runs import look
+from monitor.runs.archive.inventory import Survey
+from monitor.runs.archive.jobs import survey_recording
 from monitor.runs.readers import ImportedChannel, explain_table
-from monitor.runs.recordings import read_topics
+from monitor.runs.recordings import read_topics, recorded_spans
 from tests.runs.logger_files import START_NS, LoggerFile, lines, lvm, motion, odd_tables, packed, tables, workbook
 from tests.runs.reading import imported
 from tests.support.ros2 import record
@@ -104,6 +107,20 @@ def test_volts_are_taken_as_acceleration_when_the_user_says_so(tmp_path: Path) -
     assert any("--unit g is taken for a1" in text for text in told)
 
 
+@pytest.mark.parametrize("heading", ["a1 [V]", "a1_mV"])
+def test_what_is_told_of_a_channel_is_the_unit_as_which_it_was_read(heading: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"t,{heading}\n" + "".join(f"{k / 100},{k % 7}\n" for k in range(50)))
+    taken: list[ImportedChannel] = []
+    imported(
+        [tmp_path / "a.csv"],
+        tmp_path / "o.mcap",
+        unit="g",
+        channels={"top": heading.partition(" ")[0]},
+        on_channel=taken.append,
+    )
+    assert [(one.unit, one.stated, one.by_name) for one in taken] == [("g", False, False)]
+
+
 def test_day_and_month_that_could_be_exchanged_are_told(tmp_path: Path) -> None:
     rows = lines([f"3/2/2026 14:00:{k / 100:05.2f}" for k in range(300)], motion(100.0, 300))
     (tmp_path / "a.csv").write_text("Date,a1 (g),a2 (g),a3 (g)\n" + rows)
@@ -180,15 +197,32 @@ def test_readings_that_stand_twice_are_told_and_feign_no_mode(tmp_path: Path) ->
     assert all(mode.frequency_hz < 50.0 for mode in found.modes)
 
 
-def test_the_rate_of_ros_2_topics_is_that_of_all_stamps_and_jitter_loses_no_row(tmp_path: Path) -> None:
-    chance, rate_hz = np.random.default_rng(4), 98.7
-    stamps = {}
-    for topic in ("/i1", "/i2"):
+TOPICS = {"/i1": "a1", "/i2": "a2"}
+
+
+def jittered(path: Path, rate_hz: float, seed: int) -> Path:
+    """ROS 2 topics whose stamps jitter by 1.5 ms, with a pause of 20 s."""
+    chance, stamps = np.random.default_rng(seed), {}
+    for topic in TOPICS:
         t = np.sort(np.arange(3000) / rate_hz + chance.normal(scale=1.5e-3, size=3000))
         t[1500:] += 20.0
         stamps[topic] = [1_700_000_000 * 10**9 + round(x * 1e9) for x in t]
-    path = record(tmp_path / "a.mcap", stamps)
-    blocks = list(read_topics([path], (ACCELERATION,), lambda _: None, topic_map={"/i1": "a1", "/i2": "a2"}))
+    return record(path, stamps)
+
+
+def test_what_is_told_of_ros_2_topics_is_by_all_stamps_too(tmp_path: Path) -> None:
+    settings = configuration.load(Path("recordings/frame.toml")).model_copy(update={"topics": TOPICS})
+    paths = [jittered(tmp_path / f"{seed}.mcap", 98.7, seed) for seed in range(8)]
+    assert len(recorded_spans(paths, settings)) == 8
+    for path in paths:
+        found = survey_recording((path, TOPICS))
+        assert isinstance(found, Survey) and found.rate_hz == pytest.approx(98.7, rel=5e-5)
+
+
+def test_the_rate_of_ros_2_topics_is_that_of_all_stamps_and_jitter_loses_no_row(tmp_path: Path) -> None:
+    rate_hz = 98.7
+    path = jittered(tmp_path / "a.mcap", rate_hz, 4)
+    blocks = list(read_topics([path], (ACCELERATION,), lambda _: None, topic_map=TOPICS))
     assert blocks[0].sample_rate_hz == pytest.approx(rate_hz, rel=5e-5)
     assert sum(block.n_samples for block in blocks) == 3000
     jumps = [b.sequence - a.sequence - a.n_samples for a, b in pairwise(blocks)]
@@ -206,6 +240,28 @@ def test_a_workbook_is_read_as_a_table(tmp_path: Path) -> None:
     assert (info.sample_rate_hz, info.channels[ACCELERATION], info.n_samples) == (100.0, ("a1", "a2", "a3"), 600)
 
 
+@pytest.mark.parametrize(
+    ("told", "unit", "factor"),
+    [
+        ("IN UNITS OF G", "g", 9.80665),
+        ("IN UNITS OF CM/S/S", "cm/s^2", 0.01),
+        ("(G)", "g", 9.80665),
+        ("", "m/s^2", 1.0),
+    ],
+)
+def test_a_peer_record_is_in_the_unit_that_it_states_whatever_its_station_is_called(
+    told: str, unit: str, factor: float, tmp_path: Path
+) -> None:
+    head = f"PEER NGA STRONG MOTION DATABASE RECORD\nLoma Prieta, Gilroy Array, 90\nACCELERATION TIME SERIES {told}\n"
+    values = motion(100.0)[:, 0] / factor
+    (tmp_path / "a.AT2").write_text(head + "NPTS= 600, DT= .0100 SEC\n" + "\n".join(f"{v:.7E}" for v in values) + "\n")
+    taken: list[ImportedChannel] = []
+    imported([tmp_path / "a.AT2"], tmp_path / "o.mcap", on_channel=taken.append)
+    samples = np.concatenate([b.samples[:, 0] for b in read_recordings([tmp_path / "o.mcap"])])
+    np.testing.assert_allclose(samples, motion(100.0)[:, 0], rtol=1e-5, atol=1e-6)
+    assert [(one.unit, one.stated) for one in taken] == [(unit, bool(told))]
+
+
 def test_tdms_states_names_units_rate_and_start(tmp_path: Path) -> None:
     nptdms = pytest.importorskip("nptdms")
     told = {
@@ -221,6 +277,21 @@ def test_tdms_states_names_units_rate_and_start(tmp_path: Path) -> None:
     info = imported([tmp_path / "a.tdms"], tmp_path / "o.mcap", on_channel=taken.append)
     assert (info.sample_rate_hz, info.t_start_ns, info.n_samples) == (200.0, START_NS, 600)
     assert [(one.name, one.unit) for one in taken] == [("a1", "g"), ("a2", "g"), ("a3", "g")]
+
+
+def test_a_tdms_channel_of_words_is_told_to_be_left_out(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    told = {"wf_increment": 0.01, "unit_string": "g"}
+    with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as file:
+        file.write_segment(
+            [
+                nptdms.ChannelObject("Log", "a1", motion(100.0)[:, 0], properties=told),
+                nptdms.ChannelObject("Log", "notes", ["begun", "ended"]),
+            ]
+        )
+    warned: list[str] = []
+    imported([tmp_path / "a.tdms"], tmp_path / "o.mcap", start_ns=0, on_warning=warned.append)
+    assert [one.rpartition(": ")[2] for one in warned] == ["notes"]
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from monitor.publish import WINDOWS_SCHEMA, Publisher, windows_table
 from monitor.runs.archive.inventory import Survey
 from monitor.runs.baselines import load_healthy
 from monitor.runs.object_storage import address, local_copies
-from monitor.runs.recordings import OnWarning, read_blocks, recorded_spans
+from monitor.runs.recordings import OnWarning, evenly, read_blocks, recorded_spans
 from monitor.runs.replay import (
     ResultFiles,
     ending,
@@ -108,7 +108,7 @@ def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
     path, topics = item
     try:
         with local_copies([path]) as ((copy,), _):
-            info = recording_info(copy, topic_map=topics or None)
+            info = recording_info(copy, topic_map=topics or None, evenly=evenly)
     except (RecordingError, UserError) as error:
         return str(error)
     channels = info.channels[ACCELERATION]
@@ -152,7 +152,7 @@ def _replay(task: Task, paths: list[Path], on_warning: OnWarning) -> None:
         spans = recorded_spans(paths, settings)
         session = whole_session(settings, healthy, (rows, written), (task.structure, task.baseline), folder, spans)
         with ending(session, rows.abandon, written.abandon):
-            factor = pass_through(session, source, paths, event_suffices=True)
+            factor = pass_through(session, source, paths, spans, event_suffices=True)
             written.close(session.content(factor) | recorded_content(session, spans) | kept, ())
             rows.close()  # the run counts as done once this file is there, so it comes last
         warn_of_losses(session, spans, on_warning)

@@ -21,7 +21,10 @@ VALUE_BYTES = 8
 _RATE = ("rate_hz", "fs", "sample_rate_hz", "sample_rate", "samplerate")
 _STEP = ("dt",)
 _TIME = ("t", "time")
-_RESERVED = {"samples", "channels", "unit", *_RATE, *_STEP}
+_UNIT = ("unit", "units")
+WORDS = ("channels", *_UNIT)
+"""Arrays that may hold words."""
+_RESERVED = {"samples", *WORDS, *_RATE, *_STEP}
 
 
 def build_table(
@@ -31,8 +34,8 @@ def build_table(
 
     The readings are `samples` (n, channels), else all vectors and matrices of the same length n, which is that of the time, or
     the longest that there is; the longer side of a matrix is its time, and its columns get the names NAME_1, NAME_2 .. .
-    Besides may stand `rate_hz`, `fs` or `dt`, `t` or `time` (s, or as the name says: `t_ms`), `channels` (names) and `unit`, in
-    any case.
+    Besides may stand `rate_hz`, `fs` or `dt`, `t` or `time` (s, or as the name says: `t_ms`), `channels` (names) and `unit`
+    or `units` (one for all, or one a column), in any case.
 
     The name of an array may be a path of groups with slashes; its unit is that which the file states.
     """
@@ -42,9 +45,9 @@ def build_table(
         rate_hz = _rate_hz(told)
     except (ValueError, TypeError, OverflowError) as error:
         raise BadInputError(f"{path}: cannot be used as {kind}: {error}") from error
-    whole = str(told["unit"].item()) if "unit" in told and told["unit"].size == 1 else ""
     named = units_in_names(columns)
-    found = tuple(one or whole or behind for one, behind in zip(stated, named, strict=True))
+    besides = _units(told, len(columns))
+    found = tuple(one or beside or behind for one, beside, behind in zip(stated, besides, named, strict=True))
     time_ns, start_ns = (None, None) if clock is None else _times(clock)
     table = Table(
         path=path,
@@ -71,6 +74,8 @@ def _readings(
     clock = next((_vector(array) * tick for name, array in told.items() if (tick := _tick_s(name))), None)
     if "samples" in told:
         columns, values = _samples(told)
+        if others := ", ".join(name for name, array in arrays.items() if _holds_readings(_own(name), array)):
+            on_warning(f"{path}: arrays besides `samples` are left out: {others}")
         stated = (next((unit for name, unit in units.items() if _own(name) == "samples"), ""),) * len(columns)
     else:
         columns, stated, values = _of_one_length(arrays, clock, units, path, on_warning)
@@ -109,6 +114,12 @@ def _samples(told: Mapping[str, AnyArray]) -> tuple[tuple[str, ...], Annotated[A
     columns = columns or tuple(f"a{at + 1}" for at in range(values.shape[-1]))
     turned = values.ndim == 2 and values.shape[1] != len(columns) == values.shape[0]
     return columns, values.T if turned else values
+
+
+def _units(told: Mapping[str, AnyArray], count: int) -> list[str]:
+    """Return the units of columns that stand in an array beside them; empty where none does, or of another number of columns."""
+    words = next((list(map(str, told[name].ravel())) for name in _UNIT if name in told), [])
+    return words if len(words) == count else (words if len(words) == 1 else [""]) * count
 
 
 def _rate_hz(told: Mapping[str, AnyArray]) -> float | None:

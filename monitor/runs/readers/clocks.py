@@ -29,10 +29,13 @@ _ONE_RATE = 1.02
 def follow(tables: list[Table], on_warning: OnWarning) -> list[Table]:
     """Join tables of the same columns that follow one another in time, as files of following days do.
 
-    Each shares less than half of its time with the one before, of which the readings are then kept.
+    Each shares less than half of its time with the one before, of which the readings are then kept. Where several do not follow
+    one another, each that states start and rate has a clock by these.
     """
+    if len(tables) < 2:
+        return tables
     tables = [_with_clock(table) for table in tables]
-    if len(tables) < 2 or any(table.start_ns is None or table.time_ns is None for table in tables):
+    if any(table.start_ns is None or table.time_ns is None for table in tables):
         return tables
     tables_in_time = sorted(tables, key=lambda table: table.start_ns or 0)
     times = [_times_ns(table) for table in tables_in_time]
@@ -141,11 +144,9 @@ def _step_ns(path: Path, clock: Annotated[Ticks, "n"]) -> float:
 
 def _clocks(tables: Sequence[Table]) -> list[Ticks]:
     """Return the times of all tables, or none; BadInputError where some have a clock and others none."""
-    clocks = [table.time_ns for table in map(_with_clock, tables) if table.time_ns is not None]
-    if all(table.time_ns is None for table in tables):
-        return []
-    if len(clocks) < len(tables):
-        without = ", ".join(str(table.path) for table in tables if _with_clock(table).time_ns is None)
+    clocks = [table.time_ns for table in tables if table.time_ns is not None]
+    if 0 < len(clocks) < len(tables):
+        without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
         raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
     return clocks
 

@@ -53,7 +53,7 @@ class Elsewhere:
 class Packed:
     """One file packed by gzip, bzip2 or xz."""
 
-    name = "gzip"
+    name = "packed file (gzip, bzip2 or xz)"
 
     def is_mine(self, file: File) -> bool:
         """Test whether a file is of this format."""
@@ -73,7 +73,7 @@ class Packed:
 class Zip:
     """A zip archive: NPZ, a workbook, or one packed table."""
 
-    name = "zip"
+    name = "zip archive"
 
     def is_mine(self, file: File) -> bool:
         """Test whether a file is of this format."""
@@ -164,8 +164,6 @@ def explain_table(path: Path, time: str | None = None) -> list[tuple[str, str, s
     """Say what each part of a table of text is taken for, and why; BadInputError for a file of another format."""
     file = File(path, read_bytes(path), Options(time=time), Limits(), lambda _: None)
     if (other := next((one for one in READERS if one.is_mine(file)), None)) is not None:
-        raise BadInputError(
-            f"{path}: is {other.name}, which states itself what it holds; --explain is for tables of text"
-        )
+        raise BadInputError(f"{path}: is read as {other.name}; --explain is for tables of text")
     text = delimited.cut(path, delimited.decode(path, file.raw), file.on_warning, time)
     return text.dialect.explained()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import import_extra
-from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, build_table
+from monitor.runs.readers.arrays import VALUE_BYTES, WORDS, AnyArray, build_table
 from monitor.runs.readers.base import File
 from monitor.runs.readers.own_process import demand_room, hand_over
 from monitor.runs.readers.table import Table
@@ -25,7 +25,6 @@ _DEFLATE, _SHUFFLE, _CHECKSUM, _LZF = 1, 2, 3, 32000
 """Filters of chunks. [1; definition: registered filters of HDF5]"""
 _LZF_RATIO = 132
 """Most that LZF unpacks a byte to. [ratio; definition: two bytes stand for at most 264]"""
-_WORDS = ("unit", "units", "channels")
 
 
 class Hdf5:
@@ -62,7 +61,7 @@ def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, st
                 demand_room(held, most_bytes)
                 _demand_honest_chunks(name, dataset, most_bytes)
                 arrays[name] = _readings(dataset)
-            elif name.rpartition("/")[2].casefold() in _WORDS and dataset.size < _MOST_OBJECTS:
+            elif name.rpartition("/")[2].casefold() in WORDS and dataset.size < _MOST_OBJECTS:
                 words = dataset.asstr()[()] if h5py.check_string_dtype(dataset.dtype) else np.empty(0)
                 arrays[name] = np.asarray(words).astype(str)
     return {name: array for name, array in arrays.items() if array.dtype.kind in "iufbU"}, units

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, build_table
+from monitor.runs.readers.arrays import VALUE_BYTES, WORDS, AnyArray, build_table
 from monitor.runs.readers.base import File
 from monitor.runs.readers.own_process import demand_room, hand_over
 from monitor.runs.readers.table import Table
@@ -21,8 +21,6 @@ _COMPRESSED = 15
 _PIECE_BYTES = 1 << 20
 """Length of the pieces in which an element is unpacked and counted. [bytes; cost]"""
 _NUMBERS = {"double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "logical"}
-_WORDS = ("unit", "channels")
-"""Variables that may hold words."""
 
 
 class Mat:
@@ -50,7 +48,7 @@ def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, st
     listed = [one for one in whosmat(io.BytesIO(raw)) if not one[0].startswith("__")]
     sizes = {name: int(np.prod(shape, dtype=object)) for name, shape, kind in listed if kind in _NUMBERS}
     demand_room(VALUE_BYTES * sum(sizes.values()), most_bytes)
-    words = [name for name, _, kind in listed if kind in ("char", "cell") and name.casefold() in _WORDS]
+    words = [name for name, _, kind in listed if kind in ("char", "cell") and name.casefold() in WORDS]
     content = loadmat(io.BytesIO(raw), variable_names=[*sizes, *words]) if sizes else {}
     arrays = {name: _plain(np.asarray(content[name])) for name in (*sizes, *words) if name in content}
     if not arrays:

@@ -9,9 +9,13 @@ import numpy as np
 from monitor.core import BadInputError
 from monitor.runs.readers.base import File
 from monitor.runs.readers.table import Table
+from monitor.runs.readers.units import unit_of
 
 _STEP = re.compile(rb"NPTS\s*=\s*(\d+)\s*,?\s*DT\s*=\s*([\d.Ee+-]+)", re.IGNORECASE)
 _BARE = re.compile(rb"^\s*(\d+)\s+([\d.]+)\s+NPTS", re.IGNORECASE | re.MULTILINE)
+_UNIT = re.compile(rb"UNITS?\s+(?:OF|IN)\s+([^\s,;]+)", re.IGNORECASE)
+_GRAVITY = re.compile(rb"\b(G)\b", re.IGNORECASE)
+"""The unit where the words of `_UNIT` are left out. [pattern]"""
 _HEAD = 2048
 """Bytes in which the four lines of text stand. [bytes; judgement]"""
 
@@ -40,5 +44,8 @@ class Peer:
             raise BadInputError(f"{file.path}: damaged AT2: {error}") from error
         if len(values) != int(match[1]):
             file.on_warning(f"{file.path}: states {int(match[1])} samples and has {len(values)}")
-        unit = "g" if b" G" in head.upper() or b"(G)" in head.upper() else ""
+        told = _UNIT.search(head) or _GRAVITY.search(head)
+        stated = told[1].decode("latin-1") if told else ""
+        known = unit_of(stated)
+        unit = known.symbol if known else stated
         return [Table(file.path, (file.path.stem,), (unit,), values[:, None], rate_hz=rate_hz)]

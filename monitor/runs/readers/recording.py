@@ -17,8 +17,8 @@ from drivers.base import ACCELERATION, FORCE, GROUND, ROTATION_RATE, TEMPERATURE
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError, OnProgress, Step, WrongUsageError, os_errors_of, utc
-from monitor.runs.readers import can_log, clocks, formats, units
-from monitor.runs.readers.base import File, Limits, Options, read_bytes
+from monitor.runs.readers import clocks, formats, units
+from monitor.runs.readers.base import File, Limits, Options, demand_file, read_bytes
 from monitor.runs.readers.table import KNOWN_UNITS, Array, OnWarning, Table, Ticks, in_order, in_si, meant_instead
 from monitor.runs.readers.units import G_M_S2, unit_of
 from monitor.signals import SampleClock, sample_clock
@@ -48,9 +48,9 @@ class ImportedChannel:
     source: str
     """As FILE:COLUMN."""
     unit: str
-    """Of the column."""
+    """As which the column was read."""
     stated: bool
-    """Whether the file states the unit."""
+    """Whether the file states this unit."""
     by_name: bool
     """Whether it does so in the column's name."""
     mean: float
@@ -128,6 +128,8 @@ def import_files(
     >>> info.sample_rate_hz, info.channels["/acceleration"]
     (100.0, ('a1',))
     """
+    from monitor.runs.readers import can_log  # its libraries take long to load, and a recording needs no import
+
     _check(options)
     if any(map(can_log.is_log, files)) and (options.dbc is not None or not _is_text(files[0])):
         return can_log.import_log(files, out, options, on_warning)
@@ -211,7 +213,9 @@ def _check(options: Options) -> None:
 
 def _is_text(path: Path) -> bool:
     """Test whether a file with the suffix of a CAN log is a table of text all the same."""
-    raw = read_bytes(path)[:4096]
+    demand_file(path)
+    with os_errors_of(path, "cannot be read: "), path.open("rb") as file:
+        raw = file.read(4096)
     first = raw.partition(b"\n")[0].strip()
     logged = first.lower().startswith((b"date ", b"(", b";$fileversion", b"base ")) or b"\0" in raw
     return bool(raw.strip()) and not logged
@@ -524,18 +528,19 @@ def _start_ns(tables: list[Table], options: Options, on_warning: OnWarning) -> i
 
 
 def _taken(stream: _Stream, name: str, at: int, unit: str) -> ImportedChannel:
-    """Form what is told of a channel; `unit` is that of a column of acceleration whose file states none."""
+    """Form what is told of a channel; `unit` is that of a column of acceleration whose file states none of acceleration."""
     table, column = stream.places[name]
     readings = stream.values[:, at]
     finite = readings[np.isfinite(readings)]
     with np.errstate(over="ignore", invalid="ignore"):
         level = (float(finite.mean()), float(finite.std())) if len(finite) else (0.0, 0.0)
     mean, rms = (value if np.isfinite(value) else 0.0 for value in level)
-    stated = table.unit(column)
-    taken = stated or (unit if stream.topic in (ACCELERATION, GROUND) else stream.unit)
-    return ImportedChannel(
-        stream.topic, name, f"{table.path.name}:{column}", taken, bool(stated), table.is_by_name(column), mean, rms
-    )
+    moves = stream.topic in (ACCELERATION, GROUND)
+    of_other = moves and table.quantity(column) not in (units.ACCELERATION, "counts")  # which --unit stands for
+    stated = "" if of_other else table.unit(column)
+    taken = stated or (unit if moves else stream.unit)
+    by_name = bool(stated) and table.is_by_name(column)
+    return ImportedChannel(stream.topic, name, f"{table.path.name}:{column}", taken, bool(stated), by_name, mean, rms)
 
 
 def doubt_unit(channels: Sequence[ImportedChannel]) -> str:

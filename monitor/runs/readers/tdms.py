@@ -17,6 +17,9 @@ from monitor.runs.readers.base import File
 from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
 from monitor.runs.readers.table import Table
 
+_LEFT_OUT = "left out"
+"""Name under which the process that reads tells the channels that hold no readings."""
+
 
 class Tdms:
     """TDMS."""
@@ -33,6 +36,8 @@ class Tdms:
         arrays, told = file.read_apart(__name__, self.name)
         if not arrays:
             raise BadInputError(f"{file.path}: holds no channel of numbers")
+        if words := told.pop(_LEFT_OUT):
+            file.on_warning(f"{file.path}: left out, since they hold no numbers or only one: {words}")
         channels = {key: json.loads(text) for key, text in told.items()}
         several = Counter(name for _, name, *_ in channels.values())
         clocks: dict[tuple[Any, ...], list[str]] = {}
@@ -59,11 +64,13 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
     TdmsFile = import_extra("nptdms", "TDMS").TdmsFile  # noqa: N806
     arrays: Arrays = {}
     told: dict[str, str] = {}
+    left_out: list[str] = []
     held = 0
     with TdmsFile.open(io.BytesIO(path.read_bytes())) as file:
         for group in file.groups():
             for channel in group.channels():
                 if channel.dtype.kind not in "iuf" or len(channel) < 2:
+                    left_out += [channel.name] if len(channel) else []
                     continue
                 held += VALUE_BYTES * len(channel)
                 demand_room(held, most_bytes)
@@ -84,6 +91,7 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
                         start_ns,
                     ]
                 )
+    told[_LEFT_OUT] = ", ".join(left_out)
     return arrays, told
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from monitor.core import BadInputError, import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES
 from monitor.runs.readers.base import LINE_BYTES, File
 from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
-from monitor.runs.readers.table import OnWarning, Table
+from monitor.runs.readers.table import Table
 
 _MARK = b"    -1"
 _TIME_RESPONSE = 1
@@ -50,7 +50,7 @@ class Uff:
             {**json.loads(told[key]), "data": arrays[f"y{key}"], "x": arrays[f"x{key}"]} for key in told if key != "si"
         ]
         try:
-            return [_build(file.path, functions, told["si"] == "1", file.on_warning)]
+            return [_build(file, functions, told["si"] == "1")]
         except (ValueError, TypeError, KeyError, OverflowError) as error:
             raise BadInputError(f"{file.path}: cannot be used as UFF: {error}") from error
 
@@ -76,9 +76,11 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
     return arrays, told
 
 
-def _build(path: Path, functions: list[dict[str, Any]], si: bool, on_warning: OnWarning) -> Table:
+def _build(file: File, functions: list[dict[str, Any]], si: bool) -> Table:
     """Build a table of the time responses; raise ValueError if they do not fit each other."""
     responses = _responses(functions)
+    if others := _kinds([one for one in functions if not _is_response(one)]):
+        file.on_warning(f"{file.path}: left out, since only time responses are samples: {others}")
     first = responses[0]
     names = [_label(f) for f in responses]
     columns = tuple(
@@ -90,23 +92,25 @@ def _build(path: Path, functions: list[dict[str, Any]], si: bool, on_warning: On
     even = bool(first["abscissa_spacing"])
     if even and not first["abscissa_inc"] > 0:
         raise ValueError(f"a step of {first['abscissa_inc']} s between samples")
+    start_ns, start_text = _start(first, float(x[0]) if len(x) else 0.0, file.options.zone)
     return Table(
-        path=path,
+        path=file.path,
         columns=columns,
         units=tuple(_unit(f, si) for f in responses),
         values=np.column_stack([f["data"] for f in responses]).astype(np.float64),
         time_ns=None if even else np.rint(1e9 * x).astype(np.int64),
-        start_ns=_start_ns(path, first, float(x[0]) if len(x) else 0.0, on_warning),
+        start_ns=start_ns,
+        start_text=start_text,
         rate_hz=_rounded(1.0 / float(first["abscissa_inc"])) if even else None,
     )
 
 
 def _responses(functions: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the time responses; raise ValueError if there is none, or their times differ."""
-    responses = [f for f in functions if f["func_type"] == _TIME_RESPONSE and np.isrealobj(f["data"])]
+    responses = list(filter(_is_response, functions))
     if not responses:
-        held = ", ".join(sorted({_FUNCTIONS.get(f["func_type"], f"type {f['func_type']}") for f in functions}))
-        raise ValueError(f"it holds no time response (dataset 58 of function type 1) but {held or 'no dataset 58'}")
+        held = _kinds(functions) or "no dataset 58"
+        raise ValueError(f"it holds no time response (dataset 58 of function type 1) but {held}")
     first = responses[0]
     for other in responses:
         if len(other["data"]) != len(first["data"]) or not np.allclose(other["x"], first["x"], rtol=0, atol=1e-6):
@@ -115,6 +119,16 @@ def _responses(functions: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "save those of one rate and length together"
             )
     return responses
+
+
+def _is_response(function: dict[str, Any]) -> bool:
+    """Test whether a function is a time response."""
+    return bool(function["func_type"] == _TIME_RESPONSE and np.isrealobj(function["data"]))
+
+
+def _kinds(functions: list[dict[str, Any]]) -> str:
+    """Name the kinds of functions."""
+    return ", ".join(sorted({_FUNCTIONS.get(f["func_type"], f"type {f['func_type']}") for f in functions}))
 
 
 def _rounded(rate_hz: float) -> float:
@@ -140,17 +154,19 @@ def _unit(function: dict[str, Any], si: bool) -> str:
     return {_ACCELERATION: "m/s^2", _FORCE: "N"}.get(int(function["ordinate_spec_data_type"]), "") if si else ""
 
 
-def _start_ns(path: Path, function: dict[str, Any], begun_s: float, on_warning: OnWarning) -> int | None:
-    """Return the time of the first sample that the dataset states, taken as UTC, ns since 1970; None where it states none."""
+def _start(function: dict[str, Any], begun_s: float, zone: tzinfo | None) -> tuple[int | None, str]:
+    """Return the time of the first sample that the dataset states, UTC in ns since 1970, and how where no zone is known.
+
+    None, and empty, where it states none.
+    """
     text = str(function["id3"]).strip()
     for form in _DATES:
         try:
-            moment = datetime.strptime(text, form).replace(tzinfo=UTC)
+            moment = datetime.strptime(text, form).replace(tzinfo=zone or UTC)
         except ValueError:
             continue
-        on_warning(f"{path}: its time {text} has no zone; taken as UTC")
-        return round(moment.timestamp()) * 10**9 + round(1e9 * begun_s)
-    return None
+        return round(moment.timestamp()) * 10**9 + round(1e9 * begun_s), "" if zone else text
+    return None, ""
 
 
 if __name__ == "__main__":
