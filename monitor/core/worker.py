@@ -173,8 +173,10 @@ class Worker(Generic[T]):
     def wake(self, in_s: float = 0.0) -> None:
         """Have `idle` called in so many seconds at the latest."""
         with self.queue.changed:
-            self._idle_s = min(self._idle_s, self.clock() + in_s)
-            self.queue.changed.notify_all()
+            due_s = self.clock() + in_s
+            if due_s < self._idle_s:  # else it is awake by then
+                self._idle_s = due_s
+                self.queue.changed.notify_all()
 
     def settle(self, timeout_s: float) -> bool:
         """Wait until what was left so far is done, for at most `timeout_s`; return whether it is."""
@@ -239,6 +241,12 @@ class Worker(Generic[T]):
                 piece()
         except Exception as error:  # noqa: BLE001 - of whatever kind, an error is told and reaches nobody else
             self._fail(error, piece)
+        except BaseException as error:  # such as SystemExit, or a panic of a library in Rust
+            if self._hand is not None:
+                raise  # it is meant for whoever has the piece done
+            told = RuntimeError(f"{type(error).__name__}: {error}")
+            told.__cause__ = error
+            self._fail(told, piece)
         with self.queue.changed:
             self.queue.changed.notify_all()
         return True

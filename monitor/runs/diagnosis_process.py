@@ -124,6 +124,9 @@ class DiagnosisQueue:
             error = self._run(job, blocks)
         except OSError as failure:
             error = f"{failure.filename or job.recording}: {failure.strerror or failure}"
+        except Exception as failure:  # noqa: BLE001 - whatever fails, each request has a finding: `wait` waits for it
+            _log.exception("diagnosis %03d: its data cannot be given to it", job.number)
+            error = f"{type(failure).__name__}: {failure}"
         if not self._worker.queue.is_closed:
             self._ready.put((job.number, self._collect(job, error)))
 

@@ -64,9 +64,8 @@ class Reloading:
         path = self._path
         try:
             new = changed(path, self.settings)
-            apply = prepare_change(
-                path, new, self._outlets
-            )  # so that nothing of the change fails once the ledger has it
+            # Prepared first, so that nothing of the change fails once the ledger has it.
+            apply = prepare_change(path, new, self._outlets)
             if new != self.settings:
                 make_outlets(path, new, dry=True)
                 finding = {"says": "settings read again", "causes": []}

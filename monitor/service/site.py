@@ -262,10 +262,17 @@ class Site:
         return [(part.name, part.way) for part in self._parts if part.way is not None]
 
     def close(self) -> None:
-        """Close everything before the deadline; what hangs does not use up the time of the others, for each has half of it."""
+        """Close everything before the deadline; what hangs does not use up the time of the others, for each has half of it.
+
+        An error of one part is raised once all others are closed.
+        """
         self._end_s = min(self._end_s, self._clock() + END_S)
-        for part in self._parts:
-            part.close(max(0.0, self._end_s - self._clock()) / 2.0)
+        with ExitStack() as closing:
+            for part in reversed(self._parts):
+                closing.callback(self._close, part)
+
+    def _close(self, part: Component) -> None:
+        part.close(max(0.0, self._end_s - self._clock()) / 2.0)
 
 
 def _warm_up(warm: Callable[[], object], health: HealthLines) -> None:

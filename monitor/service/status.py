@@ -192,20 +192,23 @@ def _monitor(status: dict[str, Any], health: dict[str, Any]) -> str:
     turned_away = (
         f"; blocks refused: {refused['blocks']}, the latest: {refused['latest']}" if refused.get("blocks") else ""
     )
-    works = "; all parts work" if status["running"] and not (blocked or turned_away or lost) else ""
+    is_at_work = status["monitor"] == "running"
+    works = "; all parts work" if is_at_work and not (blocked or turned_away or lost) else ""
     return f"{status['monitor']}{up}, {last_line}{blocked}{turned_away}{lost}{works}"
 
 
 def _source(source: dict[str, Any], health: dict[str, Any], status: dict[str, Any]) -> str:
     says = source.get("says") or "not known"
-    at_work = says if status["running"] or source.get("ended") else _ended(health)
+    at_work = says if status["monitor"] == "running" or source.get("ended") else _last_heard(health, status)
     trouble = f"{source['trouble']}; " if source.get("connected") and source.get("trouble") else ""
     return f"{at_work}; {trouble}{_delay(health, status['silent_s'])}"
 
 
-def _ended(health: dict[str, Any]) -> str:
-    """Say when a monitor that does not run spoke last."""
-    return f"ended at {_utc(health['wall_ns'])}" if "wall_ns" in health else "not at work"
+def _last_heard(health: dict[str, Any], status: dict[str, Any]) -> str:
+    """Say when a monitor that does not run, or is silent, spoke last: what its parts do since then is not known."""
+    if "wall_ns" not in health:
+        return "not at work"
+    return f"{'not heard of since' if status['running'] else 'ended at'} {_utc(health['wall_ns'])}"
 
 
 def _reference(result: dict[str, Any]) -> tuple[str, str]:
@@ -352,7 +355,7 @@ def _recorder(recorder: dict[str, Any], health: dict[str, Any], status: dict[str
     if not recorder:
         return "off"
     state = "recording" if recorder["recording"] else f"PAUSED: {recorder['detail']}"
-    state = state if status["running"] else _ended(health)
+    state = state if status["monitor"] == "running" else _last_heard(health, status)
     free = health.get("disk_free_bytes")
     return f"{state}, {recorder['lost_blocks']} blocks lost, {'?' if free is None else f'{free / 2**30:.1f}'} GiB free"
 

@@ -217,6 +217,28 @@ def test_in_a_thread_what_was_left_is_settled_and_a_full_queue_makes_wait() -> N
     assert worker.close(10.0)
 
 
+class Panic(BaseException):
+    """What a library in Rust raises where it would end the process."""
+
+
+@pytest.mark.parametrize("error", [Panic("index out of bounds"), SystemExit(3)], ids=["panic", "exit"])
+def test_a_thread_does_not_end_without_a_word_whatever_is_raised(error: BaseException) -> None:
+    did: list[int] = []
+
+    def do(item: int) -> None:
+        if item == 0:
+            raise error
+        did.append(item)
+
+    worker = Worker("bench", Work(do))
+    worker.start()
+    worker.put(0)
+    assert worker.settle(10.0)
+    assert worker.failed == f"RuntimeError: {type(error).__name__}: {error}"
+    worker.put(1)
+    assert worker.close(10.0) and did == [1]
+
+
 def test_a_thread_that_waits_without_end_is_idle_soon_after_it_was_woken() -> None:
     called = threading.Semaphore(0)
     worker = Worker("bench", Work[None](idle=called.release))

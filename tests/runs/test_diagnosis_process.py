@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import time
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,12 +115,13 @@ def structure(tmp_path: Path, frame_text: str) -> Path:
     return path
 
 
-def found(structure: Path, blocks: list[SampleBlock], time_limit_s: float = 60.0) -> dict:
+def found(structure: Path, blocks: Iterable[SampleBlock], time_limit_s: float = 60.0) -> dict:
     folder = structure.parent / "findings"
     diagnoser = DiagnosisQueue(structure, None, folder, time_limit_s)
     try:
         diagnoser.submit(Request(1, 2, "why"), blocks)
-        (finding,) = diagnoser.wait()
+        end_s = time.monotonic() + 2.0 * time_limit_s + 10.0
+        (finding,) = diagnoser.wait(lambda: time.monotonic() > end_s)
     finally:
         diagnoser.close()
     assert json.loads((folder / "001.json").read_text()) == finding
@@ -129,6 +132,17 @@ def test_a_diagnosis_that_fails_is_a_finding_that_says_so(structure: Path, cut: 
     finding = found(structure, cut(np.ones((1000, 3)), 100.0))
     assert finding["verdict"] is None
     assert "10 s of usable data" in finding["error"]
+
+
+def test_a_diagnosis_whose_data_cannot_be_read_is_a_finding_that_says_so(structure: Path, cut: Cut) -> None:
+    """Without a finding the end of a run would wait for it without end."""
+
+    def damaged() -> Iterator[SampleBlock]:
+        yield from cut(np.ones((1000, 3)), 100.0)
+        raise ValueError("no such block")
+
+    finding = found(structure, damaged())
+    assert finding["verdict"] is None and finding["error"] == "ValueError: no such block"
 
 
 def test_a_diagnosis_that_takes_too_long_is_given_up(structure: Path, cut: Cut) -> None:

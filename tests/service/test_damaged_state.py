@@ -262,6 +262,21 @@ def test_the_wall_clock_alone_makes_no_hung_daemon_healthy(
     assert "is silent since" in found["headline"]
 
 
+def test_of_a_hung_daemon_no_part_is_said_to_work(locked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its latest line said that all was well; what became of its parts since then nobody knows."""
+    source = {"connected": True, "says": "connected, lost 0 times"}
+    recorder = {"recording": True, "detail": "", "lost_blocks": 0}
+    put_last(locked, source=source, recorder=recorder, wall_ns=time.time_ns())
+    well = dict(row.split(maxsplit=1) for row in tell(look(locked)).splitlines())
+    assert well["monitor"].endswith("; all parts work") and well["source"].startswith("connected, ")
+    assert well["recorder"].startswith("recording, ")
+    later(monkeypatch, 90.0)
+    hung = dict(row.split(maxsplit=1) for row in tell(look(locked)).splitlines())
+    assert hung["monitor"].startswith("silent, ") and "all parts work" not in hung["monitor"]
+    for name in ("source", "recorder"):
+        assert hung[name].startswith("not heard of since "), hung[name]
+
+
 def test_a_line_from_before_the_machine_was_started_is_old(locked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     put_last(locked, wall_ns=time.time_ns() + DAY_NS)
     monkeypatch.setattr(status, "boot_time", lambda: ("another start", 300.0))

@@ -195,6 +195,19 @@ def test_a_daemon_whose_folder_is_removed_ends_and_says_so(site: Path, record: n
     assert not (out / "summary.json").exists()
 
 
+def test_a_part_that_cannot_be_closed_keeps_no_other_open(site: Path, record: np.ndarray, cut: Cut) -> None:
+    """A host could not start the site again, whose folder would still be locked."""
+
+    class Broken(Outlet):
+        def close(self, timeout_s: float) -> None:
+            raise ValueError("no such link")
+
+    daemon = Daemon(site, Scripted(cut(record, RATE)), [Broken()])
+    with pytest.raises(ValueError, match="no such link"):
+        daemon.run()
+    assert running(daemon.out) is False
+
+
 def test_another_site_is_refused_in_a_site_s_folder_unless_it_is_told_to_be_the_same(
     site: Path, record: np.ndarray, cut: Cut
 ) -> None:

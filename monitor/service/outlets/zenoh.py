@@ -128,9 +128,8 @@ class ZenohOut(Messages[ZenohOutSettings]):
             self._requests.clear()
             self._taken.clear()
         if self._session is not None:
-            for _ in self._session.get(
-                f"{self.prefix}/closing", timeout=1.0
-            ):  # ends after all that was published before
+            # This query ends after everything that was published before it.
+            for _ in self._session.get(f"{self.prefix}/closing", timeout=1.0):
                 pass
 
     def _leave(self) -> None:
