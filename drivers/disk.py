@@ -9,6 +9,8 @@ from pathlib import Path
 
 PRIVATE_FOLDER = 0o700
 """Mode of a folder that its owner alone may enter. [mode; definition]"""
+_PIECE_BYTES = 1 << 20
+"""Length of what is compared at once. [bytes; cost: it is held in memory]"""
 
 
 def destination(path: Path) -> Path:
@@ -54,6 +56,15 @@ def private(path: str, flags: int) -> int:
         os.close(handle)
         raise
     return handle
+
+
+def begins_with(path: Path, beginning: Path) -> bool:
+    """Return whether a file begins with all of another one."""
+    with path.open("rb") as file, beginning.open("rb") as other:
+        while data := other.read(_PIECE_BYTES):
+            if file.read(len(data)) != data:
+                return False
+    return True
 
 
 def sync_folder(folder: Path) -> None:

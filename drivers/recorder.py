@@ -15,7 +15,7 @@ from pathlib import Path
 
 from drivers import codec
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
-from drivers.disk import sync_folder
+from drivers.disk import begins_with, sync_folder
 from drivers.limits import absurdity
 from drivers.mcap_file import scan_messages
 from drivers.mcap_writer import McapWriter, arrival
@@ -239,8 +239,9 @@ class Recorder:
 def recover(folder: Path) -> None:
     """Give the files that a crash left unfinished their final names.
 
-    The whole blocks of each file can be read.  A file without blocks is removed; a damaged one, and one whose name is no time,
-    get the suffix `.damaged`.
+    The whole blocks of each file can be read.  A file without blocks is removed, and one with which the finished file of its
+    name begins, as where an older copy of the folder was restored; the finished one is replaced only by what goes on from it.
+    A damaged file, one whose name is no time, and one that goes on otherwise than the finished one get the suffix `.damaged`.
     """
     for path in _recordings(folder):
         try:
@@ -256,12 +257,16 @@ def recover(folder: Path) -> None:
         except RecordingError:
             os.replace(part, name.with_suffix(".damaged"))
             continue
-        if blocks:
+        if not blocks or (name.exists() and begins_with(name, part)):
+            part.unlink()
+        elif name.exists() and not begins_with(part, name):
+            place = name.with_suffix(".damaged")
+            os.replace(part, place)
+            _log.warning("%s: goes on otherwise than %s; set aside as %s", part, name.name, place.name)
+        else:
             with part.open("rb") as file:  # what goes on from these blocks must not outlast them
                 os.fsync(file.fileno())
             os.replace(part, name)
-        else:
-            part.unlink()
     sync_folder(folder)
 
 

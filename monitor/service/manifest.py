@@ -23,6 +23,8 @@ FETCHED = ".fetched"
 """What the name of a file ends with until it was fetched."""
 _OWN = re.compile(rf"{LOCK}|{NOTE}|state/history\.db.*|{SUPERSEDED}/.*|.*\{FETCHED}")
 """Files that stay on this machine: the database repeats results.jsonl, and changes anywhere at any time."""
+_RECORDING = re.compile(r"(.*\.mcap)(\.part)?")
+"""Recordings, finished or not."""
 _APPENDED = re.compile(r".*\.(jsonl|mcap|mcap\.part)")
 """Files to which bytes are only appended; others are small, and read again when they have changed."""
 
@@ -113,6 +115,17 @@ def is_appended(name: str) -> bool:
     return bool(_APPENDED.fullmatch(name))
 
 
+def forms(name: str) -> tuple[str, ...]:
+    """Give the names that a file may have: a recording is one file, finished or not."""
+    found = _RECORDING.fullmatch(name)
+    return (name,) if found is None else (found[1], f"{found[1]}.part")
+
+
+def longest(name: str, files: Files) -> str:
+    """Give the name of the longest form of a file that is stored; `name` where none is."""
+    return max((form for form in forms(name) if form in files), key=lambda form: files[form].length, default=name)
+
+
 def is_state(name: str) -> bool:
     """Return whether a file is the monitor's alone, as a checkpoint is."""
     return name.startswith("state/")
@@ -140,27 +153,29 @@ def to_get(
     """Name the stored files that a folder lacks, or of which it has an older form, though its monitor wrote the manifest.
 
     So it is where a part of the folder was restored or lost.  `present` has length (bytes) and time of change (ns) of its files;
-    `goes_on` tells whether one begins with what is stored.  A file that was renamed since is not missed, nor what follows from
-    other files.
+    `goes_on` tells whether one begins with what is stored.  A file whose name got longer since is not missed, as of a closed
+    month, nor what follows from other files.
     """
 
     def is_behind(name: str, file: StoredFile) -> bool:
-        if (about := present.get(name)) is None:
-            return not any(other.startswith(name.removesuffix(".part")) for other in present)
-        if about == (file.length, file.mtime_ns):
-            return False
-        return not goes_on(name, file) if is_appended(name) else about[1] < file.mtime_ns
+        if there := [form for form in forms(name) if form in present]:
+            return not any(is_as_new(form, file) for form in there)
+        return not any(other.startswith(name) for other in present)
+
+    def is_as_new(name: str, file: StoredFile) -> bool:
+        if (about := present[name]) == (file.length, file.mtime_ns):
+            return True
+        return goes_on(name, file) if is_appended(name) else about[1] >= file.mtime_ns
 
     return [name for name, file in files.items() if is_unique(name) and is_behind(name, file)]
 
 
-def without_renamed(files: Files) -> Files:
-    """Leave out the unfinished form of a recording that is also named as finished.
+def without_shorter(files: Files) -> Files:
+    """Leave out the shorter form of a recording that is named as finished and as unfinished.
 
-    A manifest of files that are stored so far may name both; the unfinished one, which has less, would replace the other.
+    A manifest of files that are stored so far may name both; the shorter one would replace the other.
     """
-    unfinished = {f"{name}.part" for name in files}
-    return {name: file for name, file in files.items() if name not in unfinished}
+    return {name: file for name, file in files.items() if name == longest(name, files)}
 
 
 def to_delete(before: Files, after: Files) -> set[str]:

@@ -12,20 +12,21 @@ from pathlib import Path
 from typing import BinaryIO
 from uuid import uuid4
 
-from drivers.disk import destination, private
+from drivers.disk import begins_with, destination, private
 from monitor.service.manifest import (
     FETCHED,
     SUPERSEDED,
     Files,
     Part,
     StoredFile,
+    forms,
     is_appended,
     is_kept,
     is_state,
     is_unique,
     to_get,
     to_put,
-    without_renamed,
+    without_shorter,
 )
 from monitor.service.objects import OBJECT_BYTES, Objects
 
@@ -77,7 +78,7 @@ class Mirror:
         fetched that it lacks; one that does not go on from the stored one, or that a monitor `is_running` may write, stays, and
         the stored one is put aside.
         """
-        files = without_renamed(files)
+        files = without_shorter(files)
         aside = self._out / SUPERSEDED / f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
         present: dict[str, tuple[int, int]] = {}
         for name in self._names():
@@ -158,14 +159,16 @@ class Mirror:
         path.parent.mkdir(parents=True, exist_ok=True)
         fetched = path.with_name(path.name + FETCHED)
         self._write(name, stored, fetched)
-        # An empty file may have been begun when the stored one was full, and had got another name.
-        is_beginning = path.exists() and path.stat().st_size > 0 and _begins_with(fetched, path)
-        if is_ours and path.exists() and (is_running or (is_appended(name) and not is_beginning)):
+        there = {place: form for form in forms(name) if (place := destination(self._out / form)).exists()}
+        others = {place: form for place, form in there.items() if not _is_beginning(place, fetched)}
+        if is_ours and there and (is_running or (is_appended(name) and others)):
             _put_aside(fetched, name, aside)
             return
-        if path.exists() and not is_beginning:
-            _put_aside(path, name, aside)
+        for place, form in others.items():
+            _put_aside(place, form, aside)
         fetched.replace(path)
+        for place in there.keys() - others.keys() - {path}:
+            place.unlink()
 
     def _write(self, name: str, stored: StoredFile, path: Path) -> None:
         """Write the parts of a stored file."""
@@ -228,11 +231,13 @@ def _tail_crc32(file: BinaryIO, length: int) -> int:
     return _crc32(file, length - begin, begin)
 
 
-def _begins_with(path: Path, beginning: Path) -> bool:
-    """Return whether a file begins with all of another one."""
-    with path.open("rb") as file, beginning.open("rb") as other:
-        length = os.fstat(other.fileno()).st_size
-        return length <= os.fstat(file.fileno()).st_size and _crc32(file, length) == _crc32(other, length)
+def _is_beginning(path: Path, fetched: Path) -> bool:
+    """Return whether a file of the folder has nothing that the fetched one lacks.
+
+    An empty file of lines may have been begun when the stored one was full, and had got another name.
+    """
+    is_new = path.suffix == ".jsonl" and path.stat().st_size == 0
+    return not is_new and begins_with(fetched, path)
 
 
 def _put_aside(path: Path, name: str, folder: Path) -> None:

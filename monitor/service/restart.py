@@ -1,4 +1,4 @@
-"""Restart of the daemon: lock of the folder, baseline in use, checkpoints, and catching up from the recordings."""
+"""Restart of the daemon: whose the folder is, baseline in use, checkpoints, and catching up from the recordings."""
 
 from __future__ import annotations
 

@@ -289,3 +289,33 @@ def test_what_a_kill_left_is_on_the_disk_before_anything_goes_on_from_it(
     make(tmp_path, clock)
     assert done[:2] == [f"fsync {left.name}", f"rename {left.name}"]
     assert len(list(read_recordings([left.with_suffix("")]))) == 5
+
+
+@pytest.mark.parametrize(
+    ("finished", "unfinished", "aside"),
+    [(5, 3, None), (5, 5, None), (3, 5, None), (5, -3, -3), (3, -5, -5), (0, 3, None)],
+)
+def test_an_unfinished_recording_replaces_no_finished_one_but_that_with_which_it_begins(
+    tmp_path: Path, clock: Clock, cut: Cut, finished: int, unfinished: int, aside: int | None
+) -> None:
+    """As where a copy of the folder was restored over it; counts of blocks, those below 0 are of other data."""
+
+    def recording(count: int) -> bytes:
+        """Flushed after each block, as a power cut leaves it."""
+        writer = McapWriter(tmp_path / "made.mcap", as_arrived=True)
+        for block in cut(np.full((500, 3), float(count < 0)), RATE)[: abs(count)]:
+            writer.write(block)
+            writer.flush()
+        data = writer.part_path.read_bytes()
+        writer.abort()
+        return data
+
+    place = tmp_path / "live" / "20260101T000000.000000Z-0001.mcap"
+    place.parent.mkdir()
+    place.write_bytes(recording(finished))
+    place.with_name(place.name + ".part").write_bytes(recording(unfinished))
+    make(tmp_path / "live", clock).close()
+    found = {path.name: path.read_bytes() for path in place.parent.iterdir()}
+    kept = {} if aside is None else {place.with_suffix(".damaged").name: recording(aside)}
+    longest = finished if aside is not None else max(finished, unfinished)
+    assert found == {place.name: recording(longest)} | kept

@@ -204,10 +204,8 @@ class Story:
 def campaign(seeds: Iterable[int], rows: list[Row], most_kills: int = 10**9, file: Path | None = None) -> list[Row]:
     """Live through stories until there were so many kills, each point often enough; `rows` are those of before."""
     stream = undisturbed()
-    hits: Counter[str] = Counter()
-    seen: dict[str, set[str]] = {}
+    hits, seen = hits_of(rows), dict[str, set[str]]()
     for row in rows:
-        hits.update(row["kills"])
         for stage, points in row["seen"].items():
             seen.setdefault(stage, set()).update(points)
     done = {row["seed"] for row in rows}
@@ -235,16 +233,24 @@ def campaign(seeds: Iterable[int], rows: list[Row], most_kills: int = 10**9, fil
     return rows
 
 
+def hits_of(rows: list[Row]) -> Counter[str]:
+    """Count the kills at each point that was reached, 0 where nothing was killed."""
+    hits = Counter({point: 0 for row in rows for points in row["seen"].values() for point in points})
+    for row in rows:
+        hits.update(row["kills"])
+    return hits
+
+
 def table(rows: list[Row]) -> str:
     """What came of the stories."""
-    kills, tally, met, faults = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
+    kills, tally, met, faults = hits_of(rows), Counter[str](), Counter[str](), Counter[str]()
     for row in rows:
-        kills.update(row["kills"])
         tally.update(row["tally"])
         met.update(row["receivers"])
         faults.update(row["faults"])
+    often = sum(count >= LEAST for count in kills.values())
     lines = [
-        f"{len(rows)} stories, {kills.total()} kills at {len(kills)} points, each at least {min(kills.values())} times"
+        f"{len(rows)} stories, {kills.total()} kills; {often} of {len(kills)} points were hit {LEAST} times or more"
     ]
     lines += [f"  {count:5d}  {point}" for point, count in sorted(kills.items(), key=lambda item: -item[1])]
     lines += ["counted:", *(f"  {count:5d}  {what}" for what, count in sorted(tally.items()))]

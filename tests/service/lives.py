@@ -8,17 +8,15 @@ have to hear of the same alarms; `World.faults` lists what is otherwise.
 from __future__ import annotations
 
 import functools
-import hashlib
 import json
 import random
 import re
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +33,7 @@ from monitor.service.outlets.delivery_workers import Deliveries
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings
 from monitor.service.site import Site
 from monitor.service.site_store import SiteStore
+from tests.service import bucket
 from tests.service.bucket import Clock, exceptions
 from tests.support.cut_disk import CutDisk, Killed, Life, Plan
 from tests.support.samples import CHANNELS, FRAME, T0_NS
@@ -120,11 +119,11 @@ class Post:
     def stop(self) -> None: ...
 
 
-class Bucket:
+class Bucket(bucket.Bucket):
     """Object storage of all machines; it notes who wrote the manifest, and that what it has of the results only grows."""
 
     def __init__(self, results: bytes, chance: random.Random) -> None:
-        self.objects: dict[str, bytes] = {}
+        super().__init__()
         self.away, self.unsure = False, 0.0
         self.owners: list[str] = []
         self.faults: list[str] = []
@@ -136,6 +135,11 @@ class Bucket:
     def may_fail(self) -> None:
         if self.away or self._chance.random() < self.unsure:
             raise exceptions.ReadTimeoutError(endpoint_url="s3")
+
+    def put_object(self, **what: Any) -> dict[str, Any]:
+        answer = super().put_object(**what)
+        self.note(what["Key"])
+        return answer
 
     def note(self, key: str) -> None:
         """Look at a manifest that was written."""
@@ -163,69 +167,42 @@ class Bucket:
 class Client:
     """What a life sees of the storage."""
 
-    class exceptions:
-        ClientError = exceptions.ClientError
+    exceptions = bucket.Bucket.exceptions
 
-    def __init__(self, bucket: Bucket, disk: CutDisk, life: Life) -> None:
-        self._bucket, self._disk, self._life = bucket, disk, life
+    def __init__(self, storage: Bucket, disk: CutDisk, life: Life) -> None:
+        self._bucket, self._disk, self._life = storage, disk, life
 
-    def _do(self, what: str, key: str, work: Any) -> Any:
+    def _do(self, what: str, key: str, work: Callable[[], Any]) -> Any:
+        def answer() -> Any:
+            try:
+                return work()
+            except exceptions.ClientError as error:
+                return error
+
         self._bucket.may_fail()
         kind = "manifest" if key.endswith("manifest.json") else "object"
-        result = self._disk.operate(self._life, f"{what} {kind}", work)
+        result = self._disk.operate(self._life, f"{what} {kind}", answer)
         if self._life.dead and result is None:
             raise exceptions.EndpointConnectionError(endpoint_url="s3")
         self._bucket.may_fail()
-        if isinstance(result, str):
-            raise exceptions.ClientError({"Error": {"Code": result, "Message": result}}, what)
+        if isinstance(result, Exception):
+            raise result
         return result
 
-    def get_object(self, *, Bucket: str, Key: str, Range: str = "bytes=0-") -> dict[str, Any]:
-        def work() -> Any:
-            if Key not in self._bucket.objects:
-                return "NoSuchKey"
-            first, _, last = Range.removeprefix("bytes=").partition("-")
-            data = self._bucket.objects[Key]
-            return {"Body": BytesIO(data[int(first) : int(last) + 1 if last else None]), "ETag": _tag(data)}
+    def get_object(self, **what: Any) -> Any:
+        return self._do("GET", what["Key"], lambda: self._bucket.get_object(**what))
 
-        return dict(self._do("GET", Key, work))
+    def put_object(self, **what: Any) -> Any:
+        return self._do("PUT", what["Key"], lambda: self._bucket.put_object(**what))
 
-    def put_object(
-        self, *, Bucket: str, Key: str, Body: bytes, IfMatch: str | None = None, IfNoneMatch: str | None = None
-    ) -> dict[str, Any]:
-        def work() -> Any:
-            there = self._bucket.objects.get(Key)
-            if IfMatch is not None and there is None:
-                return "NoSuchKey"
-            if (IfNoneMatch is not None and there is not None) or (
-                IfMatch is not None and there is not None and _tag(there) != IfMatch
-            ):
-                return "PreconditionFailed"
-            self._bucket.objects[Key] = Body
-            self._bucket.note(Key)
-            return {"ETag": _tag(Body)}
-
-        return dict(self._do("PUT", Key, work))
-
-    def delete_object(self, *, Bucket: str, Key: str) -> dict[str, Any]:
-        def work() -> Any:
-            self._bucket.objects.pop(Key, None)
-            return {}
-
-        return dict(self._do("DELETE", Key, work))
+    def delete_object(self, **what: Any) -> Any:
+        return self._do("DELETE", what["Key"], lambda: self._bucket.delete_object(**what))
 
     def get_paginator(self, _: str) -> Client:
         return self
 
-    def paginate(self, *, Bucket: str, Prefix: str) -> Iterator[dict[str, Any]]:
-        def work() -> Any:
-            return {"Contents": [{"Key": key} for key in sorted(self._bucket.objects) if key.startswith(Prefix)]}
-
-        yield self._do("LIST", Prefix, work)
-
-
-def _tag(data: bytes) -> str:
-    return hashlib.md5(data, usedforsecurity=False).hexdigest()
+    def paginate(self, **what: Any) -> Iterator[dict[str, Any]]:
+        yield from self._do("LIST", what["Prefix"], lambda: [*self._bucket.paginate(**what)])
 
 
 class Quiet:

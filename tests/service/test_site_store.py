@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from monitor.core import InUseError, MissingInputError
+from monitor.service.manifest import Part, StoredFile, without_shorter
 from monitor.service.objects import OBJECT_BYTES
 from monitor.service.site_store import SiteStore
 from tests.service.bucket import MANIFEST, Bucket, Clock, Machine, away, content, copied, exceptions, no_failure
@@ -539,6 +540,44 @@ def test_a_recording_that_got_its_name_and_lines_that_got_a_file_of_their_own_ar
     a.write("results.jsonl", b"")
     again = machine("a", at_work=True)
     assert again.content() == {"recordings/1.mcap": b"data", "results-2026-10.jsonl": b"one\n", "results.jsonl": b""}
+
+
+@pytest.mark.parametrize("is_away", [False, True])
+@pytest.mark.parametrize("left", [b"", b"da", b"do"])
+@pytest.mark.parametrize(("stored", "restored"), [("1.mcap", "1.mcap.part"), ("1.mcap.part", "1.mcap")])
+def test_a_shorter_form_of_a_recording_that_was_restored_replaces_nothing_longer(
+    machine: Machines, bucket: Bucket, clock: Clock, stored: str, restored: str, left: bytes, is_away: bool
+) -> None:
+    """The recorder gives an unfinished recording its name before the storage answers; `do` goes on otherwise."""
+    a = machine("a", at_work=True)
+    a.write(f"recordings/{stored}", b"data")
+    a.push()
+    (a.folder / "recordings" / stored).unlink()
+    a.write(f"recordings/{restored}", left)
+    bucket.fail = away if is_away else no_failure
+    again = machine("a", at_work=True)
+    found = again.content()
+    bucket.fail = no_failure
+    if is_away and restored == "1.mcap.part":
+        (a.folder / "recordings" / restored).rename(a.folder / "recordings" / "1.mcap")
+    again.push()
+    assert again.store.failed is None
+    if is_away or left == b"do":
+        (aside,) = (a.folder / "superseded").iterdir()
+        assert content(aside) == {f"recordings/{stored}": b"data"}, "the folder's may be written, or goes on otherwise"
+        return
+    assert found == again.content() == {f"recordings/{stored}": b"data"}
+    b = machine("b")
+    silent(b, clock)
+    assert b.open().content() == found
+
+
+@pytest.mark.parametrize(("finished", "unfinished"), [(4, 2), (4, 4), (2, 4)])
+def test_of_two_forms_of_a_recording_that_are_stored_the_longer_counts(finished: int, unfinished: int) -> None:
+    lengths = {"1.mcap": finished, "1.mcap.part": unfinished, "2.mcap.part": 1, "results.jsonl": 1}
+    files = {name: StoredFile(parts=(Part("x", 0, n),), crc32=0, mtime_ns=0) for name, n in lengths.items()}
+    longer = "1.mcap" if finished >= unfinished else "1.mcap.part"
+    assert without_shorter(files).keys() == {longer, "2.mcap.part", "results.jsonl"}
 
 
 def test_a_renewal_after_a_write_without_an_answer_keeps_what_was_written(

@@ -191,6 +191,8 @@ class Outbox:
             self._give_up()
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             self._next_id = 1 + max(map(int, _NUMBER.findall(text)), default=0)  # no number is given twice
+            self._unsaved = True  # the number is stored before another run begins
             self.failed = f"{self._path}: damaged ({error}); set aside"
+            _log.error("%s", self.failed)
             with contextlib.suppress(OSError):
                 set_aside(self._path)
