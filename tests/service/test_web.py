@@ -385,6 +385,10 @@ def test_a_monitor_that_went_silent_is_not_normal() -> None:
     assert (code, told["state"], told["monitor"]) == (200, "not_judged", "silent")
     html = content(ask, "/api/v1/page")["html"]
     assert 'class="state not_judged"' in html and f"since {utc(T0_NS + 3 * SECOND, seconds=True)} UTC" in html
+    shown.health({**HEALTH, "data_age_s": 12.0})
+    assert "the last came 12 s ago." in content(ask, "/api/v1/page")["html"]
+    now[0] += 3600.0
+    assert "the last came 12 s before the monitor fell silent." in content(ask, "/api/v1/page")["html"]
 
 
 def json_lines(path: Path, rows: list[Any]) -> None:

@@ -53,14 +53,14 @@ class Live:
     says: str
     """In a word."""
     age_s: float | None
-    """Age of the latest data."""
+    """Age of the latest data when the monitor told it last."""
     since_ns: int | None
     """Time of the data at which the state began; None where it is that of the run's first window."""
     facts: tuple[tuple[str, str], ...]
     stream: str
     """How the source is, and what came of the samples."""
     sensors: tuple[tuple[str, ...], ...]
-    """Rows of the table of the channels, as `live.SENSORS` names them."""
+    """Rows of the table of the channels, as `period_notes.SENSORS` names them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -235,7 +235,8 @@ def _head(page: Sheet, period: Period) -> None:
         page.lead.append(("Data:", _span(period)))
     else:
         page.live = live.says
-        age = "no data yet" if live.age_s is None else f"the last came {_length(live.age_s)} ago"
+        when = "before the monitor fell silent" if live.says == "silent" else "ago"
+        age = "no data yet" if live.age_s is None else f"the last came {_length(live.age_s)} {when}"
         until = f"until {utc(period.results.grid.to_ns)} UTC; " if period.course.windows else ""
         page.lead.append(("Data:", f"{until}{age}."))
     events = [a for a in period.event_alarms if a.unacknowledged]
