@@ -391,6 +391,21 @@ def test_a_monitor_that_went_silent_is_not_normal() -> None:
     assert "the last came 12 s before the monitor fell silent." in content(ask, "/api/v1/page")["html"]
 
 
+def test_an_alarm_that_is_over_is_asked_for_until_somebody_acknowledges_it() -> None:
+    shown = filled()
+    ask = asking(shown)
+    shown.state(Assessment(State.NORMAL, "No loss above 2 % in any story."))
+    for condition, is_asked in (("returned to normal, unacknowledged", True), ("normal", False)):
+        alarm = {"level": "normal", "stories": [], "active": {}, "conditions": {"2": condition}}
+        episode = {**SUMMARY["alarms"][0], "t_last_ns": T0_NS + SECOND}
+        shown.summary({**SUMMARY, "alarm": alarm, "alarms": [episode], "event_alarms": []})
+        html = content(ask, "/api/v1/page")["html"]
+        assert 'class="state normal"' in html
+        assert ("Acknowledge the alarm of story 2, which is over" in html) is is_asked
+        assert ("ack SITE.toml --story 2 --who" in html) is is_asked
+        assert ("Nothing needs to be done." in html) is not is_asked
+
+
 def json_lines(path: Path, rows: list[Any]) -> None:
     path.write_text("".join(row if isinstance(row, str) else json.dumps(row) + "\n" for row in rows))
 
