@@ -259,7 +259,9 @@ def test_what_a_reader_has_is_not_sent_again() -> None:
     assert content(ask, "/api/v1/status")["revisions"]["findings"] == before["findings"], (
         "the same finding is no change"
     )
+    known = ask("/api/v1/status")[1]["etag"]
     shown.finding({**FINDING, "t_ns": T0_NS + SECOND})
+    assert ask("/api/v1/status", If_None_Match=known)[0] == 200, "the status tells which answers changed"
     after = content(ask, "/api/v1/status")["revisions"]
     assert after["findings"] > before["findings"]
     assert after["windows"] == before["windows"]
