@@ -17,12 +17,16 @@ _ADVICE = {
 """Sentence of each state. [words]"""
 
 
-def advice(state: State, places: Sequence[str] = ()) -> str:
+def advice(state: State, places: Sequence[str] = (), over: Sequence[str] = ()) -> str:
     """Say what to do, at the affected places, the gravest first; at the structure where none is known.
+
+    `over` are the places of alarms that are over and that nobody has acknowledged.
 
     Examples
     --------
     >>> advice(State.ALARM, ["story 2", "story 1"])
     'Look at story 2 and story 1 before anyone relies on it; then acknowledge the alarm.'
     """
+    if state is State.NORMAL and over:
+        return f"Acknowledge the alarm of {' and '.join(over[:3])}, which is over: nobody has yet."
     return _ADVICE[state].format(place=" and ".join(places[:3]) or "the structure")

@@ -49,20 +49,15 @@ def step(shown: Shown, values: Annotated[Array, "n c"], rate_hz: float) -> tuple
     size = np.nan_to_num(np.abs(values), nan=0.0, posinf=0.0, neginf=0.0)
     reach, after = np.array(shown.reach or (0.0,) * c), np.array(shown.after_lone or (False,) * c)
     lone = np.zeros((n, c), dtype=bool)
-    for k in np.flatnonzero(size.max(axis=0) > _MOST_SPEED * rate_hz):
-        first = int(after[k])
-        while True:
-            before = np.maximum.accumulate(np.concatenate([reach[k : k + 1], size[:-1, k]]))
-            found = (
-                (size[first:, k] > _LONE * before[first:])
-                & (before[first:] > 0.0)
-                & (size[first:, k] > _MOST_SPEED * rate_hz)
-            )
-            if not found.any():
-                break
-            at = first + int(found.argmax())
-            lone[at, k], size[at, k], first = True, 0.0, at + 2
-            if first >= n:
-                break
+    fast = size > _MOST_SPEED * rate_hz
+    for k in np.flatnonzero(fast.any(axis=0)):
+        before = np.maximum.accumulate(np.append(reach[k], np.where(fast[:, k], 0.0, size[:, k])))
+        taken, first = 0.0, int(after[k])
+        for at in np.flatnonzero(fast[:, k]):
+            shows = max(before[at], taken)
+            if at >= first and 0.0 < _LONE * shows < size[at, k]:
+                lone[at, k], size[at, k], first = True, 0.0, at + 2
+            else:
+                taken = max(taken, size[at, k])
     shown = Shown(tuple(np.maximum(reach, size.max(axis=0)).tolist()), tuple(lone[-1].tolist()))
     return shown, lone if lone.any() else None

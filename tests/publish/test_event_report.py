@@ -57,6 +57,19 @@ def test_the_curves_are_those_of_the_recording() -> None:
     assert max(loop["y"]) == pytest.approx(seen.force_n[seen.record.strong, 2].max(), rel=1e-3)
 
 
+def test_the_motion_is_drawn_about_its_mean_at_rest_also_where_it_began_before_the_recording() -> None:
+    event, site, seen = told()
+    n = seen.record.strong.start
+    begun = replace(
+        seen.record, floors=seen.record.floors[n:] + 0.7, ground=None, strong=slice(0, seen.record.strong.stop - n)
+    )
+    cut = replace(seen, record=begun, t_s=seen.t_s[n:], drift_m=seen.drift_m[n:], force_n=None, first_mode=None)
+    for record, shown in ((begun, page(replace(event, cut=True), site, cut)), (seen.record, page(event, site, seen))):
+        (line,) = marks(shown.chart("a1: acceleration"), "line")
+        after = np.array(line["y"])[np.array(line["x"]) > line["x"][0] + record.strong.stop / record.rate_hz]
+        assert abs(after.mean()) < 0.02 * np.abs(record.floors[:, 0] - record.floors[-1, 0]).max()
+
+
 def test_a_sensor_at_the_end_of_its_range_makes_bounds_of_what_the_page_shows() -> None:
     event, site, seen = told()
     says = "possibly exceeded: go"
@@ -68,6 +81,17 @@ def test_a_sensor_at_the_end_of_its_range_makes_bounds_of_what_the_page_shows() 
     assert f"drift at least {1e3 * bound.drift_m[0]:.3g} mm" in html
     told_in_status = [status.last_event(event_line(e)) for e in (bound, event)]
     assert ["at least" in text for text in told_in_status] == [True, False]
+
+
+def test_an_event_that_the_data_cut_is_as_long_and_as_intense_at_least() -> None:
+    event, site, seen = told()
+    std, intensity = np.full(event.drift_std_m.size, np.nan), event.instrumental_intensity
+    shown = page(replace(event, cut=True, drift_std_m=std, verdict=None, exceeded=()), site, seen)
+    assert intensity is not None
+    seconds = f"{(event.end_ns - event.begin_ns) * 1e-9:.0f} s"
+    assert shown.headline.startswith(f"Strong motion of at least {seconds}. ")
+    assert f"≥ {seconds}" in shown.words and f"≥ {intensity:.1f}" in shown.words
+    assert page(event, site, seen).headline.startswith(f"Strong motion of {seconds}. ")
 
 
 def test_a_revised_event_shows_its_lasting_loss_with_its_interval() -> None:

@@ -259,7 +259,9 @@ def test_what_a_reader_has_is_not_sent_again() -> None:
     assert content(ask, "/api/v1/status")["revisions"]["findings"] == before["findings"], (
         "the same finding is no change"
     )
+    known = ask("/api/v1/status")[1]["etag"]
     shown.finding({**FINDING, "t_ns": T0_NS + SECOND})
+    assert ask("/api/v1/status", If_None_Match=known)[0] == 200, "the status tells which answers changed"
     after = content(ask, "/api/v1/status")["revisions"]
     assert after["findings"] > before["findings"]
     assert after["windows"] == before["windows"]
@@ -385,6 +387,25 @@ def test_a_monitor_that_went_silent_is_not_normal() -> None:
     assert (code, told["state"], told["monitor"]) == (200, "not_judged", "silent")
     html = content(ask, "/api/v1/page")["html"]
     assert 'class="state not_judged"' in html and f"since {utc(T0_NS + 3 * SECOND, seconds=True)} UTC" in html
+    shown.health({**HEALTH, "data_age_s": 12.0})
+    assert "the last came 12 s ago." in content(ask, "/api/v1/page")["html"]
+    now[0] += 3600.0
+    assert "the last came 12 s before the monitor fell silent." in content(ask, "/api/v1/page")["html"]
+
+
+def test_an_alarm_that_is_over_is_asked_for_until_somebody_acknowledges_it() -> None:
+    shown = filled()
+    ask = asking(shown)
+    shown.state(Assessment(State.NORMAL, "No loss above 2 % in any story."))
+    for condition, is_asked in (("returned to normal, unacknowledged", True), ("normal", False)):
+        alarm = {"level": "normal", "stories": [], "active": {}, "conditions": {"2": condition}}
+        episode = {**SUMMARY["alarms"][0], "t_last_ns": T0_NS + SECOND}
+        shown.summary({**SUMMARY, "alarm": alarm, "alarms": [episode], "event_alarms": []})
+        html = content(ask, "/api/v1/page")["html"]
+        assert 'class="state normal"' in html
+        assert ("Acknowledge the alarm of story 2, which is over" in html) is is_asked
+        assert ("ack SITE.toml --story 2 --who" in html) is is_asked
+        assert ("Nothing needs to be done." in html) is not is_asked
 
 
 def json_lines(path: Path, rows: list[Any]) -> None:

@@ -45,6 +45,14 @@ def test_lone_readings_are_missing_wherever_blocks_are_cut(cut: Cut, motion: np.
         assert (lost(cut, motion, 1000.0, size) == whole).all()
 
 
+def test_a_bit_that_falls_over_at_every_other_sample_delays_nothing(cut: Cut) -> None:
+    """As many lone readings as a block may hold take as long as to read it, not the square of that."""
+    motion = 0.05 * np.random.default_rng(4).standard_normal((200_000, 2))
+    motion[1::2, 1] = 1e6
+    found = lost(cut, motion, 1000.0, len(motion))
+    assert found[1::2, 1].all() and found.sum() == len(motion) // 2
+
+
 def test_what_all_channels_show_at_once_is_no_slip_of_one(cut: Cut, motion: np.ndarray) -> None:
     motion[700] = 1e5
     assert not lost(cut, motion, 1000.0).any()

@@ -197,3 +197,10 @@ def test_readers_that_hang_and_fifty_at_once_hold_up_nothing_and_the_end_is_told
         page.value("refresh()")
         wait_for(page, "document.getElementById('word').textContent === 'No answer'")
         assert page.value("document.getElementById('state').className") == "state not_judged"
+        assert page.value("document.getElementById('sign').textContent") == "?"
+        said = page.value("document.getElementById('state').innerText")
+        assert "Before: not judged: " in said
+        assert "What to do:" not in said and "Data:" not in said, (
+            "nothing of an earlier state stands as the present one's"
+        )
+        assert page.value("document.querySelector('#state small')") is None, "since when it had that state"

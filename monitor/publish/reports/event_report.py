@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def _head(sheet: Sheet, page: EventPage) -> None:
     """Write the verdict, the event in one sentence, its figures and what limits them."""
     e = page.event
     length_s = (e.end_ns - e.begin_ns) * 1e-9
-    of_all = "≥ " if e.cut else ""
+    of_all, longer = ("≥ ", "at least ") if e.cut else ("", "")
     of_drift = ["≥ " if bound else "" for bound in e.is_bound]
     shown = [(f"{of_all}{length_s:.0f} s", "of strong motion")]
     strongest = strongest_floor(e)
@@ -88,9 +89,11 @@ def _head(sheet: Sheet, page: EventPage) -> None:
         j = int(np.nanargmax(e.drift_ratio))
         shown.append((f"{of_drift[j]}{100 * e.drift_ratio[j]:.2g} %", f"largest drift ratio, {page.names[j]}"))
     if e.instrumental_intensity is not None:
-        shown.append((f"{e.instrumental_intensity:.1f}", "intensity by one component, UNOFFICIAL (Wald et al. 1999)"))
+        shown.append(
+            (f"{of_all}{e.instrumental_intensity:.1f}", "intensity by one component, UNOFFICIAL (Wald et al. 1999)")
+        )
     told = {_FINAL: "final line, by the event alone", _REVISED: "revised, by ambient motion after it"}
-    sheet.headline = f"Strong motion of {length_s:.0f} s. {event_text(e).replace('m/s^2', 'm/s²')}"
+    sheet.headline = f"Strong motion of {longer}{length_s:.0f} s. {event_text(e).replace('m/s^2', 'm/s²')}"
     revision = told.get(-1 if e.revision is None else e.revision, "preliminary")
     sheet.lead.append(("", f"Event {e.id}: {utc(e.begin_ns)} to {utc(e.end_ns)} UTC; {revision}"))
     sheet.section("What happened")
@@ -217,8 +220,7 @@ def _floors(sheet: Sheet, page: EventPage) -> None:
         curves = [] if record.ground is None else [("ground", record.ground)]
         moving = [i for i in range(len(page.event.floors)) if not record.still[i]]
         curves += [(page.event.floors[i].channel, record.floors[:, i]) for i in moving]
-        quiet = slice(0, max(record.strong.start, 1))
-        centred = [(f"{name}: acceleration, m/s²", values - values[quiet].mean()) for name, values in curves]
+        centred = [(f"{name}: acceleration, m/s²", values - _offset(values, record.strong)) for name, values in curves]
         _over_time(sheet, page.review, centred)
         sheet.note("Time from the begin of the event. Shaded: strong motion.")
     else:
@@ -231,6 +233,12 @@ def _floors(sheet: Sheet, page: EventPage) -> None:
         for f in motions
     ]  # fmt: skip
     sheet.table(["channel", "#peak, m/s²", "#RMS, m/s²", "#velocity, mm/s", "#Arias, m/s", "#CAV, m/s"], rows)
+
+
+def _offset(values: Annotated[Array, "n"], strong: slice) -> float:
+    """Return the mean of the quiet motion before the strong motion or after it, whichever is longer."""
+    quiet = max(values[: strong.start], values[strong.stop :], key=len)
+    return float((quiet if quiet.size else values).mean())
 
 
 def _frequencies(sheet: Sheet, page: EventPage) -> None:

@@ -53,14 +53,14 @@ class Live:
     says: str
     """In a word."""
     age_s: float | None
-    """Age of the latest data."""
+    """Age of the latest data when the monitor told it last."""
     since_ns: int | None
     """Time of the data at which the state began; None where it is that of the run's first window."""
     facts: tuple[tuple[str, str], ...]
     stream: str
     """How the source is, and what came of the samples."""
     sensors: tuple[tuple[str, ...], ...]
-    """Rows of the table of the channels, as `live.SENSORS` names them."""
+    """Rows of the table of the channels, as `period_notes.SENSORS` names them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -235,12 +235,15 @@ def _head(page: Sheet, period: Period) -> None:
         page.lead.append(("Data:", _span(period)))
     else:
         page.live = live.says
-        age = "no data yet" if live.age_s is None else f"the last came {_length(live.age_s)} ago"
+        when = "before the monitor fell silent" if live.says == "silent" else "ago"
+        age = "no data yet" if live.age_s is None else f"the last came {_length(live.age_s)} {when}"
         until = f"until {utc(period.results.grid.to_ns)} UTC; " if period.course.windows else ""
         page.lead.append(("Data:", f"{until}{age}."))
     events = [a for a in period.event_alarms if a.unacknowledged]
     places = [_name(a.story, period) for a in standing if a.story != WHOLE]
-    page.lead.append(("What to do:", advice(state, places)))
+    of = {} if live is None else period.conditions  # those of now, not of the end of a period
+    over = [story for story, says in of.items() if says == AlarmCondition.RETURNED_UNACKNOWLEDGED]
+    page.lead.append(("What to do:", advice(state, places, [_name(story, period) for story in over])))
     if state.rank > State.NOT_JUDGED.rank or period.contact:
         page.lead.append(("Call:", period.contact or "nobody is named; the site file may, as [site] contact."))
     seen = {
@@ -248,8 +251,10 @@ def _head(page: Sheet, period: Period) -> None:
         for story, says in period.conditions.items()
         if says in (AlarmCondition.ACKNOWLEDGED, AlarmCondition.LATCHED_ACKNOWLEDGED, AlarmCondition.SHELVED)
     }
-    asked = [f"--story {a.story}" for a in standing if a.story not in seen] + [f"--event {a.id}" for a in events]
-    if asked and state.rank >= State.WARNING.rank:
+    waiting = [a.story for a in standing if a.story not in seen] if state.rank >= State.WARNING.rank else []
+    asked = [f"--story {story}" for story in waiting] + [f"--event {a.id}" for a in events]
+    asked += [f"--story {story}" for story in over]
+    if asked:
         page.lead.append(("Acknowledge:", f"shm-monitor ack SITE.toml {asked[0]} --who NAME"))
 
 

@@ -40,7 +40,7 @@ class LivePage:
     def answer(self, asked: Shown) -> Answer:
         """Write the body's HTML, the page's title and, where the reader has not these already, the charts with their tag."""
         range_s = asked.range_s
-        state = hashlib.sha256(self._snapshots.answer("status").body).hexdigest()[:16]
+        state = self._snapshots.answer("status").etag.strip('"')
         if self._kept.get(range_s, ("",))[0] != state:
             if len(self._kept) >= _MOST_KEPT and range_s not in self._kept:
                 self._kept.clear()

@@ -144,7 +144,7 @@ class Snapshots:
             if assessment.state is not self._assessment.state:
                 self._since_ns = (self._last["latest"] or {}).get("t_end_ns")
             self._assessment = assessment
-            self._touch("status")
+            self._touch()
 
     def window(self, line: Mapping[str, Any]) -> None:
         """Keep a window, given as its line of results.jsonl."""
@@ -153,7 +153,7 @@ class Snapshots:
             latest = self._last["latest"]
             if latest is None or line["t_end_ns"] >= latest["t_end_ns"]:
                 self._last |= dict.fromkeys(("latest",) if line["skipped"] else ("latest", "judged"), _window(line))
-            self._touch("status", "sensors")
+            self._touch("sensors")
 
     def windows_before(self, lines: Iterable[Mapping[str, Any]]) -> None:
         """Keep windows in the order of their times, whenever they come."""
@@ -190,7 +190,7 @@ class Snapshots:
         with self._lock:
             channels = line.get("channels") or self._health.get("channels") or ()
             self._health, self._heard_s = {**line, "channels": channels}, self._clock()
-            self._touch("status", "sensors")
+            self._touch("sensors")
 
     def summary(self, content: Mapping[str, Any]) -> None:
         """Keep the content of summary.json."""
@@ -200,7 +200,7 @@ class Snapshots:
             if any(content.get(key) != self._summary.get(key) for key in ("alarms", "event_alarms")):
                 self._touch("alarms")
             self._summary = content
-            self._touch("status", "sensors")
+            self._touch("sensors")
 
     def answer(self, name: str, *asked: Range) -> Answer:
         """Write what an endpoint answers."""
@@ -314,7 +314,8 @@ class Snapshots:
         return self._summary.get("known") or {}
 
     def _touch(self, *names: str) -> None:
-        for name in names:
+        """Count a change of these endpoints' answers, and of the status, which tells it."""
+        for name in ("status", *names):
             self._revisions[name] += 1
 
 

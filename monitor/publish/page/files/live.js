@@ -69,6 +69,8 @@ function late() {
   $("live").textContent = "no answer";
   $("headline").textContent = `The monitor has not answered since ${clock}. Before: ${$("word").textContent}: ${$("headline").textContent}`;
   $("word").textContent = "No answer";
+  $("sign").textContent = "?";
+  for (const part of document.querySelectorAll("#state small, #headline ~ p")) part.remove(); // what the earlier state asked for
   document.title = "No answer";
   etag = tag = "";
   show.seen = new Map();
