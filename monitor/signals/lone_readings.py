@@ -53,7 +53,7 @@ def step(shown: Shown, values: Annotated[Array, "n c"], rate_hz: float) -> tuple
     for k in np.flatnonzero(fast.any(axis=0)):
         before = np.maximum.accumulate(np.append(reach[k], np.where(fast[:, k], 0.0, size[:, k])))
         taken, first = 0.0, int(after[k])
-        for at in np.flatnonzero(fast[:, k]):
+        for at in np.flatnonzero(fast[:, k]).tolist():
             shows = max(before[at], taken)
             if at >= first and 0.0 < _LONE * shows < size[at, k]:
                 lone[at, k], size[at, k], first = True, 0.0, at + 2

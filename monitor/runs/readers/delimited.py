@@ -326,7 +326,8 @@ def _finer(text: Text, at: int, t_ns: Annotated[Ticks, "n"], on_warning: OnWarni
     if finer_ns is None or not (np.diff(finer_ns) > 0).all():
         return t_ns
     on_warning(f"{text.path}: the times are those of column {text.dialect.columns[at].name!r}, which is finer")
-    return t_ns[0] + (finer_ns - finer_ns[0])
+    moved: Ticks = t_ns[0] + (finer_ns - finer_ns[0])
+    return moved
 
 
 def _unwound(
