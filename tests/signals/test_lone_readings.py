@@ -47,7 +47,7 @@ def test_lone_readings_are_missing_wherever_blocks_are_cut(cut: Cut, motion: np.
 
 def test_a_bit_that_falls_over_at_every_other_sample_delays_nothing(cut: Cut) -> None:
     """As many lone readings as a block may hold take as long as to read it, not the square of that."""
-    motion = 0.05 * np.random.default_rng(4).standard_normal((200_000, 2))
+    motion = 0.05 * np.random.default_rng(4).standard_normal((200_000, 3))
     motion[1::2, 1] = 1e6
     found = lost(cut, motion, 1000.0, len(motion))
     assert found[1::2, 1].all() and found.sum() == len(motion) // 2
