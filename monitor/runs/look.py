@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from drivers.base import ACCELERATION, UNIT_OF
+from drivers.base import ACCELERATION
 from monitor.core import (
     Array,
     BadInputError,
@@ -234,7 +234,7 @@ class _Reader:
         state, health, parts, size = alignment.start(), HealthState(), list[Array](), 0
         begin_ns, dropped = 0, 0
         progress = Progress(on_progress, paths, step=Step("reads the recordings", then=_IDENTIFIES))
-        for block in read_topics(paths, tuple(UNIT_OF), on_warning):
+        for block in read_topics(paths, None, on_warning):
             topic = self.topics.setdefault(
                 block.topic,
                 {"channels": list(block.channels), "unit": block.unit, "rate_hz": block.sample_rate_hz, "samples": 0},

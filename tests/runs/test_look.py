@@ -57,6 +57,14 @@ def doubts(folder: Path, values: np.ndarray, unit: str = "") -> str:
     return "\n".join(look.look([table(folder / "d.csv", values, unit)]).doubts)
 
 
+def test_a_look_lists_every_covariate_of_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    wind = np.column_stack([np.arange(3000) / RATE_HZ, samples()[:3000], np.full((3000, 2), 5.0)])
+    np.savetxt(path, wind, delimiter=",", header="t,a1 [g],a2 [g],a3 [g],wind [m/s],air [degC]", comments="", fmt="%.6g")
+    found = look.look([path])
+    assert sorted(found.topics) == ["/acceleration", "/temperature", "/wind"] and found.topics["/wind"]["unit"] == "m/s"
+
+
 def test_a_table_alone_gives_the_modes_with_intervals(found: LookedRecording) -> None:
     assert found.rate_hz == RATE_HZ
     assert found.duration_s == SECONDS
