@@ -59,6 +59,30 @@ class Options:
     align: bool = False
     """Shift the clocks of the files so that their readings fit each other (`clocks.align`)."""
 
+    def given(self) -> list[str]:
+        """List the options that the user states, as the command line names them."""
+        values = {option: getattr(self, name) for name, option in _OPTION_OF.items()}
+        return [option for option, value in values.items() if value is not None and value is not False]
+
+
+_OPTION_OF = {
+    "rate_hz": "--rate",
+    "unit": "--unit",
+    "channels": "--channel",
+    "time": "--time",
+    "covariates": "--covariate",
+    "ground": "--ground",
+    "forces": "--force",
+    "start_ns": "--start",
+    "zone": "--timezone",
+    "dbc": "--dbc",
+    "bus": "--bus",
+    "scale": "--scale",
+    "inventory": "--inventory",
+    "align": "--align",
+}
+"""Field of `Options` -> option of the command line. [names; definition]"""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:

@@ -268,10 +268,10 @@ class _Clock:
     """Time of the first row as written, where it has no zone."""
 
 
-def times_in(text: Text, at: int, on_warning: OnWarning) -> Annotated[Ticks, "n"]:
+def times_in(text: Text, at: int, on_warning: OnWarning, zone: tzinfo | None = None) -> Annotated[Ticks, "n"]:
     """Convert a column of dates or of numbers to times, ns since 1970."""
     if text.dialect.columns[at].role in CALENDAR:
-        return _dated(text, [at], None, on_warning)[0].t_ns
+        return _dated(text, [at], zone, on_warning)[0].t_ns
     return _ticks(text, at, on_warning)[0]
 
 

@@ -186,9 +186,9 @@ def as_recordings(
     Errors within the block name the files (errors as `import_files`).
     """
     if are_recordings(paths):
-        if options.rate_hz is not None or options.unit is not None:
+        if given := options.given():
             raise BadInputError(
-                f"{paths[0]}: is a recording, which states its rate and unit: leave --rate and --unit out"
+                f"{paths[0]}: is a recording, which states all that is to be known of it: leave {', '.join(given)} out"
             )
         yield list(paths)
         return
