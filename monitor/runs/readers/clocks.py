@@ -86,7 +86,9 @@ def _demand_one_rate(tables: Sequence[Table]) -> None:
     rates = [table.rate_hz or _rate_hz(table) for table in tables]
     told = [rate for rate in rates if rate]
     if told and max(told) > _ONE_RATE * min(told):
-        each = ", ".join(f"{table.path.name} {rate:.6g} Hz" for table, rate in zip(tables, rates, strict=True) if rate)
+        names = [table.path.name for table in tables]
+        shown = names if len(set(names)) > 1 else [", ".join(table.columns) for table in tables]
+        each = ", ".join(f"{name} {rate:.6g} Hz" for name, rate in zip(shown, rates, strict=True) if rate)
         raise BadInputError(
             f"{tables[0].path}: several rates: {each}; import those of one rate, or name them by --channel"
         )

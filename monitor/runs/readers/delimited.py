@@ -11,10 +11,21 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import BadInputError
 from monitor.runs.readers import stamps
-from monitor.runs.readers.dialect import CALENDAR, Dialect, Role, guess, is_missing, is_number, split
+from monitor.runs.readers.dialect import (
+    CALENDAR,
+    DATE_PARTS,
+    Dialect,
+    Role,
+    fraction_ns,
+    guess,
+    is_missing,
+    is_number,
+    split,
+)
 from monitor.runs.readers.table import Array, OnWarning, Table, Ticks, without_fillers
 from monitor.runs.readers.units import ACCELERATION, TIME
 
@@ -29,6 +40,8 @@ _SINCE_1904_S = (3.6e9, 4.4e9, 2_082_844_800)
 _MOST_SENSORS = 256
 """Most sensors that a column may name. [count; judgement]"""
 _CHANNEL_NAME = re.compile(r"^(ch|chan|channel|sensor|node|axis|kanal|device|id|no|nr)\b", re.IGNORECASE)
+_EVEN = 0.9
+"""Share of even steps from which times are those of one sensor. [ratio; judgement: pauses, and rows that were lost]"""
 _OWN_ROWS = 0.1
 """Share of rows with readings of both, below which two columns have rows of their own. [ratio; judgement]"""
 _HOUR_NS = 3600 * 10**9
@@ -176,23 +189,46 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
     return Text(path, rows, numbers, dialect, tuple(lines[: dialect.first]))
 
 
-def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> Table:
-    """Convert a text to a table on its own clock (errors as of `cut`)."""
+def to_tables(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> list[Table]:
+    """Convert a text to tables, one for each clock in it (errors as of `cut`)."""
+    apart = _side_by_side(text, on_warning)
+    return [table for one in apart for table in _tables_of(one, on_warning, zone)]
+
+
+def _side_by_side(text: Text, on_warning: OnWarning) -> list[Text]:
+    """Cut a text in which each sensor has a column of times of its own before its readings; one that has one is left whole."""
+    dialect, times = text.dialect, text.dialect.of(Role.TIME)
+    ends = [*times[1:], dialect.width]
+    alike = {tuple(column.role for column in dialect.columns[at:end]) for at, end in zip(times, ends, strict=False)}
+    if len(times) < 2 or times[0] != 0 or len(alike) != 1 or Role.READING not in next(iter(alike)):
+        return [text]
+    if len({tuple(text.cells(at)) for at in times}) == 1:
+        return [text]
+    found = []
+    for at, end in zip(times, ends, strict=True):
+        rows = [split(line, dialect.delimiter)[at:end] for line in text.lines]
+        kept = [(row, number) for row, number in zip(rows, text.numbers, strict=True) if not is_missing(row[0])]
+        part = replace(dialect, delimiter="\t", width=end - at, columns=dialect.columns[at:end])
+        lines = ["\t".join(row) for row, _ in kept]
+        found.append(Text(text.path, lines, [number for _, number in kept], part, text.preamble))
+    return found
+
+
+def _tables_of(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> list[Table]:
+    """Convert a text with one column of times."""
     dialect, path = text.dialect, text.path
-    readings = dialect.of(Role.READING)
+    clock = _clock(text, on_warning, zone)
+    labels = None if clock.time_ns is None else _label_column(text, clock.time_ns)
+    readings = [at for at in dialect.of(Role.READING) if at != labels]
     if not readings:
         raise BadInputError(f"{path}: no column besides time and counter")
-    if left := [dialect.columns[at].name for at in dialect.of(Role.TEXT)]:
+    if left := [dialect.columns[at].name for at in dialect.of(Role.TEXT) if at != labels]:
         on_warning(f"{path}: left out, since they hold no numbers: {', '.join(left)}")
     names = [dialect.columns[at].name for at in readings]
     if len(set(names)) != len(names):
         raise BadInputError(f"{path}: columns of the same name in the header: {', '.join(names)}")
-    clock = _clock(text, on_warning, zone)
-    if clock.time_ns is not None and (np.diff(clock.time_ns) <= 0).any():
-        _demand_columns(text, clock.time_ns)
     values = text.values(readings, on_warning)
-    moves = [(unit := dialect.columns[at].unit) is not None and unit.quantity == ACCELERATION for at in readings]
-    counters = dialect.of(Role.COUNTER)
+    counters = [at for at in dialect.of(Role.COUNTER) if labels is None]
     index = text.values(counters[:1], on_warning)[:, 0] if counters else None
     if index is not None and not (np.isfinite(index).all() and (np.diff(index) >= 1).all()):
         index = None
@@ -209,53 +245,129 @@ def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> T
         start_text=clock.start_text,
     )
     table = without_fillers(table, on_warning)
-    keep = _one_clock(path, names, moves, table.values, on_warning)
-    return table if keep is None else table.rows(keep)
+    if labels is not None:
+        return _by_label(table, dialect.columns[labels].name, np.array(text.cells(labels)), on_warning)
+    return _by_rate(_one_clock(table, on_warning))
 
 
-def _demand_columns(text: Text, t_ns: Annotated[Ticks, "n"]) -> None:
-    """Refuse a table in which each sensor has rows of its own at the same times, named in a column."""
+def _label_column(text: Text, t_ns: Annotated[Ticks, "n"]) -> int | None:
+    """Return the column that names the sensor of each row, where each sensor has rows of its own; None where none does.
+
+    The times of each sensor rise evenly, and their spans overlap; all times together do not, or the column is named so.
+    """
+    is_even = _is_even(t_ns)
     for at in text.dialect.of(Role.TEXT, Role.COUNTER, Role.READING):
         column = text.dialect.columns[at]
-        if column.unit is not None or (column.role is Role.READING and _CHANNEL_NAME.search(column.name) is None):
+        is_named = _CHANNEL_NAME.search(column.name) is not None
+        if column.unit is not None or (not is_named and (is_even or column.role is Role.READING)):
             continue
-        cells = text.cells(at)
-        names = sorted(set(cells))
-        if not 1 < len(names) <= min(_MOST_SENSORS, len(cells) // 2):
+        labels = np.array(text.cells(at))
+        names = np.unique(labels)
+        if not 1 < len(names) <= min(_MOST_SENSORS, len(labels) // 2):
             continue
-        labels = np.array(cells)
         times = [t_ns[labels == name] for name in names]
-        if all(len(own) == len(times[0]) > 1 and (own == times[0]).all() and own[0] < own[-1] for own in times):
-            raise BadInputError(
-                f"{text.path}: each time stands {len(names)} times, for {', '.join(names[:4])} in column {column.name!r}; "
-                "bring the readings of each into a column of its own"
+        overlap = max(own[0] for own in times) < min(own[-1] for own in times)
+        if overlap and all(map(_is_even, times)):
+            return at
+    return None
+
+
+def _is_even(t_ns: Annotated[Ticks, "n"]) -> bool:
+    """Test whether times rise by much the same step, but for pauses."""
+    steps = np.diff(t_ns)
+    usual = np.median(steps) if len(steps) else 0
+    return bool(usual > 0 and (np.abs(steps - usual) < usual / 2).mean() >= _EVEN)
+
+
+def _by_label(table: Table, heading: str, labels: NDArray[np.str_], on_warning: OnWarning) -> list[Table]:
+    """Bring the readings of each sensor into columns of its own; sensors of the same times into one table."""
+    found: list[Table] = []
+    for label in dict.fromkeys(labels.tolist()):
+        own = table.rows(np.flatnonzero(labels == label))
+        name = f"{heading}_{label}" if is_number(label) else label
+        own = replace(own, columns=(name,) if len(own.columns) == 1 else tuple(f"{name}_{of}" for of in own.columns))
+        last = found[-1] if found else None
+        if last is not None and np.array_equal(_clock_of(last), _clock_of(own)):
+            found[-1] = replace(
+                last,
+                columns=last.columns + own.columns,
+                units=last.units + own.units,
+                by_name=last.by_name + own.by_name,
+                values=np.hstack([last.values, own.values]),
             )
+        else:
+            found.append(own)
+    held = ", ".join(name for one in found for name in one.columns)
+    on_warning(f"{table.path}: each row is of one sensor, which {heading!r} names: brought into the columns {held}")
+    return found
 
 
-def _one_clock(
-    path: Path, names: Sequence[str], moves: Sequence[bool], values: Annotated[Array, "n c"], on_warning: OnWarning
-) -> Annotated[Ticks, "m"] | None:
-    """Return the rows of the accelerations where other columns have rows of their own, as of another clock; else None.
+def _clock_of(table: Table) -> Annotated[Ticks, "n"]:
+    """Return the times of a table that has them."""
+    assert table.time_ns is not None
+    return table.time_ns
+
+
+def _by_rate(table: Table) -> list[Table]:
+    """Cut a table in which slower sensors have readings in every second, third, .. row alone into one for each rate."""
+    steps: dict[int, list[int]] = {}
+    for at, column in enumerate(table.values.T):
+        rows = np.flatnonzero(np.isfinite(column))
+        step = int(np.median(np.diff(rows))) if len(rows) > 2 else 1
+        is_other = table.quantity(table.columns[at]) not in ("", ACCELERATION, "counts")
+        slow = step > 1 and (np.diff(rows) == step).mean() >= _EVEN and not is_other
+        steps.setdefault(step if slow else 1, []).append(at)
+    if len(steps) < 2:
+        return [table]
+    return [
+        table.of_columns(places).rows(np.flatnonzero(np.isfinite(table.values[:, places]).any(axis=1)))
+        for places in steps.values()
+    ]
+
+
+def _one_clock(table: Table, on_warning: OnWarning) -> Table:
+    """Bring readings that stand in rows of their own between those of the accelerations, as of another clock, to the row behind.
 
     Raises BadInputError if accelerations have rows of their own among each other.
     """
+    names, values, t_ns = table.columns, table.values.copy(), table.time_ns
+    moves = [table.quantity(name) == ACCELERATION for name in names]
     here = np.isfinite(values)
-    counts = here.sum(axis=0)
     lead = moves.index(True) if True in moves else 0
-    apart = [
+    own = _own_rows(here, lead)
+    told = f"{table.path}: {', '.join(names[at] for at in own)} stand in rows without {names[lead]}"
+    if own and (not moves[lead] or any(moves[at] for at in own)):
+        raise BadInputError(f"{told}: they have clocks of their own; export each sensor to a file of its own")
+    lone = here.any(axis=1) & ~here[:, moves].any(axis=1) & moves[lead]
+    kept, between = np.flatnonzero(~lone), np.flatnonzero(lone)
+    behind = np.searchsorted(kept, between)
+    between, behind = between[(behind > 0) & (behind < len(kept))], behind[(behind > 0) & (behind < len(kept))]
+    if not between.size or (t_ns is None and not own):
+        return table
+    if t_ns is not None:
+        around_ns = t_ns[kept[behind]] - t_ns[kept[behind - 1]]
+        if (around_ns < 1.5 * np.median(np.diff(t_ns[kept]))).mean() < _EVEN:
+            return table  # where they stand the accelerations are missing
+    others = [at for at in range(len(names)) if here[between, at].any()]
+    for at in others:
+        from_rows = here[between, at]
+        values[kept[behind[from_rows]], at] = values[between[from_rows], at]
+    on_warning(
+        f"{table.path}: {', '.join(names[at] for at in others)} stand in rows without {names[lead]}, as of another clock; taken "
+        "at the next row with it"
+    )
+    return replace(table, values=values).rows(kept)
+
+
+def _own_rows(here: NDArray[np.bool_], lead: int) -> list[int]:
+    """List the columns that have readings in rows without the leading one, and hardly any in rows with it."""
+    counts = here.sum(axis=0)
+    return [
         at
-        for at in range(len(names))
-        if min(counts[at], counts[lead]) > _OWN_ROWS * len(values)
+        for at in range(here.shape[1])
+        if min(counts[at], counts[lead]) > _OWN_ROWS * len(here)
         and (here[:, at] & here[:, lead]).sum() < _OWN_ROWS * min(counts[at], counts[lead])
     ]
-    if not apart:
-        return None
-    told = f"{path}: {', '.join(names[at] for at in apart)} stand in rows without {names[lead]}"
-    if not moves[lead] or any(moves[at] for at in apart):
-        raise BadInputError(f"{told}: they have clocks of their own; export each sensor to a file of its own")
-    beside = [at for at in range(len(names)) if at not in apart]
-    on_warning(f"{told}, as of another clock; these rows are left out")
-    return np.flatnonzero(here[:, beside].any(axis=1))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -279,7 +391,7 @@ def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
     """Form the times of the rows from the columns that hold them."""
     dialect = text.dialect
     stated = _stated_start(text, zone)
-    columns = dialect.of(Role.STAMP)[:1]
+    columns = dialect.of(Role.STAMP)[:1] or _date_parts(dialect)
     if not columns and (clocked := dialect.of(Role.CLOCK)[:1]):
         columns = [*dialect.of(Role.DATE)[:1], *clocked]
     ticking = dialect.of(Role.TIME)
@@ -294,13 +406,21 @@ def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
     return _Clock(t_ns, *stated)
 
 
+def _date_parts(dialect: Dialect) -> list[int]:
+    """List the columns of year, month, day, hour, minute and second; none where dates are written otherwise."""
+    places = {dialect.columns[at].name.casefold(): at for at in dialect.of(Role.PART)}
+    return [places[name] for name in DATE_PARTS] if places else []
+
+
 def _dated(text: Text, columns: Sequence[int], zone: tzinfo | None, on_warning: OnWarning) -> tuple[stamps.Stamps, str]:
     """Read the times that stand in columns as dates, as times of day or as both; also the first one as written."""
     path = text.path
-    texts = [" ".join(cells) for cells in zip(*map(text.cells, columns), strict=True)]
+    form = "{}-{}-{} {}:{:0>2}:{}" if len(columns) == len(DATE_PARTS) else "{} {}" if len(columns) > 1 else "{}"
+    texts = [form.format(*cells) for cells in zip(*map(text.cells, columns), strict=True)]
     heading = text.dialect.columns[columns[-1]]
     try:
-        read = stamps.parse(texts, zone or stamps.zone_in(f"{heading.name} {heading.unit_text}"), path.name)
+        told = f"{heading.name} {heading.unit_text} {text.dialect.zone_text}"
+        read = stamps.parse(texts, zone or stamps.zone_in(told), path.name)
     except ValueError as error:
         (row,) = error.args
         if not isinstance(row, int):
@@ -374,7 +494,7 @@ def _stated_start(text: Text, zone: tzinfo | None) -> tuple[int | None, str]:
     if not stated:
         return None, ""
     try:
-        read = stamps.parse([stated], zone, text.path.name)
+        read = stamps.parse([stated], zone or stamps.zone_in(text.dialect.zone_text), text.path.name)
     except ValueError:
         return None, ""
     return int(read.t_ns[0]), "" if read.has_zone else stated
@@ -385,8 +505,7 @@ def _fractions_ns(text: Text, on_warning: OnWarning) -> Annotated[Ticks, "n"] | 
     at = next(iter(text.dialect.of(Role.FRACTION)), None)
     if at is None:
         return 0
-    micro = text.dialect.columns[at].name.casefold().startswith(("u", "micro"))
-    return np.rint(text.values([at], on_warning)[:, 0]).astype(np.int64) * (1000 if micro else 10**6)
+    return np.rint(text.values([at], on_warning)[:, 0]).astype(np.int64) * fraction_ns(text.dialect.columns[at].name)
 
 
 def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: OnWarning) -> _Clock:
@@ -463,4 +582,4 @@ def _exact_ns(numbers: Annotated[Array, "n"], factor: float) -> Annotated[Ticks,
     return whole.astype(np.int64) * ticks + np.rint((numbers - whole) * ticks).astype(np.int64)
 
 
-__all__ = ["Text", "cut", "decode", "is_number", "lines_of", "times_in", "to_table"]
+__all__ = ["Text", "cut", "decode", "is_number", "lines_of", "times_in", "to_tables"]

@@ -6,13 +6,13 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 
 from monitor.core import BadInputError
-from monitor.runs.readers.stamps import CLOCK, DATE, DATED, looks_dated
+from monitor.runs.readers.stamps import CLOCK, DATE, DATED, form_of
 from monitor.runs.readers.units import ACCELERATION, TIME, Unit, split_name, split_names, unit_of
 
 _MISSING = frozenset({
@@ -34,7 +34,9 @@ _COUNTER_NAME = re.compile(
     r"|rec|row|line|point|place|scan|seq(uence)?)",
     re.IGNORECASE,
 )
-_FRACTION_NAME = re.compile(r"(ms|msec|millis|milliseconds?|millisecond|micros|us|usec)", re.IGNORECASE)
+_FRACTION_NAME = re.compile(r"(m|u|n|milli|micro|nano)(?:s|secs?|seconds?)", re.IGNORECASE)
+_TICKS_NS = {"m": 10**6, "u": 1000, "n": 1, "milli": 10**6, "micro": 1000, "nano": 1}
+"""Prefix of a second -> ns. [ns; definition: SI]"""
 _RATE_CELL = re.compile(r"(?:sr|rate|fs)?\s*[=:]?\s*(\d+\.?\d*|\.\d+)\s*(k?hz)", re.IGNORECASE)
 _RATE_UNIT, _STEP_UNIT = r"k?hz|k?sps|ks/s", r"s|sec|seconds|ms|msec|us"
 _RATE_LINE = re.compile(
@@ -51,6 +53,7 @@ _START_LINE = re.compile(
     rf"(?:start|begin|trigger|record\w*|acqui\w*|date|time)[\w\s./-]*?[\s:=,;\t\"]+(?P<stamp>{DATED.pattern})",
     re.IGNORECASE,
 )
+_ZONE_LINE = re.compile(r"time.?zone|zeitzone|(?:utc|gmt).?offset", re.IGNORECASE)
 _UNIT_LINE = re.compile(r"(?:y_?)?units?(?:_label)?\b[\s:=,;\t\"]+([^\s,;\t\"]+(?: s-2)?)", re.IGNORECASE)
 _UNIT_SENTENCE = re.compile(
     r"^[\s#%!;]*(?:all\s+)?(?:accelerations?|values|data|amplitudes?|readings?)\s+(?:are\s+)?in\s+(?:units\s+of\s+)?(\S+)\s*$",
@@ -85,11 +88,14 @@ class Role(Enum):
     CLOCK = "time of day"
     TIME = "time"
     FRACTION = "fraction of a second"
+    PART = "part of a date"
     COUNTER = "counter of samples"
     READING = "readings"
     TEXT = "text"
 
 
+DATE_PARTS = ("year", "month", "day", "hour", "minute", "second")
+"""Names of columns that hold a date together, in lower case. [names; convention]"""
 CALENDAR = frozenset({Role.STAMP, Role.DATE, Role.CLOCK})
 """Roles of columns whose cells are dates, times of day or both."""
 
@@ -125,6 +131,8 @@ class Dialect:
     """As the lines before the rows state it."""
     start_text: str = ""
     """Time of the first sample as the lines before the rows state it."""
+    zone_text: str = ""
+    """Line before the rows that states the zone of the times."""
     reasons: dict[str, str] = field(default_factory=dict)
 
     def of(self, *roles: Role) -> list[int]:
@@ -212,7 +220,8 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None, marks: Sequ
         "rate": why_rate,
         "start": why_start,
     }
-    return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, reasons)
+    zone_text = next(filter(_ZONE_LINE.search, preamble), "")
+    return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, zone_text, reasons)
 
 
 def _cells_above(above: Sequence[str], delimiter: str | None, width: int) -> list[list[str]]:
@@ -304,7 +313,7 @@ def _holds_decimals(cut: Sequence[Sequence[str]]) -> bool:
 
 def _is_data(cell: str) -> bool:
     """Test whether a cell may stand in a row of readings."""
-    return is_missing(cell) or is_number(cell) or looks_dated(cell)
+    return is_missing(cell) or is_number(cell) or form_of(cell) is not None
 
 
 def _is_row(cells: Sequence[str], width: int, texts: frozenset[int]) -> bool:
@@ -395,6 +404,8 @@ def _headings(path: Path, head: Sequence[Sequence[str]], width: int) -> _Heading
             continue
         elif sum(map(is_number, filled)) * 2 > len(filled) and len(near) > 1:
             continue  # numbers of channels or of sensors
+        elif not names and len(filled) > 2 and len({*filled[1:]}) == 1 and cells is not near[0]:
+            continue  # of sensitivities or types, below that of the names
         elif not names:
             names = _unlabelled(cells)
             _demand_names(path, names)
@@ -565,6 +576,12 @@ def _columns(headings: _Headings, rows: Sequence[Sequence[str]], stated: str, ti
         if role is Role.READING and not unit_text and stated:
             unit_text, unit, why = stated, unit_of(stated), f"{why}; its unit stands above the table"
         found.append(Column(name or f"column{at + 1}", role, unit, unit_text, by_name, why))
+    if {*DATE_PARTS} <= {column.name.casefold() for column in found}:
+        parts = [column.name.casefold() in DATE_PARTS for column in found]
+        why = "year, month, day, hour, minute and second have a column each"
+        found = [
+            replace(one, role=Role.PART, why=why) if is_part else one for one, is_part in zip(found, parts, strict=True)
+        ]
     return tuple(found)
 
 
@@ -588,26 +605,37 @@ def _role(
     has_time = any(column.role in (Role.STAMP, Role.CLOCK, Role.TIME) for column in before)
     integers = [int(cell) for cell in cells if re.fullmatch(r"[+-]?\d+", cell)]
     are_whole = len(integers) == len(cells)
-    if has_time and _FRACTION_NAME.fullmatch(name) and are_whole and max(integers) < 1_000_000:
+    if has_time and are_whole and max(integers) * fraction_ns(name) < 10**9 and fraction_ns(name):
         return Role.FRACTION, "whole numbers below a second, named as a fraction, behind a time"
     if is_named is None and (why := _why_time(name, unit)) and (not has_time or _rises(cells)):
         return Role.TIME, why
-    if are_whole and _counts_on(integers) and (_COUNTER_NAME.fullmatch(name) or (not before and not has_heading)):
+    if (
+        are_whole
+        and _counts_on(integers)
+        and (_COUNTER_NAME.fullmatch(_last(name)) or (not before and not has_heading))
+    ):
         return Role.COUNTER, "whole numbers that count on"
     if not before and not (has_heading and name) and _is_ramp(cells):
         return Role.TIME, "rises by one step throughout"
     return Role.READING, "numbers"
 
 
+def fraction_ns(name: str) -> int:
+    """Return the part of a second, ns, that a column is named after; 0 for another name."""
+    match = _FRACTION_NAME.fullmatch(name)
+    return 0 if match is None else _TICKS_NS[match[1].casefold()]
+
+
 def _form(cells: Sequence[str]) -> tuple[Role, str] | None:
     """Return what a column of cells that are not missing holds, where it is no numbers, and why; None for numbers."""
     if not cells:
         return Role.TEXT, "empty"
-    if sum(DATED.fullmatch(cell) is not None for cell in cells) >= _SHARE * len(cells):
+    forms = [form_of(cell) for cell in cells]
+    if forms.count(DATED) >= _SHARE * len(cells):
         return Role.STAMP, f"dates and times, as {cells[0]!r}"
-    if all(map(DATE.fullmatch, cells)):
+    if set(forms) == {DATE}:
         return Role.DATE, f"dates, as {cells[0]!r}"
-    if all(map(CLOCK.fullmatch, cells)):
+    if set(forms) == {CLOCK}:
         return Role.CLOCK, f"times of day, as {cells[0]!r}"
     return None if any(map(is_number, cells)) else (Role.TEXT, f"no numbers, as {cells[0]!r}")
 
@@ -616,7 +644,12 @@ def _why_time(name: str, unit: Unit | None) -> str:
     """Return why numbers may be times, by their unit or their name; empty where neither says so."""
     if unit is not None and unit.quantity == TIME:
         return f"in {unit.symbol}"
-    return "named as a time" if _TIME_NAME.fullmatch(re.sub(r"[\s_.-]+$", "", name)) else ""
+    return "named as a time" if _TIME_NAME.fullmatch(_last(name)) else ""
+
+
+def _last(name: str) -> str:
+    """Return the last part of a name with points, as of a field of a message."""
+    return re.sub(r"[\s_.-]+$", "", name).rpartition(".")[2]
 
 
 def _counts_on(numbers: Sequence[int]) -> bool:

@@ -32,7 +32,10 @@ _MONTHS |= {
     "ago": 8,
     "dic": 12,
 }
-_DATE = r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}|\d{1,2}[- .][A-Za-zäéû]{3,9}[- .]\d{2,4}|(?:19|20)\d{6}"
+_DATE = (
+    r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{4}-\d{3}|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}|\d{1,2}[- .][A-Za-zäéû]{3,9}[- .]\d{2,4}"
+    r"|(?:19|20)\d{6}"
+)
 _CLOCK = r"(?:\d{1,2}:\d{2}[.,]\d{1,9}|\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d{1,9})?)?(?:\s*[AaPp]\.?[Mm]\.?)?)"
 _ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?|[A-Z]{3,4}|\[[\w/]+\]))?"
 DATE = re.compile(_DATE)
@@ -42,6 +45,18 @@ _MINUTES = re.compile(r"\d{1,2}:\d{2}[.,]\d{1,9}")
 DATED = re.compile(rf"(?:{_DATE})[ T_,;]*\s*(?:{_CLOCK}){_ZONE}")
 """A date with a time of day. [pattern]"""
 _PARTS = re.compile(rf"({_DATE})?[ T_,;]*\s*({_CLOCK})?({_ZONE})")
+_SPELLINGS = tuple(
+    (re.compile(pattern, re.IGNORECASE), plain)
+    for pattern, plain in (
+        (r"^(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*[.,]*\s+", ""),
+        (r"^([a-z]{3,9})\.?\s+(\d{1,2}),?\s+(\d{4})", r"\2 \1 \3"),
+        (r"^((?:19|20)\d{6})T?([01]\d|2[0-3])([0-5]\d)([0-6]\d)[.,]?(\d{0,8})", r"\1 \2:\3:\4.\g<5>0"),
+        (r"(?<=\d\d[ T])(\d{1,2})\.(\d{2})\.(\d{2})", r"\1:\2:\3"),
+        (r"(?:오전|上午)\s*([\d:.,]+)", r"\1 AM"),
+        (r"(?:오후|下午)\s*([\d:.,]+)", r"\1 PM"),
+    )
+)
+"""How dates and times are written besides, and what is meant. [patterns; ISO 8601, locales]"""
 ZONE_HOURS = {
     **{
         "Z": 0,
@@ -63,15 +78,21 @@ _EPOCH = date(1970, 1, 1).toordinal()
 _DAY_NS = 86_400 * 10**9
 
 
-def looks_dated(cell: str) -> bool:
-    """Test whether a cell is a date, a time of day, or both."""
-    return any(pattern.fullmatch(cell) for pattern in (DATED, DATE, CLOCK))
+def _plain(text: str) -> str:
+    """Write a date or time as most loggers do."""
+    for spelt, plain in _SPELLINGS:
+        text = spelt.sub(plain, text)
+    return text
+
+
+def form_of(cell: str) -> re.Pattern[str] | None:
+    """Return what a cell is: `DATED`, `DATE` or `CLOCK`; None for none of them."""
+    forms = (DATED, DATE, CLOCK)
+    return next((form for text in (cell, _plain(cell)) for form in forms if form.fullmatch(text)), None)
 
 
 def is_time(cell: str) -> bool:
     """Test whether a cell is a date, a time of day, or both, and a date that there is."""
-    if not looks_dated(cell):
-        return False
     try:
         parse([cell])
     except ValueError:
@@ -112,7 +133,7 @@ def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> S
     twelve_hours = False
     at_date = -1
     for at, text in enumerate(texts):
-        match = _PARTS.fullmatch(text.strip())
+        match = _PARTS.fullmatch(text.strip()) or _PARTS.fullmatch(_plain(text.strip()))
         if match is None or not (match[1] or match[2]):
             raise ValueError(at)
         day, clock, zone_text = match[1], match[2] or "", match[3].strip()
@@ -171,6 +192,8 @@ def _order(dates: Sequence[str], twelve_hours: bool, hint: str) -> tuple[bool, s
 
 def _day(text: str, month_first: bool) -> int | None:
     """Return the days since 1970 of a date; None if it is none."""
+    if re.fullmatch(r"\d{4}-\d{3}", text):
+        return date(int(text[:4]), 1, 1).toordinal() + int(text[5:]) - 1 - _EPOCH
     numbers = [text[:4], text[4:6], text[6:]] if re.fullmatch(r"\d{8}", text) else re.split(r"[-/. ]", text)
     if len(numbers[0]) == 4:
         year, month, day = numbers
@@ -225,10 +248,16 @@ def _local_ns(t_ns: Annotated[Ticks, "n"], zone: tzinfo) -> Annotated[Ticks, "n"
 
 def zone_in(heading: str) -> tzinfo | None:
     """Return the zone that a heading names, as in "Time (UTC)"; None without one."""
-    if (match := re.search(r"(?:UTC|GMT)\s*([+-])(\d{1,2})(?::?(\d{2}))?\b", heading)) is not None:
+    if (match := re.search(r"(?:UTC|GMT)(?:\s*offset)?[\s:;,=]*([+-])(\d{1,2})(?::?(\d{2}))?\b", heading)) is not None:
         return zone_named(f"{match[1]}{int(match[2]):02d}:{match[3] or '00'}")
-    words = [w for w in re.findall(r"[A-Za-z]+", heading) if w.isupper() or w.casefold() in ("utc", "gmt")]
-    return next((zone_named(word) for word in words if word.upper() in ZONE_HOURS and word != "Z"), None)
+    words = [
+        w
+        for w in re.findall(r"[A-Za-z]+(?:/\w+)*", heading)
+        if w.isupper() or w.casefold() in ("utc", "gmt") or "/" in w
+    ]
+    return next(
+        (zone_named(word) for word in words if (word.upper() in ZONE_HOURS and word != "Z") or "/" in word), None
+    )
 
 
 def zone_named(name: str) -> tzinfo | None:

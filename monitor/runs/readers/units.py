@@ -93,6 +93,7 @@ _SPELLINGS = tuple(
         ("[µμ]", "u"),
         ("°", "deg"),
         (r"\*\*", "^"),
+        (r"[{}$\\]", ""),
         ("[·⋅×]", "*"),
         (r"\bseconds?\b|\bsec\b|(?<=[/*])sec", "s"),
         (r"\b(milli|micro|nano)seconds?\b", lambda m: f"{'mun'[('milli', 'micro', 'nano').index(m[1])]}s"),
@@ -157,7 +158,7 @@ def split_name(heading: str) -> Heading:
     >>> [tuple(split_name(heading)) for heading in ("Mid span [g]", "ax_g", "time_ms", "roof")]
     [('Mid span', 'g', False), ('ax_g', 'g', True), ('time_ms', 'ms', True), ('roof', '', False)]
     """
-    heading = heading.strip()
+    heading = re.sub(r"\^\{(-?\d)\}", r"^\1", heading.strip())
     if (
         (match := _BRACKETS.fullmatch(heading)) is not None
         and (match[1] or match[3])
