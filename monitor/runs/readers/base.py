@@ -127,7 +127,7 @@ class File:
         except ValueError as error:
             raise BadInputError(f"{self.path}: {error}") from error
 
-    def read_apart(self, module: str, kind: str) -> tuple[own_process.Arrays, dict[str, str]]:
+    def read_apart(self, module: str, kind: str) -> tuple[own_process.Arrays, own_process.Told]:
         """Read the file's arrays, and what is told of them, in a process of its own (`own_process.read_apart`)."""
         with TemporaryDirectory() as folder:
             path = self.path

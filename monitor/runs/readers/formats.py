@@ -130,7 +130,7 @@ class Text:
         """Guess its dialect and convert it."""
         text = delimited.cut(file.path, delimited.decode(file.path, file.raw), file.on_warning, file.options.time)
         if xsens_dot.is_xsens(text):
-            return [xsens_dot.to_table(text, file.on_warning)]
+            return [xsens_dot.to_table(text, file.on_warning, file.options.zone)]
         return delimited.to_tables(text, file.on_warning, file.options.zone)
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import json
 import re
-import sys
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -19,7 +17,7 @@ import numpy as np
 from monitor.core import BadInputError, MissingInputError, import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
+from monitor.runs.readers.own_process import Arrays, Told, demand_room
 from monitor.runs.readers.table import Table
 
 _MINISEED = re.compile(rb"[0-9 ]{6}[DRQM][ \0]|MS\x03")
@@ -59,10 +57,10 @@ class Seismic:
         path, options = file.path, file.options
         obspy = import_extra("obspy", f"{path}: MiniSEED or another seismic format")
         arrays, told = file.read_apart(__name__, self.name)
-        whole = json.loads(told[_WHOLE])
+        whole = told[_WHOLE]
         for note in whole["notes"]:
             file.on_warning(f"{path}: {note}")
-        table = _joined(path, [_Trace(data, *json.loads(told[key])) for key, data in arrays.items()], file)
+        table = _joined(path, [_Trace(data, *told[key]) for key, data in arrays.items()], file)
         unit = whole["unit"]
         if unit == "counts" and (options.scale is None) == (options.inventory is None):
             raise BadInputError(
@@ -95,7 +93,7 @@ class _Trace(NamedTuple):
         return self.begin_ns + len(self.data) * 1e9 / self.rate_hz
 
 
-def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
+def read(path: Path, most_bytes: int) -> tuple[Arrays, Told]:
     """Read the traces of a file; of each are told name, rate in Hz and time in ns, and under `_WHOLE` what holds for the file."""
     import obspy
 
@@ -109,11 +107,11 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
     demand_room(VALUE_BYTES * sum(trace.stats.npts for trace in traces.values()), most_bytes)
     # Whole numbers are counts; what a program wrote in floating point is in a unit that it does not say.
     whole = form == "MSEED" or all(trace.data.dtype.kind in "iu" for trace in traces.values())
-    told = {
-        key: json.dumps([trace.id, float(trace.stats.sampling_rate), int(trace.stats.starttime.ns)])
+    told: Told = {
+        key: [trace.id, float(trace.stats.sampling_rate), int(trace.stats.starttime.ns)]
         for key, trace in traces.items()
     }
-    told[_WHOLE] = json.dumps({"notes": notes, "unit": "m/s^2" if form == "KNET" else "counts" if whole else ""})
+    told[_WHOLE] = {"notes": notes, "unit": "m/s^2" if form == "KNET" else "counts" if whole else ""}
     return {key: trace.data for key, trace in traces.items()}, told
 
 
@@ -196,7 +194,3 @@ def _sensitivity(path: Path, stations: Any, name: str, time: Any) -> tuple[str, 
     if not value > 0.0:
         raise BadInputError(f"{path}: states {value:g} counts of a unit of {name}, which is no sensitivity")
     return unit, value
-
-
-if __name__ == "__main__":
-    sys.exit(hand_over(read, *sys.argv[1:]))

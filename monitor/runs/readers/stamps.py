@@ -14,23 +14,13 @@ from numpy.typing import NDArray
 Ticks = NDArray[np.int64]
 
 _MONTHS = {
-    name: at
-    for at, name in enumerate(
-        ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"], start=1
+    word: at
+    for words in (
+        "jan feb mar apr may jun jul aug sep oct nov dec",
+        "- fév mär avr mai - - août - okt - dez",
+        "ene - - abr - - - ago - - - dic",
     )
-}
-_MONTHS |= {
-    "mär": 3,
-    "mai": 5,
-    "okt": 10,
-    "dez": 12,
-    "fév": 2,
-    "avr": 4,
-    "août": 8,
-    "ene": 1,
-    "abr": 4,
-    "ago": 8,
-    "dic": 12,
+    for at, word in enumerate(words.split(), start=1)
 }
 _DATE = (
     r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{4}-\d{3}|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}|\d{1,2}[- .][A-Za-zäéû]{3,9}[- .]\d{2,4}"
@@ -58,20 +48,21 @@ _SPELLINGS = tuple(
 )
 """How dates and times are written besides, and what is meant. [patterns; ISO 8601, locales]"""
 ZONE_HOURS = {
-    **{
-        "Z": 0,
-        "UTC": 0,
-        "GMT": 0,
-        "CET": 1,
-        "CEST": 2,
-        "MEZ": 1,
-        "MESZ": 2,
-        "BST": 1,
-        "JST": 9,
-        "NZST": 12,
-        "HST": -10,
-    },
-    **{"EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8, "PDT": -7, "AKST": -9, "AKDT": -8},
+    name: hours
+    for hours, names in {
+        **{
+            0: "Z UTC GMT",
+            1: "CET MEZ BST",
+            2: "CEST MESZ",
+            9: "JST",
+            12: "NZST",
+            -10: "HST",
+            -9: "AKST",
+            -8: "PST AKDT",
+        },
+        **{-7: "MST PDT", -6: "CST MDT", -5: "EST CDT", -4: "EDT"},
+    }.items()
+    for name in names.split()
 }
 """Zones by name, hours ahead of UTC. [h; convention: North American and European ones]"""
 _EPOCH = date(1970, 1, 1).toordinal()
