@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import tzinfo
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -61,27 +61,14 @@ class Options:
 
     def given(self) -> list[str]:
         """List the options that the user states, as the command line names them."""
-        values = {option: getattr(self, name) for name, option in _OPTION_OF.items()}
-        return [option for option, value in values.items() if value is not None and value is not False]
+        values = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "unknown_start_ns"}
+        stated = [name for name, value in values.items() if value is not None and value is not False]
+        return [f"--{_OPTION_OF.get(name, name)}" for name in stated]
 
 
-_OPTION_OF = {
-    "rate_hz": "--rate",
-    "unit": "--unit",
-    "channels": "--channel",
-    "time": "--time",
-    "covariates": "--covariate",
-    "ground": "--ground",
-    "forces": "--force",
-    "start_ns": "--start",
-    "zone": "--timezone",
-    "dbc": "--dbc",
-    "bus": "--bus",
-    "scale": "--scale",
-    "inventory": "--inventory",
-    "align": "--align",
-}
-"""Field of `Options` -> option of the command line. [names; definition]"""
+_OPTION_OF = {"rate_hz": "rate", "channels": "channel", "covariates": "covariate", "forces": "force"}
+_OPTION_OF |= {"start_ns": "start", "zone": "timezone"}
+"""Field of `Options` -> option of the command line, where they differ. [names; definition]"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -287,7 +287,7 @@ def _by_label(table: Table, heading: str, labels: NDArray[np.str_], on_warning: 
         name = f"{heading}_{label}" if is_number(label) else label
         own = replace(own, columns=(name,) if len(own.columns) == 1 else tuple(f"{name}_{of}" for of in own.columns))
         last = found[-1] if found else None
-        if last is not None and np.array_equal(_clock_of(last), _clock_of(own)):
+        if last is not None and np.array_equal(last.clock_ns, own.clock_ns):
             found[-1] = replace(
                 last,
                 columns=last.columns + own.columns,
@@ -300,12 +300,6 @@ def _by_label(table: Table, heading: str, labels: NDArray[np.str_], on_warning: 
     held = ", ".join(name for one in found for name in one.columns)
     on_warning(f"{table.path}: each row is of one sensor, which {heading!r} names: brought into the columns {held}")
     return found
-
-
-def _clock_of(table: Table) -> Annotated[Ticks, "n"]:
-    """Return the times of a table that has them."""
-    assert table.time_ns is not None
-    return table.time_ns
 
 
 def _by_rate(table: Table) -> list[Table]:
@@ -374,9 +368,9 @@ def _own_rows(here: NDArray[np.bool_], lead: int) -> list[int]:
 class _Clock:
     """Times of the rows."""
 
-    time_ns: Annotated[Ticks, "n"] | None
-    start_ns: int | None
-    start_text: str
+    time_ns: Annotated[Ticks, "n"] | None = None
+    start_ns: int | None = None
+    start_text: str = ""
     """Time of the first row as written, where it has no zone."""
 
 
@@ -396,14 +390,14 @@ def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
         columns = [*dialect.of(Role.DATE)[:1], *clocked]
     ticking = dialect.of(Role.TIME)
     if not columns:
-        return _ticking(text, ticking[0], stated, on_warning) if ticking else _Clock(None, *stated)
+        return _ticking(text, ticking[0], stated, on_warning) if ticking else stated
     read, first_text = _dated(text, columns, zone, on_warning)
     t_ns = _finer(text, ticking[0], read.t_ns, on_warning) if ticking else read.t_ns
     if read.has_date:
         return _Clock(t_ns, int(t_ns[0]), "" if read.has_zone else first_text)
-    if stated[0] is None:
+    if stated.start_ns is None:
         on_warning(f"{text.path}: its times of day have no date, which --start states")
-    return _Clock(t_ns, *stated)
+    return replace(stated, time_ns=t_ns)
 
 
 def _date_parts(dialect: Dialect) -> list[int]:
@@ -442,7 +436,7 @@ def _finer(text: Text, at: int, t_ns: Annotated[Ticks, "n"], on_warning: OnWarni
     """Take the times of a column of numbers where those of the dates stand still and these rise."""
     if len(t_ns) <= 2 or (np.diff(t_ns) == 0).mean() <= 0.5:
         return t_ns
-    finer_ns = _ticking(text, at, (None, ""), on_warning).time_ns
+    finer_ns = _ticking(text, at, _Clock(), on_warning).time_ns
     if finer_ns is None or not (np.diff(finer_ns) > 0).all():
         return t_ns
     on_warning(f"{text.path}: the times are those of column {text.dialect.columns[at].name!r}, which is finer")
@@ -488,16 +482,14 @@ def _tell_swapped(path: Path, start_ns: int, on_warning: OnWarning) -> None:
         on_warning(f"{path}: starts on {day}, but its name says {named[0]}: day and month seem swapped; see --start")
 
 
-def _stated_start(text: Text, zone: tzinfo | None) -> tuple[int | None, str]:
-    """Return the time of the first sample that lines above the table state, and how where it has no zone; None without."""
+def _stated_start(text: Text, zone: tzinfo | None) -> _Clock:
+    """Return the time of the first sample that lines above the table state, and how where it has no zone."""
     stated = text.dialect.start_text
-    if not stated:
-        return None, ""
     try:
         read = stamps.parse([stated], zone or stamps.zone_in(text.dialect.zone_text), text.path.name)
-    except ValueError:
-        return None, ""
-    return int(read.t_ns[0]), "" if read.has_zone else stated
+    except ValueError:  # of no text, too
+        return _Clock()
+    return _Clock(None, int(read.t_ns[0]), "" if read.has_zone else stated)
 
 
 def _fractions_ns(text: Text, on_warning: OnWarning) -> Annotated[Ticks, "n"] | int:
@@ -508,7 +500,7 @@ def _fractions_ns(text: Text, on_warning: OnWarning) -> Annotated[Ticks, "n"] | 
     return np.rint(text.values([at], on_warning)[:, 0]).astype(np.int64) * fraction_ns(text.dialect.columns[at].name)
 
 
-def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: OnWarning) -> _Clock:
+def _ticking(text: Text, at: int, stated: _Clock, on_warning: OnWarning) -> _Clock:
     """Convert a column of numbers to a clock."""
     column = text.dialect.columns[at]
     t_ns, written = _ticks(text, at, on_warning)
@@ -520,7 +512,7 @@ def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: On
             f"{text.path}: column {column.name!r} states no unit and steps by {step:g}: in s that is {1.0 / step:.4g} Hz, "
             f"in ms {1e3 / step:.4g} Hz; taken as s (write the unit into its heading, as '{column.name} [ms]', or give --rate)"
         )
-    return _Clock(t_ns, *stated)
+    return replace(stated, time_ns=t_ns)
 
 
 def _ticks(text: Text, at: int, on_warning: OnWarning) -> tuple[Annotated[Ticks, "n"], str | None]:

@@ -82,10 +82,6 @@ class Zip:
     def read(self, file: File) -> list[Table]:
         """Read what it holds."""
         try:
-            zipfile.ZipFile(io.BytesIO(file.raw)).close()
-        except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-            raise BadInputError(f"{file.path}: damaged zip archive: {error}") from error
-        try:
             with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
                 infos = archive.infolist()
                 # zipfile unpacks no more of a member than the archive states, whatever is packed.

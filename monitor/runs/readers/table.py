@@ -78,6 +78,12 @@ class Table:
         return (stem, self.path.stem, self.path.name, str(self.path))
 
     @property
+    def clock_ns(self) -> Annotated[Ticks, "n"]:
+        """Times of a table that has them."""
+        assert self.time_ns is not None
+        return self.time_ns
+
+    @property
     def default(self) -> tuple[str, ...]:
         """Columns that are accelerations: by their unit where any states one, else by their name; no magnitude of others."""
         if self.chosen:
