@@ -18,12 +18,16 @@ from monitor.runs.readers import stamps
 from monitor.runs.readers.dialect import (
     CALENDAR,
     DATE_PARTS,
+    MIDNIGHT,
+    SINCE_1970_S,
+    TICKS,
     Dialect,
     Role,
     fraction_ns,
     guess,
     is_missing,
     is_number,
+    is_since_1970,
     split,
 )
 from monitor.runs.readers.table import Array, OnWarning, Table, Ticks, without_fillers
@@ -33,8 +37,6 @@ _CHUNK_CELLS = 1 << 15
 """Cells of the rows that are converted to numbers together. [count; cost: they take 3 MB]"""
 _LOOK_ALIKES = {0xA0: " ", 0x202F: " ", 0x2009: " ", 0x2212: "-"}
 """Characters that stand for a space between groups of digits, or for a minus. [characters; typography]"""
-_SINCE_1970_S = (3e8, 3.6e9)
-"""Seconds since 1970 that are a date, of 1979 to 2084. [s; judgement]"""
 _SINCE_1904_S = (3.6e9, 4.4e9, 2_082_844_800)
 """Seconds since 1904 that are a date: least, most, that of 1970. [s; 2018 to 2043; LabVIEW]"""
 _MOST_SENSORS = 256
@@ -385,13 +387,19 @@ def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
     """Form the times of the rows from the columns that hold them."""
     dialect = text.dialect
     stated = _stated_start(text, zone)
-    columns = dialect.of(Role.STAMP)[:1] or _date_parts(dialect)
-    if not columns and (clocked := dialect.of(Role.CLOCK)[:1]):
+    dated = sorted(dialect.of(Role.STAMP), key=lambda at: stamps.zone_in(dialect.columns[at].name) is None)
+    columns = dated[:1] or _date_parts(dialect)
+    clocked = dialect.of(Role.CLOCK)[:1]
+    if not columns and clocked:
         columns = [*dialect.of(Role.DATE)[:1], *clocked]
+    elif dated and clocked and all(map(MIDNIGHT.search, text.cells(columns[0]))):
+        columns += clocked
     ticking = dialect.of(Role.TIME)
     if not columns:
         return _ticking(text, ticking[0], stated, on_warning) if ticking else stated
     read, first_text = _dated(text, columns, zone, on_warning)
+    if ticking and not read.has_zone and is_since_1970(text.cells(ticking[0])):
+        return _ticking(text, ticking[0], stated, on_warning)
     t_ns = _finer(text, ticking[0], read.t_ns, on_warning) if ticking else read.t_ns
     if read.has_date:
         return _Clock(t_ns, int(t_ns[0]), "" if read.has_zone else first_text)
@@ -410,7 +418,9 @@ def _dated(text: Text, columns: Sequence[int], zone: tzinfo | None, on_warning: 
     """Read the times that stand in columns as dates, as times of day or as both; also the first one as written."""
     path = text.path
     form = "{}-{}-{} {}:{:0>2}:{}" if len(columns) == len(DATE_PARTS) else "{} {}" if len(columns) > 1 else "{}"
-    texts = [form.format(*cells) for cells in zip(*map(text.cells, columns), strict=True)]
+    first, *others = map(text.cells, columns)
+    days = [MIDNIGHT.sub("", cell) for cell in first] if others else first
+    texts = [form.format(*cells) for cells in zip(days, *others, strict=True)]
     heading = text.dialect.columns[columns[-1]]
     try:
         told = f"{heading.name} {heading.unit_text} {text.dialect.zone_text}"
@@ -537,11 +547,11 @@ def _ticks(text: Text, at: int, on_warning: OnWarning) -> tuple[Annotated[Ticks,
         t_ns, words = days
         on_warning(f"{path}: column {column.name!r} is taken as days {words}")
         return t_ns, f"{first:.6f}"
-    low, high = _SINCE_1970_S
+    low, high = SINCE_1970_S
     factor = (
         column.unit.factor
         if column.unit is not None
-        else next((tick for tick in (1.0, 1e-3, 1e-6, 1e-9) if low < first * tick < high), 1.0)
+        else next((tick for tick in TICKS if low < first * tick < high), 1.0)
     )
     if np.abs(numbers).max() > 4e18 / (factor * 1e9):
         raise BadInputError(f"{path}: column {column.name!r} holds no times: {numbers[np.argmax(np.abs(numbers))]:g}")

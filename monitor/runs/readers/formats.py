@@ -99,7 +99,7 @@ class Zip:
                 with archive.open(tables[0]) as member:
                     raw = _unpacked(file, member)
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
-            raise BadInputError(f"{file.path}: damaged or encrypted zip archive: {error}") from error
+            raise BadInputError(f"{file.path}: damaged zip archive, or an encrypted one: {error}") from error
         return read(file.holding(raw))
 
 

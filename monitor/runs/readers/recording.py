@@ -517,8 +517,8 @@ def _start_ns(tables: list[Table], options: Options, on_warning: OnWarning) -> i
     mixed = len(bare) < len(starts)  # a zone shifts some of the files against the others
     for start_ns, table in bare if mixed else bare[: options.start_ns is None]:
         on_warning(
-            f"{table.path}: its time {table.start_text} has no zone{' that is known' * table.start_text[-1:].isalpha()}; taken as "
-            f"UTC: {utc(start_ns, seconds=True)} (see --start and --timezone)"
+            f"{table.path}: its time {table.start_text} has no zone{' that is known' * table.start_text[-1:].isalpha()}; taken "
+            f"as UTC: {utc(start_ns, seconds=True)} (see --start and --timezone)"
         )
     if options.start_ns is not None or starts:
         return starts[0][0] if options.start_ns is None else options.start_ns

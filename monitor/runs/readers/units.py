@@ -85,7 +85,7 @@ _SPELLINGS = tuple(
         ("[µμ]", "u"),
         ("°", "deg"),
         (r"\*\*", "^"),
-        (r"[{}$\\]", ""),
+        (r"[{}()$\\]", ""),
         ("[·⋅×]", "*"),
         (r"\bseconds?\b|\bsec\b|(?<=[/*])sec", "s"),
         (r"\b(milli|micro|nano)seconds?\b", lambda m: f"{'mun'[('milli', 'micro', 'nano').index(m[1])]}s"),
@@ -94,7 +94,7 @@ _SPELLINGS = tuple(
         (r"inch(es)?", "in"),
         (r"\bfeet\b", "ft"),
         (r"\bsquared?\b|(?<=s )sq\b", "^2"),
-        (r"\s+per\s+", "/"),
+        (r"[\s_]+per[\s_]+", "/"),
     )
 )
 """How units are spelt, and what is meant."""
@@ -125,7 +125,7 @@ def unit_of(text: str) -> Unit | None:
     return Unit(text.strip(), _OTHERS[tight], 1.0) if tight in _OTHERS else None
 
 
-_BRACKETS = re.compile(r"(.*?)\s*[\[({]([^\[\](){}]*)[\])}]\s*(.*)")
+_BRACKETS = re.compile(r"(.*?)\s*[\[({]((?:[^\[\](){}]|\([^()]*\))*)[\])}]\s*(.*)")
 _ALONE = frozenset({"c", "k", "h", "n", "m", "v", "a", "in", "min", "s"})
 """Units that a name may end with by chance."""
 _LONGEST = 40
