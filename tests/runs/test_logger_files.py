@@ -116,6 +116,14 @@ def test_readings_of_a_slower_sensor_between_those_of_the_others_stay(tmp_path: 
             "t,ax [g],bx [g]\n" + "".join(f"{k / 100},{k % 7},\n{k / 100 + 0.003},,{k % 5}\n" for k in range(50)),
             "bx stand in rows without ax: they have clocks of their own",
         ),
+        (
+            "t,a,b\n" + "".join(f"0,{k:02d},0,{k % 7},0,{k % 5}\n" for k in range(50)),
+            "is the comma .* a decimal mark too",
+        ),
+        (
+            "Time,a [g]\n" + "".join(f"{46083.39367 + k // 86 * 1e-5:.5f},{k % 7}\n" for k in range(500)),
+            "too coarse for 500 samples",
+        ),
         (LONG_OF_TWO_RATES, r"several rates: low 50 Hz, roof 100 Hz; .*name them by --channel"),
         (
             "t,ax [g],ay [g]\n" + "".join(f"{k / 100},{k % 7},{k % 5 if k % 2 == 0 else ''}\n" for k in range(100)),
@@ -142,6 +150,8 @@ def test_readings_of_a_slower_sensor_between_those_of_the_others_stay(tmp_path: 
         "segments",
         "headings",
         "own rows",
+        "two commas",
+        "coarse days",
         "long",
         "slower sensor",
         "times of each",

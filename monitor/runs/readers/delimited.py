@@ -307,11 +307,11 @@ def _by_label(table: Table, heading: str, labels: NDArray[np.str_], on_warning: 
 def _by_rate(table: Table) -> list[Table]:
     """Cut a table in which slower sensors have readings in every second, third, .. row alone into one for each rate."""
     steps: dict[int, list[int]] = {}
+    moving = table.default
     for at, column in enumerate(table.values.T):
         rows = np.flatnonzero(np.isfinite(column))
         step = int(np.median(np.diff(rows))) if len(rows) > 2 else 1
-        is_other = table.quantity(table.columns[at]) not in ("", ACCELERATION, "counts")
-        slow = step > 1 and (np.diff(rows) == step).mean() >= _EVEN and not is_other
+        slow = step > 1 and (np.diff(rows) == step).mean() >= _EVEN and table.columns[at] in moving
         steps.setdefault(step if slow else 1, []).append(at)
     if len(steps) < 2:
         return [table]

@@ -170,6 +170,8 @@ def _order(dates: Sequence[str], twelve_hours: bool, hint: str) -> tuple[bool, s
         return True, "month first, since the second number counts on", False
     if len(first) > 1 == len(second):
         return False, "day first, since the first number counts on", False
+    if ambiguous[0][2] == ".":
+        return False, "day first, since points stand between", False
     if twelve_hours:
         return True, "month first, since the time is of AM and PM", False
     if (named := re.search(r"(\d{4})-?(\d{2})-?(\d{2})", hint)) is not None:
@@ -178,8 +180,6 @@ def _order(dates: Sequence[str], twelve_hours: bool, hint: str) -> tuple[bool, s
             return True, "month first, as the file's name says", False
         if pair[::-1] == month_and_day:
             return False, "day first, as the file's name says", False
-    if ambiguous[0][2] == ".":
-        return False, "day first, since points stand between", False
     return True, "month first", ambiguous[0][1] != ambiguous[0][3]
 
 
