@@ -9,7 +9,7 @@ import numpy as np
 
 from monitor.core import Array
 
-_LEAST_SHARE = 1e-6
+_LEAST_CROSS = 1e-6
 """Part of the largest cross-spectrum below which a frequency counts less. [ratio; rounding]"""
 
 
@@ -45,7 +45,7 @@ def best_shift(reference: Annotated[Array, "n"], readings: Annotated[Array, "m"]
     size = np.abs(cross)
     if not size.any():
         return Shift(0, 0.0, 0, 0.0)
-    white = cross / np.maximum(size, _LEAST_SHARE * size.max())
+    white = cross / np.maximum(size, _LEAST_CROSS * size.max())
     correlation = irfft(white, n) * (n / (2.0 * np.abs(white).sum()))
     best = int(np.argmax(np.abs(correlation)))
     apart = np.abs(correlation)
