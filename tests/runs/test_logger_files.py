@@ -87,6 +87,15 @@ def test_of_several_rates_those_that_are_named_are_read(tmp_path: Path) -> None:
     assert any("no --channel names a column of roof" in text for text in told)
 
 
+def test_times_of_each_sensor_are_told_where_they_lie_apart(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 100:.3f},{k % 7},{k / 100 + 0.003:.3f},{k % 5}\n" for k in range(100))
+    (tmp_path / "a.csv").write_text("t1 [s],ax [g],t2 [s],ay [g]\n" + rows)
+    told: list[str] = []
+    info = imported([tmp_path / "a.csv"], tmp_path / "o.mcap", on_warning=told.append)
+    assert (info.sample_rate_hz, info.channels[ACCELERATION]) == (100.0, ("ax", "ay"))
+    assert any("sampled up to 0.3 of a sample apart" in text for text in told)
+
+
 def test_readings_of_a_slower_sensor_between_those_of_the_others_stay(tmp_path: Path) -> None:
     rows = [(k / 100, f"{k / 100},{k % 7},") for k in range(300)] + [
         (k + 0.0037, f"{k + 0.0037},,{20 + k}") for k in range(3)

@@ -20,6 +20,8 @@ _DOUBTFUL = 0.6
 """Share of the best correlation from which another shift may be the true one. [ratio; judgement]"""
 _MOST_ALIGNED = 1 << 24
 """Most samples of a file to be aligned. [samples; cost: half a GB of memory]"""
+_OFF = 0.1
+"""Part of a sample by which channels lie apart and are told. [1; judgement: 0.6 rad of phase at the Nyquist rate]"""
 _ONE_RATE = 1.02
 """Ratio of the rates of files up to which they are one. [ratio; judgement: stamps of few rows, cut to ms]"""
 
@@ -105,6 +107,14 @@ def _times_ns(table: Table) -> Annotated[Ticks, "n"]:
     return table.clock_ns + (0 if table.start_ns is None else table.start_ns - table.clock_ns[0])
 
 
+def tell_apart(path: Path, samples: float, on_warning: OnWarning) -> None:
+    """Tell by how much of a sample channels lie apart in time, where it matters."""
+    if samples > _OFF:
+        on_warning(
+            f"{path}: channels are sampled up to {samples:.2g} of a sample apart; phases of shapes are off by that"
+        )
+
+
 def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annotated[Ticks, "n"] | None]:
     """Cut tables to their common samples, and return them with their common clock, ns; None without clocks.
 
@@ -123,7 +133,8 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
     base = clocks[0]
     half_ns = _step_ns(tables[0].path, base) / 2
     partners = [_nearest(clock, base) for clock in clocks]
-    keep = np.all([np.abs(clock[at] - base) <= half_ns for clock, at in zip(clocks, partners, strict=True)], axis=0)
+    off_ns = np.max([np.abs(clock[at] - base) for clock, at in zip(clocks, partners, strict=True)], axis=0)
+    keep = off_ns <= half_ns
     if keep.sum() * 2 < shortest:
         raise BadInputError(
             f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. {_apart(tables, clocks)} "
@@ -131,6 +142,7 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
         )
     if keep.sum() < longest:
         on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
+    tell_apart(tables[0].path, float(np.median(off_ns[keep])) / (2.0 * half_ns), on_warning)
     return [table.rows(near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
 
 

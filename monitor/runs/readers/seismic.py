@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from monitor.core import BadInputError, MissingInputError, import_extra
+from monitor.runs.readers import clocks
 from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray
 from monitor.runs.readers.base import File
 from monitor.runs.readers.own_process import Arrays, Told, demand_room
@@ -30,8 +31,6 @@ _SUFFIXES = re.compile(r"\.(sac|gcf|sgy|segy|evt|win|gse2?|ah|m?seed|msd|su|seg2
 """Of formats that ObsPy knows by trying. [names; convention]"""
 _SAME_RATE = 1e-6
 """Distance from a whole rate within which the whole rate is meant. [1; rounding: single precision of a header]"""
-_OFF = 0.1
-"""Part of a sample by which channels lie apart and are told. [1; judgement: 0.6 rad of phase at the Nyquist rate]"""
 _SEED_UNIT = "m/s^2"
 """Unit of an accelerometer, by StationXML `M/S**2`. [text; FDSN]"""
 _WHOLE = "whole"
@@ -133,11 +132,7 @@ def _joined(path: Path, traces: Sequence[_Trace], file: File) -> Table:
         raise BadInputError(f"{path}: holds no samples")
     rate_hz, first_ns = _one_rate_hz(path, traces), min(trace.begin_ns for trace in traces)
     places = [(trace.begin_ns - first_ns) * 1e-9 * rate_hz for trace in traces]
-    off = max(abs(place - round(place)) for place in places)
-    if off > _OFF:
-        file.on_warning(
-            f"{path}: channels are sampled up to {off:.2g} of a sample apart; phases of shapes are off by that"
-        )
+    clocks.tell_apart(path, max(abs(place - round(place)) for place in places), file.on_warning)
     names = tuple(dict.fromkeys(trace.name for trace in traces))
     n = max(round(place) + len(trace.data) for place, trace in zip(places, traces, strict=True))
     if n * len(names) * VALUE_BYTES > file.most_bytes:
