@@ -57,7 +57,7 @@ class RecordingInfo:
 
 def read_recordings(
     paths: Iterable[Path],
-    topics: Sequence[str] = tuple(UNIT_OF),
+    topics: Sequence[str] | None = tuple(UNIT_OF),
     *,
     topic_map: Mapping[str, str] | None = None,
     on_warning: OnWarning = lambda _: None,
@@ -71,6 +71,8 @@ def read_recordings(
 
     Parameters
     ----------
+    topics
+        Those to be read; None for all that hold blocks, covariates among them.
     topic_map
         Topic of ROS 2 `sensor_msgs/msg/Imu` -> channel name, with axis if it is not x: "a1" or "a1.z".
     on_warning
@@ -96,7 +98,7 @@ def read_recordings(
     for survey in surveys:
         survey.run(on_warning)
         found_topics |= survey.found_topics
-    wanted = ACCELERATION in topics and not topic_map
+    wanted = (topics is None or ACCELERATION in topics) and not topic_map
     if surveys and ((wanted and ACCELERATION not in found_topics) or not topic_map.keys() <= found_topics):
         names = ", ".join(str(survey.file.path) for survey in surveys)
         absent = ", ".join(sorted(topic_map.keys() - found_topics)) or ACCELERATION
@@ -113,7 +115,7 @@ def recording_info(
     samples: dict[str, int] = {}
     first: dict[str, SampleBlock] = {}
     last: dict[str, SampleBlock] = {}
-    for block in read_recordings([path], topic_map=topic_map, evenly=evenly):
+    for block in read_recordings([path], None, topic_map=topic_map, evenly=evenly):
         channels.setdefault(block.topic, block.channels)
         samples[block.topic] = samples.get(block.topic, 0) + block.n_samples
         first.setdefault(block.topic, block)
@@ -164,13 +166,14 @@ def scan_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
 class _Survey:
     """Overview of one file: its segments that hold wanted messages, and the time at which each begins."""
 
-    def __init__(self, file: McapFile, topics: Sequence[str], topic_map: Mapping[str, str]) -> None:
+    def __init__(self, file: McapFile, topics: Sequence[str] | None, topic_map: Mapping[str, str]) -> None:
         self.file = file
         self.found_topics: set[str] = set()
         self.segments: list[tuple[int, Segment]] = []
         self.ends: list[tuple[int, Segment]] = []
         """The time at which each segment ends, where the file's index tells it."""
-        self._topics = frozenset(topics)
+        self._topics = frozenset(UNIT_OF if topics is None else topics)
+        self._takes_all = topics is None
         self._channels: dict[int, tuple[Channel, bool]] = {}
         self._axes = {topic: split_target(target)[1] for topic, target in topic_map.items()}
         self.stamps: dict[str, list[int]] = {topic: [] for topic in topic_map}
@@ -262,13 +265,12 @@ class _Survey:
     def _check_channel(self, channel: Channel) -> bool:
         """Test whether a channel is wanted; raise ValueError if its schema or encoding is wrong."""
         topic, schema = channel.topic, self.file.schema_name(channel)
+        fits = schema == codec.SCHEMA_NAME and channel.message_encoding == "protobuf"
+        fault = f"schema {schema!r} ({channel.message_encoding}) where {codec.SCHEMA_NAME} is needed"
         if topic in self._axes:
             fits = schema in IMU_SCHEMAS and channel.message_encoding == "cdr"
             fault = f"the topic map needs {IMU_SCHEMAS[0]} in cdr, not {schema!r}"
-        elif topic in self._topics:
-            fits = schema == codec.SCHEMA_NAME and channel.message_encoding == "protobuf"
-            fault = f"schema {schema!r} ({channel.message_encoding}) where {codec.SCHEMA_NAME} is needed"
-        else:
+        elif topic not in self._topics and not (self._takes_all and fits):
             return False
         if not fits:
             raise ValueError(fault)

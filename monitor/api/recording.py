@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import tzinfo
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +34,8 @@ class Recording:
     """Measured ground acceleration, m/s^2; None where it was not measured."""
     force: Annotated[Array, "samples inputs"] | None = None
     """Measured forces, N; None where none was measured."""
+    covariates: Mapping[str, Annotated[Array, "samples c"]] = field(default_factory=dict)
+    """Other quantities at the rate of the accelerations, by their topics, as "wind", in the unit of the file; degC."""
 
     @property
     def duration_s(self) -> float:
@@ -49,18 +52,46 @@ class Recording:
 
 
 def read(
-    file: str | Path, *, unit: str | None = None, rate_hz: float | None = None, start_ns: int | None = None
+    file: str | Path,
+    *,
+    unit: str | None = None,
+    rate_hz: float | None = None,
+    start_ns: int | None = None,
+    zone: tzinfo | None = None,
+    time: str | None = None,
+    channels: dict[str, str] | None = None,
+    covariates: dict[str, str] | None = None,
+    ground: str | None = None,
+    forces: dict[str, str] | None = None,
+    scale: float | None = None,
+    inventory: str | Path | None = None,
+    dbc: str | Path | None = None,
+    bus: str | None = None,
 ) -> Recording:
     """Read a recording (MCAP), or a file of any format that `import` reads, as arrays in SI units.
+
+    All but `file` is of such files, and says what they do not.
 
     Parameters
     ----------
     unit
-        Unit of columns of a table whose header states none: m/s^2 (by default), g, mg, gal.
+        Unit of columns whose file states none: m/s^2 (by default), g, mg, gal.
     rate_hz
-        Rate of a table without a column of time.
+        Rate of a file without times.
     start_ns
-        UTC of the first sample of a table, ns since 1970; by default what the table tells, or 0 where it tells nothing.
+        UTC of the first sample, ns since 1970; by default what the file tells, or 0 where it tells nothing.
+    zone
+        Zone of times that state none; by default UTC.
+    time
+        Column of the times, where it is not found.
+    channels, covariates, forces
+        Name of a channel, of a quantity beside, of a force in N -> its column.
+    ground
+        Column of the base motion.
+    scale, inventory
+        m/s^2 of a count, or StationXML with the channels' sensitivities, where a file holds counts.
+    dbc, bus
+        Of a CAN log: the file with the layout of its frames, and one bus of several.
 
     Raises
     ------
@@ -83,7 +114,22 @@ def read(
     (100.0, ('top',), array([1.961]))
     """
     path, told = Path(file), list[str]()
-    options = Options(rate_hz=rate_hz, unit=unit, start_ns=start_ns, unknown_start_ns=0)
+    options = Options(
+        unit=unit,
+        rate_hz=rate_hz,
+        start_ns=start_ns,
+        unknown_start_ns=0,
+        zone=zone,
+        time=time,
+        channels=channels,
+        covariates=covariates,
+        ground=ground,
+        forces=forces,
+        scale=scale,
+        inventory=None if inventory is None else Path(inventory),
+        dbc=None if dbc is None else Path(dbc),
+        bus=bus,
+    )
     try:
         with as_recordings([path], options, told.append, ask_unit=lambda _: "m/s^2") as (recording,):
             return _gathered(recording, told.append)
@@ -94,12 +140,16 @@ def read(
 
 def _gathered(path: Path, on_warning: Callable[[str], None]) -> Recording:
     """Read the blocks of a recording and lay them out on one grid."""
+    of: dict[str, list[SampleBlock]] = {topic: [] for topic in (ACCELERATION, GROUND, FORCE)}
     with read_by_user():
-        blocks = list(read_recordings([path], topics=(ACCELERATION, GROUND, FORCE), on_warning=on_warning))
-    of = {topic: [block for block in blocks if block.topic == topic] for topic in (ACCELERATION, GROUND, FORCE)}
+        for block in read_recordings([path], None, on_warning=on_warning):
+            of.setdefault(block.topic, []).append(block)
     first = of[ACCELERATION][0]
-    samples = _laid_out(path, of[ACCELERATION], first, None)
-    ground, force = (_laid_out(path, of[topic], first, len(samples)) for topic in (GROUND, FORCE))
+    samples = _laid_out(path, of.pop(ACCELERATION), first, None)
+    ground, force = (_laid_out(path, of.pop(topic), first, len(samples)) for topic in (GROUND, FORCE))
+    beside = {
+        topic.strip("/"): blocks for topic, blocks in of.items() if blocks[0].sample_rate_hz == first.sample_rate_hz
+    }
     return Recording(
         samples,
         first.sample_rate_hz,
@@ -107,6 +157,7 @@ def _gathered(path: Path, on_warning: Callable[[str], None]) -> Recording:
         first.t_ns,
         ground=ground[:, 0] if ground.size else None,
         force=force if force.size else None,
+        covariates={name: _laid_out(path, blocks, first, len(samples)) for name, blocks in beside.items()},
     )
 
 

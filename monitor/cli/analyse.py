@@ -10,13 +10,16 @@ from typer import Argument, BadParameter, Option
 from monitor.cli.common import Healthy, Json, Recordings, Results, Serve, Structure, address, say, warn
 from monitor.cli.emulate import parse_speed
 from monitor.cli.progress import progress
+from monitor.cli.reader_options import reads_files
 from monitor.core import demand_place, no_empty_folder, spare_inputs
 
 if TYPE_CHECKING:
     from monitor.config import Configuration
     from monitor.damage import Baseline, ModalBaseline
+    from monitor.runs import Options
 
 
+@reads_files()
 def replay(
     recordings: Recordings,
     structure: Structure,
@@ -24,23 +27,22 @@ def replay(
     baseline: Healthy = None,
     speed: Annotated[str, Option(help="'max', or a multiple of real time; gaps are not waited for.")] = "max",
     serve: Serve = None,
-    rate: Annotated[float | None, Option(min=0.001, max=1e7, help="Sample rate in Hz of a file without times.")] = None,
-    unit: Annotated[
-        str | None, Option(help="Unit of a file whose columns state none: m/s^2 (default), g, mg or gal.")
-    ] = None,
+    *,
+    reading: Options,
     as_json: Json = False,
 ) -> None:
     """Run recordings through the monitor.  Writes results.jsonl, events.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor.config import configuration
     from monitor.publish import replay_text
-    from monitor.runs import Options, as_recordings, load_healthy, replay as run
+    from monitor.runs import as_recordings, load_healthy, replay as run
 
-    spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
+    spare_inputs(
+        [out / name for name in run.RESULT_FILES], [*recordings, structure, baseline, reading.dbc, reading.inventory]
+    )
     pace, served = parse_speed(speed), address(serve)
     settings = configuration.load(structure)
     healthy = None if baseline is None else load_healthy(baseline, settings)
-    reading = as_recordings(recordings, Options(rate_hz=rate, unit=unit), warn)
-    with reading as paths, no_empty_folder(out), progress("replay") as on_progress:
+    with as_recordings(recordings, reading, warn) as paths, no_empty_folder(out), progress("replay") as on_progress:
         summary = run.replay(
             paths,
             settings,

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, BadParameter, Option
 
 from monitor.cli.common import Json, Results, say, time_ns, warn
 from monitor.cli.progress import progress
+from monitor.cli.reader_options import reads_files
 from monitor.core import spare_inputs
 
+if TYPE_CHECKING:
+    from monitor.runs import Options
 
+
+@reads_files("timezone", "start")
 def features(
     table: Annotated[Path, Argument(metavar="FILE.csv", help="Times, features and covariates in columns.")],
     time: Annotated[str, Option(metavar="COLUMN", help="Column of the times (ISO 8601, or s since 1970).")],
@@ -21,6 +27,8 @@ def features(
     covariates: Annotated[
         str, Option(metavar="C1,C2", help="Columns of the covariates, as temperature and wind.")
     ] = "",
+    *,
+    reading: Options,
     as_json: Json = False,
 ) -> None:
     """Judge features without waveforms, less what covariates explain.
@@ -37,7 +45,7 @@ def features(
         raise BadParameter("--features: name at least one column")
     others = [name.strip() for name in covariates.split(",") if name.strip()]
     with progress("features") as on_progress:
-        summary = run.features(table, time, wanted, others, until_ns, out, warn, on_progress)
+        summary = run.features(table, replace(reading, time=time), wanted, others, until_ns, out, warn, on_progress)
     lines = [
         f"{f['feature']}: {100 * f['variance_explained']:.0f} % of its healthy variance explained, "
         f"{f['residual_std']:.3g} left (one standard deviation)"

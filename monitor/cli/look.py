@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, BadParameter, Option
 
 from monitor.cli.common import Json, say, warn
 from monitor.cli.progress import progress
+from monitor.cli.reader_options import reads_files
 from monitor.core import spare_inputs
 
+if TYPE_CHECKING:
+    from monitor.runs import Options
 
+
+@reads_files()
 def look(
     recordings: Annotated[
-        list[Path], Argument(metavar="REC.mcap...", help="Recordings in any order, or tables that 'import' reads.")
+        list[Path], Argument(metavar="REC.mcap...", help="Recordings in any order, or files that 'import' reads.")
     ],
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder for look.html, look.json and modes.csv.")] = None,
     write_structure: Annotated[
@@ -23,12 +28,8 @@ def look(
     mass_kg: Annotated[
         float | None, Option(min=1e-6, max=1e12, help="Mass of the whole structure for --write-structure; else 1 kg.")
     ] = None,
-    rate: Annotated[
-        float | None, Option(min=0.001, max=1e7, help="Sample rate in Hz of a table without times.")
-    ] = None,
-    unit: Annotated[
-        str | None, Option(help="Unit of a table whose columns state none: m/s^2 (default), g, mg or gal.")
-    ] = None,
+    *,
+    reading: Options,
     as_json: Json = False,
 ) -> None:
     """Look at recordings without a model.
@@ -38,11 +39,14 @@ def look(
     from monitor.runs import look as run
 
     written = [] if out is None else [out / name for name in run.RESULT_FILES]
-    spare_inputs([*written, *([] if write_structure is None else [write_structure])], recordings)
+    spare_inputs(
+        [*written, *([] if write_structure is None else [write_structure])],
+        [*recordings, reading.dbc, reading.inventory],
+    )
     if mass_kg is not None and write_structure is None:
         raise BadParameter("--mass-kg is for --write-structure")
     with progress("look") as on_progress:
-        found = run.look(recordings, rate_hz=rate, unit=unit, on_warning=warn, on_progress=on_progress)
+        found = run.look(recordings, reading, on_warning=warn, on_progress=on_progress)
     text, content = run.in_words(found), found.content()
     if out is not None:
         run.write_results(found, out)

@@ -5,17 +5,20 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import tzinfo
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, BadParameter, Option, prompt
 
 from monitor.cli.common import Json, Structure, say, time_ns, warn
 from monitor.cli.emulate import Dbc, OptionalTo, Speed, recording_for
 from monitor.cli.progress import ProgressLine, progress
+from monitor.cli.reader_options import reads_files
 from monitor.core import spare_inputs, utc
+
+if TYPE_CHECKING:
+    from monitor.runs import Options
 
 
 def simulate(
@@ -81,6 +84,7 @@ def simulate(
         say(f"{duration:g} s in {out}", {"recording": str(out), "duration_s": duration, "seed": seed}, as_json)
 
 
+@reads_files()
 def import_(
     files: Annotated[
         list[Path],
@@ -90,42 +94,8 @@ def import_(
         ),
     ],
     out: Annotated[Path | None, Option(metavar="REC.mcap", help="Recording to write.")] = None,
-    rate: Annotated[
-        float | None, Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
-    ] = None,
-    unit: Annotated[
-        str | None,
-        Option(
-            help="Unit where a file states none: m/s^2, g, mg or gal. Without it you are asked on a terminal; in a pipe m/s^2."
-        ),
-    ] = None,
-    channel: Annotated[
-        list[str], Option(metavar="NAME=FILE[:COLUMN]", help="A channel; of one file, NAME=COLUMN.")
-    ] = [],  # noqa: B006
-    ground: Annotated[str | None, Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
-    force: Annotated[
-        list[str], Option(metavar="NAME=FILE[:COLUMN]", help="A measured force in N, as [[inputs]] names it.")
-    ] = [],  # noqa: B006
-    time: Annotated[str | None, Option(metavar="COLUMN", help="Column of the times, where it is not found.")] = None,
-    covariate: Annotated[
-        list[str], Option(metavar="NAME=[FILE:]COLUMN", help="A quantity to be kept beside, as temperature or wind.")
-    ] = [],  # noqa: B006
-    start: Annotated[str | None, Option(help="UTC of the first sample, ISO 8601.")] = None,
-    timezone: Annotated[
-        str | None,
-        Option(metavar="ZONE", help="Zone of times that state none, as Europe/Zurich or +01:00; UTC by default."),
-    ] = None,
-    dbc: Annotated[Path | None, Option(metavar="FILE.dbc", help="Layout of the frames of a CAN log.")] = None,
-    bus: Annotated[str | None, Option(help="Bus of a CAN log of several, as the log names it.")] = None,
-    scale: Annotated[
-        float | None, Option(min=1e-30, max=1e30, help="m/s^2 of a count, where a file holds counts.")
-    ] = None,
-    inventory: Annotated[
-        Path | None, Option(metavar="STATION.xml", help="Of seismic formats: the channels' sensitivities.")
-    ] = None,
-    align: Annotated[
-        bool, Option("--align", help="Shift files whose clocks do not agree until their readings fit the first file's.")
-    ] = False,
+    *,
+    reading: Options,
     explain: Annotated[
         bool,
         Option("--explain", help="Print what each part of a table of text was taken for, and why; writes nothing."),
@@ -137,35 +107,20 @@ def import_(
     Prints what was taken: start, rate, unit and level.
     """
     from drivers.base import UNIT_OF
-    from monitor.runs import ImportedChannel, Options, import_files
+    from monitor.runs import ImportedChannel, import_files
 
     if explain:
-        _explain(files, time, as_json)
+        _explain(files, reading.time, as_json)
         return
     if out is None:
         raise BadParameter("name a recording to write: --out REC.mcap")
-    spare_inputs([out], [*files, dbc, inventory])
+    spare_inputs([out], [*files, reading.dbc, reading.inventory])
     taken: list[ImportedChannel] = []
     with progress("import") as on_progress:
         info = import_files(
             files,
             out,
-            Options(
-                rate_hz=rate,
-                unit=unit,
-                channels=_places("--channel", channel) or None,
-                time=time,
-                covariates=_places("--covariate", covariate) or None,
-                ground=ground,
-                forces=_places("--force", force),
-                start_ns=time_ns("--start", start),
-                zone=None if timezone is None else _zone(timezone),
-                dbc=dbc,
-                bus=bus,
-                scale=scale,
-                inventory=inventory,
-                align=align,
-            ),
+            reading,
             ask_unit=partial(_ask_unit, on_progress) if sys.stdin.isatty() and sys.stderr.isatty() else None,
             on_warning=warn,
             on_channel=taken.append,
@@ -201,16 +156,6 @@ def _explain(files: list[Path], time: str | None, as_json: bool) -> None:
     say("\n".join(lines), {path: [list(row) for row in found] for path, found in rows.items()}, as_json)
 
 
-def _zone(name: str) -> tzinfo:
-    """Return the zone of a name."""
-    from monitor.runs import zone_named
-
-    zone = zone_named(name)
-    if zone is None:
-        raise BadParameter(f"--timezone {name}: no such zone; as Europe/Zurich, +01:00 or UTC")
-    return zone
-
-
 def _ask_unit(progress_line: ProgressLine, columns: Sequence[str]) -> str:
     """Ask on the terminal for the unit of columns whose file states none, until the answer is a unit."""
     from monitor.runs import acceleration_unit
@@ -223,16 +168,3 @@ def _ask_unit(progress_line: ProgressLine, columns: Sequence[str]) -> str:
             progress_line.is_paused = False
             return answer
         print(f"{answer!r} is no unit of acceleration", file=sys.stderr)
-
-
-def _places(option: str, items: list[str]) -> dict[str, str]:
-    """Parse NAME=FILE[:COLUMN] of an option that may stand several times."""
-    out: dict[str, str] = {}
-    for item in items:
-        name, separator, place = item.partition("=")
-        if not separator or not name or not place:
-            raise BadParameter(f"{option}: {item!r} is not NAME=FILE[:COLUMN]")
-        if name in out:
-            raise BadParameter(f"{option}: {name!r} stands twice")
-        out[name] = place
-    return out

@@ -15,6 +15,7 @@ from monitor.core import Array, BadInputError, ComplexArray, MissingInputError, 
 from monitor.identification import SelectionSettings
 from monitor.publish import LookedRecording, read_line, read_lines
 from monitor.runs.look import in_columns, look, mac
+from monitor.runs.readers import Options, are_recordings
 from monitor.runs.recordings import OnWarning
 from monitor.signals import overlap_correlation
 
@@ -56,9 +57,14 @@ class _Side:
 
 
 def compare(
-    first: Path, second: Path, *, on_warning: OnWarning = lambda _: None, on_progress: OnProgress = lambda _: None
+    first: Path,
+    second: Path,
+    options: Options = Options(),  # noqa: B008 - frozen
+    *,
+    on_warning: OnWarning = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Any]:
-    """Compare two recordings, or two folders of results.
+    """Compare two recordings, or files that `import` reads by `options`, or two folders of results.
 
     The content names both, and holds the tests with their z-scores, the modes of one side alone, and the limit of a significant
     z-score (Bonferroni).  Raises BadInputError or MissingInputError if one cannot be used, or if one is a recording and the
@@ -67,12 +73,16 @@ def compare(
     if first.is_dir() != second.is_dir():
         raise BadInputError(f"{first} and {second}: compare two recordings, or two folders of results")
     if first.is_dir():
+        if given := options.given():
+            raise BadInputError(f"{first}: is a folder of results: leave {', '.join(given)} out")
         sides = [_of_results(path) for path in (first, second)]
     else:
-        sides = [
-            _of_recording(path, look([path], on_warning=on_warning, on_progress=partial(_tell_of, path, on_progress)))
-            for path in (first, second)
-        ]
+        ready = {path: are_recordings([path]) for path in (first, second)}
+        sides = []
+        for path in (first, second):
+            of_file = Options() if ready[path] and not all(ready.values()) else options
+            tell = partial(_tell_of, path, on_progress)
+            sides.append(_of_recording(path, look([path], of_file, on_warning=on_warning, on_progress=tell)))
     a, b = sides
     if a.channels != b.channels:
         raise BadInputError(

@@ -12,7 +12,7 @@ import numpy as np
 from monitor.core import Array, BadInputError, Level, OnProgress, Step, rounded, write_atomically
 from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
 from monitor.runs.readers import delimited, stamps
-from monitor.runs.readers.base import read_bytes
+from monitor.runs.readers.base import Options, read_bytes
 from monitor.runs.readers.delimited import Text
 from monitor.runs.readers.dialect import CALENDAR, HEAD, MARKS, Dialect, guess, is_missing, is_number, split
 from monitor.runs.readers.table import Table, without_fillers
@@ -28,7 +28,7 @@ RESULT_FILES = ("results.jsonl", "summary.json")
 
 def features(
     path: Path,
-    time: str,
+    options: Options,
     names: list[str],
     covariates: list[str],
     train_until_ns: int,
@@ -38,13 +38,13 @@ def features(
 ) -> dict[str, Any]:
     """Learn the features' law from the rows up to a time, judge the later ones, and write results.jsonl and summary.json.
 
-    The file is a table of text of any dialect with a line of column names.  The column `time` holds dates in any form (UTC where
-    they name no zone) or numbers, as s since 1970.
+    The file is a table of text of any dialect with a line of column names.  The column `options.time` holds dates in any form (of
+    `options.zone`, or UTC, where they name no zone) or numbers, as s since 1970, or since `options.start_ns`.
 
     Raises MissingInputError or BadInputError if the file cannot be read or used; the message names the place.
     """
     on_progress(Step("reads the table", then=_LEARNS))
-    table = read_table(path, time, names, covariates, on_warning)
+    table = read_table(path, options, names, covariates, on_warning)
     on_progress(Step(_LEARNS, then="judges the rows"))
     try:
         judge, verdicts = judge_features(table, train_until_ns, on_progress)
@@ -60,12 +60,15 @@ def features(
 
 
 def read_table(
-    path: Path, time: str, names: list[str], covariates: list[str], on_warning: Callable[[str], None]
+    path: Path, options: Options, names: list[str], covariates: list[str], on_warning: Callable[[str], None]
 ) -> FeatureTable:
     """Read the columns of a table; rows that cannot be read are left out and named (errors as of `features`)."""
-    wanted = [time, *names, *covariates]
+    assert options.time is not None
+    wanted = [options.time, *names, *covariates]
     text = _read_rows(path, wanted, on_warning)
-    all_ns = delimited.times_in(text, 0, on_warning)
+    all_ns = delimited.times_in(text, 0, on_warning, options.zone)
+    if options.start_ns is not None:
+        all_ns = all_ns + (options.start_ns - all_ns[0])
     if (np.diff(all_ns) < 0).any():
         on_warning(f"{path}: the times do not increase: the rows were sorted")
     t_ns, first = np.unique(all_ns, return_index=True)

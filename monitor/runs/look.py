@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from drivers.base import ACCELERATION, UNIT_OF
+from drivers.base import ACCELERATION
 from monitor.core import (
     Array,
     BadInputError,
@@ -94,24 +94,23 @@ class _Run:
 
 def look(
     paths: Sequence[Path],
+    options: Options = Options(),  # noqa: B008 - frozen
     *,
-    rate_hz: float | None = None,
-    unit: str | None = None,
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> LookedRecording:
-    """Look at recordings, or at tables that `import` reads, without a model; `rate_hz` and `unit` are of tables without.
+    """Look at recordings, or at files that `import` reads, by `options`, without a model.
 
     Raises BadInputError or MissingInputError if the files cannot be used; the message names them.
     """
     taken: list[ImportedChannel] = []
     if not are_recordings(paths):
         on_progress(Step("reads the tables", then=_IDENTIFIES))
-    options = Options(rate_hz=rate_hz, unit=unit, unknown_start_ns=0)
+    options = replace(options, unknown_start_ns=0)
     # That no unit is stated is a doubt of the look, and no warning.
     with as_recordings(paths, options, on_warning, ask_unit=lambda _: "m/s^2", on_channel=taken.append) as recordings:
-        found = _look(recordings, partial(_note, paths, taken, unit), on_warning, on_progress)
-    if unit is None and any(not one.stated for one in taken):
+        found = _look(recordings, partial(_note, paths, taken, options.unit), on_warning, on_progress)
+    if options.unit is None and any(not one.stated for one in taken):
         found = replace(found, doubts=(doubt_unit(taken), *found.doubts))
     return replace(found, files=tuple(map(str, paths)))
 
@@ -234,7 +233,7 @@ class _Reader:
         state, health, parts, size = alignment.start(), HealthState(), list[Array](), 0
         begin_ns, dropped = 0, 0
         progress = Progress(on_progress, paths, step=Step("reads the recordings", then=_IDENTIFIES))
-        for block in read_topics(paths, tuple(UNIT_OF), on_warning):
+        for block in read_topics(paths, None, on_warning):
             topic = self.topics.setdefault(
                 block.topic,
                 {"channels": list(block.channels), "unit": block.unit, "rate_hz": block.sample_rate_hz, "samples": 0},

@@ -44,12 +44,12 @@ def read_blocks(
 
 def read_topics(
     paths: Sequence[Path],
-    topics: tuple[str, ...],
+    topics: tuple[str, ...] | None,
     on_warning: OnWarning,
     longest_s: float = _BLOCK_S,
     topic_map: Mapping[str, str] | None = None,
 ) -> Iterator[SampleBlock]:
-    """Read all samples of the topics of recordings in time order, small blocks joined to blocks of at most `longest_s`."""
+    """Read all samples of the topics (None: of all) of recordings in time order, small blocks joined to at most `longest_s`."""
     with read_by_user():
         yield from read_recordings(
             list(paths),

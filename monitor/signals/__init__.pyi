@@ -40,5 +40,6 @@ from .welch import (
     taper as taper,
     transform as transform,
 )
+from .whitened_shift import best_shift as best_shift
 from .window_quality import QualitySettings as QualitySettings
 from .windows import WindowGrid as WindowGrid, WindowState as WindowState

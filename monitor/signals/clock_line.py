@@ -92,7 +92,12 @@ def sample_clock(stamps_ns: Annotated[Ticks, "n"]) -> SampleClock:
     lost, resolution = _lost_of_grid(steps), 1
     if lost is None:
         resolution = _resolution(stamps_ns)
-        lost = _lost(stamps_ns, steps, _first_period(stamps_ns, resolution), resolution)
+        first = _first_period(stamps_ns, resolution)
+        if not first > 0.0:
+            raise BadInputError(
+                f"the stamps are cut to {1e-9 * resolution:.3g} s, too coarse for {len(stamps_ns)} samples to tell a rate"
+            )
+        lost = _lost(stamps_ns, steps, first, resolution)
     period, std, residuals, lost, odd = _line(stamps_ns, lost, resolution)
     if not period > 0.0 or (len(stamps_ns) > _LEAST_STAMPS and std > _LEAST_KNOWN * period):
         raise BadInputError(

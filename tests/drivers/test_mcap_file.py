@@ -384,6 +384,11 @@ def test_recording_info_counts_gaps_as_duration(tmp_path: Path) -> None:
     assert info.t_start_ns == block(0).t_ns
 
 
+def test_recording_info_lists_covariates_of_any_name(tmp_path: Path) -> None:
+    info = recording_info(write(tmp_path / "a.mcap", block(0), block(0, "/wind", "m/s")))
+    assert info.channels == {ACCELERATION: ("a1", "a2"), "/wind": ("a1", "a2")}
+
+
 def test_the_recorded_time_is_told_by_the_ends_of_a_file_with_an_index_as_by_all_of_it(tmp_path: Path) -> None:
     ours = write(tmp_path / "a.mcap", block(3), block(9), block(7, n=99), block(0), block(12, GROUND), chunk_every=2)
     for path in (ours, foreign(tmp_path / "b.mcap", CompressionType.ZSTD, chunked=True)):

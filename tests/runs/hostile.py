@@ -53,7 +53,7 @@ _started = subprocess.run
 def _run(command: list[str], **how: Any) -> subprocess.CompletedProcess[str]:
     if "-m" not in command:  # h5py asks for the machine's name
         return _started(command, **how)
-    module, path, out, *rest = command[command.index("-m") + 1 :]
+    _, module, path, out, *rest = command[command.index("-m") + 1 :]
     read, told = importlib.import_module(module).read, Path(out).with_name("told")
     told.touch()
     with warnings.catch_warnings():

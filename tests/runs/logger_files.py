@@ -510,6 +510,61 @@ def odd_tables() -> Iterator[LoggerFile]:
     yield behind([f"2026-03-02T16:00:{x[:12]}{'0' * 8}"[:29] + "+02:00" for x in (f"{k / 100:09.6f}" for k in range(N))], "time", "zone_of_two.csv", start_ns=START_NS)  # fmt: skip
 
 
+def odd_times() -> Iterator[LoggerFile]:
+    """Tables whose times and headings are written in rarer ways."""
+    g = motion(100.0) / G
+
+    def one(name: str, heading: str, times: list[str], **more: Any) -> LoggerFile:
+        text = f"{heading};a1 [g];a2 [g];a3 [g]\n" + lines(times, g, sep=";")
+        return LoggerFile(f"{name}.csv", text.encode(), 100.0, unit="g", **{"start_ns": START_NS, **more})
+
+    for name, form, digits in (
+        ("iso_basic", "%Y%m%dT%H%M%S.%fZ", 3),
+        ("fourteen_digits", "%Y%m%d%H%M%S.%f", 3),
+        ("seventeen_digits", "%Y%m%d%H%M%S%f", 3),
+        ("day_of_year", "%Y-%jT%H:%M:%S.%f", 3),
+        ("month_before_day", "%b %d, %Y %H:%M:%S.%f", 3),
+        ("weekday", "%a %d %b %Y %H:%M:%S.%f", 3),
+        ("points_in_time", "%d.%m.%Y %H.%M.%S,%f", 3),
+        ("half_before_time", "%Y-%m-%d 오후 %I:%M:%S.%f", 3),
+        ("half_spaced", "%d.%m.%Y %I:%M:%S.%f p. m.", 3),
+        ("date_parts", "%Y;%m;%d;%H;%M;%S.%f", 3),
+    ):
+        yield one(name, "Year;Month;Day;Hour;Minute;Second" if ";" in form else "time", dated(100.0, form, digits))
+    stamps = dated(100.0, "%Y-%m-%d %H:%M:%S.%f", 3)
+    yield one("floating_ms", "ts", [f"{START_NS // 10**6 + 10 * k}.0" for k in range(N)])
+    yield one("whole_days", "time", [f"0 days 00:00:{k / 100:09.6f}" for k in range(N)], start_ns=None)
+    yield one("date_at_midnight", "Date;Time", [f"2026-03-02 00:00:00;{x[11:]}" for x in stamps])
+    yield one("local_and_utc", "local time;UTC time", [f"{x.replace('14:', '15:', 1)};{x}" for x in stamps])
+    seconds = [f"{START.timestamp() + k / 100:.2f};{x.replace('14:', '15:', 1)}" for k, x in enumerate(stamps)]
+    yield one("epoch_and_local", "epoch;datetime", seconds)
+    text = "asctime,a1 (g),a2 (g),a3 (g)\n" + lines([x.replace(".", ",") for x in stamps], g)
+    yield LoggerFile("split_fraction.csv", text.encode(), 100.0, unit="g", start_ns=START_NS)
+    for stated in ("Fréquence d'échantillonnage : 100 Hz", "Frecuencia de muestreo (Hz);100", "Frequenza: 100 Hz"):
+        text = f"{stated}\na1 (g);a2 (g);a3 (g)\n" + lines([""] * N, g, sep=";", cell=comma)
+        yield LoggerFile(f"{stated[:9]}.csv", text.encode(), 100.0, unit="g")
+    beside = [f"{int(START.timestamp()) + k // 100};{k % 100 * 10**7}" for k in range(N)]
+    yield one("sec_and_nsec", "sec;nsec", beside)
+    east = dated(100.0, "%Y-%m-%d %H:%M:%S.%f", 3)
+    yield one("zone_above", "Time zone;UTC-04:00\ntime", [x.replace("14:", "10:", 1) for x in east])
+    yield one("zone_by_place", "Time zone;Europe/Zurich\ntime", [x.replace("14:", "15:", 1) for x in east])
+    t = elapsed(100.0)
+    for name, unit in (("latex", "$m/s^2$"), ("braces", "m/s^{2}"), ("nested", "m/(s^2)"), ("words", "m_per_s2")):
+        text = f"t [s],a1 ({unit}),a2 ({unit}),a3 ({unit})\n" + lines(t, motion(100.0))
+        yield LoggerFile(f"{name}.csv", text.encode(), 100.0, unit=unit.replace("{2}", "2"))
+    text = "Time,a1,a2,a3\ns,mV/g,mV/g,mV/g\nsec,g,g,g\n" + lines(t, g)
+    yield LoggerFile("sensitivities.csv", text.encode(), 100.0, unit="g")
+    rows = [f"{START_NS + 10**7 * k},{k},{START_NS + 10**7 * k}" for k in range(N)]
+    text = "%time,field.header.seq,field.header.stamp,field.x,field.y,field.z\n" + lines(rows, g)
+    yield LoggerFile("fields.csv", text.encode(), 100.0, unit="g", start_ns=START_NS, options={"unit": "g"})
+    rows = [f"{row},{'20.5' if k % 100 == 0 else ''}\n" for k, row in enumerate(lines(t, g).splitlines())]
+    text = "t,a1,a2,a3,temp\n" + "".join(rows)
+    yield LoggerFile("slow_by_name.csv", text.encode(), 100.0, unit="g", options={"unit": "g"}, says="left out: temp")
+    text = "millis,AcX,AcY,AcZ,Tmp,GyX,GyY,status\n" + lines([str(10 * k) for k in range(N)], g, tail=",25.1,1,2,0")
+    said = "left out: Tmp, GyX, GyY, status"
+    yield LoggerFile("by_name.csv", text.encode(), 100.0, unit="g", options={"unit": "g"}, says=said)
+
+
 def packed() -> Iterator[LoggerFile]:
     """Tables that are packed, and workbooks."""
     text = ("t,a1 [g],a2 [g],a3 [g]\n" + lines(elapsed(100.0), motion(100.0) / G)).encode()

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from monitor.core import utc_ns
 from monitor.damage import FeatureTable
-from monitor.runs import features
+from monitor.runs import Options, features, zone_named
 from tests.support.samples import Cli
 
 ROWS = 400
@@ -51,6 +53,14 @@ def test_a_table_is_judged_and_bad_rows_are_told_by_line(table: Path, main: Cli,
     assert summary["features"][0]["variance_explained"] > 0.5
 
 
+def test_times_without_a_zone_are_of_the_zone_that_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "f.csv"
+    path.write_text("time,f1,air\n" + "".join(f"2026-01-{k:02d} 12:00:00,4.0{k},{k}.0\n" for k in range(1, 21)))
+    options = Options(time="time", zone=zone_named("+01:00"))
+    assert features.read_table(path, options, ["f1"], ["air"], print).t_ns[0] == utc_ns("2026-01-01T11:00:00")
+    assert features.read_table(path, replace(options, start_ns=7), ["f1"], ["air"], print).t_ns[0] == 7
+
+
 @pytest.mark.parametrize(
     ("changed", "code", "words"),
     [
@@ -73,7 +83,7 @@ def test_what_cannot_be_done_is_said(
 def told_table(content: str | bytes, tmp_path: Path, time: str = "time") -> tuple[FeatureTable, str]:
     path, told = tmp_path / "f.csv", list[str]()
     path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return features.read_table(path, time, ["f1"], ["air"], told.append), "\n".join(told)
+    return features.read_table(path, Options(time=time), ["f1"], ["air"], told.append), "\n".join(told)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from drivers.base import ACCELERATION, FORCE
 from drivers.mcap_file import RecordingInfo, read_recordings
 from monitor.core import BadInputError, UserError
 from monitor.runs.readers import ImportedChannel, Options, import_files, zone_named
-from monitor.runs.readers.clocks import best_shift
+from monitor.signals import best_shift
 from tests.runs.reading import imported
 from tests.support.samples import Cli
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.base import ACCELERATION
+from drivers.base import ACCELERATION, TEMPERATURE
 from drivers.mcap_file import read_recordings
 from monitor.config import configuration
 from monitor.core import BadInputError
@@ -17,12 +17,24 @@ from monitor.runs.archive.inventory import Survey
 from monitor.runs.archive.jobs import survey_recording
 from monitor.runs.readers import ImportedChannel, explain_table
 from monitor.runs.recordings import read_topics, recorded_spans
-from tests.runs.logger_files import START_NS, LoggerFile, lines, lvm, motion, odd_tables, packed, tables, workbook
+from tests.runs.logger_files import (
+    START_NS,
+    G,
+    LoggerFile,
+    lines,
+    lvm,
+    motion,
+    odd_tables,
+    odd_times,
+    packed,
+    tables,
+    workbook,
+)
 from tests.runs.reading import imported
 from tests.support.ros2 import record
 from tests.support.samples import Cli
 
-FILES = {one.name: one for one in (*tables(), *odd_tables(), *packed())}
+FILES = {one.name: one for one in (*tables(), *odd_tables(), *odd_times(), *packed())}
 _STAMP_NS = 2_000_000
 """Serial days are cut at some microseconds, stamps at milliseconds. [ns]"""
 
@@ -46,6 +58,56 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
     assert file.says in " ".join(told)
 
 
+LONG_OF_TWO_RATES = "time,sensor,acc [g]\n" + "".join(
+    f"{t:.2f},{name},{value}\n"
+    for t, name, value in sorted(
+        [(k / 100, "roof", k % 7) for k in range(100)] + [(k / 50, "low", k) for k in range(50)]
+    )
+)
+
+
+@pytest.mark.parametrize("order", ["by time", "by sensor"])
+def test_rows_of_each_sensor_become_columns(order: str, tmp_path: Path) -> None:
+    places = [(k, name) for k in range(100) for name in ("roof", "low")]
+    places = places if order == "by time" else sorted(places, key=lambda one: one[1])
+    table = "time,sensor,acc [g]\n" + "".join(f"{k / 100},{n},{k % 7 if n == 'roof' else k % 5}\n" for k, n in places)
+    (tmp_path / "a.csv").write_text(table)
+    info = imported([tmp_path / "a.csv"], tmp_path / "o.mcap")
+    assert info.sample_rate_hz == 100.0 and set(info.channels[ACCELERATION]) == {"roof", "low"}
+    block = next(iter(read_recordings([tmp_path / "o.mcap"])))
+    roof = block.samples[:, block.channels.index("roof")] / G
+    np.testing.assert_allclose(roof[:20], np.arange(20) % 7, rtol=1e-5)
+
+
+def test_of_several_rates_those_that_are_named_are_read(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(LONG_OF_TWO_RATES)
+    told: list[str] = []
+    info = imported([tmp_path / "a.csv"], tmp_path / "o.mcap", channels={"a1": "low"}, on_warning=told.append)
+    assert (info.sample_rate_hz, info.n_samples) == (50.0, 50)
+    assert any("no --channel names a column of roof" in text for text in told)
+
+
+def test_times_of_each_sensor_are_told_where_they_lie_apart(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 100:.3f},{k % 7},{k / 100 + 0.003:.3f},{k % 5}\n" for k in range(100))
+    (tmp_path / "a.csv").write_text("t1 [s],ax [g],t2 [s],ay [g]\n" + rows)
+    told: list[str] = []
+    info = imported([tmp_path / "a.csv"], tmp_path / "o.mcap", on_warning=told.append)
+    assert (info.sample_rate_hz, info.channels[ACCELERATION]) == (100.0, ("ax", "ay"))
+    assert any("sampled up to 0.3 of a sample apart" in text for text in told)
+
+
+def test_readings_of_a_slower_sensor_between_those_of_the_others_stay(tmp_path: Path) -> None:
+    rows = [(k / 100, f"{k / 100},{k % 7},") for k in range(300)] + [
+        (k + 0.0037, f"{k + 0.0037},,{20 + k}") for k in range(3)
+    ]
+    (tmp_path / "a.csv").write_text("t,ax [g],air [degC]\n" + "".join(f"{row}\n" for _, row in sorted(rows)))
+    info = imported([tmp_path / "a.csv"], tmp_path / "o.mcap")
+    assert (info.sample_rate_hz, info.n_samples) == (100.0, 300)
+    blocks = [one for one in read_recordings([tmp_path / "o.mcap"]) if one.topic == TEMPERATURE]
+    air = np.concatenate([one.samples[:, 0] for one in blocks])
+    assert {int(at): float(air[at]) for at in np.flatnonzero(np.isfinite(air))} == {1: 20.0, 101: 21.0, 201: 22.0}
+
+
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
@@ -64,12 +126,22 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
             "bx stand in rows without ax: they have clocks of their own",
         ),
         (
-            "time,sensor,acc [g]\n" + "".join(f"{k // 2 / 100},roof{k % 2},{k % 7}\n" for k in range(100)),
-            "each time stands 2 times, for roof0, roof1 in column 'sensor'",
+            "t,a,b\n" + "".join(f"0,{k:02d},0,{k % 7},0,{k % 5}\n" for k in range(50)),
+            "is the comma .* a decimal mark too",
         ),
         (
-            "time,channel,acc [g]\n" + "".join(f"{k % 50 / 100},{k // 50},{k % 7}\n" for k in range(100)),
-            "each time stands 2 times, for 0, 1 in column 'channel'",
+            "Time,a [g]\n" + "".join(f"{46083.39367 + k // 86 * 1e-5:.5f},{k % 7}\n" for k in range(500)),
+            "too coarse for 500 samples",
+        ),
+        (LONG_OF_TWO_RATES, r"several rates: low 50 Hz, roof 100 Hz; .*name them by --channel"),
+        (
+            "t,ax [g],ay [g]\n" + "".join(f"{k / 100},{k % 7},{k % 5 if k % 2 == 0 else ''}\n" for k in range(100)),
+            r"several rates: ax 100 Hz, ay 50 Hz; .*name them by --channel",
+        ),
+        (
+            "t1 [s],ax [g],t2 [s],ay [g]\n"
+            + "".join(f"{k / 100},{k % 7},{f'{k / 50},{k % 5}' if k < 50 else ','}\n" for k in range(100)),
+            r"several rates: ax 100 Hz, ay 50 Hz; .*name them by --channel",
         ),
         ("t;a [g]\n1.000;0,5\n1.010;0,4\n1.020;0,3\n1.030;0,2\n", "column 1 may be 10.0 or 1.0.0"),
         (
@@ -87,8 +159,11 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
         "segments",
         "headings",
         "own rows",
+        "two commas",
+        "coarse days",
         "long",
-        "long blocks",
+        "slower sensor",
+        "times of each",
         "points",
         "two units",
         "scaled counts",

@@ -17,7 +17,7 @@ from monitor.config import configuration
 from monitor.core import BadInputError, MissingInputError, ModalEstimate, Skipped
 from monitor.model import Model, ShearFrame, simulate
 from monitor.publish import LookedRecording, mode_rows
-from monitor.runs import compare, look
+from monitor.runs import Options, compare, look
 from monitor.runs.look import identify_band
 from tests.support.pages import Page, marks
 
@@ -50,11 +50,21 @@ def table(path: Path, values: np.ndarray, unit: str = "") -> Path:
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> LookedRecording:
-    return look.look([table(tmp_path_factory.mktemp("look") / "frame.csv", samples())], unit="m/s^2")
+    return look.look([table(tmp_path_factory.mktemp("look") / "frame.csv", samples())], Options(unit="m/s^2"))
 
 
 def doubts(folder: Path, values: np.ndarray, unit: str = "") -> str:
     return "\n".join(look.look([table(folder / "d.csv", values, unit)]).doubts)
+
+
+def test_a_look_lists_every_covariate_of_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    wind = np.column_stack([np.arange(3000) / RATE_HZ, samples()[:3000], np.full((3000, 2), 5.0)])
+    np.savetxt(
+        path, wind, delimiter=",", header="t,a1 [g],a2 [g],a3 [g],wind [m/s],air [degC]", comments="", fmt="%.6g"
+    )
+    found = look.look([path])
+    assert sorted(found.topics) == ["/acceleration", "/temperature", "/wind"] and found.topics["/wind"]["unit"] == "m/s"
 
 
 def test_a_table_alone_gives_the_modes_with_intervals(found: LookedRecording) -> None:

@@ -137,7 +137,9 @@ def test_tables_and_tests_tell_their_number(tmp_path: Path) -> None:
     table.write_text("t,f1\n" + "\n".join(rows))
     until_ns = 100 * 3_600_000_000_000
     *_, judged = told_by(
-        lambda tell: features.features(table, "t", ["f1"], [], until_ns, tmp_path / "out", on_progress=tell)
+        lambda tell: features.features(
+            table, Options(time="t"), ["f1"], [], until_ns, tmp_path / "out", on_progress=tell
+        )
     )
     assert (judged.does, judged.done, judged.total, judged.unit) == ("judges the rows", 119, 120, "rows")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import tzinfo
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -59,6 +59,17 @@ class Options:
     align: bool = False
     """Shift the clocks of the files so that their readings fit each other (`clocks.align`)."""
 
+    def given(self) -> list[str]:
+        """List the options that the user states, as the command line names them."""
+        values = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "unknown_start_ns"}
+        stated = [name for name, value in values.items() if value is not None and value is not False]
+        return [f"--{_OPTION_OF.get(name, name)}" for name in stated]
+
+
+_OPTION_OF = {"rate_hz": "rate", "channels": "channel", "covariates": "covariate", "forces": "force"}
+_OPTION_OF |= {"start_ns": "start", "zone": "timezone"}
+"""Field of `Options` -> option of the command line, where they differ. [names; definition]"""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -103,7 +114,7 @@ class File:
         except ValueError as error:
             raise BadInputError(f"{self.path}: {error}") from error
 
-    def read_apart(self, module: str, kind: str) -> tuple[own_process.Arrays, dict[str, str]]:
+    def read_apart(self, module: str, kind: str) -> tuple[own_process.Arrays, own_process.Told]:
         """Read the file's arrays, and what is told of them, in a process of its own (`own_process.read_apart`)."""
         with TemporaryDirectory() as folder:
             path = self.path

@@ -34,14 +34,8 @@ def import_log(files: list[Path], out: Path, options: Options, on_warning: OnWar
     _demand_use(files, options)
     assert dbc is not None
     assert rate_hz is not None
-    for option, value in {
-        "--unit": options.unit,
-        "--scale": options.scale,
-        "--inventory": options.inventory,
-        "--time": options.time,
-        "--timezone": options.zone,
-    }.items():
-        if value is not None:
+    for option in options.given():
+        if option not in ("--rate", "--dbc", "--bus"):
             on_warning(f"{path}: {option} is not used: the DBC states the units, and the log its times")
     settings = CanSettings(
         interface="log", channel=str(path.resolve()), dbc=str(dbc.resolve()), sample_rate_hz=rate_hz, bus=bus

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Annotated
@@ -12,16 +12,16 @@ import numpy as np
 
 from monitor.core import BadInputError
 from monitor.runs.readers.table import Array, OnWarning, Table, Ticks
-from monitor.signals import sample_clock
+from monitor.signals import best_shift, sample_clock
 
 _LEAST_CORRELATION = 0.1
 """Whitened correlation below which a shift is not believed. [1; judgement: unlike records of 20 s at 100 Hz reach 0.06]"""
 _DOUBTFUL = 0.6
 """Share of the best correlation from which another shift may be the true one. [ratio; judgement]"""
-_LEAST_SHARE = 1e-6
-"""Part of the largest cross-spectrum below which a frequency counts less. [ratio; rounding]"""
 _MOST_ALIGNED = 1 << 24
 """Most samples of a file to be aligned. [samples; cost: half a GB of memory]"""
+_OFF = 0.1
+"""Part of a sample by which channels lie apart and are told. [1; judgement: 0.6 rad of phase at the Nyquist rate]"""
 _ONE_RATE = 1.02
 """Ratio of the rates of files up to which they are one. [ratio; judgement: stamps of few rows, cut to ms]"""
 
@@ -86,7 +86,9 @@ def _demand_one_rate(tables: Sequence[Table]) -> None:
     rates = [table.rate_hz or _rate_hz(table) for table in tables]
     told = [rate for rate in rates if rate]
     if told and max(told) > _ONE_RATE * min(told):
-        each = ", ".join(f"{table.path.name} {rate:.6g} Hz" for table, rate in zip(tables, rates, strict=True) if rate)
+        names = [table.path.name for table in tables]
+        shown = names if len(set(names)) > 1 else [", ".join(table.columns) for table in tables]
+        each = ", ".join(f"{name} {rate:.6g} Hz" for name, rate in zip(shown, rates, strict=True) if rate)
         raise BadInputError(
             f"{tables[0].path}: several rates: {each}; import those of one rate, or name them by --channel"
         )
@@ -102,8 +104,15 @@ def _rate_hz(table: Table) -> float:
 
 def _times_ns(table: Table) -> Annotated[Ticks, "n"]:
     """Return the times of a table with a clock, UTC where it states its start."""
-    assert table.time_ns is not None
-    return table.time_ns + (0 if table.start_ns is None else table.start_ns - table.time_ns[0])
+    return table.clock_ns + (0 if table.start_ns is None else table.start_ns - table.clock_ns[0])
+
+
+def tell_apart(path: Path, samples: float, on_warning: OnWarning) -> None:
+    """Tell by how much of a sample channels lie apart in time, where it matters."""
+    if samples > _OFF:
+        on_warning(
+            f"{path}: channels are sampled up to {samples:.2g} of a sample apart; phases of shapes are off by that"
+        )
 
 
 def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annotated[Ticks, "n"] | None]:
@@ -124,7 +133,8 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
     base = clocks[0]
     half_ns = _step_ns(tables[0].path, base) / 2
     partners = [_nearest(clock, base) for clock in clocks]
-    keep = np.all([np.abs(clock[at] - base) <= half_ns for clock, at in zip(clocks, partners, strict=True)], axis=0)
+    off_ns = np.max([np.abs(clock[at] - base) for clock, at in zip(clocks, partners, strict=True)], axis=0)
+    keep = off_ns <= half_ns
     if keep.sum() * 2 < shortest:
         raise BadInputError(
             f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. {_apart(tables, clocks)} "
@@ -132,6 +142,7 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Annot
         )
     if keep.sum() < longest:
         on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
+    tell_apart(tables[0].path, float(np.median(off_ns[keep])) / (2.0 * half_ns), on_warning)
     return [table.rows(near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
 
 
@@ -189,13 +200,11 @@ def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning:
         raise BadInputError(f"{tables[0].path}: --align is for several files, each with a column of time")
     chosen = {id(table): column for table, column in reversed(columns)}
     base, *others = tables
-    assert base.time_ns is not None
-    step_ns = float(np.median(np.diff(base.time_ns)))
+    step_ns = float(np.median(np.diff(base.clock_ns)))
     reference = _on_grid(base, chosen.get(id(base)), step_ns)
     aligned = [base]
     for table in others:
-        assert table.time_ns is not None
-        steps = np.diff(table.time_ns)
+        steps = np.diff(table.clock_ns)
         if steps.min() <= 0 or not 1 / 1.02 < float(np.median(steps)) / step_ns < 1.02:
             raise BadInputError(f"{table.path}: its times must rise throughout at the rate of {base.path.name}")
         found = best_shift(reference, _on_grid(table, chosen.get(id(table)), step_ns))
@@ -204,66 +213,21 @@ def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning:
                 f"{table.path}: its readings fit those of {base.path.name} nowhere (correlation {found.correlation:.2f}); "
                 "--align needs a motion that both took"
             )
-        moved_ns = int(base.time_ns[0]) + round(found.shift * step_ns) - int(table.time_ns[0])
+        moved_ns = int(base.clock_ns[0]) + round(found.shift * step_ns) - int(table.clock_ns[0])
         told = f"{table.path.name}: clock shifted by {moved_ns / 1e9:+.3f} s to fit {base.path.name}"
         if abs(found.other_correlation) > _DOUBTFUL * abs(found.correlation):
             other_s = (found.other - found.shift) * step_ns / 1e9
             told += f", or by {other_s:+.3f} s more, which fits nearly as well: shapes and phases of modes are in doubt"
         on_warning(f"{told} (correlation {found.correlation:.2f}; half a sample remains unknown)")
         start_ns = None if table.start_ns is None else table.start_ns + moved_ns
-        aligned.append(replace(table, time_ns=table.time_ns + moved_ns, start_ns=start_ns))
+        aligned.append(replace(table, time_ns=table.clock_ns + moved_ns, start_ns=start_ns))
     return aligned
-
-
-@dataclass(frozen=True, slots=True)
-class Shift:
-    """Shift at which readings fit a reference best, and the next best one."""
-
-    shift: int
-    """Place of the first reading in the reference, steps; negative if it lies before."""
-    correlation: float
-    """Whitened correlation there; negative for a sensor that was mounted the other way round."""
-    other: int
-    """Next best shift, not beside the best one, steps."""
-    other_correlation: float
-
-
-def best_shift(reference: Annotated[Array, "n"], readings: Annotated[Array, "m"]) -> Shift:
-    """Find the shift at which readings fit a reference best, by the correlation of both whitened (phase transform).
-
-    All frequencies count alike: by the plain correlation a structure's record fits itself once a period of its mode.
-    Reference and readings are on the same step and without mean; lost ones are 0 (Knapp and Carter, IEEE Trans. ASSP 24, 1976).
-
-    Examples
-    --------
-    >>> noise = np.random.default_rng(0).normal(size=1000)
-    >>> best_shift(noise, noise[300:900]).shift
-    300
-    """
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    n = next_fast_len(len(reference) + len(readings), real=True)
-    cross = rfft(reference, n) * np.conj(rfft(readings, n))
-    size = np.abs(cross)
-    if not size.any():
-        return Shift(0, 0.0, 0, 0.0)
-    white = cross / np.maximum(size, _LEAST_SHARE * size.max())
-    correlation = irfft(white, n) * (n / (2.0 * np.abs(white).sum()))
-    best = int(np.argmax(np.abs(correlation)))
-    apart = np.abs(correlation)
-    apart[np.arange(best - 1, best + 2) % n] = 0.0  # a delay of half a sample shows at both
-    other = int(np.argmax(apart))
-    return Shift(
-        *(best if best < len(reference) else best - n, float(correlation[best])),
-        *(other if other < len(reference) else other - n, float(correlation[other])),
-    )
 
 
 def _on_grid(table: Table, column: str | None, step_ns: float) -> Annotated[Array, "n"]:
     """Return a column on a regular grid of its clock, without its mean; 0 where a reading is missing."""
-    assert table.time_ns is not None
     values = table.values[:, table.columns.index(column or table.default[0])]
-    place = np.rint((table.time_ns - table.time_ns[0]) / step_ns).astype(np.int64)
+    place = np.rint((table.clock_ns - table.clock_ns[0]) / step_ns).astype(np.int64)
     if place.min() < 0 or place[-1] >= _MOST_ALIGNED:
         raise BadInputError(f"{table.path}: its times jump or do not rise; --align cannot use them")
     grid, finite = np.zeros(int(place.max()) + 1), np.isfinite(values)

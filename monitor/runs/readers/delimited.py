@@ -11,10 +11,25 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import BadInputError
 from monitor.runs.readers import stamps
-from monitor.runs.readers.dialect import CALENDAR, Dialect, Role, guess, is_missing, is_number, split
+from monitor.runs.readers.dialect import (
+    CALENDAR,
+    DATE_PARTS,
+    MIDNIGHT,
+    SINCE_1970_S,
+    TICKS,
+    Dialect,
+    Role,
+    fraction_ns,
+    guess,
+    is_missing,
+    is_number,
+    is_since_1970,
+    split,
+)
 from monitor.runs.readers.table import Array, OnWarning, Table, Ticks, without_fillers
 from monitor.runs.readers.units import ACCELERATION, TIME
 
@@ -22,13 +37,13 @@ _CHUNK_CELLS = 1 << 15
 """Cells of the rows that are converted to numbers together. [count; cost: they take 3 MB]"""
 _LOOK_ALIKES = {0xA0: " ", 0x202F: " ", 0x2009: " ", 0x2212: "-"}
 """Characters that stand for a space between groups of digits, or for a minus. [characters; typography]"""
-_SINCE_1970_S = (3e8, 3.6e9)
-"""Seconds since 1970 that are a date, of 1979 to 2084. [s; judgement]"""
 _SINCE_1904_S = (3.6e9, 4.4e9, 2_082_844_800)
 """Seconds since 1904 that are a date: least, most, that of 1970. [s; 2018 to 2043; LabVIEW]"""
 _MOST_SENSORS = 256
 """Most sensors that a column may name. [count; judgement]"""
 _CHANNEL_NAME = re.compile(r"^(ch|chan|channel|sensor|node|axis|kanal|device|id|no|nr)\b", re.IGNORECASE)
+_EVEN = 0.9
+"""Share of even steps from which times are those of one sensor. [ratio; judgement: pauses, and rows that were lost]"""
 _OWN_ROWS = 0.1
 """Share of rows with readings of both, below which two columns have rows of their own. [ratio; judgement]"""
 _HOUR_NS = 3600 * 10**9
@@ -176,23 +191,46 @@ def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -
     return Text(path, rows, numbers, dialect, tuple(lines[: dialect.first]))
 
 
-def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> Table:
-    """Convert a text to a table on its own clock (errors as of `cut`)."""
+def to_tables(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> list[Table]:
+    """Convert a text to tables, one for each clock in it (errors as of `cut`)."""
+    apart = _side_by_side(text, on_warning)
+    return [table for one in apart for table in _tables_of(one, on_warning, zone)]
+
+
+def _side_by_side(text: Text, on_warning: OnWarning) -> list[Text]:
+    """Cut a text in which each sensor has a column of times of its own before its readings; one that has one is left whole."""
+    dialect, times = text.dialect, text.dialect.of(Role.TIME)
+    ends = [*times[1:], dialect.width]
+    alike = {tuple(column.role for column in dialect.columns[at:end]) for at, end in zip(times, ends, strict=False)}
+    if len(times) < 2 or times[0] != 0 or len(alike) != 1 or Role.READING not in next(iter(alike)):
+        return [text]
+    if len({tuple(text.cells(at)) for at in times}) == 1:
+        return [text]
+    found = []
+    for at, end in zip(times, ends, strict=True):
+        rows = [split(line, dialect.delimiter)[at:end] for line in text.lines]
+        kept = [(row, number) for row, number in zip(rows, text.numbers, strict=True) if not is_missing(row[0])]
+        part = replace(dialect, delimiter="\t", width=end - at, columns=dialect.columns[at:end])
+        lines = ["\t".join(row) for row, _ in kept]
+        found.append(Text(text.path, lines, [number for _, number in kept], part, text.preamble))
+    return found
+
+
+def _tables_of(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> list[Table]:
+    """Convert a text with one column of times."""
     dialect, path = text.dialect, text.path
-    readings = dialect.of(Role.READING)
+    clock = _clock(text, on_warning, zone)
+    labels = None if clock.time_ns is None else _label_column(text, clock.time_ns)
+    readings = [at for at in dialect.of(Role.READING) if at != labels]
     if not readings:
         raise BadInputError(f"{path}: no column besides time and counter")
-    if left := [dialect.columns[at].name for at in dialect.of(Role.TEXT)]:
+    if left := [dialect.columns[at].name for at in dialect.of(Role.TEXT) if at != labels]:
         on_warning(f"{path}: left out, since they hold no numbers: {', '.join(left)}")
     names = [dialect.columns[at].name for at in readings]
     if len(set(names)) != len(names):
         raise BadInputError(f"{path}: columns of the same name in the header: {', '.join(names)}")
-    clock = _clock(text, on_warning, zone)
-    if clock.time_ns is not None and (np.diff(clock.time_ns) <= 0).any():
-        _demand_columns(text, clock.time_ns)
     values = text.values(readings, on_warning)
-    moves = [(unit := dialect.columns[at].unit) is not None and unit.quantity == ACCELERATION for at in readings]
-    counters = dialect.of(Role.COUNTER)
+    counters = [at for at in dialect.of(Role.COUNTER) if labels is None]
     index = text.values(counters[:1], on_warning)[:, 0] if counters else None
     if index is not None and not (np.isfinite(index).all() and (np.diff(index) >= 1).all()):
         index = None
@@ -209,69 +247,139 @@ def to_table(text: Text, on_warning: OnWarning, zone: tzinfo | None = None) -> T
         start_text=clock.start_text,
     )
     table = without_fillers(table, on_warning)
-    keep = _one_clock(path, names, moves, table.values, on_warning)
-    return table if keep is None else table.rows(keep)
+    if labels is not None:
+        return _by_label(table, dialect.columns[labels].name, np.array(text.cells(labels)), on_warning)
+    return _by_rate(_one_clock(table, on_warning))
 
 
-def _demand_columns(text: Text, t_ns: Annotated[Ticks, "n"]) -> None:
-    """Refuse a table in which each sensor has rows of its own at the same times, named in a column."""
+def _label_column(text: Text, t_ns: Annotated[Ticks, "n"]) -> int | None:
+    """Return the column that names the sensor of each row, where each sensor has rows of its own; None where none does.
+
+    The times of each sensor rise evenly, and their spans overlap; all times together do not, or the column is named so.
+    """
+    is_even = _is_even(t_ns)
     for at in text.dialect.of(Role.TEXT, Role.COUNTER, Role.READING):
         column = text.dialect.columns[at]
-        if column.unit is not None or (column.role is Role.READING and _CHANNEL_NAME.search(column.name) is None):
+        is_named = _CHANNEL_NAME.search(column.name) is not None
+        if column.unit is not None or (not is_named and (is_even or column.role is Role.READING)):
             continue
-        cells = text.cells(at)
-        names = sorted(set(cells))
-        if not 1 < len(names) <= min(_MOST_SENSORS, len(cells) // 2):
+        labels = np.array(text.cells(at))
+        names = np.unique(labels)
+        if not 1 < len(names) <= min(_MOST_SENSORS, len(labels) // 2):
             continue
-        labels = np.array(cells)
         times = [t_ns[labels == name] for name in names]
-        if all(len(own) == len(times[0]) > 1 and (own == times[0]).all() and own[0] < own[-1] for own in times):
-            raise BadInputError(
-                f"{text.path}: each time stands {len(names)} times, for {', '.join(names[:4])} in column {column.name!r}; "
-                "bring the readings of each into a column of its own"
+        overlap = max(own[0] for own in times) < min(own[-1] for own in times)
+        if overlap and all(map(_is_even, times)):
+            return at
+    return None
+
+
+def _is_even(t_ns: Annotated[Ticks, "n"]) -> bool:
+    """Test whether times rise by much the same step, but for pauses."""
+    steps = np.diff(t_ns)
+    usual = np.median(steps) if len(steps) else 0
+    return bool(usual > 0 and (np.abs(steps - usual) < usual / 2).mean() >= _EVEN)
+
+
+def _by_label(table: Table, heading: str, labels: NDArray[np.str_], on_warning: OnWarning) -> list[Table]:
+    """Bring the readings of each sensor into columns of its own; sensors of the same times into one table."""
+    found: list[Table] = []
+    for label in dict.fromkeys(labels.tolist()):
+        own = table.rows(np.flatnonzero(labels == label))
+        name = f"{heading}_{label}" if is_number(label) else label
+        own = replace(own, columns=(name,) if len(own.columns) == 1 else tuple(f"{name}_{of}" for of in own.columns))
+        last = found[-1] if found else None
+        if last is not None and np.array_equal(last.clock_ns, own.clock_ns):
+            found[-1] = replace(
+                last,
+                columns=last.columns + own.columns,
+                units=last.units + own.units,
+                by_name=last.by_name + own.by_name,
+                values=np.hstack([last.values, own.values]),
             )
+        else:
+            found.append(own)
+    held = ", ".join(name for one in found for name in one.columns)
+    on_warning(f"{table.path}: each row is of one sensor, which {heading!r} names: brought into the columns {held}")
+    return found
 
 
-def _one_clock(
-    path: Path, names: Sequence[str], moves: Sequence[bool], values: Annotated[Array, "n c"], on_warning: OnWarning
-) -> Annotated[Ticks, "m"] | None:
-    """Return the rows of the accelerations where other columns have rows of their own, as of another clock; else None.
+def _by_rate(table: Table) -> list[Table]:
+    """Cut a table in which slower sensors have readings in every second, third, .. row alone into one for each rate."""
+    steps: dict[int, list[int]] = {}
+    moving = table.default
+    for at, column in enumerate(table.values.T):
+        rows = np.flatnonzero(np.isfinite(column))
+        step = int(np.median(np.diff(rows))) if len(rows) > 2 else 1
+        slow = step > 1 and (np.diff(rows) == step).mean() >= _EVEN and table.columns[at] in moving
+        steps.setdefault(step if slow else 1, []).append(at)
+    if len(steps) < 2:
+        return [table]
+    return [
+        table.of_columns(places).rows(np.flatnonzero(np.isfinite(table.values[:, places]).any(axis=1)))
+        for places in steps.values()
+    ]
+
+
+def _one_clock(table: Table, on_warning: OnWarning) -> Table:
+    """Bring readings that stand in rows of their own between those of the accelerations, as of another clock, to the row behind.
 
     Raises BadInputError if accelerations have rows of their own among each other.
     """
+    names, values, t_ns = table.columns, table.values.copy(), table.time_ns
+    moves = [table.quantity(name) == ACCELERATION for name in names]
     here = np.isfinite(values)
-    counts = here.sum(axis=0)
     lead = moves.index(True) if True in moves else 0
-    apart = [
+    own = _own_rows(here, lead)
+    told = f"{table.path}: {', '.join(names[at] for at in own)} stand in rows without {names[lead]}"
+    if own and (not moves[lead] or any(moves[at] for at in own)):
+        raise BadInputError(f"{told}: they have clocks of their own; export each sensor to a file of its own")
+    lone = here.any(axis=1) & ~here[:, moves].any(axis=1) & moves[lead]
+    kept, between = np.flatnonzero(~lone), np.flatnonzero(lone)
+    behind = np.searchsorted(kept, between)
+    between, behind = between[(behind > 0) & (behind < len(kept))], behind[(behind > 0) & (behind < len(kept))]
+    if not between.size or (t_ns is None and not own):
+        return table
+    if t_ns is not None:
+        around_ns = t_ns[kept[behind]] - t_ns[kept[behind - 1]]
+        if (around_ns < 1.5 * np.median(np.diff(t_ns[kept]))).mean() < _EVEN:
+            return table  # where they stand the accelerations are missing
+    others = [at for at in range(len(names)) if here[between, at].any()]
+    for at in others:
+        from_rows = here[between, at]
+        values[kept[behind[from_rows]], at] = values[between[from_rows], at]
+    on_warning(
+        f"{table.path}: {', '.join(names[at] for at in others)} stand in rows without {names[lead]}, as of another clock; taken "
+        "at the next row with it"
+    )
+    return replace(table, values=values).rows(kept)
+
+
+def _own_rows(here: NDArray[np.bool_], lead: int) -> list[int]:
+    """List the columns that have readings in rows without the leading one, and hardly any in rows with it."""
+    counts = here.sum(axis=0)
+    return [
         at
-        for at in range(len(names))
-        if min(counts[at], counts[lead]) > _OWN_ROWS * len(values)
+        for at in range(here.shape[1])
+        if min(counts[at], counts[lead]) > _OWN_ROWS * len(here)
         and (here[:, at] & here[:, lead]).sum() < _OWN_ROWS * min(counts[at], counts[lead])
     ]
-    if not apart:
-        return None
-    told = f"{path}: {', '.join(names[at] for at in apart)} stand in rows without {names[lead]}"
-    if not moves[lead] or any(moves[at] for at in apart):
-        raise BadInputError(f"{told}: they have clocks of their own; export each sensor to a file of its own")
-    beside = [at for at in range(len(names)) if at not in apart]
-    on_warning(f"{told}, as of another clock; these rows are left out")
-    return np.flatnonzero(here[:, beside].any(axis=1))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Clock:
     """Times of the rows."""
 
-    time_ns: Annotated[Ticks, "n"] | None
-    start_ns: int | None
-    start_text: str
+    time_ns: Annotated[Ticks, "n"] | None = None
+    start_ns: int | None = None
+    start_text: str = ""
     """Time of the first row as written, where it has no zone."""
 
 
-def times_in(text: Text, at: int, on_warning: OnWarning) -> Annotated[Ticks, "n"]:
+def times_in(text: Text, at: int, on_warning: OnWarning, zone: tzinfo | None = None) -> Annotated[Ticks, "n"]:
     """Convert a column of dates or of numbers to times, ns since 1970."""
     if text.dialect.columns[at].role in CALENDAR:
-        return _dated(text, [at], None, on_warning)[0].t_ns
+        return _dated(text, [at], zone, on_warning)[0].t_ns
     return _ticks(text, at, on_warning)[0]
 
 
@@ -279,28 +387,44 @@ def _clock(text: Text, on_warning: OnWarning, zone: tzinfo | None) -> _Clock:
     """Form the times of the rows from the columns that hold them."""
     dialect = text.dialect
     stated = _stated_start(text, zone)
-    columns = dialect.of(Role.STAMP)[:1]
-    if not columns and (clocked := dialect.of(Role.CLOCK)[:1]):
+    dated = sorted(dialect.of(Role.STAMP), key=lambda at: stamps.zone_in(dialect.columns[at].name) is None)
+    columns = dated[:1] or _date_parts(dialect)
+    clocked = dialect.of(Role.CLOCK)[:1]
+    if not columns and clocked:
         columns = [*dialect.of(Role.DATE)[:1], *clocked]
+    elif dated and clocked and all(map(MIDNIGHT.search, text.cells(columns[0]))):
+        columns += clocked
     ticking = dialect.of(Role.TIME)
     if not columns:
-        return _ticking(text, ticking[0], stated, on_warning) if ticking else _Clock(None, *stated)
+        return _ticking(text, ticking[0], stated, on_warning) if ticking else stated
     read, first_text = _dated(text, columns, zone, on_warning)
+    if ticking and not read.has_zone and is_since_1970(text.cells(ticking[0])):
+        return _ticking(text, ticking[0], stated, on_warning)
     t_ns = _finer(text, ticking[0], read.t_ns, on_warning) if ticking else read.t_ns
     if read.has_date:
         return _Clock(t_ns, int(t_ns[0]), "" if read.has_zone else first_text)
-    if stated[0] is None:
+    if stated.start_ns is None:
         on_warning(f"{text.path}: its times of day have no date, which --start states")
-    return _Clock(t_ns, *stated)
+    return replace(stated, time_ns=t_ns)
+
+
+def _date_parts(dialect: Dialect) -> list[int]:
+    """List the columns of year, month, day, hour, minute and second; none where dates are written otherwise."""
+    places = {dialect.columns[at].name.casefold(): at for at in dialect.of(Role.PART)}
+    return [places[name] for name in DATE_PARTS] if places else []
 
 
 def _dated(text: Text, columns: Sequence[int], zone: tzinfo | None, on_warning: OnWarning) -> tuple[stamps.Stamps, str]:
     """Read the times that stand in columns as dates, as times of day or as both; also the first one as written."""
     path = text.path
-    texts = [" ".join(cells) for cells in zip(*map(text.cells, columns), strict=True)]
+    form = "{}-{}-{} {}:{:0>2}:{}" if len(columns) == len(DATE_PARTS) else "{} {}" if len(columns) > 1 else "{}"
+    first, *others = map(text.cells, columns)
+    days = [MIDNIGHT.sub("", cell) for cell in first] if others else first
+    texts = [form.format(*cells) for cells in zip(days, *others, strict=True)]
     heading = text.dialect.columns[columns[-1]]
     try:
-        read = stamps.parse(texts, zone or stamps.zone_in(f"{heading.name} {heading.unit_text}"), path.name)
+        told = f"{heading.name} {heading.unit_text} {text.dialect.zone_text}"
+        read = stamps.parse(texts, zone or stamps.zone_in(told), path.name)
     except ValueError as error:
         (row,) = error.args
         if not isinstance(row, int):
@@ -322,7 +446,7 @@ def _finer(text: Text, at: int, t_ns: Annotated[Ticks, "n"], on_warning: OnWarni
     """Take the times of a column of numbers where those of the dates stand still and these rise."""
     if len(t_ns) <= 2 or (np.diff(t_ns) == 0).mean() <= 0.5:
         return t_ns
-    finer_ns = _ticking(text, at, (None, ""), on_warning).time_ns
+    finer_ns = _ticking(text, at, _Clock(), on_warning).time_ns
     if finer_ns is None or not (np.diff(finer_ns) > 0).all():
         return t_ns
     on_warning(f"{text.path}: the times are those of column {text.dialect.columns[at].name!r}, which is finer")
@@ -368,16 +492,14 @@ def _tell_swapped(path: Path, start_ns: int, on_warning: OnWarning) -> None:
         on_warning(f"{path}: starts on {day}, but its name says {named[0]}: day and month seem swapped; see --start")
 
 
-def _stated_start(text: Text, zone: tzinfo | None) -> tuple[int | None, str]:
-    """Return the time of the first sample that lines above the table state, and how where it has no zone; None without."""
+def _stated_start(text: Text, zone: tzinfo | None) -> _Clock:
+    """Return the time of the first sample that lines above the table state, and how where it has no zone."""
     stated = text.dialect.start_text
-    if not stated:
-        return None, ""
     try:
-        read = stamps.parse([stated], zone, text.path.name)
-    except ValueError:
-        return None, ""
-    return int(read.t_ns[0]), "" if read.has_zone else stated
+        read = stamps.parse([stated], zone or stamps.zone_in(text.dialect.zone_text), text.path.name)
+    except ValueError:  # of no text, too
+        return _Clock()
+    return _Clock(None, int(read.t_ns[0]), "" if read.has_zone else stated)
 
 
 def _fractions_ns(text: Text, on_warning: OnWarning) -> Annotated[Ticks, "n"] | int:
@@ -385,11 +507,10 @@ def _fractions_ns(text: Text, on_warning: OnWarning) -> Annotated[Ticks, "n"] | 
     at = next(iter(text.dialect.of(Role.FRACTION)), None)
     if at is None:
         return 0
-    micro = text.dialect.columns[at].name.casefold().startswith(("u", "micro"))
-    return np.rint(text.values([at], on_warning)[:, 0]).astype(np.int64) * (1000 if micro else 10**6)
+    return np.rint(text.values([at], on_warning)[:, 0]).astype(np.int64) * fraction_ns(text.dialect.columns[at].name)
 
 
-def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: OnWarning) -> _Clock:
+def _ticking(text: Text, at: int, stated: _Clock, on_warning: OnWarning) -> _Clock:
     """Convert a column of numbers to a clock."""
     column = text.dialect.columns[at]
     t_ns, written = _ticks(text, at, on_warning)
@@ -401,7 +522,7 @@ def _ticking(text: Text, at: int, stated: tuple[int | None, str], on_warning: On
             f"{text.path}: column {column.name!r} states no unit and steps by {step:g}: in s that is {1.0 / step:.4g} Hz, "
             f"in ms {1e3 / step:.4g} Hz; taken as s (write the unit into its heading, as '{column.name} [ms]', or give --rate)"
         )
-    return _Clock(t_ns, *stated)
+    return replace(stated, time_ns=t_ns)
 
 
 def _ticks(text: Text, at: int, on_warning: OnWarning) -> tuple[Annotated[Ticks, "n"], str | None]:
@@ -426,11 +547,11 @@ def _ticks(text: Text, at: int, on_warning: OnWarning) -> tuple[Annotated[Ticks,
         t_ns, words = days
         on_warning(f"{path}: column {column.name!r} is taken as days {words}")
         return t_ns, f"{first:.6f}"
-    low, high = _SINCE_1970_S
+    low, high = SINCE_1970_S
     factor = (
         column.unit.factor
         if column.unit is not None
-        else next((tick for tick in (1.0, 1e-3, 1e-6, 1e-9) if low < first * tick < high), 1.0)
+        else next((tick for tick in TICKS if low < first * tick < high), 1.0)
     )
     if np.abs(numbers).max() > 4e18 / (factor * 1e9):
         raise BadInputError(f"{path}: column {column.name!r} holds no times: {numbers[np.argmax(np.abs(numbers))]:g}")
@@ -463,4 +584,4 @@ def _exact_ns(numbers: Annotated[Array, "n"], factor: float) -> Annotated[Ticks,
     return whole.astype(np.int64) * ticks + np.rint((numbers - whole) * ticks).astype(np.int64)
 
 
-__all__ = ["Text", "cut", "decode", "is_number", "lines_of", "times_in", "to_table"]
+__all__ = ["Text", "cut", "decode", "is_number", "lines_of", "times_in", "to_tables"]

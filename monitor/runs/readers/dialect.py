@@ -6,26 +6,29 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
-from monitor.core import BadInputError
-from monitor.runs.readers.stamps import CLOCK, DATE, DATED, looks_dated
+import numpy as np
+
+from monitor.core import Array, BadInputError
+from monitor.runs.readers.stamps import CLOCK, DATE, DATED, form_of
 from monitor.runs.readers.units import ACCELERATION, TIME, Unit, split_name, split_names, unit_of
 
 _MISSING = frozenset({
-    "nan", "na", "n/a", "#n/a", "#na", "null", "none", "nil", "missing", "invalid", "nodata", "no-data", "?", "*",
-    "-", "--", "---", "----", "error", "#value!", "#num!", "#div/0!", "1.#qnan", "-1.#ind", "1.#ind",
-    "ol", "over", "overrange", "underrange", "overload", "overflow", "inf", "+inf", "-inf", "∞", "-∞", "1.#inf", "-1.#inf",
+    "nan", "-nan", "+nan", "na", "n/a", "#n/a", "#na", "null", "none", "nil", "missing", "invalid", "nodata", "no-data", "?", "*",
+    "-", "--", "---", "----", "error", "#value!", "#num!", "#div/0!", "1.#qnan", "-1.#ind", "1.#ind", "ol", "ovl", "ovld",
+    "over", "overrange", "underrange", "overload", "overflow", "inf", "+inf", "-inf", "∞", "-∞", "1.#inf", "-1.#inf",
 })  # fmt: skip
 """Words for a reading that is missing, in lower case, without spaces. [words; conventions of loggers and spreadsheets]"""
 _NUMBER = re.compile(r"[+-]?(\d+(?:[.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([,.' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 """A number whose digits are set off in groups of three. [pattern]"""
 _TIME_NAME = re.compile(
-    r"(t|time.*|zeit.*|date.*|datum.*|stamp|timestamp.*|sampletimefine|elapsed.*|temps|tiempo|fecha.*|hora|epoch.*|utc.*"
+    r"(ts?|time.*|zeit.*|date.*|datum.*|stamp|timestamp.*|sampletimefine|elapsed.*|temps|tiempo|fecha.*|hora|epoch.*|utc.*"
     r"|clock|x_value|seconds?|seconds?.elapsed|sec|ms|millis|micros|relative.?time|local.?time|unix.*)",
     re.IGNORECASE,
 )
@@ -34,11 +37,13 @@ _COUNTER_NAME = re.compile(
     r"|rec|row|line|point|place|scan|seq(uence)?)",
     re.IGNORECASE,
 )
-_FRACTION_NAME = re.compile(r"(ms|msec|millis|milliseconds?|millisecond|micros|us|usec)", re.IGNORECASE)
+_FRACTION_NAME = re.compile(r"(m|u|n|milli|micro|nano)(?:s|secs?|seconds?)", re.IGNORECASE)
+_TICKS_NS = {"m": 10**6, "u": 1000, "n": 1, "milli": 10**6, "micro": 1000, "nano": 1}
+"""Prefix of a second -> ns. [ns; definition: SI]"""
 _RATE_CELL = re.compile(r"(?:sr|rate|fs)?\s*[=:]?\s*(\d+\.?\d*|\.\d+)\s*(k?hz)", re.IGNORECASE)
 _RATE_UNIT, _STEP_UNIT = r"k?hz|k?sps|ks/s", r"s|sec|seconds|ms|msec|us"
 _RATE_LINE = re.compile(
-    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|freq\w*|fs|sr|sps|samples?(?:/|\s+per\s+)s\w*)\b[^\d]{0,24}?"
+    r"(?:sampl\w*|data|scan|acquisition|logging)?[\s_]*(?:rate|fr[eé][cq]u\w*|fs|sr|sps|samples?(?:/|\s+per\s+)s\w*)\b[^\d]{0,24}?"
     rf"(?:\(?\s*({_RATE_UNIT}|samples/s\w*)\s*\)?)?[\s:=,;\t\"]+([\d.,]+)\s*({_RATE_UNIT})?",
     re.IGNORECASE,
 )
@@ -51,6 +56,7 @@ _START_LINE = re.compile(
     rf"(?:start|begin|trigger|record\w*|acqui\w*|date|time)[\w\s./-]*?[\s:=,;\t\"]+(?P<stamp>{DATED.pattern})",
     re.IGNORECASE,
 )
+_ZONE_LINE = re.compile(r"time.?zone|zeitzone|(?:utc|gmt).?offset", re.IGNORECASE)
 _UNIT_LINE = re.compile(r"(?:y_?)?units?(?:_label)?\b[\s:=,;\t\"]+([^\s,;\t\"]+(?: s-2)?)", re.IGNORECASE)
 _UNIT_SENTENCE = re.compile(
     r"^[\s#%!;]*(?:all\s+)?(?:accelerations?|values|data|amplitudes?|readings?)\s+(?:are\s+)?in\s+(?:units\s+of\s+)?(\S+)\s*$",
@@ -61,7 +67,8 @@ _NO_RATE = re.compile(
     re.IGNORECASE,
 )
 """Words of a line whose frequency is not that of the samples. [words; conventions of loggers]"""
-_OF_SAMPLES = re.compile(r"sampl|scan|acqui|logg|abtast", re.IGNORECASE)
+_OF_SAMPLES = re.compile(r"sampl|scan|acqui|logg|abtast|chantill|muestr|campion", re.IGNORECASE)
+_SHOWN = {None: "white space", "\t": "tab", ",": "comma", ";": "semicolon", "|": "stroke", ".": "point"}
 MARKS = ("\t", ";", "|", ",", None)
 """Marks between cells; None for white space. [characters; convention]"""
 _FEW = 3
@@ -85,11 +92,20 @@ class Role(Enum):
     CLOCK = "time of day"
     TIME = "time"
     FRACTION = "fraction of a second"
+    PART = "part of a date"
     COUNTER = "counter of samples"
     READING = "readings"
     TEXT = "text"
 
 
+DATE_PARTS = ("year", "month", "day", "hour", "minute", "second")
+"""Names of columns that hold a date together, in lower case. [names; convention]"""
+MIDNIGHT = re.compile(r"[ T]00?:00(:00)?([.,]0+)?$")
+"""End of a date that a spreadsheet wrote with its time. [pattern]"""
+SINCE_1970_S = (3e8, 3.6e9)
+"""Seconds since 1970 that are a date, of 1979 to 2084. [s; judgement]"""
+TICKS = (1.0, 1e-3, 1e-6, 1e-9)
+"""Units of times since 1970. [s; convention]"""
 CALENDAR = frozenset({Role.STAMP, Role.DATE, Role.CLOCK})
 """Roles of columns whose cells are dates, times of day or both."""
 
@@ -125,7 +141,10 @@ class Dialect:
     """As the lines before the rows state it."""
     start_text: str = ""
     """Time of the first sample as the lines before the rows state it."""
-    reasons: dict[str, str] = field(default_factory=dict)
+    zone_text: str = ""
+    """Line before the rows that states the zone of the times."""
+    told: tuple[tuple[str, str, str], ...] = ()
+    """What was taken, for what, and the reason."""
 
     def of(self, *roles: Role) -> list[int]:
         """List the columns of these roles."""
@@ -139,22 +158,12 @@ class Dialect:
 
     def explained(self) -> list[tuple[str, str, str]]:
         """Return what was taken, for what, and the reason, for a table."""
-        shown = {None: "white space", "\t": "tab", ",": "comma", ";": "semicolon", "|": "stroke"}
-        rows = [
-            ("delimiter", shown.get(self.delimiter, str(self.delimiter)), self.reasons["delimiter"]),
-            ("decimal mark", {".": "point", ",": "comma"}[self.decimal], self.reasons["decimal"]),
-            ("first row", f"line {self.first + 1}", self.reasons["first"]),
+        units = [f", {column.unit_text}" if column.unit_text else "" for column in self.columns]
+        of_columns = [
+            (f"column {at}", f"{column.name!r}: {column.role.value}{unit}", column.why)
+            for at, (column, unit) in enumerate(zip(self.columns, units, strict=True), start=1)
         ]
-        if self.thousands:
-            rows.append(("groups of digits", repr(self.thousands), self.reasons["decimal"]))
-        if self.rate_hz is not None:
-            rows.append(("rate", f"{self.rate_hz:g} Hz", self.reasons["rate"]))
-        if self.start_text:
-            rows.append(("start", self.start_text, self.reasons["start"]))
-        for at, column in enumerate(self.columns, start=1):
-            unit = f", {column.unit_text}" if column.unit_text else ""
-            rows.append((f"column {at}", f"{column.name!r}: {column.role.value}{unit}", column.why))
-        return rows
+        return [row for row in self.told if row[1]] + of_columns
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
@@ -196,6 +205,8 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None, marks: Sequ
         raise BadInputError(f"{path}: {error}") from error
     if _ends_with_mark(rows, head, width):
         width -= 1
+    if delimiter == "," and (part := _split_fraction(rows)):
+        head = [[cells[0], part, *cells[1:]] if len(cells) == width - 1 else cells for cells in head]
     decimal, thousands, why_decimal = _marks(path, [cell for cells in rows for cell in cells[:width]], width, delimiter)
     preamble = [line[:_LONGEST_LINE] for line in above]
     headings = _headings(path, head, width)
@@ -203,16 +214,19 @@ def guess(path: Path, lines: Sequence[str], time: str | None = None, marks: Sequ
     if rate_hz is None:
         rate_hz, why_rate = _rate_above(preamble, decimal)
     start_text, why_start = _start_above(preamble)
+    zone_text = next(filter(_ZONE_LINE.search, preamble), "")
     unit_text = _unit_in_column(path, headings.names, rows) or next(filter(None, map(_unit_stated, preamble)), "")
     columns = _columns(headings, rows, unit_text, time)
-    reasons = {
-        "delimiter": why,
-        "decimal": why_decimal,
-        "first": f"the first line of {width} numbers, times or missing values",
-        "rate": why_rate,
-        "start": why_start,
-    }
-    return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, reasons)
+    told = (
+        ("delimiter", _SHOWN.get(delimiter, str(delimiter)), why),
+        ("decimal mark", _SHOWN[decimal], why_decimal),
+        ("first row", f"line {first + 1}", f"the first line of {width} numbers, times or missing values"),
+        ("groups of digits", thousands and repr(thousands), why_decimal),
+        ("rate", "" if rate_hz is None else f"{rate_hz:g} Hz", why_rate),
+        ("start", start_text, why_start),
+        ("zone", zone_text.strip(), "stated"),
+    )
+    return Dialect(path, delimiter, decimal, thousands, first, width, columns, rate_hz, start_text, zone_text, told)
 
 
 def _cells_above(above: Sequence[str], delimiter: str | None, width: int) -> list[list[str]]:
@@ -228,6 +242,13 @@ def _ends_with_mark(rows: Sequence[Sequence[str]], head: Sequence[Sequence[str]]
     """Test whether rows end with a delimiter: behind it nothing ever stands, and no heading."""
     named = any(len(cells) == width and cells[-1] for cells in head[-1:])
     return width > 1 and not named and not any(cells[width - 1] for cells in rows)
+
+
+def _split_fraction(rows: Sequence[Sequence[str]]) -> str:
+    """Return the unit of the second column where it holds the fractions of the seconds in the first, behind a decimal comma."""
+    lengths = {len(cells[1]) if len(cells) > 1 and cells[1].isdigit() else 0 for cells in rows}
+    behind = {form_of(cells[0]) for cells in rows} <= {DATED, CLOCK} and all(cells[0][-3:-2] == ":" for cells in rows)
+    return {3: "ms", 6: "us", 9: "ns"}.get(max(lengths), "") if len(lengths) == 1 and behind else ""
 
 
 def _rate_above(preamble: Sequence[str], decimal: str) -> tuple[float | None, str]:
@@ -304,7 +325,7 @@ def _holds_decimals(cut: Sequence[Sequence[str]]) -> bool:
 
 def _is_data(cell: str) -> bool:
     """Test whether a cell may stand in a row of readings."""
-    return is_missing(cell) or is_number(cell) or looks_dated(cell)
+    return is_missing(cell) or is_number(cell) or form_of(cell) is not None
 
 
 def _is_row(cells: Sequence[str], width: int, texts: frozenset[int]) -> bool:
@@ -395,6 +416,8 @@ def _headings(path: Path, head: Sequence[Sequence[str]], width: int) -> _Heading
             continue
         elif sum(map(is_number, filled)) * 2 > len(filled) and len(near) > 1:
             continue  # numbers of channels or of sensors
+        elif not names and len(filled) > 2 and len({*filled[1:]}) == 1 and cells is not near[0]:
+            continue  # of sensitivities or types, below that of the names
         elif not names:
             names = _unlabelled(cells)
             _demand_names(path, names)
@@ -464,6 +487,11 @@ def _fitted(cells: list[str], width: int) -> list[str]:
 
 def _demand_fit(path: Path, cells: list[str], width: int, near: Sequence[Sequence[str]]) -> None:
     """Refuse headings with units of acceleration that stand next to the rows and cannot be those of the columns."""
+    if cells is near[-1] and 2 * len(cells) == width and _is_time_name(cells[0]):
+        raise BadInputError(
+            f"{path}: {len(cells)} headings stand above {width} columns: is the comma between cells a decimal mark too? write "
+            "numbers with a decimal point, or put a semicolon between cells"
+        )
     known = [unit_of(split_name(cell).unit) for cell in cells]
     if cells is near[-1] and sum(unit is not None and unit.quantity == ACCELERATION for unit in known) > 1:
         raise BadInputError(
@@ -565,7 +593,11 @@ def _columns(headings: _Headings, rows: Sequence[Sequence[str]], stated: str, ti
         if role is Role.READING and not unit_text and stated:
             unit_text, unit, why = stated, unit_of(stated), f"{why}; its unit stands above the table"
         found.append(Column(name or f"column{at + 1}", role, unit, unit_text, by_name, why))
-    return tuple(found)
+    parts = {at for at, column in enumerate(found) if column.name.casefold() in DATE_PARTS}
+    why = "year, month, day, hour, minute and second have a column each"
+    if len(parts) < len(DATE_PARTS):
+        return tuple(found)
+    return tuple(replace(one, role=Role.PART, why=why) if at in parts else one for at, one in enumerate(found))
 
 
 def _role(
@@ -588,26 +620,39 @@ def _role(
     has_time = any(column.role in (Role.STAMP, Role.CLOCK, Role.TIME) for column in before)
     integers = [int(cell) for cell in cells if re.fullmatch(r"[+-]?\d+", cell)]
     are_whole = len(integers) == len(cells)
-    if has_time and _FRACTION_NAME.fullmatch(name) and are_whole and max(integers) < 1_000_000:
+    if has_time and are_whole and max(integers) * fraction_ns(name) < 10**9 and fraction_ns(name):
         return Role.FRACTION, "whole numbers below a second, named as a fraction, behind a time"
     if is_named is None and (why := _why_time(name, unit)) and (not has_time or _rises(cells)):
         return Role.TIME, why
-    if are_whole and _counts_on(integers) and (_COUNTER_NAME.fullmatch(name) or (not before and not has_heading)):
+    if is_named is None and not has_time and is_since_1970(cells):
+        return Role.TIME, "rises by one step throughout, as since 1970"
+    if (
+        are_whole
+        and _counts_on(integers)
+        and (_COUNTER_NAME.fullmatch(_last(name)) or (not before and not has_heading))
+    ):
         return Role.COUNTER, "whole numbers that count on"
     if not before and not (has_heading and name) and _is_ramp(cells):
         return Role.TIME, "rises by one step throughout"
     return Role.READING, "numbers"
 
 
+def fraction_ns(name: str) -> int:
+    """Return the part of a second, ns, that a column is named after; 0 for another name."""
+    match = _FRACTION_NAME.fullmatch(name)
+    return 0 if match is None else _TICKS_NS[match[1].casefold()]
+
+
 def _form(cells: Sequence[str]) -> tuple[Role, str] | None:
     """Return what a column of cells that are not missing holds, where it is no numbers, and why; None for numbers."""
     if not cells:
         return Role.TEXT, "empty"
-    if sum(DATED.fullmatch(cell) is not None for cell in cells) >= _SHARE * len(cells):
+    forms = [form_of(cell) for cell in cells]
+    if forms.count(DATED) >= _SHARE * len(cells):
         return Role.STAMP, f"dates and times, as {cells[0]!r}"
-    if all(map(DATE.fullmatch, cells)):
+    if set(forms) == {DATE}:
         return Role.DATE, f"dates, as {cells[0]!r}"
-    if all(map(CLOCK.fullmatch, cells)):
+    if set(forms) == {CLOCK}:
         return Role.CLOCK, f"times of day, as {cells[0]!r}"
     return None if any(map(is_number, cells)) else (Role.TEXT, f"no numbers, as {cells[0]!r}")
 
@@ -616,7 +661,12 @@ def _why_time(name: str, unit: Unit | None) -> str:
     """Return why numbers may be times, by their unit or their name; empty where neither says so."""
     if unit is not None and unit.quantity == TIME:
         return f"in {unit.symbol}"
-    return "named as a time" if _TIME_NAME.fullmatch(re.sub(r"[\s_.-]+$", "", name)) else ""
+    return "named as a time" if _TIME_NAME.fullmatch(_last(name)) else ""
+
+
+def _last(name: str) -> str:
+    """Return the last part of a name with points, as of a field of a message."""
+    return re.sub(r"[\s_.-]+$", "", name).rpartition(".")[2]
 
 
 def _counts_on(numbers: Sequence[int]) -> bool:
@@ -630,16 +680,25 @@ def _floats(cells: Sequence[str]) -> list[float]:
     return [float(cell.translate(plain)) for cell in cells if _NUMBER.fullmatch(cell)]
 
 
+def _steps(cells: Sequence[str]) -> Annotated[Array, "n"]:
+    """Return the steps between the numbers of the head of a table."""
+    values = _floats(cells)
+    return np.diff(values[: len(values) // 2])  # the head of the table, then its tail
+
+
 def _rises(cells: Sequence[str]) -> bool:
     """Test whether numbers rise throughout the head of the table, as a second column of times does."""
-    values = _floats(cells)
-    half = values[: len(values) // 2]  # the head of the table
-    return len(half) > 2 and all(b >= a for a, b in pairwise(half)) and half[-1] > half[0]
+    steps = _steps(cells)
+    return len(steps) > 1 and bool((steps >= 0.0).all() and steps.any())
+
+
+def is_since_1970(cells: Sequence[str]) -> bool:
+    """Test whether numbers are of a size and of steps that only times since 1970 have."""
+    (low, high), values = SINCE_1970_S, _floats(cells[:1])
+    return any(low < value * tick < high for value in values for tick in TICKS) and _is_ramp(cells)
 
 
 def _is_ramp(cells: Sequence[str]) -> bool:
     """Test whether numbers rise by much the same step throughout."""
-    values = _floats(cells)
-    half = len(values) // 2  # the head of the table, then its tail
-    steps = [b - a for a, b in pairwise(values[:half])]
-    return len(steps) > 2 and min(steps) > 0.0 and max(steps) < 3.0 * sorted(steps)[len(steps) // 2]
+    steps = _steps(cells)
+    return len(steps) > 2 and bool(steps.min() > 0.0 and steps.max() < 3.0 * np.median(steps))

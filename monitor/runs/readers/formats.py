@@ -82,10 +82,6 @@ class Zip:
     def read(self, file: File) -> list[Table]:
         """Read what it holds."""
         try:
-            zipfile.ZipFile(io.BytesIO(file.raw)).close()
-        except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-            raise BadInputError(f"{file.path}: damaged zip archive: {error}") from error
-        try:
             with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
                 infos = archive.infolist()
                 # zipfile unpacks no more of a member than the archive states, whatever is packed.
@@ -103,7 +99,7 @@ class Zip:
                 with archive.open(tables[0]) as member:
                     raw = _unpacked(file, member)
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
-            raise BadInputError(f"{file.path}: damaged or encrypted zip archive: {error}") from error
+            raise BadInputError(f"{file.path}: damaged zip archive, or an encrypted one: {error}") from error
         return read(file.holding(raw))
 
 
@@ -130,8 +126,8 @@ class Text:
         """Guess its dialect and convert it."""
         text = delimited.cut(file.path, delimited.decode(file.path, file.raw), file.on_warning, file.options.time)
         if xsens_dot.is_xsens(text):
-            return [xsens_dot.to_table(text, file.on_warning)]
-        return [delimited.to_table(text, file.on_warning, file.options.zone)]
+            return [xsens_dot.to_table(text, file.on_warning, file.options.zone)]
+        return delimited.to_tables(text, file.on_warning, file.options.zone)
 
 
 READERS: tuple[Reader, ...] = (

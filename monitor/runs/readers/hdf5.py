@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from monitor.core import import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES, WORDS, AnyArray, build_table
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import demand_room, hand_over
+from monitor.runs.readers.own_process import demand_room
 from monitor.runs.readers.table import Table
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -120,7 +119,3 @@ def _demand_honest_chunks(name: str, dataset: Any, most_bytes: int) -> None:
             data = dataset.id.read_direct_chunk(stored.chunk_offset)[1]
             if len(zlib.decompressobj().decompress(data, size + 1)) > size:
                 raise ValueError(f"a chunk of dataset {name} unpacks to more than its {size} bytes")
-
-
-if __name__ == "__main__":
-    sys.exit(hand_over(read, *sys.argv[1:]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import sys
 import zlib
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from monitor.runs.readers.arrays import VALUE_BYTES, WORDS, AnyArray, build_table
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import demand_room, hand_over
+from monitor.runs.readers.own_process import demand_room
 from monitor.runs.readers.table import Table
 
 MAGIC = b"MATLAB 5.0 MAT-file"
@@ -77,7 +76,3 @@ def _count_unpacked(raw: bytes, most_bytes: int) -> None:
                 data = unpack.unconsumed_tail
                 demand_room(counted, most_bytes)
         at += 8 + size
-
-
-if __name__ == "__main__":
-    sys.exit(hand_over(read, *sys.argv[1:]))

@@ -1,6 +1,6 @@
 """Reads a file in a process of its own, with a library that a damaged file may make crash, wait for ever, or take all memory.
 
-A reader's module calls `File.read_apart` where it converts a file, and `hand_over` where it is run as that process.
+A reader's module calls `File.read_apart` where it converts a file; that process calls the module's function `read`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -29,12 +30,14 @@ _PROGRAM_BYTES = 4 << 30
 """Addresses of the process besides the arrays. [bytes; measured: libraries take some 2 GB]"""
 
 Arrays = dict[str, AnyArray]
-Read = Callable[[Path, int], tuple[Arrays, dict[str, str]]]
-"""Reads the arrays of a file, of at most so many bytes, and what it tells of each, such as its unit."""
+Told = dict[str, Any]
+"""What is told of each array, such as its unit, as plain values."""
+Read = Callable[[Path, int], tuple[Arrays, Told]]
+"""Reads the arrays of a file, of at most so many bytes, and what it tells of each."""
 
 
-def read_apart(module: str, kind: str, path: Path, most_bytes: int, least_s: float) -> tuple[Arrays, dict[str, str]]:
-    """Run a module as a process that reads the arrays of a file (`hand_over`); return them and what is told of them.
+def read_apart(module: str, kind: str, path: Path, most_bytes: int, least_s: float) -> tuple[Arrays, Told]:
+    """Let a module's function `read` read the arrays of a file in a process of its own; return them and what is told of them.
 
     A small file is read for `least_s` at most.
     """
@@ -43,7 +46,7 @@ def read_apart(module: str, kind: str, path: Path, most_bytes: int, least_s: flo
         limit_s = least_s + path.stat().st_size / _BYTES_PER_S
         try:
             done = subprocess.run(
-                [sys.executable, "-W", "ignore", "-m", module, str(path), str(out), str(most_bytes)],
+                [sys.executable, "-W", "ignore", "-m", __name__, module, str(path), str(out), str(most_bytes)],
                 capture_output=True,
                 text=True,
                 errors="replace",
@@ -81,9 +84,13 @@ def hand_over(read: Read, path: str, out: str, most_bytes: str) -> int:
     except Exception as error:  # noqa: BLE001 - libraries raise whatever a damaged file makes them say
         print(error)  # not to standard error, to which libraries write too
         return BadInputError.exit_code
-    content: dict[str, Any] = {**arrays, _TOLD: np.array(json.dumps(told))}
+    content: dict[str, Any] = {**arrays, _TOLD: np.array(json.dumps(told, default=float))}
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:  # not np.savez: an array may be called `file`
         for name, array in content.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(hand_over(import_module(sys.argv[1]).read, *sys.argv[2:]))

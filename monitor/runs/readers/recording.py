@@ -186,9 +186,9 @@ def as_recordings(
     Errors within the block name the files (errors as `import_files`).
     """
     if are_recordings(paths):
-        if options.rate_hz is not None or options.unit is not None:
+        if given := options.given():
             raise BadInputError(
-                f"{paths[0]}: is a recording, which states its rate and unit: leave --rate and --unit out"
+                f"{paths[0]}: is a recording, which states all that is to be known of it: leave {', '.join(given)} out"
             )
         yield list(paths)
         return
@@ -517,8 +517,8 @@ def _start_ns(tables: list[Table], options: Options, on_warning: OnWarning) -> i
     mixed = len(bare) < len(starts)  # a zone shifts some of the files against the others
     for start_ns, table in bare if mixed else bare[: options.start_ns is None]:
         on_warning(
-            f"{table.path}: its time {table.start_text} has no zone; taken as UTC: {utc(start_ns, seconds=True)} "
-            "(see --start and --timezone)"
+            f"{table.path}: its time {table.start_text} has no zone{' that is known' * table.start_text[-1:].isalpha()}; taken "
+            f"as UTC: {utc(start_ns, seconds=True)} (see --start and --timezone)"
         )
     if options.start_ns is not None or starts:
         return starts[0][0] if options.start_ns is None else options.start_ns

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import json
 import re
-import sys
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -17,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from monitor.core import BadInputError, MissingInputError, import_extra
+from monitor.runs.readers import clocks
 from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
+from monitor.runs.readers.own_process import Arrays, Told, demand_room
 from monitor.runs.readers.table import Table
 
 _MINISEED = re.compile(rb"[0-9 ]{6}[DRQM][ \0]|MS\x03")
@@ -32,8 +31,6 @@ _SUFFIXES = re.compile(r"\.(sac|gcf|sgy|segy|evt|win|gse2?|ah|m?seed|msd|su|seg2
 """Of formats that ObsPy knows by trying. [names; convention]"""
 _SAME_RATE = 1e-6
 """Distance from a whole rate within which the whole rate is meant. [1; rounding: single precision of a header]"""
-_OFF = 0.1
-"""Part of a sample by which channels lie apart and are told. [1; judgement: 0.6 rad of phase at the Nyquist rate]"""
 _SEED_UNIT = "m/s^2"
 """Unit of an accelerometer, by StationXML `M/S**2`. [text; FDSN]"""
 _WHOLE = "whole"
@@ -59,10 +56,10 @@ class Seismic:
         path, options = file.path, file.options
         obspy = import_extra("obspy", f"{path}: MiniSEED or another seismic format")
         arrays, told = file.read_apart(__name__, self.name)
-        whole = json.loads(told[_WHOLE])
+        whole = told[_WHOLE]
         for note in whole["notes"]:
             file.on_warning(f"{path}: {note}")
-        table = _joined(path, [_Trace(data, *json.loads(told[key])) for key, data in arrays.items()], file)
+        table = _joined(path, [_Trace(data, *told[key]) for key, data in arrays.items()], file)
         unit = whole["unit"]
         if unit == "counts" and (options.scale is None) == (options.inventory is None):
             raise BadInputError(
@@ -95,7 +92,7 @@ class _Trace(NamedTuple):
         return self.begin_ns + len(self.data) * 1e9 / self.rate_hz
 
 
-def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
+def read(path: Path, most_bytes: int) -> tuple[Arrays, Told]:
     """Read the traces of a file; of each are told name, rate in Hz and time in ns, and under `_WHOLE` what holds for the file."""
     import obspy
 
@@ -109,11 +106,11 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
     demand_room(VALUE_BYTES * sum(trace.stats.npts for trace in traces.values()), most_bytes)
     # Whole numbers are counts; what a program wrote in floating point is in a unit that it does not say.
     whole = form == "MSEED" or all(trace.data.dtype.kind in "iu" for trace in traces.values())
-    told = {
-        key: json.dumps([trace.id, float(trace.stats.sampling_rate), int(trace.stats.starttime.ns)])
+    told: Told = {
+        key: [trace.id, float(trace.stats.sampling_rate), int(trace.stats.starttime.ns)]
         for key, trace in traces.items()
     }
-    told[_WHOLE] = json.dumps({"notes": notes, "unit": "m/s^2" if form == "KNET" else "counts" if whole else ""})
+    told[_WHOLE] = {"notes": notes, "unit": "m/s^2" if form == "KNET" else "counts" if whole else ""}
     return {key: trace.data for key, trace in traces.items()}, told
 
 
@@ -135,11 +132,7 @@ def _joined(path: Path, traces: Sequence[_Trace], file: File) -> Table:
         raise BadInputError(f"{path}: holds no samples")
     rate_hz, first_ns = _one_rate_hz(path, traces), min(trace.begin_ns for trace in traces)
     places = [(trace.begin_ns - first_ns) * 1e-9 * rate_hz for trace in traces]
-    off = max(abs(place - round(place)) for place in places)
-    if off > _OFF:
-        file.on_warning(
-            f"{path}: channels are sampled up to {off:.2g} of a sample apart; phases of shapes are off by that"
-        )
+    clocks.tell_apart(path, max(abs(place - round(place)) for place in places), file.on_warning)
     names = tuple(dict.fromkeys(trace.name for trace in traces))
     n = max(round(place) + len(trace.data) for place, trace in zip(places, traces, strict=True))
     if n * len(names) * VALUE_BYTES > file.most_bytes:
@@ -196,7 +189,3 @@ def _sensitivity(path: Path, stations: Any, name: str, time: Any) -> tuple[str, 
     if not value > 0.0:
         raise BadInputError(f"{path}: states {value:g} counts of a unit of {name}, which is no sensitivity")
     return unit, value
-
-
-if __name__ == "__main__":
-    sys.exit(hand_over(read, *sys.argv[1:]))

@@ -14,25 +14,18 @@ from numpy.typing import NDArray
 Ticks = NDArray[np.int64]
 
 _MONTHS = {
-    name: at
-    for at, name in enumerate(
-        ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"], start=1
+    word: at
+    for words in (
+        "jan feb mar apr may jun jul aug sep oct nov dec",
+        "- fév mär avr mai - - août - okt - dez",
+        "ene - - abr - - - ago - - - dic",
     )
+    for at, word in enumerate(words.split(), start=1)
 }
-_MONTHS |= {
-    "mär": 3,
-    "mai": 5,
-    "okt": 10,
-    "dez": 12,
-    "fév": 2,
-    "avr": 4,
-    "août": 8,
-    "ene": 1,
-    "abr": 4,
-    "ago": 8,
-    "dic": 12,
-}
-_DATE = r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}|\d{1,2}[- .][A-Za-zäéû]{3,9}[- .]\d{2,4}|(?:19|20)\d{6}"
+_DATE = (
+    r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{4}-\d{3}|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}|\d{1,2}[- .][A-Za-zäéû]{3,9}[- .]\d{2,4}"
+    r"|(?:19|20)\d{6}"
+)
 _CLOCK = r"(?:\d{1,2}:\d{2}[.,]\d{1,9}|\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d{1,9})?)?(?:\s*[AaPp]\.?[Mm]\.?)?)"
 _ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?|[A-Z]{3,4}|\[[\w/]+\]))?"
 DATE = re.compile(_DATE)
@@ -42,36 +35,57 @@ _MINUTES = re.compile(r"\d{1,2}:\d{2}[.,]\d{1,9}")
 DATED = re.compile(rf"(?:{_DATE})[ T_,;]*\s*(?:{_CLOCK}){_ZONE}")
 """A date with a time of day. [pattern]"""
 _PARTS = re.compile(rf"({_DATE})?[ T_,;]*\s*({_CLOCK})?({_ZONE})")
+_SPELLINGS = tuple(
+    (re.compile(pattern, re.IGNORECASE), plain)
+    for pattern, plain in (
+        (r"^(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*[.,]*\s+", ""),
+        (r"^([a-z]{3,9})\.?\s+(\d{1,2}),?\s+(\d{4})", r"\2 \1 \3"),
+        (r"^((?:19|20)\d{6})T?([01]\d|2[0-3])([0-5]\d)([0-6]\d)[.,]?(\d{0,8})", r"\1 \2:\3:\4.\g<5>0"),
+        (r"(?<=\d\d[ T])(\d{1,2})\.(\d{2})\.(\d{2})", r"\1:\2:\3"),
+        (r"^0 days?\s+", ""),
+        (r"\b([ap])\.\s*m\.?", r"\1m"),
+        (r"(?:오전|上午)\s*([\d:.,]+)", r"\1 AM"),
+        (r"(?:오후|下午)\s*([\d:.,]+)", r"\1 PM"),
+    )
+)
+"""How dates and times are written besides, and what is meant. [patterns; ISO 8601, locales]"""
 ZONE_HOURS = {
-    **{
-        "Z": 0,
-        "UTC": 0,
-        "GMT": 0,
-        "CET": 1,
-        "CEST": 2,
-        "MEZ": 1,
-        "MESZ": 2,
-        "BST": 1,
-        "JST": 9,
-        "NZST": 12,
-        "HST": -10,
-    },
-    **{"EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8, "PDT": -7, "AKST": -9, "AKDT": -8},
+    name: hours
+    for hours, names in {
+        **{
+            0: "Z UTC GMT",
+            1: "CET MEZ BST",
+            2: "CEST MESZ",
+            9: "JST",
+            12: "NZST",
+            -10: "HST",
+            -9: "AKST",
+            -8: "PST AKDT",
+        },
+        **{-7: "MST PDT", -6: "CST MDT", -5: "EST CDT", -4: "EDT"},
+    }.items()
+    for name in names.split()
 }
 """Zones by name, hours ahead of UTC. [h; convention: North American and European ones]"""
 _EPOCH = date(1970, 1, 1).toordinal()
 _DAY_NS = 86_400 * 10**9
 
 
-def looks_dated(cell: str) -> bool:
-    """Test whether a cell is a date, a time of day, or both."""
-    return any(pattern.fullmatch(cell) for pattern in (DATED, DATE, CLOCK))
+def _plain(text: str) -> str:
+    """Write a date or time as most loggers do."""
+    for spelt, plain in _SPELLINGS:
+        text = spelt.sub(plain, text)
+    return text
+
+
+def form_of(cell: str) -> re.Pattern[str] | None:
+    """Return what a cell is: `DATED`, `DATE` or `CLOCK`; None for none of them."""
+    forms = (DATED, DATE, CLOCK)
+    return next((form for text in (cell, _plain(cell)) for form in forms if form.fullmatch(text)), None)
 
 
 def is_time(cell: str) -> bool:
     """Test whether a cell is a date, a time of day, or both, and a date that there is."""
-    if not looks_dated(cell):
-        return False
     try:
         parse([cell])
     except ValueError:
@@ -112,7 +126,7 @@ def parse(texts: Sequence[str], zone: tzinfo | None = None, hint: str = "") -> S
     twelve_hours = False
     at_date = -1
     for at, text in enumerate(texts):
-        match = _PARTS.fullmatch(text.strip())
+        match = _PARTS.fullmatch(text.strip()) or _PARTS.fullmatch(_plain(text.strip()))
         if match is None or not (match[1] or match[2]):
             raise ValueError(at)
         day, clock, zone_text = match[1], match[2] or "", match[3].strip()
@@ -156,6 +170,8 @@ def _order(dates: Sequence[str], twelve_hours: bool, hint: str) -> tuple[bool, s
         return True, "month first, since the second number counts on", False
     if len(first) > 1 == len(second):
         return False, "day first, since the first number counts on", False
+    if ambiguous[0][2] == ".":
+        return False, "day first, since points stand between", False
     if twelve_hours:
         return True, "month first, since the time is of AM and PM", False
     if (named := re.search(r"(\d{4})-?(\d{2})-?(\d{2})", hint)) is not None:
@@ -164,13 +180,13 @@ def _order(dates: Sequence[str], twelve_hours: bool, hint: str) -> tuple[bool, s
             return True, "month first, as the file's name says", False
         if pair[::-1] == month_and_day:
             return False, "day first, as the file's name says", False
-    if ambiguous[0][2] == ".":
-        return False, "day first, since points stand between", False
     return True, "month first", ambiguous[0][1] != ambiguous[0][3]
 
 
 def _day(text: str, month_first: bool) -> int | None:
     """Return the days since 1970 of a date; None if it is none."""
+    if re.fullmatch(r"\d{4}-\d{3}", text):
+        return date(int(text[:4]), 1, 1).toordinal() + int(text[5:]) - 1 - _EPOCH
     numbers = [text[:4], text[4:6], text[6:]] if re.fullmatch(r"\d{8}", text) else re.split(r"[-/. ]", text)
     if len(numbers[0]) == 4:
         year, month, day = numbers
@@ -225,10 +241,16 @@ def _local_ns(t_ns: Annotated[Ticks, "n"], zone: tzinfo) -> Annotated[Ticks, "n"
 
 def zone_in(heading: str) -> tzinfo | None:
     """Return the zone that a heading names, as in "Time (UTC)"; None without one."""
-    if (match := re.search(r"(?:UTC|GMT)\s*([+-])(\d{1,2})(?::?(\d{2}))?\b", heading)) is not None:
+    if (match := re.search(r"(?:UTC|GMT)(?:\s*offset)?[\s:;,=]*([+-])(\d{1,2})(?::?(\d{2}))?\b", heading)) is not None:
         return zone_named(f"{match[1]}{int(match[2]):02d}:{match[3] or '00'}")
-    words = [w for w in re.findall(r"[A-Za-z]+", heading) if w.isupper() or w.casefold() in ("utc", "gmt")]
-    return next((zone_named(word) for word in words if word.upper() in ZONE_HOURS and word != "Z"), None)
+    words = [
+        w
+        for w in re.findall(r"[A-Za-z]+(?:/\w+)*", heading)
+        if w.isupper() or w.casefold() in ("utc", "gmt") or "/" in w
+    ]
+    return next(
+        (zone_named(word) for word in words if (word.upper() in ZONE_HOURS and word != "Z") or "/" in word), None
+    )
 
 
 def zone_named(name: str) -> tzinfo | None:

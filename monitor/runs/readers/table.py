@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -24,6 +25,13 @@ KNOWN_UNITS = {
     FORCE: "N, kN, lbf",
 }
 """Quantity -> units that a message names."""
+_OTHER_NAME = re.compile(
+    r"(.*gyro?.*|gy?_?[xyz]|omega.*|w[xyz]|.*mag(net.*)?|mag?_?[xyz]|roll|pitch|yaw|q(uat)?_?[0-3wxyz]|te?mp(erature)?.{0,4}"
+    r"|hum(idity)?|rh|press(ure)?|baro.*|lat(itude)?|lon(g|gitude)?|alt(itude)?|speed|heading|gps.*|sats?|batt?(ery)?.*|v_?bat.*"
+    r"|volt(age)?|status|state|flags?|event|error|quality|rssi|crc|checksum|table|result)",
+    re.IGNORECASE,
+)
+"""Names of columns of other quantities, which count where others are left. [names; conventions of loggers]"""
 _SAME = 1e-3
 """Distance, relative to its largest reading, within which a column is the magnitude of others. [1; rounding: four digits]"""
 _FILLERS = (-7999.0, -9999.0, -99999.0, 9999.0, 99999.0, -6999.0, 7999.0)
@@ -70,13 +78,19 @@ class Table:
         return (stem, self.path.stem, self.path.name, str(self.path))
 
     @property
+    def clock_ns(self) -> Annotated[Ticks, "n"]:
+        """Times of a table that has them."""
+        assert self.time_ns is not None
+        return self.time_ns
+
+    @property
     def default(self) -> tuple[str, ...]:
-        """Columns that are accelerations: by their unit where any states one, else all; no magnitude of others."""
+        """Columns that are accelerations: by their unit where any states one, else by their name; no magnitude of others."""
         if self.chosen:
             return self.chosen
         known = [unit_of(text) if text else None for text in self.units]
         if not any(self.units):
-            found = self.columns
+            found = tuple(name for name in self.columns if not _OTHER_NAME.fullmatch(name)) or self.columns
         else:
             moves = any(unit is not None and unit.quantity == ACCELERATION for unit in known)
             found = tuple(
@@ -129,6 +143,16 @@ class Table:
                 + ("; --unit states it anew" if quantity == ACCELERATION else "")
             )
         return in_si(self.values[:, self.columns.index(column)], known)
+
+    def of_columns(self, places: Sequence[int]) -> Table:
+        """Select columns by their places."""
+        return replace(
+            self,
+            columns=tuple(self.columns[at] for at in places),
+            units=tuple(self.units[at] for at in places),
+            by_name=tuple(self.by_name[at] for at in places),
+            values=self.values[:, places],
+        )
 
     def rows(self, keep: Annotated[Ticks, "m"]) -> Table:
         """Select rows; the start moves to the first of them."""

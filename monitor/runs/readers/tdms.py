@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ import numpy as np
 from monitor.core import BadInputError, import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES
 from monitor.runs.readers.base import File
-from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
+from monitor.runs.readers.own_process import Arrays, Told, demand_room
 from monitor.runs.readers.table import Table
 
 _LEFT_OUT = "left out"
@@ -38,19 +36,15 @@ class Tdms:
             raise BadInputError(f"{file.path}: holds no channel of numbers")
         if words := told.pop(_LEFT_OUT):
             file.on_warning(f"{file.path}: left out, since they hold no numbers or only one: {words}")
-        channels = {key: json.loads(text) for key, text in told.items()}
-        several = Counter(name for _, name, *_ in channels.values())
+        several = Counter(name for _, name, *_ in told.values())
         clocks: dict[tuple[Any, ...], list[str]] = {}
-        for key, (_, _, _, *clock) in channels.items():
+        for key, (_, _, _, *clock) in told.items():
             clocks.setdefault((*clock, len(arrays[key])), []).append(key)
         return [
             Table(
                 file.path,
-                tuple(
-                    f"{channels[k][0]}/{channels[k][1]}" if several[channels[k][1]] > 1 else channels[k][1]
-                    for k in keys
-                ),
-                tuple(channels[key][2] for key in keys),
+                tuple(f"{told[k][0]}/{told[k][1]}" if several[told[k][1]] > 1 else told[k][1] for k in keys),
+                tuple(told[key][2] for key in keys),
                 np.column_stack([arrays[key] for key in keys]).astype(np.float64),
                 start_ns=None if start_ns is None else start_ns + round(offset_s * 1e9),
                 rate_hz=round(1.0 / step_s, 6) if step_s else None,
@@ -59,11 +53,11 @@ class Tdms:
         ]
 
 
-def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
+def read(path: Path, most_bytes: int) -> tuple[Arrays, Told]:
     """Read the channels of a file; of each are told group, name, unit, step and offset in s, and start in ns."""
     TdmsFile = import_extra("nptdms", "TDMS").TdmsFile  # noqa: N806
     arrays: Arrays = {}
-    told: dict[str, str] = {}
+    told: Told = {}
     left_out: list[str] = []
     held = 0
     with TdmsFile.open(io.BytesIO(path.read_bytes())) as file:
@@ -81,19 +75,7 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
                 unit = str(told_of.get("unit_string") or told_of.get("NI_UnitDescription") or "")
                 key = str(len(arrays))
                 arrays[key] = channel[:]
-                told[key] = json.dumps(
-                    [
-                        group.name,
-                        channel.name,
-                        unit,
-                        float(told_of.get("wf_increment", 0.0)),
-                        float(told_of.get("wf_start_offset", 0.0)),
-                        start_ns,
-                    ]
-                )
+                clock = (float(told_of.get(name, 0.0)) for name in ("wf_increment", "wf_start_offset"))
+                told[key] = [group.name, channel.name, unit, *clock, start_ns]
     told[_LEFT_OUT] = ", ".join(left_out)
     return arrays, told
-
-
-if __name__ == "__main__":
-    sys.exit(hand_over(read, *sys.argv[1:]))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,7 @@ import numpy as np
 from monitor.core import BadInputError, import_extra
 from monitor.runs.readers.arrays import VALUE_BYTES
 from monitor.runs.readers.base import LINE_BYTES, File
-from monitor.runs.readers.own_process import Arrays, demand_room, hand_over
+from monitor.runs.readers.own_process import Arrays, Told, demand_room
 from monitor.runs.readers.table import Table
 
 _MARK = b"    -1"
@@ -46,16 +44,15 @@ class Uff:
         if file.raw.count(_MARK) % 2:
             raise BadInputError(f"{file.path}: damaged UFF: its last dataset has no end; the file was cut")
         arrays, told = file.read_apart(__name__, self.name)
-        functions = [
-            {**json.loads(told[key]), "data": arrays[f"y{key}"], "x": arrays[f"x{key}"]} for key in told if key != "si"
-        ]
+        si = told.pop("si")
+        functions = [{**of, "data": arrays[f"y{key}"], "x": arrays[f"x{key}"]} for key, of in told.items()]
         try:
-            return [_build(file, functions, told["si"] == "1")]
+            return [_build(file, functions, si)]
         except (ValueError, TypeError, KeyError, OverflowError) as error:
             raise BadInputError(f"{file.path}: cannot be used as UFF: {error}") from error
 
 
-def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
+def read(path: Path, most_bytes: int) -> tuple[Arrays, Told]:
     """Read the datasets 58 of a file: their arrays, and the other fields of each as JSON."""
     import pyuff
 
@@ -63,7 +60,7 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
     kinds = [int(kind) for kind in file.get_set_types()]
     si = any(file.read_sets([k]).get("units_code") == _SI for k, kind in enumerate(kinds) if kind == 164)
     arrays: Arrays = {}
-    told = {"si": "1" if si else "0"}
+    told: Told = {"si": si}
     held = 0
     for k, kind in enumerate(kinds):
         if kind == 58:
@@ -71,8 +68,7 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
             arrays[f"y{k}"], arrays[f"x{k}"] = np.asarray(function.pop("data")), np.asarray(function.pop("x"))
             held += 2 * VALUE_BYTES * arrays[f"y{k}"].size
             demand_room(held, most_bytes)
-            plain = {key: value for key, value in function.items() if isinstance(value, str | int | float)}
-            told[str(k)] = json.dumps(plain, default=float)
+            told[str(k)] = {key: value for key, value in function.items() if isinstance(value, str | int | float)}
     return arrays, told
 
 
@@ -167,7 +163,3 @@ def _start(function: dict[str, Any], begun_s: float, zone: tzinfo | None) -> tup
             continue
         return round(moment.timestamp()) * 10**9 + round(1e9 * begun_s), "" if zone else text
     return None, ""
-
-
-if __name__ == "__main__":
-    sys.exit(hand_over(read, *sys.argv[1:]))

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import radians
-from types import MappingProxyType
 from typing import NamedTuple
 
 G_M_S2 = 9.80665
@@ -28,60 +27,53 @@ class Unit:
     """Added after scaling."""
 
 
-_LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254, "ft": 0.3048})
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254, "ft": 0.3048}
 """Lengths, m. [definition: SI, international inch and foot]"""
 _PER_S2 = r"(?:/\(?s(?:\^?2|/s)\)?|\*?s\^?-2|_s_?2|ps2|s2|/s/s)"
 _PER_LENGTH = re.compile(rf"({'|'.join(sorted(_LENGTHS, key=len, reverse=True))})\*?{_PER_S2}")
 _GRAVITY = re.compile(r"(m|milli|u|micro|%)?-?_?(?:g(?:'?s|n|_n|_?0|rav|ravity|-?force)?)")
-_PARTS = MappingProxyType({"": 1.0, "m": 1e-3, "milli": 1e-3, "u": 1e-6, "micro": 1e-6, "%": 1e-2})
-_FIXED = MappingProxyType(
-    {
-        "gal": Unit("Gal", ACCELERATION, 1e-2),
-        "gals": Unit("Gal", ACCELERATION, 1e-2),
-        "mgal": Unit("mGal", ACCELERATION, 1e-5),
-        "rad/s": Unit("rad/s", ROTATION, 1.0),
-        "mrad/s": Unit("mrad/s", ROTATION, 1e-3),
-        "deg/s": Unit("deg/s", ROTATION, radians(1.0)),
-        "dps": Unit("deg/s", ROTATION, radians(1.0)),
-        "mdeg/s": Unit("mdeg/s", ROTATION, radians(1e-3)),
-        "n": Unit("N", FORCE, 1.0),
-        "kn": Unit("kN", FORCE, 1e3),
-        "lbf": Unit("lbf", FORCE, 4.4482216152605),
-        "s": Unit("s", TIME, 1.0),
-        "ms": Unit("ms", TIME, 1e-3),
-        "msec": Unit("ms", TIME, 1e-3),
-        "millis": Unit("ms", TIME, 1e-3),
-        "us": Unit("us", TIME, 1e-6),
-        "micros": Unit("us", TIME, 1e-6),
-        "ns": Unit("ns", TIME, 1e-9),
-        "min": Unit("min", TIME, 60.0),
-        "h": Unit("h", TIME, 3600.0),
-        "hours": Unit("h", TIME, 3600.0),
-        "days": Unit("days", TIME, 86400.0),
-        "degc": Unit("degC", "temperature", 1.0),
-        "celsius": Unit("degC", "temperature", 1.0),
-        "c": Unit("degC", "temperature", 1.0),
-        "k": Unit("K", "temperature", 1.0, -273.15),
-        "kelvin": Unit("K", "temperature", 1.0, -273.15),
-        "degf": Unit("degF", "temperature", 5.0 / 9.0, -32.0 * 5.0 / 9.0),
-    }
-)
+_PARTS = {"": 1.0, "m": 1e-3, "milli": 1e-3, "u": 1e-6, "micro": 1e-6, "%": 1e-2}
+_FIXED = {
+    spelt: Unit(symbol, quantity, factor, offset)
+    for spellings, symbol, quantity, factor, offset in (
+        ("gal gals", "Gal", ACCELERATION, 1e-2, 0.0),
+        ("mgal", "mGal", ACCELERATION, 1e-5, 0.0),
+        ("rad/s", "rad/s", ROTATION, 1.0, 0.0),
+        ("mrad/s", "mrad/s", ROTATION, 1e-3, 0.0),
+        ("deg/s dps", "deg/s", ROTATION, radians(1.0), 0.0),
+        ("mdeg/s", "mdeg/s", ROTATION, radians(1e-3), 0.0),
+        ("n", "N", FORCE, 1.0, 0.0),
+        ("kn", "kN", FORCE, 1e3, 0.0),
+        ("lbf", "lbf", FORCE, 4.4482216152605, 0.0),
+        ("s", "s", TIME, 1.0, 0.0),
+        ("ms msec millis", "ms", TIME, 1e-3, 0.0),
+        ("us micros", "us", TIME, 1e-6, 0.0),
+        ("ns", "ns", TIME, 1e-9, 0.0),
+        ("min", "min", TIME, 60.0, 0.0),
+        ("h hours", "h", TIME, 3600.0, 0.0),
+        ("days", "days", TIME, 86400.0, 0.0),
+        ("degc celsius c", "degC", "temperature", 1.0, 0.0),
+        ("k kelvin", "K", "temperature", 1.0, -273.15),
+        ("degf", "degF", "temperature", 5.0 / 9.0, -32.0 * 5.0 / 9.0),
+    )
+    for spelt in spellings.split()
+}
 """Units that are written in one way. [definition; conventions of loggers]"""
-_OTHERS = MappingProxyType(
-    {
-        **dict.fromkeys(("v", "mv", "uv", "mv/v", "volt", "volts"), "voltage"),
-        **dict.fromkeys(("m/s", "km/h", "mph", "knots", "kn/h", "mm/s", "cm/s", "in/s"), "speed"),
-        **dict.fromkeys(("m", "cm", "mm", "um", "in", "ft"), "displacement"),
-        **dict.fromkeys(("um/m", "ue", "ustrain", "microstrain", "strain", "m/m", "mm/m"), "strain"),
-        **dict.fromkeys(("counts", "count", "lsb", "adc", "digits", "raw"), "counts"),
-        **dict.fromkeys(("pa", "hpa", "kpa", "mpa", "bar", "mbar", "psi"), "pressure"),
-        **dict.fromkeys(("%", "%rh", "rh", "percent"), "share"),
-        **dict.fromkeys(("deg", "rad", "mrad", "mdeg"), "angle"),
-        **dict.fromkeys(
-            ("ma", "a", "hz", "khz", "w/m2", "w/m^2", "kg", "knm", "nm", "rpm", "rn", "ut", "db"), "quantity"
-        ),
-    }
-)
+_OTHERS = {
+    spelt: quantity
+    for quantity, spellings in {
+        "voltage": "v mv uv mv/v volt volts",
+        "speed": "m/s km/h mph knots kn/h mm/s cm/s in/s",
+        "displacement": "m cm mm um in ft",
+        "strain": "um/m ue ustrain microstrain strain m/m mm/m",
+        "counts": "counts count lsb adc digits raw",
+        "pressure": "pa hpa kpa mpa bar mbar psi",
+        "share": "% %rh rh percent",
+        "angle": "deg rad mrad mdeg",
+        "quantity": "ma a hz khz w/m2 w/m^2 kg knm nm rpm rn ut db",
+    }.items()
+    for spelt in spellings.split()
+}
 """Units of quantities that are kept as they are."""
 
 
@@ -93,6 +85,7 @@ _SPELLINGS = tuple(
         ("[µμ]", "u"),
         ("°", "deg"),
         (r"\*\*", "^"),
+        (r"[{}()$\\]", ""),
         ("[·⋅×]", "*"),
         (r"\bseconds?\b|\bsec\b|(?<=[/*])sec", "s"),
         (r"\b(milli|micro|nano)seconds?\b", lambda m: f"{'mun'[('milli', 'micro', 'nano').index(m[1])]}s"),
@@ -101,7 +94,7 @@ _SPELLINGS = tuple(
         (r"inch(es)?", "in"),
         (r"\bfeet\b", "ft"),
         (r"\bsquared?\b|(?<=s )sq\b", "^2"),
-        (r"\s+per\s+", "/"),
+        (r"[\s_]+per[\s_]+", "/"),
     )
 )
 """How units are spelt, and what is meant."""
@@ -132,7 +125,7 @@ def unit_of(text: str) -> Unit | None:
     return Unit(text.strip(), _OTHERS[tight], 1.0) if tight in _OTHERS else None
 
 
-_BRACKETS = re.compile(r"(.*?)\s*[\[({]([^\[\](){}]*)[\])}]\s*(.*)")
+_BRACKETS = re.compile(r"(.*?)\s*[\[({]((?:[^\[\](){}]|\([^()]*\))*)[\])}]\s*(.*)")
 _ALONE = frozenset({"c", "k", "h", "n", "m", "v", "a", "in", "min", "s"})
 """Units that a name may end with by chance."""
 _LONGEST = 40
@@ -157,7 +150,7 @@ def split_name(heading: str) -> Heading:
     >>> [tuple(split_name(heading)) for heading in ("Mid span [g]", "ax_g", "time_ms", "roof")]
     [('Mid span', 'g', False), ('ax_g', 'g', True), ('time_ms', 'ms', True), ('roof', '', False)]
     """
-    heading = heading.strip()
+    heading = re.sub(r"\^\{(-?\d)\}", r"^\1", heading.strip())
     if (
         (match := _BRACKETS.fullmatch(heading)) is not None
         and (match[1] or match[3])
