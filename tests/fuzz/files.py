@@ -186,7 +186,7 @@ def _peer_seeds() -> list[bytes]:
 def _cosmos_seeds() -> list[bytes]:
     gal = 100.0 * motion(100.0, 40)
     kinds = [cosmos(gal[:, 0], unit, kind=kind) for kind, unit in (("acceleration", "cm/sec2"), ("velocity", "cm/sec"))]
-    three = [cosmos(np.round(1e3 * column), "counts (50)", (10, 8, 0), channel=k) for k, column in enumerate(gal.T)]
+    three = [cosmos(column / 980.665, "g(02)", (8, 9, 6), channel=k) for k, column in enumerate(gal.T)]
     return ["".join(kinds).encode(), "".join(three).encode()]
 
 
@@ -300,10 +300,9 @@ def _write_mdf(path: Path, version: str, **form: Any) -> None:
     import asammdf
 
     with asammdf.MDF(version=version) as file:
-        for count, rate_hz in ((60, 100.0), (30, 50.0)):
-            t = np.arange(count) / rate_hz
-            signals = [asammdf.Signal(column, t, "g", f"a{k}") for k, column in enumerate(motion(rate_hz, count).T)]
-            file.append(signals, acq_name="floors") if version > "4" else file.append(signals)
+        for unit in ("g", "degC"):
+            columns = motion(100.0, 60).T
+            file.append([asammdf.Signal(x, np.arange(60) / 100, unit, f"{unit} {k}") for k, x in enumerate(columns)])
         file.save(path, overwrite=True, **form)
 
 
@@ -344,8 +343,8 @@ FILES: dict[str, Target] = {
     "uff": imported_file(".uff", written(".uff", _write_uff), apart=True, rate_hz=100.0),
     "tdms": imported_file(".tdms", written(".tdms", _write_tdms), apart=True),
     "mdf": imported_file(".mf4", _mdf_seeds, apart=True),
-    "geocsv": imported_file(".csv", _geocsv_seeds, scale=1e-5),
-    "cosmos": imported_file(".V2", _cosmos_seeds, scale=1e-5),
+    "geocsv": imported_file(".csv", _geocsv_seeds),
+    "cosmos": imported_file(".V2", _cosmos_seeds),
     "miniseed": imported_file(".mseed", _miniseed_seeds, **_COUNTS),
     "knet": imported_file(".knet", _knet_seeds, apart=True),
     "sac": imported_file(".sac", _seismic_seeds("SAC"), apart=True, unit="gal"),

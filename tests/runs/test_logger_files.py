@@ -338,6 +338,13 @@ def copied() -> Iterator[None]:
         yield
 
 
+def test_the_head_of_a_geocsv_says_what_a_column_is_and_not_its_cells(tmp_path: Path) -> None:
+    head: dict[str, object] = {"sample_rate_hz": 100, "start_time": "2026-03-02T14:00:00Z"}
+    (tmp_path / "a.csv").write_text(geocsv("Sample", "counts", [str(k) for k in range(300)], sid="XX_A__HNZ", **head))
+    info = imported([tmp_path / "a.csv"], tmp_path / "o.mcap", scale=1e-5)
+    assert (info.channels[ACCELERATION], info.n_samples, info.t_start_ns) == (("XX_A__HNZ",), 300, START_NS)
+
+
 def mdf(path: Path, *more: list[tuple[str, str, Any, float]], start: datetime = START, version: str = "4.10") -> Path:
     """A file with three channels of acceleration in g at 100 Hz, and more groups of channels: name, unit, samples and rate."""
     asammdf = pytest.importorskip("asammdf")

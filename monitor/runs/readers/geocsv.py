@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import zip_longest
 
 from monitor.core import BadInputError
 from monitor.runs.readers import clocks, delimited, stamps
 from monitor.runs.readers.base import File
+from monitor.runs.readers.dialect import MARKS, Column, Dialect, Role, is_missing, is_number, split
 from monitor.runs.readers.table import Table
-from monitor.runs.readers.units import unit_of
+from monitor.runs.readers.units import TIME, unit_of
 
 _BEGIN = re.compile(rb"(?:\xef\xbb\xbf)?\s*#\s*dataset\s*:\s*GeoCSV", re.IGNORECASE)
 _KEYWORD = re.compile(r"\s*#\s*([^:]+?)\s*:\s*(.*?)\s*")
-_UTC = re.compile(r"UTC|ISO[ _]?8601", re.IGNORECASE)
-"""Unit of a column of dates. [pattern; GeoCSV 2.0]"""
 
 
 class GeoCsv:
@@ -43,40 +43,43 @@ class GeoCsv:
 
 
 def _series(file: File, lines: list[str], begin: int) -> Table:
-    """Convert the series whose head begins at a line."""
+    """Convert the series whose head begins at a line; the head states the dialect."""
     first = next((at for at in range(begin, len(lines)) if not lines[at].lstrip().startswith("#")), len(lines))
-    told = {match[1].casefold(): match[2] for match in map(_KEYWORD.fullmatch, lines[begin:first]) if match is not None}
-    if first == len(lines):
+    if first + 1 >= len(lines):
         raise BadInputError(f"{file.path}: line {begin + 1}: a head without readings; the file is cut")
+    told = {match[1].casefold(): match[2] for match in map(_KEYWORD.fullmatch, lines[begin:first]) if match is not None}
     mark = told.get("delimiter", "") or ","
-    mark = {"\\t": "\t", "tab": "\t", "comma": ","}.get(mark, mark)
-    names, units = ([cell.strip() for cell in text.split(mark)] for text in (lines[first], told.get("field_unit", "")))
-    units += [""] * (len(names) - len(units))
-    heads = [
-        f"{name} [UTC]" if "UTC" in unit else name if not unit or _UTC.search(unit) else f"{name} [{unit}]"
-        for name, unit in zip(names, units, strict=False)
-    ]
-    # Empty lines in place of what stands before keep the numbers of lines in messages.
-    text = "\n".join([*[""] * first, mark.join(heads), *lines[first + 1 :]])
-    cut = delimited.cut(file.path, text, file.on_warning, file.options.time)
-    table = delimited.to_table(cut, file.on_warning, file.options.zone)
+    mark = {"\\t": "\t", "tab": "\t"}.get(mark, mark)
+    if mark not in MARKS:
+        raise BadInputError(f"{file.path}: line {begin + 1}: the delimiter {mark!r} is not known")
     try:
-        rate_hz = float(told.get("sample_rate_hz", 0.0)) or table.rate_hz
-        stated, scale = int(told.get("sample_count", len(table.values))), float(told.get("scale_factor", 0.0))
-        start = (
-            stamps.parse([told["start_time"]], file.options.zone)
-            if table.start_ns is None and "start_time" in told
-            else None
-        )
+        rate_hz, count = float(told.get("sample_rate_hz", 0.0)), int(told.get("sample_count", 0))
+        scale = float(told.get("scale_factor", 0.0))
     except ValueError as error:
         raise BadInputError(f"{file.path}: line {begin + 1}: its head is damaged: {error}") from error
-    if stated != len(table.values):
-        file.on_warning(f"{file.path}: states {stated} samples and has {len(table.values)}")
-    if start is not None:
-        table = replace(table, start_ns=int(start.t_ns[0]), start_text="" if start.has_zone else told["start_time"])
-    if len(table.columns) == 1 and "sid" in told:
-        table = replace(table, columns=(told["sid"],))
-    return _scaled(file, replace(table, rate_hz=rate_hz), scale, told.get("scale_units", ""))
+    names, units, cells = (split(text, mark) for text in (lines[first], told.get("field_unit", ""), lines[first + 1]))
+    columns = [_column(*one) for one in zip_longest(names, units[: len(names)], cells[: len(names)], fillvalue="")]
+    if "sid" in told and [column.role for column in columns].count(Role.READING) == 1:
+        columns = [replace(one, name=told["sid"]) if one.role is Role.READING else one for one in columns]
+    start = told.get("start_time", "")
+    dialect = Dialect(file.path, mark, ".", "", first + 1, len(names), tuple(columns), rate_hz or None, start)
+    # Empty lines in place of what stands before keep the numbers of lines in messages.
+    text = "\n".join([*[""] * first, *lines[first:]])
+    cut = delimited.cut(file.path, text, file.on_warning, dialect=dialect)
+    table = delimited.to_table(cut, file.on_warning, file.options.zone)
+    if count and count != len(table.values):
+        file.on_warning(f"{file.path}: states {count} samples and has {len(table.values)}")
+    return _scaled(file, table, scale, told.get("scale_units", ""))
+
+
+def _column(name: str, unit_text: str, cell: str) -> Column:
+    """Say what a column holds, by its unit and the cell in its first row."""
+    unit = unit_of(unit_text)
+    if stamps.looks_dated(cell):
+        return Column(name, Role.STAMP, None, unit_text, False, "dates and times")
+    is_time = unit is not None and unit.quantity == TIME
+    role = Role.TIME if is_time else Role.READING if is_number(cell) or is_missing(cell) else Role.TEXT
+    return Column(name, role, unit, unit_text, False, "by its unit and its first cell")
 
 
 def _scaled(file: File, table: Table, scale: float, unit: str) -> Table:
