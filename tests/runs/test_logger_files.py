@@ -106,6 +106,11 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
             geocsv("Sample", "g", ["1"] * 9) + "# dataset: GeoCSV 2.0\n",
             "line 15: a head without readings; the file is cut",
         ),
+        (
+            2 * geocsv("Sample", "g", ["1", "2"], sid="XX", sample_rate_hz=9),
+            "a.csv: several columns would be channel 'a_XX'",
+        ),
+        (geocsv("T, Sample", "s, g", ["0, 1", "1, 2", "2"]), "line 8: 1 cells where 2 are expected"),
         (geocsv("Sample", "V", ["1"] * 9, sample_rate_hz=9), "column 'Sample' has unit 'V'"),
     ],
     ids=[
@@ -128,6 +133,8 @@ def test_a_file_is_read_as_it_is_meant(name: str, tmp_path: Path) -> None:
         "COSMOS step",
         "GeoCSV rate",
         "GeoCSV cut in its head",
+        "GeoCSV series of one name",
+        "GeoCSV cut in a row",
         "GeoCSV volts",
     ],
 )

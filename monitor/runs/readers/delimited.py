@@ -129,14 +129,14 @@ def lines_of(text: str) -> list[str]:
     return lines
 
 
-def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None, dialect: Dialect | None = None) -> Text:
-    """Cut a text into rows, by its dialect, which is guessed where it is not given.
+def cut(path: Path, text: str, on_warning: OnWarning, time: str | None = None) -> Text:
+    """Guess the dialect of a text and cut it into rows.
 
     Headings that stand again among the rows, as of files that were joined, and a last row that was cut off are left out and
     told.  Raises BadInputError if there is no table of numbers, or a row has another number of cells.
     """
     lines = lines_of(text)
-    dialect = dialect or guess(path, lines, time)
+    dialect = guess(path, lines, time)
     headings = {line.strip() for line in lines[: dialect.first] if line.strip()}
     rows: list[str] = []
     numbers: list[int] = []

@@ -34,7 +34,7 @@ class GeoCsv:
         channels: dict[tuple[str, ...], list[Table]] = {}
         notes: list[str] = []
         for begin, end in zip(begins, [*begins[1:], len(lines)], strict=True):
-            table = _series(replace(file, on_warning=notes.append), lines[:end], begin)
+            table = _series(replace(file, on_warning=notes.append), lines, begin, end)
             channels.setdefault(table.columns, []).append(table)
         joined = [table for tables in channels.values() for table in clocks.follow(tables, notes.append)]
         for note in dict.fromkeys(notes):  # most are those of every series
@@ -42,10 +42,11 @@ class GeoCsv:
         return joined
 
 
-def _series(file: File, lines: list[str], begin: int) -> Table:
-    """Convert the series whose head begins at a line; the head states the dialect."""
-    first = next((at for at in range(begin, len(lines)) if not lines[at].lstrip().startswith("#")), len(lines))
-    if first + 1 >= len(lines):
+def _series(file: File, lines: list[str], begin: int, end: int) -> Table:
+    """Convert the series between two lines, of which the head states the dialect."""
+    first = next((at for at in range(begin, end) if not lines[at].lstrip().startswith("#")), end)
+    numbers = [at + 1 for at in range(first + 1, end) if lines[at].strip()]
+    if not numbers:
         raise BadInputError(f"{file.path}: line {begin + 1}: a head without readings; the file is cut")
     told = {match[1].casefold(): match[2] for match in map(_KEYWORD.fullmatch, lines[begin:first]) if match is not None}
     mark = told.get("delimiter", "") or ","
@@ -57,16 +58,19 @@ def _series(file: File, lines: list[str], begin: int) -> Table:
         scale = float(told.get("scale_factor", 0.0))
     except ValueError as error:
         raise BadInputError(f"{file.path}: line {begin + 1}: its head is damaged: {error}") from error
-    names, units, cells = (split(text, mark) for text in (lines[first], told.get("field_unit", ""), lines[first + 1]))
+    names, units, cells = (
+        split(text, mark) for text in (lines[first], told.get("field_unit", ""), lines[numbers[0] - 1])
+    )
     columns = [_column(*one) for one in zip_longest(names, units[: len(names)], cells[: len(names)], fillvalue="")]
     if "sid" in told and [column.role for column in columns].count(Role.READING) == 1:
         columns = [replace(one, name=told["sid"]) if one.role is Role.READING else one for one in columns]
     start = told.get("start_time", "")
     dialect = Dialect(file.path, mark, ".", "", first + 1, len(names), tuple(columns), rate_hz or None, start)
-    # Empty lines in place of what stands before keep the numbers of lines in messages.
-    text = "\n".join([*[""] * first, *lines[first:]])
-    cut = delimited.cut(file.path, text, file.on_warning, dialect=dialect)
-    table = delimited.to_table(cut, file.on_warning, file.options.zone)
+    for number in numbers:
+        if (width := len(split(lines[number - 1], mark))) != len(names):
+            raise BadInputError(f"{file.path}: line {number}: {width} cells where {len(names)} are expected")
+    text = delimited.Text(file.path, [lines[number - 1] for number in numbers], numbers, dialect, ())
+    table = delimited.to_table(text, file.on_warning, file.options.zone)
     if count and count != len(table.values):
         file.on_warning(f"{file.path}: states {count} samples and has {len(table.values)}")
     return _scaled(file, table, scale, told.get("scale_units", ""))

@@ -414,9 +414,9 @@ def _named_apart(places: list[Place], of_one_file: bool) -> dict[str, Place]:
     for names in (columns,) if of_one_file else (files, columns, both):
         if len(set(names)) == len(names):
             return dict(zip(names, places, strict=True))
-    raise BadInputError(
-        f"several columns would be channel {max(both, key=both.count)!r}; name each: --channel NAME=FILE:COLUMN"
-    )
+    name = max(both, key=both.count)
+    path = places[both.index(name)][0].path
+    raise BadInputError(f"{path}: several columns would be channel {name!r}; name each: --channel NAME=FILE:COLUMN")
 
 
 def find_column(tables: list[Table], reference: str) -> Place:
