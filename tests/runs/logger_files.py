@@ -629,6 +629,11 @@ def records() -> Iterator[LoggerFile]:
     whole = geocsv("Time, a1, a2, a3, air", "ISO_8601, g, g, g, degC", lines(stamps, a / G, tail=",12.5").splitlines())
     yield one("table.geocsv", whole, "g", says="air (degC) is kept as the covariate /temperature")
     gal = 100.0 * a
+    gap = a[:, 0] / G
+    gap[50] = -999.0
+    yield one(
+        "gap.V1", cosmos(gap, "g(02)", (7, 11, 6)), "g", columns=1, says="1 readings are missing: -999 stands for them"
+    )
     yield one(
         "uncorrected.V1", "".join(cosmos(gal[:, k] / 980.665, "g(02)", (8, 9, 6), channel=k + 1) for k in range(3)), "g"
     )
