@@ -84,7 +84,7 @@ def read(path: Path, most_bytes: int) -> tuple[Arrays, dict[str, str]]:
             demand_room(VALUE_BYTES * (cells + sum(array.size for array in arrays.values())), most_bytes)
             found = list(_channels(file, number))
             if words := [name for name, _, samples in found if samples is None]:
-                left_out.setdefault("hold no numbers", []).extend(words)
+                left_out.setdefault("are words or arrays", []).extend(words)
             readings = [(name, unit, samples) for name, unit, samples in found if samples is not None]
             if not readings:
                 continue
