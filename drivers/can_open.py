@@ -137,7 +137,7 @@ def open_log(path: Path) -> tuple[IO[Any], Iterator[can.Message]]:
         return file, iter(reader(file=cast(Any, file), relative_timestamp=False))
     except NotImplementedError as error:
         file.close()
-        raise SourceError(f"{path}: reading .mf4 needs the package asammdf; install it") from error
+        raise SourceError(f"{path}: reading .mf4 needs the package asammdf (the extra mdf); install it") from error
     except PARSE_ERRORS as error:
         file.close()
         raise SourceError(f"{path}: is no CAN log: {error or type(error).__name__}") from error

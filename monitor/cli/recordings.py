@@ -90,7 +90,7 @@ def import_(
         list[Path],
         Argument(
             metavar="FILE...",
-            help="Table of text, XLSX, NPZ, MAT, HDF5, UFF, TDMS, seismic record or CAN log; or one file a level.",
+            help="Table of text, XLSX, NPZ, MAT, HDF5, UFF, TDMS, MDF, GeoCSV, seismic record or CAN log; or one file a level.",
         ),
     ],
     out: Annotated[Path | None, Option(metavar="REC.mcap", help="Recording to write.")] = None,

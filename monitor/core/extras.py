@@ -15,6 +15,7 @@ EXTRAS = {
     "mqtt": ("paho",),
     "web": ("starlette",),
     "formats": ("h5py", "nptdms", "pyuff", "python_calamine"),
+    "mdf": ("asammdf",),
     "seismic": ("obspy",),
     "plot": ("matplotlib",),
     "s3": ("s3fs", "botocore"),

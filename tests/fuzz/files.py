@@ -23,7 +23,7 @@ import numpy as np
 
 from monitor.core import UserError
 from tests.runs.hostile import forked, with_room
-from tests.runs.logger_files import START_NS, motion, packed, tables, workbook
+from tests.runs.logger_files import START_NS, cosmos, geocsv, motion, packed, tables, workbook
 from tests.runs.reading import imported
 
 _LONGEST_S = 30.0
@@ -183,6 +183,21 @@ def _peer_seeds() -> list[bytes]:
     return [record]
 
 
+def _cosmos_seeds() -> list[bytes]:
+    gal = 100.0 * motion(100.0, 40)
+    kinds = [cosmos(gal[:, 0], unit, kind=kind) for kind, unit in (("acceleration", "cm/sec2"), ("velocity", "cm/sec"))]
+    three = [cosmos(column / 980.665, "g(02)", (8, 9, 6), channel=k) for k, column in enumerate(gal.T)]
+    return ["".join(kinds).encode(), "".join(three).encode()]
+
+
+def _geocsv_seeds() -> list[bytes]:
+    start = "2026-03-02T14:00:00"
+    head: dict[str, object] = {"sample_rate_hz": 100, "start_time": f"{start}Z", "scale_factor": 9, "scale_units": "g"}
+    pairs = [f"{start}.{k:02d}Z| {k % 7}" for k in range(30)]
+    lists = [geocsv("Sample", "Counts", [str(k % 5) for k in range(30)], sid=f"XX_A__HN{k}", **head) for k in range(3)]
+    return ["".join(lists).encode(), geocsv("Time, Sample", "UTC, g", pairs, "|", sid="XX_A__HNZ").encode()]
+
+
 @functools.cache
 def _obspy() -> Any:
     """ObsPy, which calls what newer Pythons call outdated."""
@@ -281,6 +296,24 @@ def _write_tdms(path: Path) -> None:
             file.write_segment([nptdms.ChannelObject("Log", f"a{k}", part[:, k], properties=told) for k in range(3)])
 
 
+def _write_mdf(path: Path, version: str, **form: Any) -> None:
+    import asammdf
+
+    with asammdf.MDF(version=version) as file:
+        for unit in ("g", "degC"):
+            columns = motion(100.0, 60).T
+            file.append([asammdf.Signal(x, np.arange(60) / 100, unit, f"{unit} {k}") for k, x in enumerate(columns)])
+        file.save(path, overwrite=True, **form)
+
+
+def _mdf_seeds() -> list[bytes]:
+    forms = ((".mf4", "4.10", {}), (".mf4", "4.10", {"compression": 2}), (".mdf", "3.30", {}))
+    return [
+        written(suffix, lambda path, version=version, form=form: _write_mdf(path, version, **form))()[0]  # type: ignore[misc]
+        for suffix, version, form in forms
+    ]
+
+
 def _npz_array(data: bytes) -> bool:
     read = []
     for deflated in (False, True):
@@ -309,10 +342,13 @@ FILES: dict[str, Target] = {
     "hdf5": imported_file(".h5", _hdf5_seeds, apart=True),
     "uff": imported_file(".uff", written(".uff", _write_uff), apart=True, rate_hz=100.0),
     "tdms": imported_file(".tdms", written(".tdms", _write_tdms), apart=True),
+    "mdf": imported_file(".mf4", _mdf_seeds, apart=True),
+    "geocsv": imported_file(".csv", _geocsv_seeds),
+    "cosmos": imported_file(".V2", _cosmos_seeds),
     "miniseed": imported_file(".mseed", _miniseed_seeds, **_COUNTS),
     "knet": imported_file(".knet", _knet_seeds, apart=True),
     "sac": imported_file(".sac", _seismic_seeds("SAC"), apart=True, unit="gal"),
     **{form.lower(): imported_file(".gse2", _seismic_seeds(form), **_COUNTS) for form in ("GSE2", "SLIST", "TSPAIR")},
 }
-APART = ("mat", "hdf5", "uff", "tdms", "miniseed", "knet", "sac", "gse2", "slist", "tspair")
+APART = ("mat", "hdf5", "uff", "tdms", "mdf", "miniseed", "knet", "sac", "gse2", "slist", "tspair")
 """Formats of which each file is read by a process of its own."""

@@ -614,3 +614,86 @@ def workbook(path: Path, rows: list[list[Any]]) -> None:
             f'<Relationships xmlns="{of_types}/relationships"><Relationship Id="r1" Type="{rels}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
         )
         book.writestr("xl/worksheets/sheet1.xml", f"<worksheet {main_ns}><sheetData>{sheet}</sheetData></worksheet>")
+
+
+def geocsv(columns: str, units: str, rows: list[str], mark: str = ",", **head: object) -> str:
+    """A series with its head."""
+    head = {"delimiter": mark, **head, "field_unit": units.replace(",", mark), "sample_count": len(rows)}
+    lines_of_head = "".join(f"# {key}: {value}\n" for key, value in head.items())
+    return f"# dataset: GeoCSV 2.0\n{lines_of_head}{columns.replace(',', mark)}\n" + "\n".join(rows) + "\n"
+
+
+def cosmos(
+    values: np.ndarray,
+    unit: str = "cm/sec2(04)",
+    form: tuple[int, int, int] = (8, 10, 5),
+    *,
+    channel: object = 1,
+    kind: str = "acceleration",
+    step_ms: float = 10.0,
+) -> str:
+    """A component with its headers, in columns of a width and so many digits, between which need be no space."""
+
+    def block(numbers: np.ndarray, each: int, width: int, digits: int) -> str:
+        cells = [f"{x:{width}.{digits}f}" for x in numbers]
+        return "".join("".join(cells[k : k + each]) + "\n" for k in range(0, len(cells), each))
+
+    whole, real = np.full(100, -999.0), np.full(100, -999.0)
+    whole[[39, 40, 41, 42, 43, 44]] = START.year, 61, START.month, START.day, START.hour, START.minute
+    real[[29, 33, 61]] = START.second, 0.005, step_ms
+    text = [f"Corrected {kind}    (Format v01.20 with 13 text lines) Src: none", *["Some text, NPTS= 5, DT= 1"] * 12]
+    text[8] = f"Sta Chan {channel}:  90 deg (Rcrdr Chan  1) Location: roof"
+    each, width, digits = form
+    return (
+        "\n".join(text)
+        + f"\n 100 Integer-header values follow on  10 lines, Format= (10I8)\n{block(whole, 10, 8, 0)}"
+        + f" 100 Real-header values follow on  17 lines, Format= (6F13.6)\n{block(real, 6, 13, 6)}"
+        + '   1 Comment line(s) follow, each starting with a "|":\n| 100 pts, approx 3 secs\n'
+        + f"{len(values):8d} {kind} pts, approx {len(values) // 100:4d} secs, units={unit},"
+        + f"Format=({each}{f'F{width}.{digits}' if digits else f'I{width}'})\n{block(values, each, width, digits)}"
+        + f"End-of-data for Chan {channel} {kind}\n"
+    )
+
+
+def records() -> Iterator[LoggerFile]:
+    """Records of seismology in text, which state all that is to be known of them."""
+    a = motion(100.0)
+    stamps = dated(100.0, "%Y-%m-%dT%H:%M:%S.%fZ")
+    start = stamps[0]
+
+    def one(name: str, text: str, unit: str, **more: Any) -> LoggerFile:
+        return LoggerFile(name, text.encode(), 100.0, unit=unit, start_ns=START_NS, **more)
+
+    def series(k: int, rows: list[str], units: str = "M/S**2", columns: str = "Sample", **head: object) -> str:
+        return geocsv(columns, units, rows, sid=f"XX_A{k}__HNZ", sample_rate_hz=100, **head)
+
+    plain = [[f"{v:.7f}" for v in column] for column in a.T]
+    counts = [[f"{t}| {round(1e6 * v)}" for t, v in zip(stamps, column, strict=True)] for column in a.T]
+    yield one("slist.geocsv", "".join(series(k, plain[k], start_time=start) for k in range(3)), "M/S**2")
+    scale: dict[str, Any] = {"scale_factor": 1e6, "scale_units": "M/S**2", "mark": "|"}
+    pairs = [series(k, counts[k], "UTC, Counts", "Time, Sample", **scale) for k in range(3)]
+    yield one("tspair.geocsv", "".join(pairs), "M/S**2", says="the sensitivity that it states, 1e+06 of a M/S**2")
+    pieces = [
+        series(
+            k, [f"{t}, {v}" for t, v in zip(stamps[part], plain[k][part], strict=True)], "UTC, M/S**2", "Time, Sample"
+        )
+        for k in range(3)
+        for part in (slice(0, 200), slice(200, N))
+    ]
+    yield one("pieces.geocsv", "".join(pieces), "M/S**2", says="follow one another in time")
+    whole = geocsv("Time, a1, a2, a3, air", "ISO_8601, g, g, g, degC", lines(stamps, a / G, tail=",12.5").splitlines())
+    yield one("table.geocsv", whole, "g", says="air (degC) is kept as the covariate /temperature")
+    gal = 100.0 * a
+    gap = a[:, 0] / G
+    gap[50] = -999.0
+    yield one(
+        "gap.V1", cosmos(gap, "g(02)", (7, 11, 6)), "g", columns=1, says="1 readings are missing: -999 stands for them"
+    )
+    yield one(
+        "uncorrected.V1", "".join(cosmos(gal[:, k] / 980.665, "g(02)", (8, 9, 6), channel=k + 1) for k in range(3)), "g"
+    )
+    parts = ((1.0, "acceleration", "cm/sec2(04)"), (0.1, "velocity", "cm/sec (05)"), (0.01, "displacement", "cm(06)"))
+    all_three = [cosmos(f * gal[:, k], u, channel=k + 1, kind=kind) for k in range(3) for f, kind, u in parts]
+    yield one("corrected.V2", "".join(all_three), "cm/sec2", says="chan2_velocity (cm/sec) is kept as the covariate")
+    raw = [cosmos(np.round(1e5 * a[:, k]), "counts (50)", (10, 8, 0), channel="?") for k in range(3)]
+    yield one("raw.V0", "".join(raw), "counts", options={"scale": 1e-5})

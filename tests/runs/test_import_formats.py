@@ -22,6 +22,7 @@ from drivers.mcap_file import RecordingInfo, read_recordings
 from monitor.core import BadInputError, UserError
 from monitor.runs.readers import ImportedChannel, Options, import_files, zone_named
 from monitor.signals import best_shift
+from tests.runs.hostile import forked
 from tests.runs.reading import imported
 from tests.support.samples import Cli
 
@@ -32,6 +33,22 @@ DATA = Path(__file__).parents[1] / "data"
 MATLAB = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"
 X = np.sin(np.arange(250) / 7.0)
 BOTH = np.column_stack([X, -2.0 * X])
+
+
+@pytest.mark.parametrize("suffix", ["npz", "h5"])
+def test_a_number_whose_bits_are_damaged_is_a_missing_reading_and_no_warning_of_numpy(
+    suffix: str, tmp_path: Path
+) -> None:
+    samples, path = X.astype(np.float32), tmp_path / f"a.{suffix}"
+    samples.view(np.uint32)[7] = 0x7F800001  # a signalling NaN
+    if suffix == "npz":
+        np.savez(path, samples=samples, fs=100.0)
+    else:
+        with h5py.File(path, "w") as file:
+            file["samples"], file.attrs["fs"] = samples, 100.0
+    with forked():
+        _, values, told, _ = load(path)
+    assert np.flatnonzero(np.isnan(values)).tolist() == [7] and any("missing" in text for text in told)
 
 
 def load(path: Path, **options: Any) -> tuple[RecordingInfo, np.ndarray, list[str], list[ImportedChannel]]:

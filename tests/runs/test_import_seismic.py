@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import pickle
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from drivers.mcap_file import read_recordings
 from monitor.core import BadInputError, UserError
 from monitor.runs.readers import Limits, Options, import_files, seismic
 from monitor.runs.readers.base import File
+from tests.runs.hostile import forked
 
 HEAD = b"000001D " + b" " * 56
 T0 = "2026-01-01T00:00:00"
@@ -46,6 +48,22 @@ def test_counts_are_scaled_and_keep_their_time(tmp_path: Path, counts: np.ndarra
     assert info.channels["/acceleration"] == ("XX.ROOF..HNX", "XX.ROOF..HNY") and info.sample_rate_hz == 100.0
     assert info.t_start_ns == 1_767_225_600_000_000_000
     assert read(tmp_path / "r.mcap") == pytest.approx(1e-3 * counts, rel=1e-6)
+
+
+class _Code:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[type, tuple[str, str]]:
+        return open, (str(self.path), "w")
+
+
+def test_code_in_a_file_is_not_run(tmp_path: Path) -> None:
+    pytest.importorskip("obspy")
+    (tmp_path / "a.sac").write_bytes(pickle.dumps([b"\0", _Code(tmp_path / "run")]))
+    with pytest.raises(BadInputError, match="seismic records"), forked():
+        import_files([tmp_path / "a.sac"], tmp_path / "r.mcap", Options(scale=1.0))
+    assert not (tmp_path / "run").exists()
 
 
 def test_what_lies_between_records_is_missing(tmp_path: Path, counts: np.ndarray) -> None:

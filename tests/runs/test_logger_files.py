@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from datetime import datetime, timedelta, timezone
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import can
 import numpy as np
 import pytest
 
@@ -17,16 +21,21 @@ from monitor.runs.archive.inventory import Survey
 from monitor.runs.archive.jobs import survey_recording
 from monitor.runs.readers import ImportedChannel, explain_table
 from monitor.runs.recordings import read_topics, recorded_spans
+from tests.runs.hostile import forked
 from tests.runs.logger_files import (
+    START,
     START_NS,
     G,
     LoggerFile,
+    cosmos,
+    geocsv,
     lines,
     lvm,
     motion,
     odd_tables,
     odd_times,
     packed,
+    records,
     tables,
     workbook,
 )
@@ -34,7 +43,8 @@ from tests.runs.reading import imported
 from tests.support.ros2 import record
 from tests.support.samples import Cli
 
-FILES = {one.name: one for one in (*tables(), *odd_tables(), *odd_times(), *packed())}
+FILES = {one.name: one for one in (*tables(), *odd_tables(), *odd_times(), *packed(), *records())}
+COSMOS = cosmos(motion(100.0)[:, 0])
 _STAMP_NS = 2_000_000
 """Serial days are cut at some microseconds, stamps at milliseconds. [ns]"""
 
@@ -149,6 +159,21 @@ def test_readings_of_a_slower_sensor_between_those_of_the_others_stay(tmp_path: 
             "columns of units state g and mg",
         ),
         ("t,b [0.001 g/count]\n0.00,1\n0.01,2\n0.02,3\n0.03,3\n", "unit '0.001 g/count'"),
+        (COSMOS[:5000], "behind line 45: 216 numbers stand there, not 600; the file is cut or damaged"),
+        (COSMOS[:2000], "behind line 25: 50 numbers stand there, not 100; the file is cut or damaged"),
+        (COSMOS.replace("Corrected acceleration", "Response spectra"), "holds response spectra, which are no samples"),
+        (cosmos(motion(100.0)[:, 0], step_ms=20.0), "600 samples in 6 s do not agree with the stated"),
+        (geocsv("Sample", "g", ["1"] * 9, sample_rate_hz="fast"), "line 1: its head is damaged: .*'fast'"),
+        (
+            geocsv("Sample", "g", ["1"] * 9) + "# dataset: GeoCSV 2.0\n",
+            "line 15: a head without readings; the file is cut",
+        ),
+        (
+            2 * geocsv("Sample", "g", ["1", "2"], sid="XX", sample_rate_hz=9),
+            "a.csv: several columns would be channel 'a_XX'",
+        ),
+        (geocsv("T, Sample", "s, g", ["0, 1", "1, 2", "2"]), "line 8: 1 cells where 2 are expected"),
+        (geocsv("Sample", "V", ["1"] * 9, sample_rate_hz=9), "column 'Sample' has unit 'V'"),
     ],
     ids=[
         "volts",
@@ -167,6 +192,15 @@ def test_readings_of_a_slower_sensor_between_those_of_the_others_stay(tmp_path: 
         "points",
         "two units",
         "scaled counts",
+        "cut COSMOS",
+        "COSMOS cut in its head",
+        "COSMOS spectra",
+        "COSMOS step",
+        "GeoCSV rate",
+        "GeoCSV cut in its head",
+        "GeoCSV series of one name",
+        "GeoCSV cut in a row",
+        "GeoCSV volts",
     ],
 )
 def test_what_cannot_be_meant_is_refused_plainly(content: str, reason: str, tmp_path: Path) -> None:
@@ -367,6 +401,102 @@ def test_a_tdms_channel_of_words_is_told_to_be_left_out(tmp_path: Path) -> None:
     warned: list[str] = []
     imported([tmp_path / "a.tdms"], tmp_path / "o.mcap", start_ns=0, on_warning=warned.append)
     assert [one.rpartition(": ")[2] for one in warned] == ["notes"]
+
+
+@pytest.fixture
+def copied() -> Iterator[None]:
+    """Read what is read apart in a copy of this process, which has asammdf already."""
+    with forked():
+        yield
+
+
+def test_the_head_of_a_geocsv_says_what_a_column_is_and_not_its_cells(tmp_path: Path) -> None:
+    head: dict[str, object] = {"sample_rate_hz": 100, "start_time": "2026-03-02T14:00:00Z"}
+    (tmp_path / "a.csv").write_text(geocsv("Sample", "counts", [str(k) for k in range(300)], sid="XX_A__HNZ", **head))
+    info = imported([tmp_path / "a.csv"], tmp_path / "o.mcap", scale=1e-5)
+    assert (info.channels[ACCELERATION], info.n_samples, info.t_start_ns) == (("XX_A__HNZ",), 300, START_NS)
+
+
+def mdf(path: Path, *more: list[tuple[str, str, Any, float]], start: datetime = START, version: str = "4.10") -> Path:
+    """A file with three channels of acceleration in g at 100 Hz, and more groups of channels: name, unit, samples and rate."""
+    asammdf = pytest.importorskip("asammdf")
+    held = [(f"a{k + 1}", "g", column, 100.0) for k, column in enumerate(motion(100.0).T / 9.80665)]
+    with asammdf.MDF(version=version) as file:
+        file.start_time = start
+        for group in (held, *more):
+            file.append(
+                [
+                    asammdf.Signal(np.asarray(x), np.arange(len(x)) / hz, unit, name, encoding="utf-8")
+                    for name, unit, x, hz in group
+                ]
+            )
+        return Path(file.save(path, compression=2))
+
+
+@pytest.mark.usefixtures("copied")
+@pytest.mark.parametrize(
+    ("version", "start"),
+    [("4.10", START), ("4.10", START.astimezone(timezone(timedelta(hours=2)))), ("3.30", START)],
+)
+def test_mdf_states_names_units_rate_and_start(version: str, start: datetime, tmp_path: Path) -> None:
+    taken, told, path = list[ImportedChannel](), list[str](), mdf(tmp_path / "a.mf4", start=start, version=version)
+    info = imported([path], tmp_path / "o.mcap", on_channel=taken.append, on_warning=told.append)
+    assert (info.sample_rate_hz, info.t_start_ns, info.n_samples) == (pytest.approx(100.0), START_NS, 600)
+    assert [(one.name, one.unit, one.stated) for one in taken] == [(f"a{k}", "g", True) for k in (1, 2, 3)]
+    samples = np.concatenate([block.samples for block in read_recordings([tmp_path / "o.mcap"])])
+    np.testing.assert_allclose(samples, motion(100.0), rtol=1e-6, atol=1e-6)
+    assert not told
+
+
+@pytest.mark.usefixtures("copied")
+@pytest.mark.parametrize("version", ["4.10", "3.10", "2.14"])
+def test_a_start_of_an_mdf_without_a_zone_is_that_of_the_option(version: str, tmp_path: Path) -> None:
+    path = mdf(tmp_path / "a.mf4", start=START.replace(tzinfo=None), version=version)
+    told: list[str] = []
+    info = imported([path], tmp_path / "o.mcap", on_warning=told.append)
+    assert info.t_start_ns == START_NS and any("2026-03-02 14:00:00 has no zone" in text for text in told)
+    zone = timezone(timedelta(hours=2))
+    assert imported([path], tmp_path / "z.mcap", zone=zone).t_start_ns == START_NS - 7200 * 10**9
+
+
+@pytest.mark.usefixtures("copied")
+def test_groups_of_an_mdf_keep_their_clocks_and_what_holds_no_readings_is_told(tmp_path: Path) -> None:
+    air: list[Any] = [
+        ("air", "degC", np.linspace(10.0, 12.0, 600), 100.0),
+        ("state", "", np.array([b"on"] * 600), 100.0),
+    ]
+    told: list[str] = []
+    info = imported([mdf(tmp_path / "a.mf4", air)], tmp_path / "o.mcap", on_warning=told.append)
+    assert info.channels["/temperature"] == ("air",)
+    assert any(text.endswith("left out, since they are words or arrays: state") for text in told)
+    slow = mdf(tmp_path / "slow.mf4", [("b", "g", np.arange(30.0), 5.0)])
+    with pytest.raises(BadInputError, match=r"several rates: slow.mf4 100 Hz, slow.mf4 5 Hz.*--channel"):
+        imported([slow], tmp_path / "o.mcap")
+    assert imported([slow], tmp_path / "o.mcap", channels={"b": "b"}).sample_rate_hz == 5.0
+
+
+@pytest.mark.usefixtures("copied")
+def test_readings_that_an_mdf_marks_as_invalid_are_missing(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF() as file:
+        file.start_time = START
+        bad = np.arange(600) % 100 == 7
+        t = np.arange(600) / 100.0
+        file.append([asammdf.Signal(motion(100.0)[:, 0], t, "m/s^2", "a1", invalidation_bits=bad)])
+        file.save(tmp_path / "a.mf4")
+    imported([tmp_path / "a.mf4"], tmp_path / "o.mcap")
+    samples = np.concatenate([block.samples[:, 0] for block in read_recordings([tmp_path / "o.mcap"])])
+    assert np.array_equal(np.isnan(samples), bad)
+
+
+@pytest.mark.usefixtures("copied")
+def test_frames_of_a_bus_in_an_mdf_are_no_samples_and_need_a_dbc(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    with can.MF4Writer(tmp_path / "a.mf4") as log:
+        for k in range(9):
+            log(can.Message(arbitration_id=1, data=[k] * 8, timestamp=1.7e9 + k / 100, is_extended_id=False))
+    with pytest.raises(BadInputError, match="holds no channel of numbers; frames of a bus are read with --dbc"):
+        imported([tmp_path / "a.mf4"], tmp_path / "o.mcap")
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,14 @@ WORDS = ("channels", *_UNIT)
 _RESERVED = {"samples", *WORDS, *_RATE, *_STEP}
 
 
+def as_doubles(array: AnyArray) -> AnyArray:
+    """Return numbers of floating point as float64, without numpy's warning of a damaged NaN, and others as they are."""
+    if array.dtype.kind != "f":
+        return array
+    with np.errstate(invalid="ignore", over="ignore"):
+        return array.astype(np.float64)
+
+
 def build_table(
     path: Path, kind: str, arrays: Mapping[str, AnyArray], on_warning: OnWarning, units: Mapping[str, str]
 ) -> Table:

@@ -42,7 +42,7 @@ def follow(tables: list[Table], on_warning: OnWarning) -> list[Table]:
     if len({(table.columns, table.units) for table in tables}) > 1 or not all(map(_follows, times, times[1:])):
         return tables
     _demand_one_rate(tables_in_time)
-    names = ", ".join(table.path.name for table in tables_in_time)
+    names = ", ".join(dict.fromkeys(table.path.name for table in tables_in_time))
     on_warning(f"{names}: follow one another in time, and are joined")
     firsts = [0, *(_first_after(int(before[-1]), after) for before, after in pairwise(times))]
     if again := sum(firsts):

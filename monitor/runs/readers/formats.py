@@ -16,7 +16,21 @@ from typing import IO, Any
 
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError
-from monitor.runs.readers import delimited, hdf5, mat, npz, peer, seismic, spreadsheet, tdms, uff, xsens_dot
+from monitor.runs.readers import (
+    cosmos,
+    delimited,
+    geocsv,
+    hdf5,
+    mat,
+    mdf,
+    npz,
+    peer,
+    seismic,
+    spreadsheet,
+    tdms,
+    uff,
+    xsens_dot,
+)
 from monitor.runs.readers.base import LINE_BYTES, File, Limits, Options, Reader, read_bytes
 from monitor.runs.readers.table import Table, without_fillers
 
@@ -138,8 +152,11 @@ READERS: tuple[Reader, ...] = (
     mat.Mat(),
     uff.Uff(),
     tdms.Tdms(),
+    mdf.Mdf(),
     Packed(),
     Zip(),
+    cosmos.Cosmos(),
+    geocsv.GeoCsv(),
     peer.Peer(),
 )
 _LAST = Text()

@@ -7,7 +7,7 @@ import io
 import numpy as np
 
 from monitor.core import BadInputError
-from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, build_table
+from monitor.runs.readers.arrays import VALUE_BYTES, AnyArray, as_doubles, build_table
 from monitor.runs.readers.base import File
 from monitor.runs.readers.own_process import demand_room
 from monitor.runs.readers.table import Table
@@ -25,7 +25,7 @@ def read_tables(file: File) -> list[Table]:
                 array = archive[name]
                 if not isinstance(array, np.ndarray):  # numpy hands over as bytes what has no header of an array
                     raise ValueError(f"{name!r} is no array")
-                arrays[name] = array
+                arrays[name] = as_doubles(array)
                 held += max(array.nbytes, VALUE_BYTES * array.size)
                 demand_room(held, file.most_bytes)
     except Exception as error:

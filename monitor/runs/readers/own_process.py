@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import BadInputError
-from monitor.runs.readers.arrays import AnyArray
+from monitor.runs.readers.arrays import AnyArray, as_doubles
 
 _TOLD = "/told of the arrays"
 """Name of what the process tells besides the arrays; no array's name begins with a slash."""
@@ -62,7 +62,7 @@ def read_apart(module: str, kind: str, path: Path, most_bytes: int, least_s: flo
         if done.returncode:
             raise BadInputError(f"{path}: damaged {kind}: its reading failed (exit code {done.returncode})")
         with np.load(out, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files if name != _TOLD}
+            arrays = {name: as_doubles(archive[name]) for name in archive.files if name != _TOLD}
             return arrays, json.loads(str(archive[_TOLD]))
 
 

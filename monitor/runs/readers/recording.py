@@ -19,6 +19,7 @@ from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError, OnProgress, Step, WrongUsageError, os_errors_of, utc
 from monitor.runs.readers import clocks, formats, units
 from monitor.runs.readers.base import File, Limits, Options, demand_file, read_bytes
+from monitor.runs.readers.mdf import MAGIC as MDF_MAGIC
 from monitor.runs.readers.table import KNOWN_UNITS, Array, OnWarning, Table, Ticks, in_order, in_si, meant_instead
 from monitor.runs.readers.units import G_M_S2, unit_of
 from monitor.signals import SampleClock, sample_clock
@@ -131,7 +132,7 @@ def import_files(
     from monitor.runs.readers import can_log  # its libraries take long to load, and a recording needs no import
 
     _check(options)
-    if any(map(can_log.is_log, files)) and (options.dbc is not None or not _is_text(files[0])):
+    if any(map(can_log.is_log, files)) and (options.dbc is not None or not _is_table(files[0])):
         return can_log.import_log(files, out, options, on_warning)
     for option, value in ((f"--bus {options.bus}", options.bus), ("--dbc", options.dbc)):
         if value is not None:
@@ -211,14 +212,14 @@ def _check(options: Options) -> None:
         raise BadInputError(f"--scale {options.scale}: must be a number of m/s^2 a count, not 0")
 
 
-def _is_text(path: Path) -> bool:
-    """Test whether a file with the suffix of a CAN log is a table of text all the same."""
+def _is_table(path: Path) -> bool:
+    """Test whether a file with the suffix of a CAN log is a table of text all the same, or an MDF, which may hold samples."""
     demand_file(path)
     with os_errors_of(path, "cannot be read: "), path.open("rb") as file:
         raw = file.read(4096)
     first = raw.partition(b"\n")[0].strip()
     logged = first.lower().startswith((b"date ", b"(", b";$fileversion", b"base ")) or b"\0" in raw
-    return bool(raw.strip()) and not logged
+    return (bool(raw.strip()) and not logged) or raw.startswith(MDF_MAGIC)
 
 
 def _read(
@@ -413,9 +414,9 @@ def _named_apart(places: list[Place], of_one_file: bool) -> dict[str, Place]:
     for names in (columns,) if of_one_file else (files, columns, both):
         if len(set(names)) == len(names):
             return dict(zip(names, places, strict=True))
-    raise BadInputError(
-        f"several columns would be channel {max(both, key=both.count)!r}; name each: --channel NAME=FILE:COLUMN"
-    )
+    name = max(both, key=both.count)
+    path = places[both.index(name)][0].path
+    raise BadInputError(f"{path}: several columns would be channel {name!r}; name each: --channel NAME=FILE:COLUMN")
 
 
 def find_column(tables: list[Table], reference: str) -> Place:

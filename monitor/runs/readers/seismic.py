@@ -95,7 +95,9 @@ class _Trace(NamedTuple):
 def read(path: Path, most_bytes: int) -> tuple[Arrays, Told]:
     """Read the traces of a file; of each are told name, rate in Hz and time in ns, and under `_WHOLE` what holds for the file."""
     import obspy
+    from obspy.core.util.base import ENTRY_POINTS
 
+    ENTRY_POINTS["waveform"].pop("PICKLE", None)  # ObsPy tries every format, and to load a pickle runs the code in it
     raw = path.read_bytes()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -34,8 +34,8 @@ _OTHER_NAME = re.compile(
 """Names of columns of other quantities, which count where others are left. [names; conventions of loggers]"""
 _SAME = 1e-3
 """Distance, relative to its largest reading, within which a column is the magnitude of others. [1; rounding: four digits]"""
-_FILLERS = (-7999.0, -9999.0, -99999.0, 9999.0, 99999.0, -6999.0, 7999.0)
-"""Numbers that loggers write for a missing reading. [numbers; Campbell: 7999 and -7999, others by convention]"""
+_FILLERS = (-7999.0, -9999.0, -99999.0, 9999.0, 99999.0, -6999.0, 7999.0, -999.0)
+"""Numbers that loggers write for a missing reading. [numbers; Campbell: 7999 and -7999, COSMOS: -999, others by convention]"""
 _ABSURD = 1e30
 """Reading from which a number stands for none. [any unit; as floating point's largest]"""
 _APART = 10.0
