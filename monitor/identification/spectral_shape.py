@@ -14,7 +14,8 @@ Damage diagnosis using time series analysis of vibration signals, Smart Material
 Wolf, A well-conditioned estimator for large-dimensional covariance matrices, Journal of Multivariate Analysis 88 (2004) 365-411;
 G. E. P. Box, Some theorems on quadratic forms applied in the study of analysis of variance problems, Annals of Mathematical
 Statistics 25 (1954) 290-302; B. Phipson, G. K. Smyth, Permutation p-values should never be zero, Statistical Applications in
-Genetics and Molecular Biology 9 (2010) 39.
+Genetics and Molecular Biology 9 (2010) 39; Y. Chen, A. Wiesel, Y. C. Eldar, A. O. Hero, Shrinkage algorithms for MMSE covariance
+estimation, IEEE Transactions on Signal Processing 58 (2010) 5016-5029.
 """
 
 from __future__ import annotations
@@ -169,16 +170,17 @@ def _whiten(
 ) -> Annotated[Array, "... p"]:
     """Divide a deviation by the scatter of centred rows, whose squared length is then T2.
 
-    The covariance is that of Ledoit and Wolf: shrunk towards a multiple of the identity by the ratio of its sampling error to its
-    departure from that.  `features` counts the coordinates, of which those that no row has may be left out.
+    The covariance is shrunk towards a multiple of the identity, as by Ledoit and Wolf, with the share that is best where rows are
+    Gaussian (Chen and others): it needs no fourth moments, which few rows do not show.  `features` counts the coordinates, of
+    which those that no row has may be left out.
     """
     _, singular, axes = np.linalg.svd(rows, full_matrices=False)
     values = singular**2 / dof
-    mean = np.maximum(values.sum(axis=-1) / features, np.finfo(float).tiny)
-    squares = (values**2).sum(axis=-1)
-    sampling = (((rows**2).sum(axis=-1) ** 2).sum(axis=-1) / dof - squares) / dof
-    share = np.clip(sampling / np.maximum(squares - features * mean**2, 1e-300), _LEAST_NOISE, 1.0)[..., None]
-    floor = share * mean[..., None]
+    trace, squares = values.sum(axis=-1), (values**2).sum(axis=-1)
+    departure = (dof + 1.0 - 2.0 / features) * np.maximum(squares - trace**2 / features, 1e-12 * trace**2)
+    share = ((1.0 - 2.0 / features) * squares + trace**2) / np.maximum(departure, np.finfo(float).tiny)
+    share = np.clip(share, _LEAST_NOISE, 1.0)[..., None]
+    floor = share * np.maximum(trace / features, np.finfo(float).tiny)[..., None]
     within = (axes @ deviation[..., None])[..., 0]
     turned = within / np.sqrt(floor + (1.0 - share) * values) - within / np.sqrt(floor)
     return np.asarray(deviation / np.sqrt(floor) + (turned[..., None, :] @ axes)[..., 0, :])
@@ -246,25 +248,32 @@ class Scatter:
     """Less their mean."""
     mean: Annotated[Array, "p"]
     replayed_t2: float
-    """Mean T2 of each description by the scatter of the others: that of a further one."""
+    """Mean T2 of each description by the scatter of the others, or of other records: that of a further one."""
     dof: float
-    """Directions, as many as vary alike, over which the descriptions scatter."""
+    """Directions, as many as vary alike, over which the descriptions scatter: degrees of freedom of a T2."""
+    replayed_dof: float
+    """Degrees of freedom of `replayed_t2`: as many for each record but one."""
 
     @classmethod
-    def of(cls, descriptions: Annotated[Array, "m p"]) -> Self:
-        """Learn it; three descriptions or more."""
+    def of(cls, descriptions: Annotated[Array, "m p"], records: Sequence[int] | None = None) -> Self:
+        """Learn it; of three descriptions or more, or from three records or more where their numbers are given.
+
+        Descriptions of one record are then left out together: what makes records differ is in the limit.
+        """
         m, p = descriptions.shape
+        number = np.arange(m) if records is None else np.asarray(records)
         mean = descriptions.mean(axis=0)
         replayed = []
-        for k in range(m):
-            others = np.delete(descriptions, k, axis=0)
+        for own in np.unique(number):
+            others = descriptions[number != own]
             left = others - others.mean(axis=0)
-            deviation = (descriptions[k] - others.mean(axis=0)) / np.sqrt(m / (m - 1.0))
-            replayed.append(_whiten(left, m - 2, deviation, p))
+            deviations = (descriptions[number == own] - others.mean(axis=0)) / np.sqrt(1.0 + 1.0 / len(others))
+            replayed += [_whiten(left, len(others) - 1, deviation, p) for deviation in deviations]
         products = np.array(replayed) @ np.transpose(replayed)
         size = float(np.trace(products)) / m
-        alike = (products[~np.eye(m, dtype=bool)] ** 2).mean()
-        return cls(descriptions - mean, mean, size, max(1.0, size**2 / max(float(alike), np.finfo(float).tiny)))
+        alike = float((products[~np.eye(m, dtype=bool)] ** 2).mean())
+        dof = max(1.0, size**2 / max(alike, np.finfo(float).tiny))
+        return cls(descriptions - mean, mean, size, dof, (len(np.unique(number)) - 1) * dof)
 
     def t2(self, deviation: Annotated[Array, "p"]) -> float:
         """Compute T2 of a deviation that scatters as one description about the state's true mean."""
@@ -273,11 +282,11 @@ class Scatter:
     def chance(self, description: Annotated[Array, "p"], other: Annotated[Array, "p"] | None = None) -> float:
         """Compute how often chance gives as large a T2: of a description against what was learned, or of two against each other.
 
-        T2 over its mean in the replay follows F with `dof` degrees of freedom and m - 1 times as many (Box).
+        T2 over its mean in the replay follows F with `dof` and `replayed_dof` degrees of freedom (Box).
         """
         from scipy.special import fdtrc  # takes a while to load
 
         m = len(self.rows)
         less, variance = (self.mean, 1.0 + 1.0 / m) if other is None else (other, 2.0)
         ratio = self.t2((description - less) / np.sqrt(variance)) / max(self.replayed_t2, np.finfo(float).tiny)
-        return float(fdtrc(self.dof, (m - 1) * self.dof, ratio))
+        return float(fdtrc(self.dof, self.replayed_dof, ratio))

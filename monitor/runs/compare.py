@@ -36,9 +36,9 @@ _FALSE_RATE = 0.05
 significant. [1; convention]"""
 _DECAYS = 10.0
 """Length of a block, in decay times of the lowest mode, at least. [1; definition: e^-10 of a block's motion reaches the next]"""
-_MOST_BLOCKS = 8
-"""Blocks into which the shorter side is cut, at most. [count; judgement: 12,870 ways to permute two sides of eight; longer blocks
-hold more of what drifts within a record]"""
+_BLOCKS = next(n for n in range(2, 99) if least_chance(n, n) <= _FALSE_RATE)
+"""Blocks into which the shorter side is cut. [count; definition: the fewest whose permutations reach the rate, so that each holds
+as much as it can of what drifts within a record]"""
 _LEAST_HEALTHY = 3
 """Healthy records from which their scatter is known. [count; definition: one is left out, and two have a scatter]"""
 
@@ -142,12 +142,12 @@ def _tell_of(path: Path, on_progress: OnProgress, step: Step) -> None:
 def _block_s(sides: Sequence[Side]) -> float:
     """Choose the length of the blocks: ten decay times of the lowest mode of A or B, and longer where the sides are."""
     decay_s = max((side.modes[0].decay_s for side in sides[:2] if side.modes), default=0.0)
-    return max(_DECAYS * decay_s, min(side.length_s for side in sides) / _MOST_BLOCKS)
+    return max(_DECAYS * decay_s, min(side.length_s for side in sides) / _BLOCKS)
 
 
 def _thinned(blocks: list[Any]) -> list[Any]:
-    """Take of many blocks twice as many as the shorter side has at most, evenly: the others would hardly add to the answer."""
-    most = 2 * _MOST_BLOCKS
+    """Take of many blocks twice as many as the shorter side has, evenly: the others would hardly add to the answer."""
+    most = 2 * _BLOCKS
     return [blocks[k * len(blocks) // most] for k in range(most)] if len(blocks) > most else blocks
 
 
@@ -165,7 +165,7 @@ def _answer(
     """Answer whether A and B differ, by the scatter between their blocks or, where there are healthy records, between those."""
     counts = [len(own) for own in blocks]
     n_healthy = len(blocks) - 2
-    enough = 1 if n_healthy else next(n for n in range(2, 99) if least_chance(n, n) <= _FALSE_RATE)
+    enough = 1 if n_healthy else _BLOCKS
     if min(counts) < 1 or (not n_healthy and least_chance(*counts) > _FALSE_RATE):
         return _Answer(
             None,
