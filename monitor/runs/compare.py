@@ -140,9 +140,17 @@ def _tell_of(path: Path, on_progress: OnProgress, step: Step) -> None:
 
 
 def _block_s(sides: Sequence[Side]) -> float:
-    """Choose the length of the blocks: ten decay times of the lowest mode of A or B, and longer where the sides are."""
+    """Choose the length of the blocks: the longest of which each side holds enough, and no less than ten decay times.
+
+    The decay time is the longer one of the lowest modes of A and B.
+    """
+
+    def longest(lengths_s: Sequence[float]) -> float:
+        lengths = (length / k for length in lengths_s for k in range(1, _BLOCKS + 1))
+        return max(s for s in lengths if sum(int(length / s + 1e-9) for length in lengths_s) >= _BLOCKS)
+
     decay_s = max((side.modes[0].decay_s for side in sides[:2] if side.modes), default=0.0)
-    return max(_DECAYS * decay_s, min(side.length_s for side in sides) / _BLOCKS)
+    return max(_DECAYS * decay_s, min(longest(side.lengths_s) for side in sides))
 
 
 def _thinned(blocks: list[Any]) -> list[Any]:

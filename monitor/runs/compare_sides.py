@@ -62,8 +62,8 @@ class Side(Protocol):
         """Why there are none; empty where there are."""
 
     @property
-    def length_s(self) -> float:
-        """Length of its stretches without a gap together."""
+    def lengths_s(self) -> tuple[float, ...]:
+        """Lengths of its stretches without a gap."""
 
     def cut(self, block_s: float) -> list[Any]:
         """Cut the stretches into blocks of this length; what is left over is left out."""
@@ -126,13 +126,13 @@ class Recorded:
         )  # fmt: skip
 
     @property
-    def length_s(self) -> float:
-        """Length of the stretches together."""
-        return sum(map(len, self.values)) / self.rate_hz
+    def lengths_s(self) -> tuple[float, ...]:
+        """Lengths of the stretches."""
+        return tuple(len(run) / self.rate_hz for run in self.values)
 
     def cut(self, block_s: float) -> list[Array]:
         """Cut the stretches into blocks."""
-        n = max(1, round(block_s * self.rate_hz))
+        n = max(1, int(block_s * self.rate_hz + 1e-6))
         return [run[k : k + n] for run in self.values for k in range(0, len(run) - n + 1, n)]
 
     def left_out(self, blocks: Sequence[Array]) -> list[dict[int, Mode]]:
@@ -217,17 +217,17 @@ class Results:
         return cls(str(folder), (), _modes_of_lines(lines), "", tuple(lines))
 
     @property
-    def length_s(self) -> float:
+    def lengths_s(self) -> tuple[float, ...]:
         """From the first window's begin to the last one's end."""
         first, last = self.lines[0], self.lines[-1]
-        return float((last["t_end_ns"] - first["t_end_ns"]) * 1e-9 + first["window_s"])
+        return ((last["t_end_ns"] - first["t_end_ns"]) * 1e-9 + first["window_s"],)
 
     def cut(self, block_s: float) -> list[list[Line]]:
         """Collect the windows that lie in each block; a window and more long."""
         first = self.lines[0]
         block_s = max(block_s, first["window_s"])
         begin_s = first["t_end_ns"] * 1e-9 - first["window_s"]
-        blocks = [list[Line]() for _ in range(int(self.length_s / block_s + 1e-6))]
+        blocks = [list[Line]() for _ in range(int(self.lengths_s[0] / block_s + 1e-6))]
         for line in self.lines:
             end_s = line["t_end_ns"] * 1e-9 - begin_s
             k = int((end_s - line["window_s"]) / block_s + 1e-6)
