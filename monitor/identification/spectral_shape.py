@@ -250,7 +250,8 @@ class Scatter:
     replayed_t2: float
     """Mean T2 of each description by the scatter of the others, or of other records: that of a further one."""
     dof: float
-    """Directions, as many as vary alike, over which the descriptions scatter: degrees of freedom of a T2."""
+    """Degrees of freedom of a T2: directions, as many as vary alike, over which the descriptions scatter; fewer where T2 scatters
+    more than that."""
     replayed_dof: float
     """Degrees of freedom of `replayed_t2`: as many for each record but one."""
 
@@ -271,8 +272,8 @@ class Scatter:
             replayed += [_whiten(left, len(others) - 1, deviation, p) for deviation in deviations]
         products = np.array(replayed) @ np.transpose(replayed)
         size = float(np.trace(products)) / m
-        alike = float((products[~np.eye(m, dtype=bool)] ** 2).mean())
-        dof = max(1.0, size**2 / max(alike, np.finfo(float).tiny))
+        alike = max((products[~np.eye(m, dtype=bool)] ** 2).mean(), 0.5 * np.diag(products).var(ddof=1))
+        dof = max(1.0, size**2 / max(float(alike), np.finfo(float).tiny))
         return cls(descriptions - mean, mean, size, dof, (len(np.unique(number)) - 1) * dof)
 
     def t2(self, deviation: Annotated[Array, "p"]) -> float:

@@ -149,7 +149,7 @@ def _block_s(sides: Sequence[Side]) -> float:
         lengths = (length / k for length in lengths_s for k in range(1, _BLOCKS + 1))
         return max(s for s in lengths if sum(int(length / s + 1e-9) for length in lengths_s) >= _BLOCKS)
 
-    decay_s = max((side.modes[0].decay_s for side in sides[:2] if side.modes), default=0.0)
+    decay_s = max(side.decay_s for side in sides[:2])
     return max(_DECAYS * decay_s, min(longest(side.lengths_s) for side in sides))
 
 
