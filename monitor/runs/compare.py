@@ -106,8 +106,10 @@ def compare(
         for number, (i, j) in enumerate(sorted(pairs.items()), start=1)
         for one in _mode_tests(f"mode {number}: ", a, b, i, j, scatter)
     ]
-    tests += _value_tests("index", "", *(side.indices(own) for side, own in zip(sides, blocks, strict=True)))
-    levels = _value_tests("level", "dB", *(side.powers(own) for side, own in zip(sides, blocks, strict=True)))
+    levels = []
+    if all(blocks):
+        tests += _value_tests("index", "", *(side.indices(own) for side, own in zip(sides, blocks, strict=True)))
+        levels = _value_tests("level", "dB", *(side.powers(own) for side, own in zip(sides, blocks, strict=True)))
     dof = (len(healthy) - 1) if healthy else len(a.blocks) + len(b.blocks) - 2
     limit, level_limit = _limit(tests, dof), _limit(levels, dof)
     for test in tests:
