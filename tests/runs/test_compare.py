@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from monitor.core import BadInputError
 from monitor.identification import least_chance
 from monitor.runs import compare
 from tests.statistics.compared import RATE_HZ, motion, recorded, seconds_of
+from tests.support.samples import Cli
 
 SECONDS = seconds_of("frame")
 
@@ -76,6 +78,19 @@ def test_records_of_eight_seconds_state_no_modes_and_are_compared_by_their_spect
     assert not [test for test in other["tests"] if test["kind"] != "level"]
     assert "the spectrum's shape changed; no mode's change tells how" in other["answer"]
     assert all("record at least 20 s" in reason for reason in other["without_modes"])
+
+
+def test_the_command_takes_healthy_records_after_the_two_and_answers_last(main: Cli, tmp_path: Path) -> None:
+    for k in range(5):
+        recorded(tmp_path / f"{k}.mcap", np.random.default_rng(k).standard_normal((8 * 400, 1)), rate_hz=400.0)
+    names = [f"{k}.mcap" for k in range(5)]
+    done = main("compare", *names[:2], "--healthy", *names[2:], cwd=tmp_path)
+    assert done.stdout.splitlines()[-1].startswith("no difference beyond the scatter between the healthy records")
+    told = json.loads(main("compare", *names[:2], "--healthy", *names[2:], "--json", cwd=tmp_path).stdout)
+    assert (told["differs"], [Path(name).name for name in told["healthy"]]) == (False, names[2:])
+    lost = main("compare", *names, cwd=tmp_path)
+    assert lost.returncode == 2
+    assert "2.mcap: compare takes two; name healthy records of other days after --healthy" in lost.stderr
 
 
 def test_a_level_alone_is_listed_and_is_no_difference(tmp_path: Path) -> None:
