@@ -70,7 +70,9 @@ def _series(file: File, lines: list[str], begin: int, end: int) -> Table:
         if (width := len(split(lines[number - 1], mark))) != len(names):
             raise BadInputError(f"{file.path}: line {number}: {width} cells where {len(names)} are expected")
     text = delimited.Text(file.path, [lines[number - 1] for number in numbers], numbers, dialect, ())
-    table = delimited.to_table(text, file.on_warning, file.options.zone)
+    table, *others = delimited.to_tables(text, file.on_warning, file.options.zone)
+    if others:
+        raise BadInputError(f"{file.path}: line {begin + 1}: a series with sensors of several clocks")
     if count and count != len(table.values):
         file.on_warning(f"{file.path}: states {count} samples and has {len(table.values)}")
     return _scaled(file, table, scale, told.get("scale_units", ""))
@@ -79,7 +81,7 @@ def _series(file: File, lines: list[str], begin: int, end: int) -> Table:
 def _column(name: str, unit_text: str, cell: str) -> Column:
     """Say what a column holds, by its unit and the cell in its first row."""
     unit = unit_of(unit_text)
-    if stamps.looks_dated(cell):
+    if stamps.form_of(cell) is not None:
         return Column(name, Role.STAMP, None, unit_text, False, "dates and times")
     is_time = unit is not None and unit.quantity == TIME
     role = Role.TIME if is_time else Role.READING if is_number(cell) or is_missing(cell) else Role.TEXT
