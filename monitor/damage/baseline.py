@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.origin import Origin
+from monitor.damage.record_scatter import RecordScatter
 from monitor.damage.updating import Observation, gauge_masks
 from monitor.model import Model, Modes, StructuralPrior
 
@@ -68,6 +69,8 @@ class HealthyModes:
 class ModalBaseline(HealthyModes):
     """Modes of a healthy structure without a model; `z` is of logarithms of eigenvalues, then of shapes."""
 
+    scatter: RecordScatter
+    """How `z` of windows of other records scatters."""
     shape_law: CovariateLaw | None = None
     """Dependence of the shapes' components but the gauges', mode by mode."""
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, BadInputError, ModalEstimate
 from monitor.damage.baseline import Baseline, ModalBaseline
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.covariates import TEMPERATURE, Change, CovariateSettings, learn_law
 from monitor.damage.origin import Origin
+from monitor.damage.record_scatter import learn_scatter
 from monitor.damage.updating import (
     MODES_ALONE,
     Observation,
@@ -44,6 +46,9 @@ class HealthyData:
     """Unit of each covariate, by its name."""
     t_ns: Sequence[int] = ()
     """End of each window, UTC.  Without them it is not learned what stories do together; of modes alone it never is."""
+    records: Sequence[int] = ()
+    """Number of the record, a stretch without gaps, of each window."""
+    window_s: float = 0.0
     motion: Sequence[Annotated[Array, "c c"]] = ()
     """Covariance of the accelerations of windows (`WindowResult.motion`), (m/s^2)^2."""
 
@@ -76,10 +81,10 @@ def learn_baseline(
     if not healthy.windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
     mean = mean_observation(healthy.windows, updating)
-    fit = _fit(instrumented, mean, updating)
+    fit, covariance = _fit(instrumented, mean, updating), mean.deviations.T @ mean.deviations
     baseline = Baseline(
-        **_known(mean, healthy, np.mean([m.frequencies_hz for m in healthy.windows], axis=0)),
-        **_fitted(instrumented, mean, fit, mean.deviations.T @ mean.deviations),
+        **_known(mean, covariance, healthy, np.mean([m.frequencies_hz for m in healthy.windows], axis=0)),
+        **_fitted(instrumented, mean, fit, covariance),
         log=mean.log,
         channels=instrumented.channels,
         floors=instrumented.floors,
@@ -174,30 +179,55 @@ def learn_modal_baseline(
     """
     mean = mean_observation(healthy.windows, MODES_ALONE)
     m, c = len(mean.model_mode), len(channels)
+    kinds = [(slice(0, m), compensation, True), (slice(m, m * c), _of_shapes(compensation), False)][: min(c, 2)]
 
-    def law(columns: slice, settings: CovariateSettings, *, alike: bool) -> CovariateLaw | None:
-        """Learn the dependence of some of the data on the covariates."""
+    def changes(columns: slice) -> list[Change]:
+        """Return the windows' changes of some of the data: `learn_law` takes relative ones, of which it uses the logarithms."""
+        return _changes(
+            healthy, mean, MODES_ALONE, lambda o: (np.expm1(o.z[columns] - mean.z[columns]), o.deviations[:, columns])
+        )
 
-        def of(o: Observation) -> tuple[Array, Array]:
-            """Return a window's change: `learn_law` takes relative changes, of which it uses the logarithms."""
-            return np.expm1(o.z[columns] - mean.z[columns]), o.deviations[:, columns]
+    of_kinds = [changes(columns) for columns, _, _ in kinds]
+    every = range(len(healthy.windows))
 
-        changes = _changes(healthy, mean, MODES_ALONE, of)
-        return learn_law(changes, healthy.span_s, healthy.units, settings, alike=alike)
+    def laws(rows: Iterable[int]) -> list[CovariateLaw | None]:
+        """Learn from some windows how frequencies, then shapes, depend on the covariates."""
+        return [
+            learn_law([one[k] for k in rows], healthy.span_s, healthy.units, settings, alike=alike)
+            for one, (_, settings, alike) in zip(of_kinds, kinds, strict=True)
+        ]
 
+    values = np.array([np.concatenate([np.log1p(one[k].relative) for one in of_kinds]) for k in every])
+    stated = np.mean(
+        [np.concatenate([(one[k].deviations ** 2).sum(axis=0) for one in of_kinds]) for k in every], axis=0
+    )
+
+    def predict(rest: NDArray[np.intp], left: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Predict what is left out from the rest, with the variance that the covariates' laws state."""
+        expected, variance = np.tile(values[rest].mean(axis=0), (left.size, 1)), np.zeros((left.size, m * c))
+        for law, (columns, _, _) in zip(laws(rest.tolist()), kinds, strict=True):
+            for row, k in enumerate(left.tolist() if law is not None else ()):
+                effect = law.expected(healthy.covariates[k])
+                expected[row, columns] += np.log1p(effect.relative)
+                variance[row, columns] = effect.covariance.diagonal()
+        return expected, variance
+
+    scatter = learn_scatter(values, stated, healthy.t_ns, healthy.records, round(healthy.window_s * 1e9), predict)
+    covariance = mean.deviations.T @ mean.deviations + np.diag(scatter.beyond / scatter.records)
+    law, shape_law = (*laws(every), None)[:2]
     return ModalBaseline(
-        **_known(mean, healthy, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi)),
+        **_known(mean, covariance, healthy, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi)),
         channels=channels,
         origin=origin,
         reference_temperature_degc=_mean_temperature(healthy.covariates),
-        law=law(slice(0, m), compensation, alike=True),
-        shape_law=law(slice(m, None), _of_shapes(compensation), alike=False) if c > 1 else None,
+        scatter=scatter,
+        law=law,
+        shape_law=shape_law,
     )
 
 
-def _known(mean: Observation, healthy: HealthyData, frequencies_hz: Array) -> dict[str, Any]:
+def _known(mean: Observation, z_covariance: Array, healthy: HealthyData, frequencies_hz: Array) -> dict[str, Any]:
     """Return the fields of a baseline that the windows alone decide."""
-    z_covariance = mean.deviations.T @ mean.deviations
     std = np.sqrt(np.diag(z_covariance)[: frequencies_hz.size])  # of the (logarithms of the) eigenvalues
     scale = frequencies_hz * std / 2.0 if mean.log else std / (8.0 * np.pi**2 * frequencies_hz)
     return {

@@ -19,13 +19,15 @@ from monitor.damage.baseline import ModalBaseline
 from monitor.damage.covariate_law import Effect
 from monitor.damage.level import displacement_weights
 from monitor.damage.parts import ModesAndShapes
-from monitor.damage.quantities import LEAST_SHARE, UNCERTAIN, Covariates, Found, JudgeSettings, View, explained
+from monitor.damage.quantities import UNCERTAIN, Covariates, Found, JudgeSettings, View, explained
 from monitor.damage.updating import MODES_ALONE, observe
 from monitor.identification import SelectionSettings, SubArray, identify, identify_modes, refine
 from monitor.model import Modes
 
-_LEAST_MODES = 2
-"""Fewest modes that tell a change of one from a change of all alike, if the baseline has as many. [count; definition]"""
+_ONE_WINDOW = Skipped(
+    "the baseline was learned from a single window, which does not tell how far healthy ones differ: calibrate with more"
+)
+"""Why nothing is compared with a baseline whose scatter is not known. [words]"""
 
 
 class ModalStiffness:
@@ -86,9 +88,10 @@ class ModalStiffness:
 
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:
         """Say why a window's modes are not enough to be judged; None where they are."""
-        m = self.parts.n_modes
-        if modes.model_mode.size < max(LEAST_SHARE * m, min(_LEAST_MODES, m)):
+        if not modes.model_mode.size:
             return Skipped("; ".join(why for _, why in modes.missing))
+        if self.baseline is not None and self.baseline.scatter.records < 2:
+            return _ONE_WINDOW
         return None if self.baseline is None or len(modes.deviations) else UNCERTAIN
 
     def read(
@@ -117,11 +120,15 @@ def _reading(
     with np.errstate(invalid="ignore"):
         seen = observe(replace(modes, weight_factor=None), MODES_ALONE, tuple(healthy.gauges[k] for k in found))
     change, variance = np.full(healthy.z.size, np.nan), np.full(healthy.z.size, np.nan)
-    change[rows], variance[rows] = seen.z - healthy.z[rows], (seen.deviations**2).sum(axis=0)
-    covariance, common = np.full((m, m), np.nan), healthy.z_covariance[:m, :m].copy()
-    influence = seen.deviations[:, : found.size]
+    # Few blocks tell a window's own variance badly: it is no less than that of the healthy ones.
+    own = (seen.deviations**2).sum(axis=0)
+    deviations = seen.deviations * np.sqrt(np.fmax(healthy.scatter.stated[rows] / own, 1.0))
+    change[rows], variance[rows] = seen.z - healthy.z[rows], (deviations**2).sum(axis=0)
+    covariance = np.full((m, m), np.nan)
+    influence = deviations[:, : found.size]
     covariance[np.ix_(found, found)] = influence.T @ influence
-    common_variance = healthy.z_covariance.diagonal().copy()
+    common = healthy.z_covariance + np.diag(healthy.scatter.beyond)
+    common_variance, common = common.diagonal().copy(), common[:m, :m]
     if effect is not None:
         change[:m] -= np.log1p(effect.relative)
         common += effect.covariance
@@ -130,10 +137,15 @@ def _reading(
     elif of_shapes is not None:
         change[m:] -= np.log1p(of_shapes.relative)
         common_variance[m:] += of_shapes.covariance.diagonal()
+    # Of each mode the fewest of its frequency and shape.
+    freedom = healthy.scatter.freedom[:m].copy()
+    np.minimum.at(freedom, np.nonzero(free)[0], healthy.scatter.freedom[m:])
     return ModalReading(
         -change[:m],
         covariance + common,
         common,
+        freedom,
+        freedom,
         covariate_effect={} if effect is None else dict(effect.parts),
         shape=_placed(change[m:], free, np.nan),
         shape_variance=_placed(variance[m:] + common_variance[m:], free, np.nan),

@@ -13,7 +13,7 @@ import numpy as np
 from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
 from monitor.config import Configuration
-from monitor.core import BadInputError, OnProgress, Step, WindowResult, sha256
+from monitor.core import BadInputError, Gap, OnProgress, Step, WindowResult, sha256
 from monitor.damage import (
     AnyBaseline,
     Baseline,
@@ -134,13 +134,15 @@ class _Pass:
         self.pipeline, self.skipped = Pipeline(config, reference=reference), ""
         self._paths, self._config = paths, config
         self._progress = Progress(on_progress, paths, config.topics, step)
-        self._good, self._reasons = list[WindowResult](), list[str]()
+        self._good, self._reasons, self._gaps_ns = list[WindowResult](), list[str](), list[int]()
 
     def blocks(self, on_warning: OnWarning) -> Iterator[SampleBlock]:
         """Yield the blocks after the pipeline has evaluated them."""
         for block in read_blocks(self._paths, self._config, on_warning):
             self._progress.add(block)
             for result in push_block(self.pipeline, block, self._paths):
+                if isinstance(result, Gap):
+                    self._gaps_ns.append(result.t_ns)
                 if isinstance(result, WindowResult):
                     self.skipped = self.skipped if result.skipped is None else result.skipped.mend
                     why = _why_not_learned(result)
@@ -183,6 +185,8 @@ class _Pass:
             covariates=[r.covariates for r in kept if r.modes is not None],
             units={"level": "dB", "temperature": "degC", **{t.name: t.unit for t in self._config.covariates}},
             t_ns=[r.t_end_ns for r in kept if r.modes is not None],
+            records=np.searchsorted(self._gaps_ns, [r.t_end_ns for r in kept]).tolist(),
+            window_s=self._config.processing.window_s,
             motion=[r.motion for r in kept if r.motion is not None],
         )
 
