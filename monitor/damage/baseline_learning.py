@@ -212,7 +212,10 @@ def learn_modal_baseline(
                 variance[row, columns] = effect.covariance.diagonal()
         return expected, variance
 
-    scatter = learn_scatter(values, stated, healthy.t_ns, healthy.records, round(healthy.window_s * 1e9), predict)
+    columns = [of for of, _, _ in kinds]
+    scatter = learn_scatter(
+        values, stated, healthy.t_ns, healthy.records, round(healthy.window_s * 1e9), columns, predict
+    )
     covariance = mean.deviations.T @ mean.deviations + np.diag(scatter.beyond / scatter.records)
     law, shape_law = (*laws(every), None)[:2]
     return ModalBaseline(

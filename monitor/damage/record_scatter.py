@@ -1,15 +1,17 @@
 """Scatter between records: how far windows lie from what was learned without their record, beyond what they state of themselves.
 
-A window states the sampling error of its data.  Records of an intact structure differ by more: temperature, load, fixing, level.
-Each record is left out of the learning in turn (where there is one record alone, each window is), and what its windows then differ
-by, over what they state, gives a mean square between records and one within them (one-way analysis of variance with random
-effects).  Few records tell a variance badly.  So the variance ratios of all components are drawn toward what they have in
-common, as far as they agree (moderated variances), and each has its degrees of freedom: five records give no five sigma.
+A window states the sampling error of its data.  Records of an intact structure differ by more: temperature, load, fixing.  Each
+record is left out of the learning in turn (where there is one record alone, each window is), and what its windows then differ by,
+over what they state, gives a mean square between records and one within them (one-way analysis of variance with random effects).
+Few records tell a variance badly.  So the variance ratios of all components of a kind, frequencies or shapes, are drawn toward
+what they have in common, as far as they agree (moderated variances), and each has its degrees of freedom: five records give no
+five sigma.
 
 References
 ----------
 S. R. Searle, G. Casella, C. E. McCulloch, Variance components (1992), section 3.6 (unbalanced data); F. E. Satterthwaite,
-Biometrics Bull. 2 (1946) 110-114; G. K. Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004) article 3, section 6.2 (moderated variances).
+Biometrics Bull. 2 (1946) 110-114; G. K. Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004) article 3, section 6.2 (moderated
+variances).
 """
 
 from __future__ import annotations
@@ -52,9 +54,13 @@ def learn_scatter(
     t_ns: Sequence[int],
     records: Sequence[int],
     window_ns: int,
+    kinds: Sequence[slice],
     predict: Predict,
 ) -> RecordScatter:
-    """Learn the scatter of windows that end at `t_ns` (UTC, increasing), each in one of the numbered records."""
+    """Learn the scatter of windows that end at `t_ns` (UTC, increasing), each in one of the numbered records.
+
+    `kinds` are the components that may have a variance ratio in common.
+    """
     ends = np.asarray(t_ns, dtype=np.int64)
     apart = _apart(ends, window_ns)
     record = np.asarray(records) if len(set(records)) > 1 else np.arange(ends.size)
@@ -71,7 +77,9 @@ def learn_scatter(
         left[out] = (values[apart[out]] - expected) / np.sqrt(stated + variance)
     # The rest's mean has an error of its own, by which what is left out differs more.
     left /= np.sqrt(1.0 + 1.0 / (names.size * (1.0 - 1.0 / len(folds))))
-    ratio, freedom = _moderated(*_ratio(left, np.searchsorted(names, record[apart]), names.size))
+    ratio, freedom = _ratio(left, np.searchsorted(names, record[apart]), names.size)
+    for kind in kinds:
+        ratio[kind], freedom[kind] = _moderated(ratio[kind], freedom[kind])
     return RecordScatter(stated, stated * np.maximum(ratio - 1.0, 0.0), freedom, int(names.size))
 
 
