@@ -44,8 +44,7 @@ from monitor.damage import (
     slow_learning,
 )
 from monitor.events import Event, EventState, GroundState, Site, ground, stage
-from monitor.identification import tracking
-from monitor.model import Modes
+from monitor.identification import KnownModes, tracking
 from monitor.signals import (
     BesideState,
     Conditioner,
@@ -127,7 +126,7 @@ class Pipeline:
         self,
         config: Configuration,
         baseline: AnyBaseline | None = None,
-        reference: Modes | None = None,
+        reference: KnownModes | None = None,
     ) -> None:
         self.config = config
         self.baseline = baseline
@@ -469,7 +468,7 @@ class Pipeline:
 
 
 def _quantities(
-    config: Configuration, baseline: AnyBaseline | None, reference: Modes | None
+    config: Configuration, baseline: AnyBaseline | None, reference: KnownModes | None
 ) -> tuple[Quantities, Site]:
     """Make what is judged of a site, by a model or by the modes alone, and what its events are described with."""
     past = tuple(config.channels.index(name) for name in config.identification.reference_channels)

@@ -14,6 +14,7 @@ from monitor.damage.baseline import Baseline, ModalBaseline
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.covariates import TEMPERATURE, Change, CovariateSettings, learn_law
 from monitor.damage.origin import Origin
+from monitor.damage.presence import Presence
 from monitor.damage.record_scatter import learn_scatter
 from monitor.damage.updating import (
     MODES_ALONE,
@@ -49,6 +50,8 @@ class HealthyData:
     records: Sequence[int] = ()
     """Number of the record, a stretch without gaps, of each window."""
     window_s: float = 0.0
+    presence: Presence | None = None
+    """How often windows, also those that lack a mode, showed each; of modes alone."""
     motion: Sequence[Annotated[Array, "c c"]] = ()
     """Covariance of the accelerations of windows (`WindowResult.motion`), (m/s^2)^2."""
 
@@ -177,6 +180,7 @@ def learn_modal_baseline(
 
     All windows have the same modes and all channels.
     """
+    assert healthy.presence is not None
     mean = mean_observation(healthy.windows, MODES_ALONE)
     m, c = len(mean.model_mode), len(channels)
     kinds = [(slice(0, m), compensation, True), (slice(m, m * c), _of_shapes(compensation), False)][: min(c, 2)]
@@ -224,6 +228,7 @@ def learn_modal_baseline(
         origin=origin,
         reference_temperature_degc=_mean_temperature(healthy.covariates),
         scatter=scatter,
+        presence=healthy.presence,
         law=law,
         shape_law=shape_law,
     )

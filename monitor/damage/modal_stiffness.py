@@ -21,8 +21,7 @@ from monitor.damage.level import displacement_weights
 from monitor.damage.parts import ModesAndShapes
 from monitor.damage.quantities import UNCERTAIN, Covariates, Found, JudgeSettings, View, explained
 from monitor.damage.updating import MODES_ALONE, observe
-from monitor.identification import SelectionSettings, SubArray, identify, identify_modes, refine
-from monitor.model import Modes
+from monitor.identification import KnownModes, SelectionSettings, SubArray, identify, identify_modes, refine
 
 _ONE_WINDOW = Skipped(
     "the baseline was learned from a single window, which does not tell how far healthy ones differ: calibrate with more"
@@ -45,10 +44,11 @@ class ModalStiffness:
         channels: tuple[str, ...],
         baseline: ModalBaseline | None,
         past: tuple[int, ...],
-        reference: Modes | None = None,
+        reference: KnownModes | None = None,
     ) -> None:
         self.baseline = baseline
-        self.reference = reference if baseline is None else baseline.modes
+        self._known = reference if baseline is None else baseline.known
+        self.reference = None if self._known is None else self._known.modes
         n_modes = 0 if baseline is None else baseline.frequencies_hz.size
         self.parts = ModesAndShapes(n_modes, channels)
         self._past = past
@@ -83,7 +83,7 @@ class ModalStiffness:
             cutoff_hz,
             refiner,
             "at calibration",
-            measured=True,
+            learned=self._known,
         )
 
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:

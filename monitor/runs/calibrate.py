@@ -21,17 +21,21 @@ from monitor.damage import (
     ModalBaseline,
     Observation,
     Origin,
+    Presence,
+    Sighting,
     Update,
+    apart,
     learn_baseline,
     learn_modal_baseline,
+    learn_presence,
     load_baseline,
     rebase_baseline,
     second_solutions,
 )
 from monitor.diagnosis import clock_drift_in_words, contradicted, correct_clock_drifts, standing_causes
-from monitor.identification import tracking
+from monitor.identification import KnownModes, tracking
 from monitor.inference import Segments, gather
-from monitor.model import FORMS, Modes, StructuralPrior
+from monitor.model import FORMS, StructuralPrior
 from monitor.pipeline import Pipeline
 from monitor.runs import diagnose
 from monitor.runs.baselines import modal_origin
@@ -106,7 +110,7 @@ def calibrate_modes(
     first = _Pass(paths, config, on_progress, Step("looks for the modes", then="evaluates the windows with them"))
     first.read(on_warning)
     first.require_window()
-    reference = _common_modes(first.pipeline.state.track, config.selection.max_modes)
+    reference = first.known_modes()
     if reference is None:
         because = f", the last because: {first.skipped}" if first.skipped else "; record for longer"
         raise BadInputError(f"{file_names(paths)}: no mode is found again and again{because}")
@@ -129,7 +133,7 @@ class _Pass:
         config: Configuration,
         on_progress: OnProgress,
         step: Step,
-        reference: Modes | None = None,
+        reference: KnownModes | None = None,
     ) -> None:
         self.pipeline, self.skipped = Pipeline(config, reference=reference), ""
         self._paths, self._config = paths, config
@@ -159,6 +163,15 @@ class _Pass:
         """Refuse recordings without a window (BadInputError)."""
         self._progress.require_window(self.pipeline, len(self._good) + len(self._reasons), self._paths)
 
+    def known_modes(self) -> KnownModes | None:
+        """Take the tracked modes that come again and again, and how the windows showed them; None where there are none."""
+        select, windows = self._config.selection, [w.modes for w in self._good if w.modes is not None]
+        often = _common_tracks(self.pipeline.state.track, select.max_modes)
+        if not often:
+            return None
+        spread = float(np.log(self._config.processing.cutoff_hz / select.min_frequency_hz))
+        return KnownModes.of(often, windows, self._config.tracking, spread)
+
     def kept(self, on_warning: OnWarning) -> list[WindowResult]:
         """Select the windows that are learned from, with the modes in common to them; BadInputError if there are too few."""
         self.require_window()
@@ -185,10 +198,25 @@ class _Pass:
             covariates=[r.covariates for r in kept if r.modes is not None],
             units={"level": "dB", "temperature": "degC", **{t.name: t.unit for t in self._config.covariates}},
             t_ns=[r.t_end_ns for r in kept if r.modes is not None],
-            records=np.searchsorted(self._gaps_ns, [r.t_end_ns for r in kept]).tolist(),
+            records=self._records_of(kept),
             window_s=self._config.processing.window_s,
+            presence=None if self._config.has_model else self._presence(kept),
             motion=[r.motion for r in kept if r.motion is not None],
         )
+
+    def _presence(self, kept: list[WindowResult]) -> Presence:
+        """Learn from all windows that share no data, those left out for lack of a mode too, how often each mode is found."""
+        assert kept[0].modes is not None
+        wanted = kept[0].modes.model_mode.tolist()
+        ends = [w.t_end_ns for w in self._good]
+        chosen = [self._good[i] for i in apart(ends, round(self._config.processing.window_s * 1e9))][::-1]
+        band_hz = self._config.selection.min_frequency_hz, self._config.processing.cutoff_hz
+        sightings = [Sighting.of(w.modes, wanted, w.t_end_ns) for w in chosen]
+        return learn_presence(sightings, self._records_of(chosen), len(wanted), band_hz)
+
+    def _records_of(self, windows: list[WindowResult]) -> list[int]:
+        """Number the record, a stretch without gaps, of each window."""
+        return [int(k) for k in np.searchsorted(self._gaps_ns, [w.t_end_ns for w in windows])]
 
     def with_clock(self, baseline: Learned, on_warning: OnWarning) -> Learned:
         """Note the clock of the healthy data in a baseline, and warn of it and of covariates that ran together."""
@@ -267,16 +295,11 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
         return None
 
 
-def _common_modes(state: tracking.TrackState, most: int) -> Modes | None:
-    """Take the tracked modes that were found in most looks, at most `most`, by frequency; None where there are none."""
+def _common_tracks(state: tracking.TrackState, most: int) -> list[tracking.Track]:
+    """Take the tracked modes that were found in most looks, at most `most`, by frequency."""
     looks = max((t.hits + t.misses for t in state.tracks), default=0.0)
     often = sorted((t for t in state.tracks if t.hits >= _FOUND_SHARE * looks), key=lambda t: -t.hits)[:most]
-    if not often:
-        return None
-    often.sort(key=lambda t: t.ln_f)
-    shapes = np.nan_to_num(np.array([t.shape for t in often]))
-    shapes = shapes / shapes[np.arange(len(often)), np.abs(shapes).argmax(axis=1)][:, None]
-    return Modes((2.0 * np.pi * np.exp([t.ln_f for t in often])) ** 2, shapes.real.T)
+    return sorted(often, key=lambda t: t.ln_f)
 
 
 def _why_not_learned(result: WindowResult) -> str:
