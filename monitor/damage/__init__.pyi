@@ -48,8 +48,8 @@ from .judge import Memory as Memory
 from .level import drift_m as drift_m, level_db as level_db
 from .modal_stiffness import ModalStiffness as ModalStiffness
 from .origin import Origin as Origin
-from .presence import Presence as Presence, Sighting as Sighting, apart as apart, learn_presence as learn_presence
 from .parts import Parts as Parts, modal_parts as modal_parts
+from .presence import Presence as Presence, Sighting as Sighting, apart as apart, learn_presence as learn_presence
 from .quantities import Quantities as Quantities, View as View
 from .story_stiffness import StoryStiffness as StoryStiffness
 from .updating import (

@@ -40,6 +40,9 @@ _RATE_STEPS = 0.7
 the highest mode is 0.4 of the rate]"""
 _IMPOSSIBLE = 1e3
 """Cost of a match that is not allowed. [1; definition: above any cost that occurs]"""
+_NEAR = 3.0
+"""Distance up to which a mode may be one that was learned though its pole is uncertain. [standard deviations; convention: three
+sigma]"""
 _SPLIT = 4.0
 """Standard deviation of a frequency, over what ambient vibration allows, from which the order is taken to split the
 mode. [ratio; simulation: white and coloured forces give 1 to 3.5; measured frames: earthquakes give 3 to 43]"""
@@ -151,6 +154,12 @@ def identify(
     in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
     frequencies = reference.frequencies_hz[list(wanted)]
     modes, rest = _match(marked, frequencies, shapes, select, in_band, learned, in_places=measured)
+    if learned is not None and ssi.uncertainty:
+        near = _NEAR * np.hypot(learned.ln_f_std, select.stable_frequency)
+        modes = [
+            m if m is None or abs(log(_median_hz(poles, m) / f)) <= most or _is_certain(marked, m, select) else None
+            for m, f, most in zip(modes, frequencies.tolist(), near.tolist(), strict=True)
+        ]
     clusters = [m for m in modes if m is not None]
     # Canonical correlations rank all modes alike, also those not wanted, which need room; by energy the strong ones come first.
     crowd = min(in_band, ssi.max_order // 2 - 2) if ssi.used(window.sums.head.shape[1]) in ("CVA", "UPC") else 0
@@ -182,6 +191,17 @@ def identify(
 def has_intervals(estimate: ModalEstimate) -> bool:
     """Test that no mode is stated without scatter: a single block, or samples without noise, show none, which is no certainty."""
     return not len(estimate.deviations) or bool((estimate.frequencies_std_hz > 0.0).all())
+
+
+def _median_hz(poles: PoleTable, cluster: list[int]) -> float:
+    """Return the frequency of a mode, the median over its poles."""
+    return float(median(poles.frequency[cluster].tolist()))
+
+
+def _is_certain(marked: MarkedPoles, cluster: list[int], select: SelectionSettings) -> bool:
+    """Test that a mode's middle pole is more certain than stable poles may differ: others are chance, or forces."""
+    deviations = marked.deviations([cluster[len(cluster) // 2]])
+    return bool((deviations[:, 0, 0] ** 2).sum() <= select.stable_frequency**2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
