@@ -35,6 +35,7 @@ from monitor.damage import (
     ModalBaseline,
     ModalStiffness,
     Quantities,
+    Sighting,
     StoryStiffness,
     View,
     alarm,
@@ -109,6 +110,8 @@ class PipelineState:
     still: StillState
     learning: slow_learning.LearningState | None = None
     """The covariates' law as it was learned on in service; None before the first judged window."""
+    sightings: tuple[Sighting, ...] = ()
+    """Modes of the latest windows, where modes alone are judged."""
     known: dict[str, KnownBlocks] = field(default_factory=dict)
     """Latest blocks of each topic, of which none is taken a second time."""
     beside: BesideState = field(default_factory=BesideState)
@@ -375,12 +378,12 @@ class Pipeline:
         modes = self.quantities.identify(item, cutoff_hz, view, c)
         if isinstance(modes, Skipped):
             return skip(modes, None, self._track_modes(None, item, view))
-        memory = Memory(self.state.alarm, self.state.learning)
+        memory = Memory(self.state.alarm, self.state.learning, self.state.sightings)
         judged = judge.step(self.quantities, memory, modes, covariates, view, item.t_end_ns, c)
         if isinstance(judged, Skipped):
             return skip(judged, modes, self._track_modes(modes, item, view))
         memory, said = judged
-        self.state = replace(self.state, alarm=memory.alarm, learning=memory.learning)
+        self.state = replace(self.state, alarm=memory.alarm, learning=memory.learning, sightings=memory.sightings)
         degc, detectable, rates_hz = covariates.get("temperature"), said.detectable_loss, self._rates_hz()
         if detectable is not None and self.baseline is not None:
             shown_per_loss = self.quantities.parts.shown_per_loss

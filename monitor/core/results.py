@@ -297,10 +297,6 @@ class Reading:
     """Of `loss`, with that of the baseline and of the covariates' law."""
     common_covariance: Annotated[Array, "q q"] = field(default_factory=lambda: np.zeros(()))
     """The part of it that all windows have in common; averaging does not reduce it."""
-    freedom: Annotated[Array, "q"] | float = np.inf
-    """Effective degrees of freedom of `common_covariance`, of each part or of all."""
-    own_freedom: Annotated[Array, "q"] | float | None = None
-    """The same of what is left of `covariance`, where it was learned once for all windows; None where each window estimates it."""
     model_form: float = 0.0
     """Error of any part's loss from the systematic misfit of the model, as a share of the largest loss (one standard
     deviation).  It is contained in `covariance`, but is no evidence against a part without loss."""
@@ -377,6 +373,9 @@ class ModalReading(Reading):
     either_side: ClassVar[bool] = True
     shown_per_loss: ClassVar[float] = 0.5
 
+    spectrum: float = np.nan
+    """Score (standard normal) of what changed and is no mode's change: modes that are missing, or that were never there."""
+
     @property
     @override
     def ln_stiffness(self) -> Annotated[Array, "m"]:
@@ -422,7 +421,7 @@ class Alarm:
     reason: str
     active: dict[int, Level] = field(default_factory=dict)
     """Announced level of every story that is not normal; the key of the structure as a whole is `WHOLE`.  Without a model the
-    numbers are those of the modes' frequencies, then of their shapes (`damage.modal_parts`)."""
+    numbers are those of the modes' frequencies, then of their shapes, then of the spectrum (`damage.modal_parts`)."""
     conditions: dict[int, AlarmCondition] = field(default_factory=dict)
     """Condition of every alarm that is not normal, including shelved alarms."""
 

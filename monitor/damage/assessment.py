@@ -25,7 +25,7 @@ from monitor.core import (
 )
 from monitor.damage.detectable_loss import WITHIN_S, clock_error
 from monitor.damage.origin import MOST_LISTED
-from monitor.damage.parts import STORIES, ModesAndShapes, Parts, change_words
+from monitor.damage.parts import SPECTRUM, STORIES, ModesAndShapes, Parts, change_words
 from monitor.damage.sequential_test import CHANCE_STDS
 from monitor.model import FORMS
 
@@ -374,7 +374,7 @@ def _since(loss: Loss, level: Level, course: Course, known: Known) -> str:
     """Say since when an alarm stands, how large it was then and how large it is now; `level` is the one it has now."""
     since = f"since {utc(loss.t_level_ns or loss.t_first_ns)} UTC"
     now = None if course.judged is None else course.judged.losses.get(loss.story)
-    if now is None or now[:2] == (loss.ddi, loss.ddi_std):
+    if now is None or now[:2] == (loss.ddi, loss.ddi_std) or _name(loss.story, known) == SPECTRUM:  # which has no size
         return f"{_lost(loss, known)}, {loss.level.value} {since}"
     present = replace(loss, level=level, ddi=now[0], ddi_std=now[1])
     if level is not loss.level:

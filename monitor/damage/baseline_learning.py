@@ -210,7 +210,9 @@ def learn_modal_baseline(
         """Predict what is left out from the rest, with the variance that the covariates' laws state."""
         expected, variance = np.tile(values[rest].mean(axis=0), (left.size, 1)), np.zeros((left.size, m * c))
         for law, (columns, _, _) in zip(laws(rest.tolist()), kinds, strict=True):
-            for row, k in enumerate(left.tolist() if law is not None else ()):
+            if law is None:
+                continue
+            for row, k in enumerate(left.tolist()):
                 effect = law.expected(healthy.covariates[k])
                 expected[row, columns] += np.log1p(effect.relative)
                 variance[row, columns] = effect.covariance.diagonal()

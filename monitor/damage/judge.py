@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from monitor.core import (
+    WHOLE,
     Alarm,
     Array,
     DamageReading,
@@ -22,12 +23,17 @@ from monitor.core import (
 )
 from monitor.damage import alarm, slow_learning
 from monitor.damage.alarm import AlarmSettings, AlarmState
-from monitor.damage.common_change import Beside
+from monitor.damage.common_change import Beside as BesideOthers
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import beyond_words
 from monitor.damage.detectable_loss import smallest_detectable_loss
+from monitor.damage.parts import SPECTRUM, Parts, change_words
+from monitor.damage.presence import Beside, Sighting
 from monitor.damage.quantities import Covariates, Found, JudgeSettings, Quantities, View, explained
 from monitor.damage.slow_learning import LearningState
+
+_NONE_FOUND = "no mode of the baseline was found"
+"""What a window says that shows no part at all. [words]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -37,6 +43,8 @@ class Memory:
     alarm: AlarmState
     learning: LearningState | None
     """The covariates' law as it was learned on in service; None before the first judged window."""
+    sightings: tuple[Sighting, ...] = ()
+    """Modes of the latest windows."""
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -88,7 +96,18 @@ def step(
     together = None if law is None else law.together(settings.compensation.unevenness)
     beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
     reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, settings.alarm))
-    alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, together, quantities.parts)
+    sightings, more = quantities.beside(memory.sightings, modes, view, t_end_ns, settings)
+    alarms = memory.alarm if more is None else _with_spectrum(memory.alarm, more, t_end_ns, settings)
+    if isinstance(reading, ModalReading) and more is not None:
+        reading = replace(reading, spectrum=more.z)
+    is_seen = bool(np.isfinite(reading.loss).any())
+    if is_seen:
+        alarms, verdict = alarm.step(alarms, reading, t_end_ns, settings.alarm, together, quantities.parts)
+    else:
+        alarms, verdict = alarm.hold(alarms, t_end_ns, quantities.parts)
+        verdict = replace(verdict, reason=_NONE_FOUND)
+    if more is not None:
+        verdict = _with_words(verdict, more, quantities.parts)
     learning, history = memory.learning, alarms.history
     if law is not None and settings.compensation.learn_in_service:
         learning = learning or slow_learning.start(law, t_end_ns)
@@ -96,16 +115,37 @@ def step(
         learning = _learn(learning, reading, covariates, t_end_ns, settings.compensation.unevenness, normal=is_normal)
     if together is not None and beside is not None:
         reading, history = together.take_out(reading, beside), history.left_by_others(together, beside)
-    detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
+    detectable = np.full(reading.loss.size, np.inf)
+    if is_seen:
+        detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
     verdict = _named(verdict, quantities)
     judged = Judged(found.modes, reading, found.stiffness, alarm=verdict, detectable_loss=detectable)
-    return Memory(alarms, learning), judged
+    return Memory(alarms, learning, sightings), judged
 
 
 def hold(quantities: Quantities, state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
     """Keep the alarms over a window that was not judged."""
     state, verdict = alarm.hold(state, t_ns, quantities.parts)
     return state, _named(verdict, quantities)
+
+
+def _with_spectrum(state: AlarmState, more: Beside, t_ns: int, settings: JudgeSettings) -> AlarmState:
+    """Update the alarm of the spectrum, the last before that of the whole; what it tells has no size, and is never an `alarm`."""
+    (*parts, spectrum, whole), by = state.stories, settings.alarm.model_copy(update={"alarm_loss": np.inf})
+    off_s = max(by.confirm_s, more.windows * settings.processing.window_s)
+    spectrum = alarm.update_alarm(spectrum, 1.0, more.z, 0.0, t_ns, by, off_s)
+    return replace(state, stories=(*parts, spectrum, whole))
+
+
+def _with_words(verdict: Alarm, more: Beside, parts: Parts) -> Alarm:
+    """Say of the spectrum, where its alarm is active, what its newest windows lack or show beside."""
+    names = {j for j in verdict.active if j != WHOLE and parts.name(j) == SPECTRUM}
+    if not names:
+        return verdict
+    says = more.says or change_words(SPECTRUM, 0.0, 0.0)
+    if parts.unchanged in verdict.reason:
+        return replace(verdict, reason=verdict.reason.replace(parts.unchanged, says, 1))
+    return replace(verdict, reason=f"{verdict.reason}; {says}")
 
 
 def _named(verdict: Alarm, quantities: Quantities) -> Alarm:
@@ -116,7 +156,7 @@ def _named(verdict: Alarm, quantities: Quantities) -> Alarm:
 def _beyond(
     law: CovariateLaw | None,
     effect: Effect | None,
-    beside: Beside | None,
+    beside: BesideOthers | None,
     covariates: Covariates,
     settings: AlarmSettings,
 ) -> str:

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ModalEstimate, ModalReading, Skipped, Window
 from monitor.damage import alarm
-from monitor.damage.alarm import AlarmState
+from monitor.damage.alarm import AlarmState, StoryState
 from monitor.damage.baseline import ModalBaseline
 from monitor.damage.covariate_law import Effect
 from monitor.damage.level import displacement_weights
 from monitor.damage.parts import ModesAndShapes
+from monitor.damage.presence import Beside, Sighting, look
 from monitor.damage.quantities import UNCERTAIN, Covariates, Found, JudgeSettings, View, explained
+from monitor.damage.sequential_test import STRETCHES
 from monitor.damage.updating import MODES_ALONE, observe
 from monitor.identification import KnownModes, SelectionSettings, SubArray, identify, identify_modes, refine
 
@@ -55,7 +57,8 @@ class ModalStiffness:
 
     def start(self, window_s: float) -> AlarmState:
         """Return the state of the alarms before the first window."""
-        return alarm.start(self.parts.n_modes, window_s, len(self.parts.channels))
+        state = alarm.start(self.parts.n_modes, window_s, len(self.parts.channels))
+        return replace(state, stories=(StoryState(), *state.stories))  # that of the spectrum
 
     def view(self, channels: tuple[int, ...]) -> View:
         """Return what windows of some channels (0 = first) are judged with."""
@@ -86,13 +89,26 @@ class ModalStiffness:
             learned=self._known,
         )
 
+    def beside(
+        self, sightings: tuple[Sighting, ...], modes: ModalEstimate, view: View, t_end_ns: int, settings: JudgeSettings
+    ) -> tuple[tuple[Sighting, ...], Beside | None]:
+        """Note a window's modes, and test what the latest windows lack, and show beside; channels that are left out show less."""
+        if self.baseline is None or len(view.array.channels) < view.array.n_channels:
+            return sightings, None
+        window_ns = round(settings.processing.window_s * 1e9)
+        wanted = range(self.baseline.frequencies_hz.size)
+        kept = [s for s in sightings if 0 < t_end_ns - s.t_ns < max(STRETCHES) * window_ns]
+        latest = (*kept, Sighting.of(modes, wanted, t_end_ns))
+        tolerance = 2.0 * settings.selection.stable_frequency
+        return latest, look(self.baseline.presence, latest, self.baseline.frequencies_hz, window_ns, tolerance)
+
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:
         """Say why a window's modes are not enough to be judged; None where they are."""
-        if not modes.model_mode.size:
-            return Skipped("; ".join(why for _, why in modes.missing))
-        if self.baseline is not None and self.baseline.scatter.records < 2:
+        if self.baseline is None:
+            return None if modes.model_mode.size else Skipped("; ".join(why for _, why in modes.missing))
+        if self.baseline.scatter.records < 2:
             return _ONE_WINDOW
-        return None if self.baseline is None or len(modes.deviations) else UNCERTAIN
+        return None if len(modes.deviations) or not modes.model_mode.size else UNCERTAIN
 
     def read(
         self, modes: ModalEstimate, view: View, effect: Effect | None, covariates: Covariates, settings: JudgeSettings

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,17 @@ from scipy.special import betaln, gammaln, ndtri
 
 from monitor.core import Array, ModalEstimate
 from monitor.damage.sequential_test import STRETCHES
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Beside:
+    """What the latest windows say beside the vector that is judged: the most improbable of it."""
+
+    z: float
+    """Standard normal score that is exceeded as rarely, all that was looked at counted."""
+    windows: int
+    """Over so many windows that share no data."""
+    says: str
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,34 +117,25 @@ def _alike(missing: Annotated[Array, "w m"], records: NDArray[np.intp]) -> float
     return float(np.clip((between - within) / total, 0.0, 1.0 - 1.0 / w)) if total > 0.0 else 0.0
 
 
-class Evidence(NamedTuple):
-    """The most improbable of what the latest windows lack or show beside."""
-
-    z: float
-    """Standard normal score that is exceeded as rarely, all that was looked at counted."""
-    windows: int
-    """Over so many windows."""
-    says: str
-
-
 def look(
     presence: Presence, latest: Sequence[Sighting], reference_hz: Array, window_ns: int, tolerance: float
-) -> Evidence:
+) -> Beside:
     """Test the newest of the latest windows, oldest first, with those before it that share no data.
 
     `tolerance` is how far the frequencies of one other mode differ between windows, relative to it.
     """
     chain = apart([s.t_ns for s in latest], window_ns)
     seen = [latest[i] for i in chain[: max(STRETCHES)]]
-    tests = presence.missing.size + float(np.log(presence.band_hz[1] / presence.band_hz[0])) / (2.0 * tolerance)
-    best = Evidence(0.0, 1, "")
+    bands = float(np.log(presence.band_hz[1] / presence.band_hz[0])) / (2.0 * tolerance)
+    tests = len(STRETCHES) * (presence.missing.size + bands)
+    best = Beside(0.0, 1, "")
     for of in STRETCHES:
         part = seen[:of]
         if len(part) < of:
             break
         for chance, says in (*_gone(presence, part, reference_hz), *_new(presence, part, tolerance)):
             z = -float(ndtri(min(max(chance * tests, 1e-300), 1.0)))
-            best = max(best, Evidence(z, of, says), key=lambda e: e.z)
+            best = max(best, Beside(z, of, says), key=lambda one: one.z)
     return best
 
 

@@ -18,6 +18,7 @@ from monitor.damage.baseline import AnyBaseline
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import CovariateSettings, beyond_words
 from monitor.damage.parts import Parts
+from monitor.damage.presence import Beside, Sighting
 from monitor.damage.updating import UpdatingSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, SubArray
 from monitor.signals import ProcessingSettings
@@ -100,6 +101,12 @@ class Quantities(Protocol):
         self, window: Window, cutoff_hz: float, view: View, settings: JudgeSettings
     ) -> ModalEstimate | Skipped:
         """Identify the modes of a window of the channels in use."""
+        ...
+
+    def beside(
+        self, sightings: tuple[Sighting, ...], modes: ModalEstimate, view: View, t_end_ns: int, settings: JudgeSettings
+    ) -> tuple[tuple[Sighting, ...], Beside | None]:
+        """Return the latest windows' modes with this one's, and what they say; None where nothing is to be said."""
         ...
 
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:

@@ -1,8 +1,8 @@
 """Which of a window's modes is which of a structure's, by likelihood against what healthy windows taught.
 
-A mode lies where the healthy windows' scatter lets expect it or, as the structure may have changed, anywhere in reach; against that
-stands that the mode was not found, and that what lies there is none of the modes known (clutter).  Frequency counts and, where
-there are two channels or more, the shape: one channel sees all shapes alike.
+A mode lies where the healthy windows' scatter lets expect it or, as the structure may have changed, anywhere in reach.  Against
+that stands that the mode was not found, and that what lies there is none of the modes known (clutter).  Frequency counts and,
+where there are two channels or more, the shape: one channel sees all shapes alike.
 
 References
 ----------

@@ -140,8 +140,8 @@ def identify(
         Whether the reference was measured on the structure.  Modes that then lie at one another's places are exchanged, as few
         channels do where they see both modes alike, and are no reading.
     learned : KnownModes, optional
-        How healthy windows showed the reference's modes.  A mode is then known by its likelihood, and where it is not surely one of
-        the reference's, it is among the others.
+        How healthy windows showed the reference's modes.  A mode is then known by its likelihood, and where it is not surely one
+        of the reference's, it is among the others.
     """
     if wanted is None:
         wanted = expected_modes(reference, BAND * window.rate_hz, select)
@@ -179,7 +179,7 @@ def identify(
         for i, f, shape, m in zip(wanted, frequencies.tolist(), shapes, modes, strict=True)
         if m is None
     )
-    if not clusters and not others:
+    if not clusters and not others and learned is None:
         return Skipped("; ".join(why for _, why in missing))
     found = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
     estimate = _estimate(marked, chosen, found, refiner, ssi, select)
@@ -283,8 +283,8 @@ def _match(
     """Find for each of the model's modes the stable poles of its counterpart, None where there is none, and the other modes'.
 
     A model's counterparts may be as far away as drawings err; the share of orders in which a mode was found is then a better
-    criterion than its frequency.  With `in_places` modes that lie at one another's places are put each at its own, or left out where their shapes do not
-    allow it.
+    criterion than its frequency.  With `in_places` modes that lie at one another's places are put each at its own, or left out
+    where their shapes do not allow it.
     """
     from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
 

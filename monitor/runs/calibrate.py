@@ -139,6 +139,8 @@ class _Pass:
         self._paths, self._config = paths, config
         self._progress = Progress(on_progress, paths, config.topics, step)
         self._good, self._reasons, self._gaps_ns = list[WindowResult](), list[str](), list[int]()
+        self._seen = list[WindowResult]()
+        """Windows of all channels in which modes were looked for."""
 
     def blocks(self, on_warning: OnWarning) -> Iterator[SampleBlock]:
         """Yield the blocks after the pipeline has evaluated them."""
@@ -150,6 +152,7 @@ class _Pass:
                 if isinstance(result, WindowResult):
                     self.skipped = self.skipped if result.skipped is None else result.skipped.mend
                     why = _why_not_learned(result)
+                    self._seen.extend([result] if result.modes is not None and not result.left_out else [])
                     self._good.extend([] if why else [result])
                     self._reasons.extend([why] if why else [])
             yield block
@@ -208,8 +211,8 @@ class _Pass:
         """Learn from all windows that share no data, those left out for lack of a mode too, how often each mode is found."""
         assert kept[0].modes is not None
         wanted = kept[0].modes.model_mode.tolist()
-        ends = [w.t_end_ns for w in self._good]
-        chosen = [self._good[i] for i in apart(ends, round(self._config.processing.window_s * 1e9))][::-1]
+        ends = [w.t_end_ns for w in self._seen]
+        chosen = [self._seen[i] for i in apart(ends, round(self._config.processing.window_s * 1e9))][::-1]
         band_hz = self._config.selection.min_frequency_hz, self._config.processing.cutoff_hz
         sightings = [Sighting.of(w.modes, wanted, w.t_end_ns) for w in chosen]
         return learn_presence(sightings, self._records_of(chosen), len(wanted), band_hz)
