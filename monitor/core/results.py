@@ -297,6 +297,10 @@ class Reading:
     """Of `loss`, with that of the baseline and of the covariates' law."""
     common_covariance: Annotated[Array, "q q"] = field(default_factory=lambda: np.zeros(()))
     """The part of it that all windows have in common; averaging does not reduce it."""
+    freedom: Annotated[Array, "q"] | float = np.inf
+    """Effective degrees of freedom of `common_covariance`, of each part or of all."""
+    own_freedom: Annotated[Array, "q"] | float | None = None
+    """The same of the rest of `covariance`, where it was learned once for all windows; None where each window estimates it."""
     model_form: float = 0.0
     """Error of any part's loss from the systematic misfit of the model, as a share of the largest loss (one standard
     deviation).  It is contained in `covariance`, but is no evidence against a part without loss."""

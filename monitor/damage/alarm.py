@@ -22,6 +22,7 @@ from pydantic import Field
 from monitor.core import WHOLE, Alarm, AlarmCondition, Level, Reading, Settings
 from monitor.damage import sequential_test
 from monitor.damage.common_change import Expected
+from monitor.damage.limits import as_normal
 from monitor.damage.parts import STORIES, Parts
 from monitor.damage.sequential_test import SURE_STDS, History
 
@@ -160,7 +161,8 @@ def step(
             says[n + j + 1] = parts.shape_changed(j + 1, change, std, best % n_channels)
             update(n + j, change, z, std, stretch, _warning_only(settings))
     shared, std = sequential_test.shared_change(evidence.loss, evidence.std), float(evidence.std.max())
-    z, whole = (abs(shared) if reading.either_side else shared) / std, state.stories[-1]
+    z = float(as_normal((abs(shared) if reading.either_side else shared) / std, evidence.freedom.min()))
+    whole = state.stories[-1]
     # Above advisory it is the alarm of a part that is gone (`carry_over`), of which no window tells.
     if not (whole.unacknowledged and whole.level.rank > Level.ADVISORY.rank):
         update(-1, shared, z, std, float(evidence.stretch.max()), _advisory_only(settings))

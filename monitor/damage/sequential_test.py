@@ -22,12 +22,16 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, Reading
 from monitor.damage.common_change import LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS, Beside, Expected
+from monitor.damage.limits import as_normal, freedom_of_sum
 
 STRETCHES = (1, 2, 4, 8)
 """Lengths over which windows, or the shortest stretches of readings, are averaged. [1; judgement: powers of two]"""
 _STD_MEMORY_S = 8 * 3600.0
 """Time over which standard deviations are smoothed. One window's standard deviation rests on some forty segments, too
 few for tails of six standard deviations. [s; judgement]"""
+_WINDOW_FREEDOM = 30.0
+"""Effective degrees of freedom of a window's own variance, of some forty segments that overlap by half. [count; simulation: its
+standard deviation scatters by 13 %]"""
 _STD_EXCESS = 1.2
 """A window's own standard deviation counts only beyond this many times the smoothed one. [ratio; simulation: a window's
 standard deviation scatters by 10 to 15 %]"""
@@ -100,11 +104,15 @@ class SequentialStatistic:
     parts: tuple[int, ...]
     """Their numbers (0 = first)."""
     z: Annotated[Array, "n"]
-    """Largest z-score over the stretches, for a loss of this part beyond a change common to all parts."""
+    """Largest z-score over the stretches, for a loss of this part beyond a change common to all parts.
+
+    It is the standard normal score that is exceeded by chance as rarely, whatever the degrees of freedom of its deviation."""
     loss: Annotated[Array, "n"]
     """Mean loss over the longest stretch with which the newest window agrees."""
     std: Annotated[Array, "n"]
     """Of `loss`."""
+    freedom: Annotated[Array, "n"]
+    """Effective degrees of freedom of `std`."""
     own: Annotated[Array, "n"]
     """The share of `loss` beyond what all parts have in common."""
     own_std: Annotated[Array, "n"]
@@ -160,9 +168,10 @@ def look(
     model_form = max(model_form, reading.model_form)
     common = np.broadcast_to(reading.common_covariance, (n, n))
     history, over = average(history, reading.loss, own.diagonal(), common, reading.channels, t_ns)
+    freedom = _freedom(history, over, reading)
     known = np.flatnonzero(np.isfinite(reading.loss))
     if known.size < n:
-        over, own = over.of_parts(known), own[np.ix_(known, known)]
+        over, own, freedom = over.of_parts(known), own[np.ix_(known, known)], freedom[:, known]
     covariance = _covariance_of(over, own)
     z, std = statistic(over.means, covariance, model_form)
     if reading.either_side:
@@ -175,9 +184,9 @@ def look(
     else:
         z, losses, stds = _beside_others(over.means, covariance, model_form, expected)
         beyond, beyond_std = losses[longest], stds[longest]
-    best = np.where(over.agrees, z, -np.inf).max(axis=0)
+    best = np.where(over.agrees, as_normal(z, freedom), -np.inf).max(axis=0)
     parts = tuple(known.tolist())
-    return history, SequentialStatistic(parts, best, loss, loss_std, beyond, beyond_std, lengths)
+    return history, SequentialStatistic(parts, best, loss, loss_std, freedom[longest], beyond, beyond_std, lengths)
 
 
 def look_at_shapes(history: History, reading: Reading, t_ns: int) -> tuple[History, SequentialStatistic]:
@@ -185,12 +194,24 @@ def look_at_shapes(history: History, reading: Reading, t_ns: int) -> tuple[Histo
     own, common = reading.shape_variance - reading.shape_common_variance, np.nan_to_num(reading.shape_common_variance)
     history, over = average(history, reading.shape.ravel(), own.ravel(), common.ravel(), reading.channels, t_ns)
     std = np.sqrt(over.variances + over.common)
-    z = np.where(over.agrees, np.abs(over.means) / np.maximum(std, 1e-12), -np.inf).max(axis=0)
+    freedom = _freedom(history, over, reading)
+    z = as_normal(np.abs(over.means) / np.maximum(std, 1e-12), freedom)
+    z = np.where(over.agrees, z, -np.inf).max(axis=0)
     longest = over.longest()
     lengths = np.array(STRETCHES, dtype=float)[longest[0]]
     change, change_std = over.means[longest], std[longest]
     parts = tuple(range(z.size))
-    return history, SequentialStatistic(parts, z, change, change_std, change, change_std, lengths)
+    return history, SequentialStatistic(parts, z, change, change_std, freedom[longest], change, change_std, lengths)
+
+
+def _freedom(history: History, over: Averages, reading: Reading) -> Annotated[Array, "k n"]:
+    """Compute the effective degrees of freedom of the means' variances; of shapes, each component has those of its mode."""
+    components = over.means.shape[1] // reading.loss.size
+    common = over.common if over.common.ndim == 2 else np.diagonal(over.common, axis1=1, axis2=2)
+    windows = 1.0 + history.memory_s * 1e9 / history.window_ns  # whose variances are smoothed
+    own = _WINDOW_FREEDOM * windows if reading.own_freedom is None else reading.own_freedom
+    each = (np.repeat(np.broadcast_to(f, reading.loss.size), components) for f in (own, reading.freedom))
+    return freedom_of_sum((over.variances, common), tuple(each))
 
 
 def _beside_others(

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from monitor.core import Array
-from monitor.damage import AlarmSettings, sequential_test
+from monitor.damage import AlarmSettings, limits, sequential_test
 from monitor.signals import overlap_correlation
 
 HOP_S, WINDOW_S = 10.0, 400.0
@@ -24,7 +24,7 @@ YEAR = 3_155_760
 """Hops."""
 MONTH = YEAR // 12
 SURE_STDS = sequential_test.SURE_STDS
-MEMORY_S, EXCESS = 8 * 3600.0, 1.2
+MEMORY_S, EXCESS, FREEDOM = 8 * 3600.0, 1.2, 30.0
 """Of the alarm's smoothed standard deviations, for which `test_the_twin_judges_as_the_alarm_does` vouches."""
 
 
@@ -109,6 +109,9 @@ def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
             continue
         covariance = (spread[at] + common)[:, :, None] * np.eye(n)
         z, _ = sequential_test.statistic(mean[at], covariance, AlarmSettings().model_form)
+        own = FREEDOM * (1.0 + np.minimum(at, memory) * HOP_S / WINDOW_S)[:, None]
+        freedom = limits.freedom_of_sum((spread[at], np.broadcast_to(common, spread[at].shape)), (own, np.inf))
+        z = limits.as_normal(z, freedom)
         limit = sequential_test.CHANCE_STDS * np.sqrt(variance[at] * (1.0 - 2.0 / counts[at]) + spread[at])
         agrees = (np.abs(ddi[at] - mean[at]) <= limit) | (stretch == 1)
         best[at] = np.maximum(best[at], np.where(agrees, z, -np.inf))

@@ -22,9 +22,11 @@ OFF = 40
 STD = 0.01
 
 
-def reading(*ddi: float, std: float = STD, common: float = 0.0) -> DamageReading:
+def reading(*ddi: float, std: float = STD, common: float = 0.0, freedom: float = np.inf) -> DamageReading:
     d, one = np.array(ddi), np.eye(len(ddi))
-    return damage_reading(d, (std**2 + common**2) * one, 1000.0, common_covariance=common**2 * one)
+    return damage_reading(
+        d, (std**2 + common**2) * one, 1000.0, common_covariance=common**2 * one, own_freedom=np.inf, freedom=freedom
+    )
 
 
 class Site:
@@ -79,6 +81,14 @@ def test_significance_is_one_sided_and_by_the_standard_deviation() -> None:
     assert Site().see(0.0399) == ["normal"]
     assert Site().see(-0.5) == ["normal"]
     assert Site().see(0.2, std=0.06) == ["normal"]
+
+
+def test_a_deviation_that_few_records_gave_must_be_exceeded_by_more() -> None:
+    """Four standard deviations of the normal distribution are as rare as 12 of Student's t with five degrees of freedom."""
+    site = Site()
+    for loss, freedom, level in ((0.05, np.inf, "advisory"), (0.11, 5.0, "normal"), (0.14, 5.0, "advisory")):
+        few = reading(loss, std=1e-4, common=STD, freedom=freedom)
+        assert alarm.step(site.states, few, 0, SETTINGS)[1].level.value == level
 
 
 def test_losses_below_min_loss_are_never_announced() -> None:
