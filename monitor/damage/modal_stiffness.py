@@ -19,9 +19,8 @@ from monitor.damage.baseline import ModalBaseline
 from monitor.damage.covariate_law import Effect
 from monitor.damage.level import displacement_weights
 from monitor.damage.parts import ModesAndShapes
-from monitor.damage.presence import Beside, Sighting, look
+from monitor.damage.presence import Beside, Sighting, kept, look
 from monitor.damage.quantities import UNCERTAIN, Covariates, Found, JudgeSettings, View, explained
-from monitor.damage.sequential_test import STRETCHES
 from monitor.damage.updating import MODES_ALONE, observe
 from monitor.identification import KnownModes, SelectionSettings, SubArray, identify, identify_modes, refine
 
@@ -95,12 +94,13 @@ class ModalStiffness:
         """Note a window's modes, and test what the latest windows lack, and show beside; channels that are left out show less."""
         if self.baseline is None or len(view.array.channels) < view.array.n_channels:
             return sightings, None
-        window_ns = round(settings.processing.window_s * 1e9)
-        wanted = range(self.baseline.frequencies_hz.size)
-        kept = [s for s in sightings if 0 < t_end_ns - s.t_ns < max(STRETCHES) * window_ns]
-        latest = (*kept, Sighting.of(modes, wanted, t_end_ns))
-        tolerance = 2.0 * settings.selection.stable_frequency
-        return latest, look(self.baseline.presence, latest, self.baseline.frequencies_hz, window_ns, tolerance)
+        window_ns, healthy_hz = round(settings.processing.window_s * 1e9), self.baseline.frequencies_hz
+        newest, tolerance = (
+            Sighting.of(modes, range(healthy_hz.size), t_end_ns),
+            2.0 * settings.selection.stable_frequency,
+        )
+        found = look(self.baseline.presence, sightings, newest, healthy_hz, window_ns, tolerance)
+        return kept(sightings, newest, window_ns), found
 
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:
         """Say why a window's modes are not enough to be judged; None where they are."""

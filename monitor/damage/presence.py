@@ -2,7 +2,7 @@
 
 Healthy windows lack a mode now and then, and show others beside.  How often is learned from windows that share no data, and how
 far records differ in it (a mode may not be excited in a whole record).  In service the windows without a mode are counted over
-the latest one, two, four and eight windows that share no data, and so are those with another mode at one frequency.  Chance
+the latest one, two, four ... windows that share no data, and so are those with another mode at one frequency.  Chance
 gives such a count by a beta-binomial distribution: its rate is known from so many windows and no more.
 
 References
@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 from scipy.special import betaln, gammaln, ndtri
 
 from monitor.core import Array, ModalEstimate
-from monitor.damage.sequential_test import STRETCHES
+
+_STRETCHES = tuple(2**k for k in range(7))
+"""Lengths over which windows are counted. [windows; judgement: powers of two as of the means, and to 64, for counts alone tell]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,6 +93,15 @@ class Presence:
         return float(np.exp(ways + betaln(a + k, b + of - k) - betaln(a, b)).sum())
 
 
+def kept(before: tuple[Sighting, ...], newest: Sighting, window_ns: int) -> tuple[Sighting, ...]:
+    """Add a window to those that share no data, if it shares none with the last; as many are kept as are ever tested."""
+    if before and 0 < newest.t_ns - before[-1].t_ns < window_ns:
+        return before
+    if before and newest.t_ns <= before[-1].t_ns:  # the clock was set back
+        before = ()
+    return (*before, newest)[-max(_STRETCHES) :]
+
+
 def learn_presence(
     sightings: Sequence[Sighting], records: Sequence[int], n_modes: int, band_hz: tuple[float, float]
 ) -> Presence:
@@ -118,18 +129,22 @@ def _alike(missing: Annotated[Array, "w m"], records: NDArray[np.intp]) -> float
 
 
 def look(
-    presence: Presence, latest: Sequence[Sighting], reference_hz: Array, window_ns: int, tolerance: float
+    presence: Presence,
+    before: Sequence[Sighting],
+    newest: Sighting,
+    reference_hz: Array,
+    window_ns: int,
+    tolerance: float,
 ) -> Beside:
-    """Test the newest of the latest windows, oldest first, with those before it that share no data.
+    """Test the newest window with those before it, the latest last, that share no data with it.
 
     `tolerance` is how far the frequencies of one other mode differ between windows, relative to it.
     """
-    chain = apart([s.t_ns for s in latest], window_ns)
-    seen = [latest[i] for i in chain[: max(STRETCHES)]]
+    seen = [newest, *(s for s in reversed(before) if newest.t_ns - s.t_ns >= window_ns)]
     bands = float(np.log(presence.band_hz[1] / presence.band_hz[0])) / (2.0 * tolerance)
-    tests = len(STRETCHES) * (presence.missing.size + bands)
+    tests = len(_STRETCHES) * (presence.missing.size + bands)
     best = Beside(0.0, 1, "")
-    for of in STRETCHES:
+    for of in _STRETCHES:
         part = seen[:of]
         if len(part) < of:
             break
