@@ -3,9 +3,9 @@
 A window states the sampling error of its data.  Records of an intact structure differ by more: temperature, load, fixing.  Each
 record is left out of the learning in turn (where there is one record alone, each window is), and what its windows then differ by,
 over what they state, gives a mean square between records and one within them (one-way analysis of variance with random effects).
-Few records tell a variance badly.  So the variance ratios of all components of a kind, frequencies or shapes, are drawn toward
-what they have in common, as far as they agree (moderated variances), and each has its degrees of freedom: five records give no
-five sigma.
+Few records tell a variance badly.  So the variance ratios of all components, or of those of a kind (frequencies, shapes), are
+drawn toward what they have in common, as far as they agree (moderated variances), and each has its degrees of freedom: five
+records give no five sigma.
 
 References
 ----------
@@ -59,7 +59,7 @@ def learn_scatter(
 ) -> RecordScatter:
     """Learn the scatter of windows that end at `t_ns` (UTC, increasing), each in one of the numbered records.
 
-    `kinds` are the components that may have a variance ratio in common.
+    `kinds` are the components that are alike.
     """
     ends = np.asarray(t_ns, dtype=np.int64)
     apart = _apart(ends, window_ns)
@@ -78,8 +78,7 @@ def learn_scatter(
     # The rest's mean has an error of its own, by which what is left out differs more.
     left /= np.sqrt(1.0 + 1.0 / (names.size * (1.0 - 1.0 / len(folds))))
     ratio, freedom = _ratio(left, np.searchsorted(names, record[apart]), names.size)
-    for kind in kinds:
-        ratio[kind], freedom[kind] = _moderated(ratio[kind], freedom[kind])
+    ratio, freedom = _moderated(ratio, freedom, kinds)
     return RecordScatter(stated, stated * np.maximum(ratio - 1.0, 0.0), freedom, int(names.size))
 
 
@@ -108,15 +107,28 @@ def _ratio(left: Annotated[Array, "w d"], record: NDArray[np.intp], n: int) -> t
     return ratio, ratio**2 / (parts[0] ** 2 / (n - 1) + parts[1] ** 2 / within_freedom)
 
 
-def _moderated(ratio: Annotated[Array, "d"], freedom: Annotated[Array, "d"]) -> tuple[Array, Array]:
-    """Draw variance ratios toward a common one, as far as they scatter no more than their degrees of freedom let expect."""
+def _moderated(
+    ratio: Annotated[Array, "d"], freedom: Annotated[Array, "d"], kinds: Sequence[slice]
+) -> tuple[Array, Array]:
+    """Draw variance ratios toward a common one, as far as they scatter no more than their degrees of freedom let expect.
+
+    What they have in common is that of all components or of those of the same kind, whichever is known better.
+    """
     ratio = np.maximum(ratio, np.finfo(float).tiny)
+    prior, common, most = (np.empty_like(ratio) for _ in range(3))
+    for kind in kinds:
+        pools = [_pool(ratio[of], freedom[of]) for of in (kind, slice(None))]
+        prior[kind], common[kind], most[kind] = max(pools)
+    return (prior * common + freedom * ratio) / (prior + freedom), np.minimum(prior + freedom, most)
+
+
+def _pool(ratio: Array, freedom: Array) -> tuple[float, float, float]:
+    """Return the degrees of freedom of what variance ratios have in common, that itself, and the most there are."""
     ln = np.log(ratio) - digamma(0.5 * freedom) + np.log(0.5 * freedom)
     most = float(freedom.sum())
     excess = (ln.var(ddof=1) if ln.size > 1 else np.inf) - float(polygamma(1, 0.5 * freedom).mean())
     prior = min(2.0 * _trigamma_inverse(excess), most) if excess > 0.0 else most
-    common = float(np.exp(ln.mean() + digamma(0.5 * prior) - np.log(0.5 * prior)))
-    return (prior * common + freedom * ratio) / (prior + freedom), np.minimum(prior + freedom, most)
+    return prior, float(np.exp(ln.mean() + digamma(0.5 * prior) - np.log(0.5 * prior))), most
 
 
 def _trigamma_inverse(value: float) -> float:
