@@ -9,6 +9,12 @@ from .single_modes import (
     fit_bell as fit_bell,
     fit_single_modes as fit_single_modes,
 )
+from .spectral_shape import (
+    Scatter as Scatter,
+    SpectralShape as SpectralShape,
+    least_chance as least_chance,
+    permute as permute,
+)
 from .ssi import SsiSettings as SsiSettings
 from .stabilization import (
     LEAST_PERIODS as LEAST_PERIODS,

@@ -1,104 +1,137 @@
-"""Comparison of two recordings, or of two folders of results: what differs by more than chance allows."""
+"""Comparison of two recordings, or of two folders of results: whether they differ by more than chance allows, and in what.
+
+Both sides are cut into equal blocks, longer than ten decay times of the lowest mode, so that what one block holds is not what is
+left of the motion in another.  Whether they differ is one test, by permuted labels of the blocks, of the distance between their
+spectral shapes (of folders: between their modes and damage indices).  In what they differ is told by intervals from the scatter
+of what is found when one block after the other is left out.  What records of one state do from day to day, no block of two
+records shows: healthy records of other days show it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from statistics import NormalDist
 from typing import Annotated, Any
 
 import numpy as np
 
-from monitor.core import Array, BadInputError, ComplexArray, MissingInputError, OnProgress, Step, os_errors_of
-from monitor.identification import SelectionSettings
-from monitor.publish import LookedRecording, read_line, read_lines
-from monitor.runs.look import in_columns, look, mac
+from monitor.core import Array, BadInputError, OnProgress, Step
+from monitor.identification import Scatter, least_chance, permute
+from monitor.runs.compare_sides import (
+    Mode,
+    Recorded,
+    Results,
+    Side,
+    describe_recordings,
+    describe_results,
+    match,
+)
+from monitor.runs.look import in_columns, mac
 from monitor.runs.recordings import OnWarning
-from monitor.signals import overlap_correlation
 
 _FALSE_RATE = 0.05
-"""Probability that chance makes a difference significant in a comparison of equals, all its tests together. [1; convention]"""
-_LEAST_LOOKS = 4.0
-"""Windows without common data from which their scatter is taken for the uncertainty. [count; judgement]"""
-_RESULTS = "results.jsonl"
-"""File of a folder of results. [name; definition]"""
-_OF_MODES = ("frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "mode_shapes")
-"""Keys of a line that have an entry a mode. [names; contract of results.jsonl]"""
+"""Probability that two of one state are told to differ; and, of what differs, that chance makes any one thing
+significant. [1; convention]"""
+_DECAYS = 10.0
+"""Length of a block, in decay times of the lowest mode, at least. [1; definition: e^-10 of a block's motion reaches the next]"""
+_BLOCKS = next(n for n in range(2, 99) if least_chance(n, n) <= _FALSE_RATE)
+"""Blocks into which the shorter side is cut. [count; definition: the fewest whose permutations reach the rate, so that each holds
+as much as it can of what drifts within a record]"""
+_LEAST_HEALTHY = 3
+"""Healthy records from which their scatter is known. [count; definition: one is left out, and two have a scatter]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Mode:
-    """Mode of one side."""
+class _Answer:
+    """Whether the sides differ."""
 
-    frequency_hz: float
-    frequency_std_hz: float
-    damping_ratio: float
-    damping_std: float
-    shape: Annotated[ComplexArray, "c"]
-    shape_std: Annotated[Array, "c"] | None
-    """None where not known."""
+    chance: float | None
+    """How often equals differ as much; None where that cannot be said."""
+    reason: str = ""
+    """Why it cannot."""
+
+    @property
+    def differs(self) -> bool | None:
+        return None if self.chance is None else self.chance <= _FALSE_RATE
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Side:
-    """What is compared of one recording or folder."""
+class _Cut:
+    """A side in blocks, and what is found of it without each of them."""
 
-    name: str
-    channels: tuple[str, ...]
-    """Empty where the results do not name them."""
-    modes: tuple[_Mode, ...]
-    levels: dict[str, tuple[float, float]]
-    """RMS in dB of 1 m/s^2, with its standard deviation, of each channel and band."""
-    index: dict[str, tuple[float, float]]
-    """Damage index of each story, with its standard deviation."""
+    side: Side
+    blocks: list[Any]
+    left_out: list[dict[int, Mode]]
+    """Modes by the number of the same mode of the whole, one entry a block that is left out."""
 
 
 def compare(
-    first: Path, second: Path, *, on_warning: OnWarning = lambda _: None, on_progress: OnProgress = lambda _: None
+    first: Path,
+    second: Path,
+    *,
+    healthy: Sequence[Path] = (),
+    on_warning: OnWarning = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Any]:
-    """Compare two recordings, or two folders of results.
+    """Compare two recordings, or two folders of results; `healthy` are more of the same kind, from other days of one state.
 
-    The content names both, and holds the tests with their z-scores, the modes of one side alone, and the limit of a significant
-    z-score (Bonferroni).  Raises BadInputError or MissingInputError if one cannot be used, or if one is a recording and the
-    other a folder.
+    The content names both, and holds the answer `differs` (None where it cannot be said: `cannot_say`), the tests of what
+    differs with their z-scores and the limits of a significant one, and the modes of one side alone.  Raises BadInputError or
+    MissingInputError if one cannot be used, or if one is a recording and another a folder.
     """
-    if first.is_dir() != second.is_dir():
-        raise BadInputError(f"{first} and {second}: compare two recordings, or two folders of results")
-    if first.is_dir():
-        sides = [_of_results(path) for path in (first, second)]
-    else:
-        sides = [
-            _of_recording(path, look([path], on_warning=on_warning, on_progress=partial(_tell_of, path, on_progress)))
-            for path in (first, second)
-        ]
-    a, b = sides
-    if a.channels != b.channels:
-        raise BadInputError(
-            f"{first} has the channels {', '.join(a.channels)}, {second} has {', '.join(b.channels)}: compare what the same "
-            "sensors measured"
-        )
-    pairs, only_a, only_b = _match(a.modes, b.modes)
-    tests = [one for number, (i, j) in enumerate(pairs, start=1) for one in _mode_tests(number, a.modes[i], b.modes[j])]
-    for kind, unit, of_a, of_b in (("level", "dB", a.levels, b.levels), ("index", "", a.index, b.index)):
-        tests += [
-            _test(kind, name, unit, of_a[name], of_b[name])
-            for name in of_a
-            if name in of_b and np.isfinite([*of_a[name], *of_b[name]]).all()
-        ]
-    limit = NormalDist().inv_cdf(1.0 - _FALSE_RATE / (2.0 * max(1, len(tests))))
+    paths = [first, second, *healthy]
+    if len({path.is_dir() for path in paths}) > 1:
+        raise BadInputError(f"{', '.join(map(str, paths))}: compare recordings, or folders of results")
+    sides: list[Side] = [
+        Results.read(path) if path.is_dir() else Recorded.read(path, on_warning, partial(_tell_of, path, on_progress))
+        for path in paths
+    ]
+    for path, side in zip(paths[1:], sides[1:], strict=True):
+        if side.channels != sides[0].channels:
+            raise BadInputError(
+                f"{first} has the channels {', '.join(sides[0].channels)}, {path} has {', '.join(side.channels)}: compare what "
+                "the same sensors measured"
+            )
+    block_s = _block_s(sides)
+    blocks = [side.cut(block_s) for side in sides]
+    matches = [match(sides[0].modes, side.modes) for side in sides[1:]]
+    pairs = matches[0]
+    answer = _answer(sides, [_thinned(own) for own in blocks], matches, block_s)
+    a, b = (_Cut(side, own, side.left_out(own)) for side, own in zip(sides[:2], blocks[:2], strict=True))
+    scatter = partial(_between, matches[1:], sides[2:])
+    tests = [
+        one
+        for number, (i, j) in enumerate(sorted(pairs.items()), start=1)
+        for one in _mode_tests(f"mode {number}: ", a, b, i, j, scatter)
+    ]
+    tests += _value_tests("index", "", *(side.indices(own) for side, own in zip(sides, blocks, strict=True)))
+    levels = _value_tests("level", "dB", *(side.powers(own) for side, own in zip(sides, blocks, strict=True)))
+    dof = (len(healthy) - 1) if healthy else len(a.blocks) + len(b.blocks) - 2
+    limit, level_limit = _limit(tests, dof), _limit(levels, dof)
     for test in tests:
-        test["significant"] = bool(abs(test["z"]) > limit)
-    return {
-        "a": a.name,
-        "b": b.name,
-        "tests": tests,
+        test["significant"] = bool(answer.differs and abs(test["z"]) > limit)
+    for test in levels:
+        test["significant"] = bool(answer.differs is not None and abs(test["z"]) > level_limit)
+    content = {
+        "a": sides[0].name,
+        "b": sides[1].name,
+        "healthy": [side.name for side in sides[2:]],
+        "differs": answer.differs,
+        "chance": answer.chance,
+        "rate": _FALSE_RATE,
+        "cannot_say": answer.reason,
+        "blocks": {"length_s": block_s, "a": len(blocks[0]), "b": len(blocks[1])},
+        "tests": tests + levels,
         "limit": limit,
-        "only_in_a_hz": [a.modes[i].frequency_hz for i in only_a],
-        "only_in_b_hz": [b.modes[j].frequency_hz for j in only_b],
-        "significant": sum(test["significant"] for test in tests),
+        "level_limit": level_limit,
+        "only_in_a_hz": [mode.frequency_hz for i, mode in enumerate(sides[0].modes) if i not in pairs],
+        "only_in_b_hz": [mode.frequency_hz for j, mode in enumerate(sides[1].modes) if j not in pairs.values()],
+        "without_modes": [side.without_modes for side in sides[:2] if side.without_modes],
+        "significant": sum(test["significant"] for test in tests + levels),
     }
+    return content | {"answer": _sentence(content)}
 
 
 def _tell_of(path: Path, on_progress: OnProgress, step: Step) -> None:
@@ -106,8 +139,169 @@ def _tell_of(path: Path, on_progress: OnProgress, step: Step) -> None:
     on_progress(step._replace(does=f"{path.name}: {step.does}"))
 
 
+def _block_s(sides: Sequence[Side]) -> float:
+    """Choose the length of the blocks: the longest of which each side holds enough, and no less than ten decay times.
+
+    The decay time is the longer one of the lowest modes of A and B.
+    """
+
+    def longest(lengths_s: Sequence[float]) -> float:
+        lengths = (length / k for length in lengths_s for k in range(1, _BLOCKS + 1))
+        return max(s for s in lengths if sum(int(length / s + 1e-9) for length in lengths_s) >= _BLOCKS)
+
+    decay_s = max((side.modes[0].decay_s for side in sides[:2] if side.modes), default=0.0)
+    return max(_DECAYS * decay_s, min(longest(side.lengths_s) for side in sides))
+
+
+def _thinned(blocks: list[Any]) -> list[Any]:
+    """Take of many blocks twice as many as the shorter side has, evenly: the others would hardly add to the answer."""
+    most = 2 * _BLOCKS
+    return [blocks[k * len(blocks) // most] for k in range(most)] if len(blocks) > most else blocks
+
+
+def _describe(sides: Sequence[Any], blocks: Sequence[Any], matches: Sequence[dict[int, int]]) -> list[Array]:
+    """Describe all blocks, side by side."""
+    if isinstance(sides[0], Recorded):
+        return describe_recordings(sides, blocks)
+    chosen = [i for i in range(len(sides[0].modes)) if all(i in one for one in matches)]
+    return describe_results(sides, blocks, [chosen, *([one[i] for i in chosen] for one in matches)])
+
+
+def _answer(
+    sides: Sequence[Side], blocks: Sequence[Sequence[Any]], matches: Sequence[dict[int, int]], block_s: float
+) -> _Answer:
+    """Answer whether A and B differ, by the scatter between their blocks or, where there are healthy records, between those."""
+    counts = [len(own) for own in blocks]
+    n_healthy = len(blocks) - 2
+    enough = 1 if n_healthy else _BLOCKS
+    if min(counts) < 1 or (not n_healthy and least_chance(*counts) > _FALSE_RATE):
+        return _Answer(
+            None,
+            f"{' and '.join(map(str, counts))} blocks of {block_s:.3g} s are too few for {100.0 * _FALSE_RATE:g} %; record "
+            f"{enough * block_s:.3g} s or more of each",
+        )
+    if 0 < n_healthy < _LEAST_HEALTHY:
+        return _Answer(None, f"{n_healthy} healthy records show no scatter; give {_LEAST_HEALTHY} or more")
+    parts = _describe(sides, blocks, matches)
+    if not parts:
+        return _Answer(None, "no mode is found on both sides")
+    if not n_healthy:
+        return _Answer(permute(parts, counts[0]))
+    begins, length = np.concatenate([[0], np.cumsum(counts)[:-1]]), min(counts)
+    whole = np.concatenate(parts, axis=1)
+    means = np.sqrt(length) * np.array([whole[k : k + length].mean(axis=0) for k in begins])
+    return _Answer(Scatter.of(means[2:]).chance(means[1], means[0]))
+
+
+def _std(left_out: Annotated[Array, "k"]) -> float:
+    """Compute the standard deviation of an estimate from those without one block each (jackknife)."""
+    k = len(left_out)
+    return float(np.sqrt((k - 1.0) * left_out.var())) if k > 1 else float("nan")
+
+
+def _between(matches: Sequence[dict[int, int]], sides: Sequence[Side], i: int, value: Callable[[Mode], float]) -> float:
+    """Compute the standard deviation of a value of A's mode i between the healthy sides; 0 where fewer than two have it."""
+    found = [value(side.modes[one[i]]) for one, side in zip(matches, sides, strict=True) if i in one]
+    return float(np.std(found, ddof=1)) if len(found) > 1 else 0.0
+
+
+def _test(
+    kind: str, name: str, unit: str, a: tuple[float, float], b: tuple[float, float], between: float
+) -> dict[str, Any]:
+    """Form the record of a test of two values with their standard deviations, or with that of one value between records."""
+    change, std = b[0] - a[0], max(float(np.hypot(a[1], b[1])), np.sqrt(2.0) * between, 1e-300)
+    relative = change / a[0] if kind in ("frequency", "damping") else None
+    return {
+        "kind": kind,
+        "what": name,
+        "unit": unit,
+        "a": a[0],
+        "b": b[0],
+        "change": change,
+        "change_std": std,
+        "relative": relative,
+        "z": change / std,
+    }
+
+
+def _mode_tests(
+    name: str, a: _Cut, b: _Cut, i: int, j: int, between: Callable[[int, Callable[[Mode], float]], float]
+) -> list[dict[str, Any]]:
+    """Test frequency, damping and shape of mode i of A, which is mode j of B; nothing that has no interval."""
+    gauge = int(np.abs(a.side.modes[i].shape).argmax())  # all shapes are scaled at the same channel
+    free = [k for k in range(len(a.side.modes[i].shape)) if k != gauge]
+
+    def told(kind: str, what: str, unit: str, value: Callable[[Mode], float]) -> dict[str, Any]:
+        sides = [
+            (value(cut.side.modes[k]), _std(np.array([value(one[k]) for one in cut.left_out if k in one])))
+            for cut, k in ((a, i), (b, j))
+        ]
+        return _test(kind, name + what, unit, sides[0], sides[1], between(i, value))
+
+    out = [
+        told("frequency", "frequency", "Hz", lambda mode: mode.frequency_hz),
+        told("damping", "damping ratio", "", lambda mode: mode.damping_ratio),
+    ]
+    components = [told("shape", "shape (MAC)", "", partial(_component, k, gauge)) for k in free]
+    if components:
+        most = max(components, key=lambda test: abs(test["z"]) if np.isfinite(test["z"]) else -1.0)
+        likeness = mac(a.side.modes[i].shape, b.side.modes[j].shape)
+        out.append(
+            most | {"a": 1.0, "b": likeness, "change": likeness - 1.0, "change_std": None, "of": len(components)}
+        )
+    return [test for test in out if np.isfinite(test["z"])]
+
+
+def _component(channel: int, gauge: int, mode: Mode) -> float:
+    """Compute a component of a mode's shape, whose component at the gauge is 1."""
+    return float((mode.shape[channel] / mode.shape[gauge]).real)
+
+
+def _value_tests(
+    kind: str, unit: str, a: dict[str, Array], b: dict[str, Array], *healthy: dict[str, Array]
+) -> list[dict[str, Any]]:
+    """Test values that each block has, by the scatter between blocks or healthy sides; levels, which are powers, in dB."""
+
+    def mean(values: Array) -> float:
+        return float(10.0 * np.log10(values.mean())) if kind == "level" else float(values.mean())
+
+    def of(values: Array) -> tuple[float, float]:
+        left_out = [mean(np.delete(values, k)) for k in range(len(values))] if len(values) > 1 else []
+        return mean(values), _std(np.array(left_out))
+
+    tests = []
+    for name in (name for name in a if name in b):
+        others = [mean(one[name]) for one in healthy if name in one]
+        between = float(np.std(others, ddof=1)) if len(others) > 1 else 0.0
+        tests.append(_test(kind, name, unit, of(a[name]), of(b[name]), between))
+    return [test for test in tests if np.isfinite(test["z"])]
+
+
+def _limit(tests: Sequence[dict[str, Any]], dof: int) -> float:
+    """Compute the z-score that any one of the tests exceeds by chance at the stated rate (Student's t, Bonferroni)."""
+    from scipy.special import stdtrit  # takes a while to load
+
+    count = max(1, sum(test.get("of", 1) for test in tests))
+    return float(stdtrit(max(1, dof), 1.0 - _FALSE_RATE / (2.0 * count)))
+
+
+def _sentence(content: dict[str, Any]) -> str:
+    """Say the answer in one sentence."""
+    beyond = "the scatter between the healthy records" if content["healthy"] else "the scatter within the records"
+    if content["differs"] is None:
+        return f"cannot say whether they differ: {content['cannot_say']}"
+    chance = (
+        f"of equals {100.0 * content['chance']:.2g} % differ as much, at most {100.0 * content['rate']:g} % are told to"
+    )
+    if not content["differs"]:
+        return f"no difference beyond {beyond} ({chance})"
+    moved = [test["what"] for test in content["tests"] if test["significant"] and test["kind"] != "level"]
+    what = ", ".join(moved) or "the spectrum's shape changed; no mode's change tells how"
+    return f"they differ beyond {beyond} ({chance}): {what}"
+
+
 def in_words(content: dict[str, Any]) -> str:
-    """Write the result of `compare` for a terminal."""
+    """Write the result of `compare` for a terminal: the answer last."""
     rows = [["", "A", "B", "B - A", "z", ""]]
     for test in content["tests"]:
         if test["kind"] == "level" and not test["significant"]:
@@ -123,162 +317,11 @@ def in_words(content: dict[str, Any]) -> str:
         if content[f"only_in_{side}_hz"]:
             found = ", ".join(f"{f:.4g} Hz" for f in content[f"only_in_{side}_hz"])
             lines.append(f"only in {side.upper()}: modes at {found}")
+    lines += [f"no modes: {reason}" for reason in content["without_modes"]]
+    blocks = content["blocks"]
     lines.append(
-        f"{content['significant']} of {len(content['tests'])} differ beyond chance: |z| > {content['limit']:.1f}, at which "
-        f"{100 * _FALSE_RATE:g} % of comparisons of equals show any difference. Levels follow the excitation; temperature moves "
-        "frequencies."
+        f"{blocks['a']} and {blocks['b']} blocks of {blocks['length_s']:.3g} s; beyond chance is |z| > {content['limit']:.1f}, "
+        f"of levels {content['level_limit']:.1f}. Levels follow the excitation and are no part of the answer; temperature "
+        "moves frequencies."
     )
-    return "\n".join(lines)
-
-
-def _test(kind: str, name: str, unit: str, a: tuple[float, float], b: tuple[float, float]) -> dict[str, Any]:
-    """Form the record of a test of two values with their standard deviations."""
-    change, std = b[0] - a[0], max(float(np.hypot(a[1], b[1])), 1e-300)
-    relative = change / a[0] if kind in ("frequency", "damping") else None
-    return {
-        "kind": kind,
-        "what": name,
-        "unit": unit,
-        "a": a[0],
-        "b": b[0],
-        "change": change,
-        "change_std": std,
-        "relative": relative,
-        "z": change / std,
-    }
-
-
-def _mode_tests(number: int, a: _Mode, b: _Mode) -> list[dict[str, Any]]:
-    """Test frequency, damping and shape of a mode."""
-    out = []
-    f = (a.frequency_hz, a.frequency_std_hz), (b.frequency_hz, b.frequency_std_hz)
-    d = (a.damping_ratio, a.damping_std), (b.damping_ratio, b.damping_std)
-    if np.isfinite(f).all():
-        out.append(_test("frequency", f"mode {number}: frequency", "Hz", *f))
-    if np.isfinite(d).all():
-        out.append(_test("damping", f"mode {number}: damping ratio", "", *d))
-    if a.shape_std is None or b.shape_std is None or len(a.shape) < 2:
-        return out
-    from scipy.special import gammaincc, ndtri  # takes a while to load
-
-    gauge = int(np.abs(a.shape).argmax())  # both are scaled at the same channel
-    scaled = b.shape / b.shape[gauge]
-    b_std = b.shape_std / abs(b.shape[gauge])
-    variance = a.shape_std**2 + b_std**2 + (scaled.real * b_std[gauge]) ** 2
-    free = np.arange(len(a.shape)) != gauge
-    chi2 = float((((scaled.real - a.shape.real) ** 2)[free] / np.maximum(variance[free], 1e-300)).sum())
-    chance = float(gammaincc(0.5 * free.sum(), 0.5 * chi2))
-    test = _test("shape", f"mode {number}: shape (MAC)", "", (1.0, 0.0), (mac(a.shape, b.shape), 0.0))
-    return [*out, test | {"change_std": None, "z": float(-ndtri(max(0.5 * chance, 1e-300)))}]
-
-
-def _match(a: Sequence[_Mode], b: Sequence[_Mode]) -> tuple[list[tuple[int, int]], list[int], list[int]]:
-    """Match the modes of two sides by frequency and shape; return pairs, and what is on one side alone."""
-    from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
-
-    select, impossible = SelectionSettings(), 1e3
-    cost = np.full((len(a), len(b)), impossible)
-    for i, one in enumerate(a):
-        for j, other in enumerate(b):
-            distance = abs(np.log(other.frequency_hz / one.frequency_hz)) / np.log(select.max_frequency_ratio)
-            likeness = mac(one.shape, other.shape)
-            if distance <= 1.0 and likeness >= select.min_model_mac:
-                cost[i, j] = distance + (1.0 - likeness)
-    pairs = [(int(i), int(j)) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < impossible]
-    return (
-        pairs,
-        [i for i in range(len(a)) if i not in {p[0] for p in pairs}],
-        [j for j in range(len(b)) if j not in {p[1] for p in pairs}],
-    )
-
-
-def _of_recording(path: Path, found: LookedRecording) -> _Side:
-    modes = tuple(
-        _Mode(m.frequency_hz, m.frequency_std_hz, m.damping_ratio, m.damping_std, m.shape, m.shape_std)
-        for m in found.modes
-        if not m.remark
-    )
-    return _Side(str(path), found.channels, modes, _levels(found), {})
-
-
-def _levels(found: LookedRecording) -> dict[str, tuple[float, float]]:
-    """Compute the level of each channel in each octave, with the standard deviation of its mean over the recording."""
-    out = {}
-    step = float(found.hz[1])
-    centres = 2.0 ** np.arange(np.floor(np.log2(4.0 * step)), np.log2(found.hz[-1]))
-    columns = len(found.spectrogram)
-    averaged = found.n_segments / columns  # half-overlapping segments in a column
-    for low in centres:
-        inside = (found.hz >= low) & (found.hz < 2.0 * low)
-        if not inside.any() or 2.0 * low > found.hz[-1]:
-            continue
-        power = found.spectrogram[:, inside].sum(axis=1) * step
-        for k, name in enumerate(found.channels):
-            mean = float(power[:, k].mean())
-            if mean <= 0.0 or columns < 2:
-                continue
-            inflate = 1.0 + 2.0 * overlap_correlation() / averaged
-            std = float(power[:, k].std(ddof=1)) * np.sqrt(inflate / columns) / mean
-            out[f"{name}: level, {low:g} to {2.0 * low:g} Hz"] = (10.0 * np.log10(mean), 10.0 / np.log(10.0) * std)
-    return out
-
-
-def _of_results(folder: Path) -> _Side:
-    """Collect what is compared of a folder of results (errors as `compare`)."""
-    judged = _windows_with_modes(folder / _RESULTS)
-    stretch_s = (judged[-1]["t_end_ns"] - judged[0]["t_end_ns"]) * 1e-9 + judged[0]["window_s"]
-    mean = partial(_mean, stretch_s / judged[0]["window_s"], len(judged))
-    numbers = [line.get("model_modes") or list(range(len(line["frequencies_hz"]))) for line in judged]
-    modes = []
-    for number in sorted({number for own in numbers for number in own}):
-        rows = [(line, own.index(number)) for line, own in zip(judged, numbers, strict=True) if number in own]
-        of = {key: [line[key][k] for line, k in rows] for key in _OF_MODES}
-        f, d = mean(of["frequencies_hz"], of["frequencies_std_hz"]), mean(of["damping_ratio"], of["damping_std"])
-        modes.append(_Mode(*f, *d, _mean_shape(of["mode_shapes"]), None))
-    told = [line for line in judged if line.get("ddi")]
-    index = {
-        f"story {j + 1}: damage index": mean([line["ddi"][j] for line in told], [line["ddi_std"][j] for line in told])
-        for j in range(max((len(line["ddi"]) for line in told), default=0))
-    }
-    decibels = [20.0 * np.log10(x) for line in judged if (x := line.get("rms_m_s2"))]
-    levels = {"level": mean(decibels, [float(np.std(decibels))] * len(decibels))} if decibels else {}
-    return _Side(str(folder), (), tuple(modes), levels, index)
-
-
-def _windows_with_modes(path: Path) -> list[dict[str, Any]]:
-    """Read the windows of results.jsonl that have modes, one at least."""
-    if not path.is_file():
-        raise MissingInputError(f"{path}: does not exist; a folder of results is made by replay or run")
-    judged = []
-    with os_errors_of(path):
-        for number, text in enumerate(read_lines(path), start=1):
-            try:
-                line = read_line(text)
-            except ValueError as error:
-                raise BadInputError(f"{path}: line {number}: {error}") from error
-            judged += [line] if line.get("frequencies_hz") else []
-    if not judged:
-        raise BadInputError(f"{path}: no window has modes")
-    return judged
-
-
-def _mean(looks: float, of: int, values: Sequence[float | None], stds: Sequence[float | None]) -> tuple[float, float]:
-    """Average windows that share data, with the standard deviation of the mean; `of` windows are `looks` without common data."""
-    v = np.array([x for x in values if x is not None], dtype=float)
-    s = np.array([x for x in stds if x is not None], dtype=float)
-    if not v.size:
-        return float("nan"), float("nan")
-    own = looks * v.size / of
-    one = float(v.std(ddof=1)) if own >= _LEAST_LOOKS else float(s.mean()) if s.size else float("nan")
-    return float(v.mean()), one / np.sqrt(max(own, 1.0))
-
-
-def _mean_shape(shapes: Sequence[Sequence[Any]]) -> ComplexArray:
-    """Average shapes of several windows, [re, im] of each channel; a channel that is left out in any of them counts as 0."""
-    parsed = []
-    for shape in shapes:
-        x = np.array([0j if one is None or None in one else complex(*one) for one in shape])
-        parsed.append(x / max(float(np.linalg.norm(x)), 1e-300))
-    reference = parsed[0]
-    turned = [x * np.exp(-1j * np.angle(np.vdot(reference, x))) for x in parsed]
-    return np.asarray(np.mean(turned, axis=0))
+    return "\n".join([*lines, content["answer"]])

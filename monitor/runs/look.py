@@ -144,13 +144,9 @@ def _look(
     """Look at recordings, of whose rate in Hz and begin in ns `notes_of` makes the first notes."""
     read = _Reader(paths, on_warning, on_progress)
     on_progress(Step(_IDENTIFIES))
-    runs, rate_hz = read.runs, read.rate_hz
-    notes = notes_of(rate_hz, runs[0].t_ns)
+    notes = notes_of(read.rate_hz, read.runs[0].t_ns)
+    runs, rate_hz, held = read.each_once()
     longest = max(runs, key=lambda run: len(run.values))
-    held = times_held(longest.values)
-    if held > 1:
-        runs, rate_hz = [replace(run, values=each_once(run.values, held)) for run in runs], rate_hz / held
-        longest = max(runs, key=lambda run: len(run.values))
     if len(longest.values) < 2 * SsiSettings().block_rows * _LEAST_BLOCKS:
         raise BadInputError(
             f"{file_names(paths)}: the longest stretch without a gap has {len(longest.values)} samples, too few to look at; "
@@ -221,6 +217,23 @@ def _look(
     )
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Stretches:
+    """Samples of recordings in stretches without a gap."""
+
+    channels: tuple[str, ...]
+    rate_hz: float
+    values: tuple[Annotated[Array, "n c"], ...]
+    """In m/s^2."""
+
+    @classmethod
+    def of(cls, recordings: Sequence[Path], on_warning: OnWarning, on_progress: OnProgress) -> Stretches:
+        """Read them (errors as `look`)."""
+        read = _Reader(recordings, on_warning, on_progress)
+        runs, rate_hz, _ = read.each_once()
+        return cls(read.channels, rate_hz, tuple(run.values for run in runs))
+
+
 class _Reader:
     """Reads recordings into runs of samples without a gap, and the health of their sensors."""
 
@@ -275,6 +288,13 @@ class _Reader:
         self.dropped = dropped
         if not self.runs:
             raise BadInputError(f"{file_names(paths)}: {ACCELERATION} holds no samples")
+
+    def each_once(self) -> tuple[list[_Run], float, int]:
+        """Give the runs without the repetitions of samples that a converter held, their rate, and how often each was held."""
+        held = times_held(max(self.runs, key=lambda run: len(run.values)).values)
+        if held == 1:
+            return self.runs, self.rate_hz, held
+        return [replace(run, values=each_once(run.values, held)) for run in self.runs], self.rate_hz / held, held
 
 
 def _transforms(runs: Sequence[_Run], rate_hz: float) -> tuple[ComplexArray, SegmentDesign, Array]:
