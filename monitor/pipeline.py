@@ -379,7 +379,8 @@ class Pipeline:
         if isinstance(modes, Skipped):
             return skip(modes, None, self._track_modes(None, item, view))
         memory = Memory(self.state.alarm, self.state.learning, self.state.sightings)
-        judged = judge.step(self.quantities, memory, modes, covariates, view, item.t_end_ns, c)
+        spectra = None if c.has_model or left_out else item.cross_spectra
+        judged = judge.step(self.quantities, memory, modes, covariates, view, item.t_end_ns, c, spectra)
         if isinstance(judged, Skipped):
             return skip(judged, modes, self._track_modes(modes, item, view))
         memory, said = judged
@@ -405,6 +406,7 @@ class Pipeline:
             left_out,
             said.modal,
             None if left_out else item.sums.total[0] / item.sums.counts.sum(),
+            None if self.baseline is not None else spectra,
             rates_hz,
         )
 

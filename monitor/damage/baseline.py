@@ -13,6 +13,7 @@ from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.origin import Origin
 from monitor.damage.presence import Presence
 from monitor.damage.record_scatter import RecordScatter
+from monitor.damage.spectrum import HealthySpectrum
 from monitor.damage.updating import Observation, gauge_masks
 from monitor.identification import KnownModes
 from monitor.model import Model, Modes, StructuralPrior
@@ -75,6 +76,8 @@ class ModalBaseline(HealthyModes):
     """How `z` of windows of other records scatters."""
     presence: Presence
     """How often windows lacked a mode or showed others."""
+    spectrum: HealthySpectrum | None = None
+    """The shape of windows' spectra; None where too few are known."""
     shape_law: CovariateLaw | None = None
     """Dependence of the shapes' components but the gauges', mode by mode."""
 

@@ -20,6 +20,7 @@ from monitor.core import (
 from monitor.damage.baseline import AnyBaseline, Baseline, ModalBaseline
 from monitor.damage.covariates import read_law
 from monitor.damage.origin import MODAL, Origin, number_differences, sensor_differences
+from monitor.damage.spectrum import read_spectrum
 from monitor.damage.updating import UpdatingSettings
 from monitor.model import InstrumentedModel, prior_file
 
@@ -232,7 +233,8 @@ def _build_modal(tree: dict[str, Any]) -> ModalBaseline:
     """Build the baseline from a file's content; ValueError, KeyError or TypeError if its parts do not fit each other."""
     m, c = len(tree["frequencies_hz"]), len(tree["channels"])
     laws = {"law": read_law(tree["law"], m), "shape_law": read_law(tree["shape_law"], m * (c - 1), "shape_law")}
-    built = decode(ModalBaseline, tree, laws | {"doubts": ()}, beside=("kind", "format"), d=m * c, m=m, c=c)
+    given = laws | {"doubts": (), "spectrum": read_spectrum(tree["spectrum"])}
+    built = decode(ModalBaseline, tree, given, beside=("kind", "format"), d=m * c, m=m, c=c)
     if not m or len(built.gauges) != m or not all(0 <= g < c for g in built.gauges):
         raise ValueError("its gauges are damaged")
     if any(law is not None and law.common is not None for law in laws.values()):

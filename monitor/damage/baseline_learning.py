@@ -16,6 +16,7 @@ from monitor.damage.covariates import TEMPERATURE, Change, CovariateSettings, le
 from monitor.damage.origin import Origin
 from monitor.damage.presence import Presence
 from monitor.damage.record_scatter import learn_scatter
+from monitor.damage.spectrum import HealthySpectrum
 from monitor.damage.updating import (
     MODES_ALONE,
     Observation,
@@ -52,6 +53,8 @@ class HealthyData:
     window_s: float = 0.0
     presence: Presence | None = None
     """How often windows, also those that lack a mode, showed each; of modes alone."""
+    spectrum: HealthySpectrum | None = None
+    """The shape of the spectra of the same windows."""
     motion: Sequence[Annotated[Array, "c c"]] = ()
     """Covariance of the accelerations of windows (`WindowResult.motion`), (m/s^2)^2."""
 
@@ -231,6 +234,7 @@ def learn_modal_baseline(
         reference_temperature_degc=_mean_temperature(healthy.covariates),
         scatter=scatter,
         presence=healthy.presence,
+        spectrum=healthy.spectrum,
         law=law,
         shape_law=shape_law,
     )

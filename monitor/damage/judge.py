@@ -13,6 +13,7 @@ from monitor.core import (
     WHOLE,
     Alarm,
     Array,
+    CrossSpectra,
     DamageReading,
     Level,
     ModalEstimate,
@@ -74,6 +75,7 @@ def step(
     view: View,
     t_end_ns: int,
     settings: JudgeSettings,
+    spectra: CrossSpectra | None = None,
 ) -> tuple[Memory, Judged] | Skipped:
     """Compare a window's modes with the baseline's, and update the alarms; `t_end_ns` is the UTC of the window's end."""
     if (lacking := quantities.lacking(modes, view, settings.selection)) is not None:
@@ -96,7 +98,7 @@ def step(
     together = None if law is None else law.together(settings.compensation.unevenness)
     beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
     reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, settings.alarm))
-    sightings, more = quantities.beside(memory.sightings, modes, view, t_end_ns, settings)
+    sightings, more = quantities.beside(memory.sightings, modes, spectra, covariates, view, t_end_ns, settings)
     alarms = memory.alarm if more is None else _with_spectrum(memory.alarm, more, t_end_ns, settings)
     if isinstance(reading, ModalReading) and more is not None:
         reading = replace(reading, spectrum=more.z)

@@ -12,14 +12,15 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core import Array, ModalEstimate, ModalReading, Skipped, Window
+from monitor.core import Array, CrossSpectra, ModalEstimate, ModalReading, Skipped, Window
 from monitor.damage import alarm
 from monitor.damage.alarm import AlarmState, StoryState
 from monitor.damage.baseline import ModalBaseline
-from monitor.damage.covariate_law import Effect
+from monitor.damage.covariate_law import CovariateLaw, Effect
+from monitor.damage.covariates import LEVEL
 from monitor.damage.level import displacement_weights
 from monitor.damage.parts import ModesAndShapes
-from monitor.damage.presence import Beside, Sighting, kept, look
+from monitor.damage.presence import Beside, Sighting, either, kept, look
 from monitor.damage.quantities import UNCERTAIN, Covariates, Found, JudgeSettings, View, explained
 from monitor.damage.updating import MODES_ALONE, observe
 from monitor.identification import KnownModes, SelectionSettings, SubArray, identify, identify_modes, refine
@@ -89,9 +90,19 @@ class ModalStiffness:
         )
 
     def beside(
-        self, sightings: tuple[Sighting, ...], modes: ModalEstimate, view: View, t_end_ns: int, settings: JudgeSettings
+        self,
+        sightings: tuple[Sighting, ...],
+        modes: ModalEstimate,
+        spectra: CrossSpectra | None,
+        covariates: Covariates,
+        view: View,
+        t_end_ns: int,
+        settings: JudgeSettings,
     ) -> tuple[tuple[Sighting, ...], Beside | None]:
-        """Note a window's modes, and test what the latest windows lack, and show beside; channels that are left out show less."""
+        """Note a window's modes, and test what the latest windows lack or show beside, and the spectrum's shape.
+
+        Fewer channels show less, and weather that calibration did not see moves a spectrum too: then neither is said.
+        """
         if self.baseline is None or len(view.array.channels) < view.array.n_channels:
             return sightings, None
         window_ns, healthy_hz = round(settings.processing.window_s * 1e9), self.baseline.frequencies_hz
@@ -100,6 +111,8 @@ class ModalStiffness:
             2.0 * settings.selection.stable_frequency,
         )
         found = look(self.baseline.presence, sightings, newest, healthy_hz, window_ns, tolerance)
+        if spectra is not None and self.baseline.spectrum is not None and not _is_beyond(self.baseline.law, covariates):
+            found = either(found, self.baseline.spectrum.chance(spectra))
         return kept(sightings, newest, window_ns), found
 
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:
@@ -167,6 +180,12 @@ def _reading(
         shape_variance=_placed(variance[m:] + common_variance[m:], free, np.nan),
         shape_common_variance=_placed(common_variance[m:], free, 0.0),
     )
+
+
+def _is_beyond(law: CovariateLaw | None, covariates: Covariates) -> bool:
+    """Tell whether a covariate lies beyond what was learned; the level of motion is divided out of spectra."""
+    axes = () if law is None else law.axes
+    return any(a.name in covariates and a.name != LEVEL and a.beyond(float(covariates[a.name][a.lag])) for a in axes)
 
 
 def _placed(values: Array, free: NDArray[np.bool_], gauge: float) -> Annotated[Array, "m c"]:

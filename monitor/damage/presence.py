@@ -14,17 +14,17 @@ probability (1961), section 3.1 (its prior).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaln, gammaln, ndtri
+from scipy.special import betaln, gammaln, ndtr, ndtri
 
 from monitor.core import Array, ModalEstimate
 
 _STRETCHES = tuple(2**k for k in range(7))
-"""Lengths over which windows are counted. [windows; judgement: powers of two as of the means, and to 64, for counts alone tell]"""
+"""Lengths over which windows are counted. [windows; judgement: powers of two as of the means, and to 64: counts tell little]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -154,6 +154,14 @@ def look(
     return best
 
 
+def either(modes: Beside, chance: float) -> Beside:
+    """Return the more improbable of what the modes say and a spectrum's shape of this chance; that there are two counts."""
+    shape = -float(ndtri(min(max(2.0 * chance, 1e-300), 1.0)))
+    if shape > modes.z:
+        return Beside(shape, 1, "the shape of the spectrum changed; no mode's change tells how")
+    return replace(modes, z=-float(ndtri(min(2.0 * float(ndtr(-modes.z)), 1.0)))) if modes.z > 0.0 else modes
+
+
 def _gone(presence: Presence, part: Sequence[Sighting], reference_hz: Array) -> list[tuple[float, str]]:
     """List the chance and the words of each mode that is missing in the newest of some windows."""
     counts = np.sum([s.missing for s in part], axis=0)
@@ -181,12 +189,3 @@ def _new(presence: Presence, part: Sequence[Sighting], tolerance: float) -> list
 def _share(count: int, of: int) -> str:
     """Say in how many of the latest windows."""
     return "the latest window" if of == 1 else f"{count} of the latest {of} windows that share no data"
-
-
-def apart(ends: Sequence[int], window_ns: int) -> list[int]:
-    """List the windows that share no data, the last of them first; their ends increase."""
-    chosen: list[int] = []
-    for k in range(len(ends) - 1, -1, -1):
-        if not chosen or ends[chosen[-1]] - ends[k] >= window_ns:
-            chosen.append(k)
-    return chosen

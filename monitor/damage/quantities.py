@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 
-from monitor.core import Array, ModalEstimate, Reading, Skipped, StiffnessEstimate, Window
+from monitor.core import Array, CrossSpectra, ModalEstimate, Reading, Skipped, StiffnessEstimate, Window
 from monitor.damage.alarm import AlarmSettings, AlarmState
 from monitor.damage.baseline import AnyBaseline
 from monitor.damage.covariate_law import CovariateLaw, Effect
@@ -104,9 +104,16 @@ class Quantities(Protocol):
         ...
 
     def beside(
-        self, sightings: tuple[Sighting, ...], modes: ModalEstimate, view: View, t_end_ns: int, settings: JudgeSettings
+        self,
+        sightings: tuple[Sighting, ...],
+        modes: ModalEstimate,
+        spectra: CrossSpectra | None,
+        covariates: Covariates,
+        view: View,
+        t_end_ns: int,
+        settings: JudgeSettings,
     ) -> tuple[tuple[Sighting, ...], Beside | None]:
-        """Return the latest windows' modes with this one's, and what they say; None where nothing is to be said."""
+        """Return the latest windows' modes with this one's, and what they and the spectra say; None where nothing does."""
         ...
 
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,21 +13,22 @@ import numpy as np
 from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
 from monitor.config import Configuration
-from monitor.core import BadInputError, Gap, OnProgress, Step, WindowResult, sha256
+from monitor.core import BadInputError, CrossSpectra, Gap, ModalEstimate, OnProgress, Step, WindowResult, sha256
 from monitor.damage import (
     AnyBaseline,
     Baseline,
     HealthyData,
+    HealthySpectrum,
     ModalBaseline,
     Observation,
     Origin,
     Presence,
     Sighting,
     Update,
-    apart,
     learn_baseline,
     learn_modal_baseline,
     learn_presence,
+    learn_spectrum,
     load_baseline,
     rebase_baseline,
     second_solutions,
@@ -52,6 +53,8 @@ _MAX_LEARNED_S = 40_000.0
 """Greatest length of the healthy data from which the reference of diagnoses is learned, s: 4000 segments of 20 s."""
 _SHORT_RECORDINGS_BYTES = 40_000_000
 _HOUR_NS = 3_600_000_000_000
+_MOST_SPECTRA = 100
+"""Most windows from which the shape of the spectrum is learned. [count; cost: each look at one takes milliseconds]"""
 _LEARNS, _SEARCHES = "updates the model to the modes", "looks for what is so from the start"
 
 Learned = TypeVar("Learned", Baseline, ModalBaseline)
@@ -124,6 +127,16 @@ def calibrate_modes(
     return healthy.with_clock(baseline, on_warning)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Looked:
+    """A window of all channels in which modes were looked for; those that are noted share no data."""
+
+    t_ns: int
+    """End of the window, UTC."""
+    modes: ModalEstimate
+    spectra: CrossSpectra | None
+
+
 class _Pass:
     """A pass over healthy recordings: their windows, and what is learned from those that are kept."""
 
@@ -139,8 +152,7 @@ class _Pass:
         self._paths, self._config = paths, config
         self._progress = Progress(on_progress, paths, config.topics, step)
         self._good, self._reasons, self._gaps_ns = list[WindowResult](), list[str](), list[int]()
-        self._seen = list[WindowResult]()
-        """Windows of all channels in which modes were looked for."""
+        self._seen = list[_Looked]()
 
     def blocks(self, on_warning: OnWarning) -> Iterator[SampleBlock]:
         """Yield the blocks after the pipeline has evaluated them."""
@@ -152,10 +164,18 @@ class _Pass:
                 if isinstance(result, WindowResult):
                     self.skipped = self.skipped if result.skipped is None else result.skipped.mend
                     why = _why_not_learned(result)
-                    self._seen.extend([result] if result.modes is not None and not result.left_out else [])
+                    self._note(result)
                     self._good.extend([] if why else [result])
                     self._reasons.extend([why] if why else [])
             yield block
+
+    def _note(self, result: WindowResult) -> None:
+        """Note a window of all channels in which modes were looked for, if it shares no data with those noted before."""
+        window_ns = round(self._config.processing.window_s * 1e9)
+        is_apart = not self._seen or result.t_end_ns - self._seen[-1].t_ns >= window_ns
+        if result.modes is None or result.left_out or not is_apart:
+            return
+        self._seen.append(_Looked(result.t_end_ns, result.modes, result.spectra))
 
     def read(self, on_warning: OnWarning) -> None:
         """Evaluate all blocks."""
@@ -201,9 +221,10 @@ class _Pass:
             covariates=[r.covariates for r in kept if r.modes is not None],
             units={"level": "dB", "temperature": "degC", **{t.name: t.unit for t in self._config.covariates}},
             t_ns=[r.t_end_ns for r in kept if r.modes is not None],
-            records=self._records_of(kept),
+            records=self._records_of(r.t_end_ns for r in kept),
             window_s=self._config.processing.window_s,
             presence=None if self._config.has_model else self._presence(kept),
+            spectrum=None if self._config.has_model else self._spectrum(),
             motion=[r.motion for r in kept if r.motion is not None],
         )
 
@@ -211,15 +232,25 @@ class _Pass:
         """Learn from all windows that share no data, those left out for lack of a mode too, how often each mode is found."""
         assert kept[0].modes is not None
         wanted = kept[0].modes.model_mode.tolist()
-        ends = [w.t_end_ns for w in self._seen]
-        chosen = [self._seen[i] for i in apart(ends, round(self._config.processing.window_s * 1e9))][::-1]
         band_hz = self._config.selection.min_frequency_hz, self._config.processing.cutoff_hz
-        sightings = [Sighting.of(w.modes, wanted, w.t_end_ns) for w in chosen]
-        return learn_presence(sightings, self._records_of(chosen), len(wanted), band_hz)
+        sightings = [Sighting.of(w.modes, wanted, w.t_ns) for w in self._seen]
+        return learn_presence(sightings, self._records_of(w.t_ns for w in self._seen), len(wanted), band_hz)
 
-    def _records_of(self, windows: list[WindowResult]) -> list[int]:
-        """Number the record, a stretch without gaps, of each window."""
-        return [int(k) for k in np.searchsorted(self._gaps_ns, [w.t_end_ns for w in windows])]
+    def _spectrum(self) -> HealthySpectrum | None:
+        """Learn the shape of the spectrum from windows that share no data, of many as many as `_MOST_SPECTRA`."""
+        seen = [w for w in self._seen if w.spectra is not None]
+        seen = (
+            [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, _MOST_SPECTRA).round().astype(int))]
+            if seen
+            else []
+        )
+        return learn_spectrum(
+            [w.spectra for w in seen if w.spectra is not None], self._records_of(w.t_ns for w in seen)
+        )
+
+    def _records_of(self, ends_ns: Iterable[int]) -> list[int]:
+        """Number the record, a stretch without gaps, of each window by its end."""
+        return [int(k) for k in np.searchsorted(self._gaps_ns, list(ends_ns))]
 
     def with_clock(self, baseline: Learned, on_warning: OnWarning) -> Learned:
         """Note the clock of the healthy data in a baseline, and warn of it and of covariates that ran together."""
