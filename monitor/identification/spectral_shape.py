@@ -252,7 +252,8 @@ class Scatter:
     replayed_t2: float
     """Mean T2 of each description by the scatter of the others, or of other records: that of a further one."""
     dof: float
-    """Directions, as many as vary alike, over which the descriptions scatter: degrees of freedom of a T2."""
+    """Directions, as many as vary alike, over which the descriptions scatter, or fewer where their T2 scatter more: degrees of
+    freedom of a T2."""
     replayed_dof: float
     """Degrees of freedom of `replayed_t2`: as many for each record but one."""
 
@@ -273,7 +274,8 @@ class Scatter:
             replayed += [_whiten(left, len(others) - 1, deviation, p) for deviation in deviations]
         products = np.array(replayed) @ np.transpose(replayed)
         size = float(np.trace(products)) / m
-        alike = float((products[~np.eye(m, dtype=bool)] ** 2).mean())
+        # Of Gaussian descriptions both are the same; those that scatter now more, now less, have a T2 of longer tails.
+        alike = max(float((products[~np.eye(m, dtype=bool)] ** 2).mean()), 0.5 * float(products.diagonal().var(ddof=1)))
         dof = max(1.0, size**2 / max(alike, np.finfo(float).tiny))
         return cls(descriptions - mean, mean, size, dof, (len(np.unique(number)) - 1) * dof)
 
