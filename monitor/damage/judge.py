@@ -21,7 +21,7 @@ from monitor.core import (
     name_stories,
 )
 from monitor.damage import alarm, slow_learning
-from monitor.damage.alarm import AlarmSettings, AlarmState
+from monitor.damage.alarm import AlarmState
 from monitor.damage.common_change import Beside
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import beyond_words
@@ -73,7 +73,7 @@ def step(
     baseline, law = quantities.baseline, None
     if baseline is not None:
         law = baseline.law if memory.learning is None else memory.learning.law
-    effect = explained(law, covariates, settings.alarm)
+    effect = explained(law, covariates, settings)
     if isinstance(effect, Skipped):
         return effect
     found = quantities.read(modes, view, effect, covariates, settings)
@@ -87,7 +87,10 @@ def step(
         return memory, Judged(found.modes, reading, found.stiffness, alarm=nothing)
     together = None if law is None else law.together(settings.compensation.unevenness)
     beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
-    reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, settings.alarm))
+    p = settings.processing
+    limit = settings.alarm.limit(alarm.tests_of(reading, beside_others=together is None), p.window_s, p.hop_s)
+    shown_std = settings.alarm.alarm_loss / limit  # with which a loss that is an `alarm` is just announced
+    reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, shown_std))
     alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, together, quantities.parts)
     learning, history = memory.learning, alarms.history
     if law is not None and settings.compensation.learn_in_service:
@@ -96,7 +99,7 @@ def step(
         learning = _learn(learning, reading, covariates, t_end_ns, settings.compensation.unevenness, normal=is_normal)
     if together is not None and beside is not None:
         reading, history = together.take_out(reading, beside), history.left_by_others(together, beside)
-    detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
+    detectable = smallest_detectable_loss(reading, history, p.hop_s, settings.alarm, limit)
     verdict = _named(verdict, quantities)
     judged = Judged(found.modes, reading, found.stiffness, alarm=verdict, detectable_loss=detectable)
     return Memory(alarms, learning), judged
@@ -118,14 +121,14 @@ def _beyond(
     effect: Effect | None,
     beside: Beside | None,
     covariates: Covariates,
-    settings: AlarmSettings,
+    most_std: float,
 ) -> str:
-    """Say what lies beyond calibration where the uncertainty of the law, or of what parts do together, would hide an `alarm`."""
+    """Say what lies beyond calibration where the law, or what parts do together, is less certain than `most_std`."""
     if law is not None and effect is not None:
         std = float(np.sqrt(effect.covariance.diagonal().max()))
-        if settings.significance * std > settings.alarm_loss:
+        if std > most_std:
             return beyond_words(law, covariates)
-    return "" if beside is None else beside.beyond_words(settings.alarm_loss / settings.significance)
+    return "" if beside is None else beside.beyond_words(most_std)
 
 
 def _learn(
