@@ -37,7 +37,7 @@ from .covariates import (
     law_lines as law_lines,
     learned_ranges as learned_ranges,
 )
-from .detectable_loss import clock_error as clock_error
+from .detectable_loss import clock_error as clock_error, smallest_detectable_loss as smallest_detectable_loss
 from .feature_change import (
     FeatureJudge as FeatureJudge,
     FeatureTable as FeatureTable,

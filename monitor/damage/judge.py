@@ -23,7 +23,7 @@ from monitor.core import (
     name_stories,
 )
 from monitor.damage import alarm, slow_learning
-from monitor.damage.alarm import AlarmSettings, AlarmState
+from monitor.damage.alarm import AlarmState, Shown
 from monitor.damage.common_change import Beside as BesideOthers
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import beyond_words
@@ -83,7 +83,7 @@ def step(
     baseline, law = quantities.baseline, None
     if baseline is not None:
         law = baseline.law if memory.learning is None else memory.learning.law
-    effect = explained(law, covariates, settings.alarm)
+    effect = explained(law, covariates, settings)
     if isinstance(effect, Skipped):
         return effect
     found = quantities.read(modes, view, effect, covariates, settings)
@@ -97,9 +97,12 @@ def step(
         return memory, Judged(found.modes, reading, found.stiffness, alarm=nothing)
     together = None if law is None else law.together(settings.compensation.unevenness)
     beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
-    reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, settings.alarm))
+    p = settings.processing
+    limit = settings.alarm.limit(alarm.tests_of(reading, beside_others=together is None), p.window_s, p.hop_s)
+    shown_std = settings.alarm.alarm_loss / limit  # with which a loss that is an `alarm` is just announced
+    reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, shown_std))
     sightings, more = quantities.beside(memory.sightings, modes, spectra, covariates, view, t_end_ns, settings)
-    alarms = memory.alarm if more is None else _with_spectrum(memory.alarm, more, t_end_ns, settings)
+    alarms = memory.alarm if more is None else _with_spectrum(memory.alarm, more, t_end_ns, settings, limit)
     if isinstance(reading, ModalReading) and more is not None:
         reading = replace(reading, spectrum=more.z)
     is_seen = bool(np.isfinite(reading.loss).any())
@@ -119,7 +122,7 @@ def step(
         reading, history = together.take_out(reading, beside), history.left_by_others(together, beside)
     detectable = np.full(reading.loss.size, np.inf)
     if is_seen:
-        detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
+        detectable = smallest_detectable_loss(reading, history, p.hop_s, settings.alarm, limit)
     verdict = _named(verdict, quantities)
     judged = Judged(found.modes, reading, found.stiffness, alarm=verdict, detectable_loss=detectable)
     return Memory(alarms, learning, sightings), judged
@@ -131,11 +134,12 @@ def hold(quantities: Quantities, state: AlarmState, t_ns: int) -> tuple[AlarmSta
     return state, _named(verdict, quantities)
 
 
-def _with_spectrum(state: AlarmState, more: Beside, t_ns: int, settings: JudgeSettings) -> AlarmState:
+def _with_spectrum(state: AlarmState, more: Beside, t_ns: int, settings: JudgeSettings, limit: float) -> AlarmState:
     """Update the alarm of the spectrum, the last before that of the whole; what it tells has no size, and is never an `alarm`."""
     (*parts, spectrum, whole), by = state.stories, settings.alarm.model_copy(update={"alarm_loss": np.inf})
-    off_s = max(by.confirm_s, more.windows * settings.processing.window_s)
-    spectrum = alarm.update_alarm(spectrum, 1.0, more.z, 0.0, t_ns, by, off_s)
+    window_ns = settings.processing.window_s * 1e9
+    shown = Shown(1.0, 0.0, more.z, more.z if more.windows > 1 else -np.inf, more.windows)
+    spectrum = alarm.update_alarm(spectrum, shown, t_ns, by, limit, window_ns, more.windows * window_ns)
     return replace(state, stories=(*parts, spectrum, whole))
 
 
@@ -160,14 +164,14 @@ def _beyond(
     effect: Effect | None,
     beside: BesideOthers | None,
     covariates: Covariates,
-    settings: AlarmSettings,
+    most_std: float,
 ) -> str:
-    """Say what lies beyond calibration where the uncertainty of the law, or of what parts do together, would hide an `alarm`."""
+    """Say what lies beyond calibration where the law, or what parts do together, is less certain than `most_std`."""
     if law is not None and effect is not None:
         std = float(np.sqrt(effect.covariance.diagonal().max()))
-        if settings.significance * std > settings.alarm_loss:
+        if std > most_std:
             return beyond_words(law, covariates)
-    return "" if beside is None else beside.beyond_words(settings.alarm_loss / settings.significance)
+    return "" if beside is None else beside.beyond_words(most_std)
 
 
 def _learn(

@@ -129,7 +129,7 @@ class ModalStiffness:
         """Compare a window's modes with the baseline's, less what the covariates explain."""
         if self.baseline is None:
             return Found(modes, None)
-        of_shapes = explained(self.baseline.shape_law, covariates, settings.alarm)
+        of_shapes = explained(self.baseline.shape_law, covariates, settings)
         return Found(modes, _reading(self.baseline, view.array.spread(modes), effect, of_shapes))
 
 
