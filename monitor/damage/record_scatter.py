@@ -26,7 +26,7 @@ from scipy.special import digamma, polygamma
 
 from monitor.core import Array
 
-_FOLDS = 8
+_LEFT_OUT = 8
 """Most parts of the healthy data that are left out of the learning in turn. [1; convention: cross-validation by 5 to 10 folds]"""
 
 Predict = Callable[[NDArray[np.intp], NDArray[np.intp]], tuple[Array, Array]]
@@ -68,7 +68,7 @@ def learn_scatter(
     if names.size < 2:
         return RecordScatter(stated, np.zeros_like(stated), np.zeros_like(stated), int(names.size))
     left = np.zeros((apart.size, stated.size))
-    folds = np.array_split(names, min(_FOLDS, names.size))
+    folds = np.array_split(names, min(_LEFT_OUT, names.size))
     for fold in folds:
         out = np.isin(record[apart], fold)
         shares = (np.abs(ends[:, None] - ends[apart[out]]) < window_ns).any(axis=1)

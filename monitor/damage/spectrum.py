@@ -15,7 +15,7 @@ import numpy as np
 from monitor.core import CrossSpectra, decode
 from monitor.identification import Scatter, SpectralShape
 
-_LEAST = 3
+_LEAST_RECORDS = 3
 """Fewest records, or windows of one record, from which a scatter is estimated. [count; definition: two beside one left out]"""
 
 
@@ -33,11 +33,11 @@ class HealthySpectrum:
 
 def learn_spectrum(spectra: Sequence[CrossSpectra], records: Sequence[int]) -> HealthySpectrum | None:
     """Learn it of windows that share no data, each in one of the numbered records; None where there are too few."""
-    if len(spectra) < _LEAST:
+    if len(spectra) < _LEAST_RECORDS:
         return None
     shape = SpectralShape.of_spectra(spectra)
     described = np.array([shape.describe_spectra(one) for one in spectra])
-    return HealthySpectrum(shape, Scatter.of(described, records if len(set(records)) >= _LEAST else None))
+    return HealthySpectrum(shape, Scatter.of(described, records if len(set(records)) >= _LEAST_RECORDS else None))
 
 
 def read_spectrum(content: Any) -> HealthySpectrum | None:

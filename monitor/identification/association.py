@@ -27,7 +27,7 @@ from monitor.signals import NORMAL_MAD
 
 _SURE = 19.0
 """Odds from which a mode counts as known. [ratio; convention: 95 percent]"""
-_CHANGED = 0.5
+_MOVED = 0.5
 """Probability that a mode is not as it was, before the window is seen. [1; definition: nothing is known of it]"""
 
 
@@ -130,7 +130,7 @@ def _ln_odds(
         healthy *= np.exp(-unlike / mean) / mean
         changed /= 1.0 - least[2]
         clutter *= (n_channels - 1) * unlike ** (n_channels - 2)  # of a shape in any direction
-    shown = (1.0 - _CHANGED) * healthy + _CHANGED * changed
+    shown = (1.0 - _MOVED) * healthy + _MOVED * changed
     absent = known.absent[:, None]
     return np.asarray(np.log(np.maximum((1.0 - absent) * shown, 1e-300)) - np.log(absent * clutter))
 

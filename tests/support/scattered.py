@@ -1,4 +1,4 @@
-"""Records as measured ones are: stiffness and damping differ from record to record, a mode is not excited, seconds are recorded."""
+"""Records as measured ones are: stiffness and damping differ between them, a mode is not excited, they last seconds."""
 
 from __future__ import annotations
 
@@ -63,8 +63,12 @@ class Scattered:
 def site(n_channels: int, window_s: float, hop_s: float, rate_hz: float, **tables: dict[str, object]) -> Configuration:
     """Return a site of modes alone that evaluates up to 0.4 of the rate."""
     processing = {"window_s": window_s, "hop_s": hop_s, "rate_hz": rate_hz, "cutoff_hz": 0.4 * rate_hz}
-    sensors = [{"channel": f"a{k + 1}"} for k in range(n_channels)]
-    return Configuration.model_validate({"structure": {"kind": "modal"}, "sensors": sensors, "processing": processing, **tables})  # fmt: skip
+    content: dict[str, object] = {
+        "structure": {"kind": "modal"},
+        "sensors": [{"channel": f"a{k + 1}"} for k in range(n_channels)],
+        "processing": processing,
+    }
+    return Configuration.model_validate({**content, **tables})
 
 
 def calibrated(records: Sequence[Array], config: Configuration, rate_hz: float) -> ModalBaseline:
@@ -73,7 +77,8 @@ def calibrated(records: Sequence[Array], config: Configuration, rate_hz: float) 
         path = Path(folder) / "healthy.mcap"
         with McapWriter(path) as writer:
             for k, record in enumerate(records):
-                for block in cut_into_blocks(ACCELERATION, record, config.channels, rate_hz, T0_NS, 10_000, first=_first(k, rate_hz)):  # fmt: skip
+                at = _first(k, rate_hz)
+                for block in cut_into_blocks(ACCELERATION, record, config.channels, rate_hz, T0_NS, 10_000, first=at):
                     writer.write(block)
         return calibrate.calibrate_modes([path], config)
 
