@@ -105,6 +105,9 @@ class ModalBaseline(HealthyModes):
 class Baseline(HealthyModes):
     """Modes, updated model and systematic misfit of the healthy structure."""
 
+    scatter: RecordScatter | None = None
+    """How the stories' stiffness scatters between records; None where it was learned from one."""
+
     model: Model
     """Model updated to the healthy modes."""
     covariance: Annotated[Array, "theta theta"]

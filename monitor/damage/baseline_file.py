@@ -20,6 +20,7 @@ from monitor.core import (
 from monitor.damage.baseline import AnyBaseline, Baseline, ModalBaseline
 from monitor.damage.covariates import read_law
 from monitor.damage.origin import MODAL, Origin, number_differences, sensor_differences
+from monitor.damage.record_scatter import RecordScatter
 from monitor.damage.spectrum import read_spectrum
 from monitor.damage.updating import UpdatingSettings
 from monitor.model import InstrumentedModel, prior_file
@@ -196,6 +197,11 @@ def _refuse(path: Path, says: list[str], mend: str) -> None:
         raise BadConfigurationError(f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: {mend}")
 
 
+def _read_scatter(content: Any, p: int) -> RecordScatter | None:
+    """Read the scatter between records of p stories; ValueError if it is damaged."""
+    return None if content is None else decode(RecordScatter, content, place="scatter", d=p)
+
+
 def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
     """Build the baseline from a file's content; ValueError, KeyError or TypeError if its parts do not fit."""
     model, channels = instrumented.model, instrumented.channels
@@ -210,6 +216,7 @@ def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
             "model": drawn.with_stiffness(own.stiffness_n_per_m).with_masses(own.masses_kg),
             "law": read_law(tree["law"], p),
             "reference": prior_file.read_prior(tree["reference"], drawn, channels),
+            "scatter": _read_scatter(tree.get("scatter"), p),  # older files have none
             "doubts": (),
         },
         beside=("format", *model_keys),

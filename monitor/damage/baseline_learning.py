@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.covariates import TEMPERATURE, Change, CovariateSettings, learn_law
 from monitor.damage.origin import Origin
 from monitor.damage.presence import Presence
-from monitor.damage.record_scatter import learn_scatter
+from monitor.damage.record_scatter import RecordScatter, learn_scatter
 from monitor.damage.spectrum import HealthySpectrum
 from monitor.damage.updating import (
     MODES_ALONE,
@@ -106,9 +107,15 @@ def learn_baseline(
         """Estimate a window's stiffness change from the baseline, as `damage_index.step` would, with its deviations."""
         return gain @ (o.z - mean.z), o.deviations @ gain.T
 
-    changes = _changes(healthy, mean, updating, of, healthy.t_ns)
-    law = learn_law(changes, healthy.span_s, healthy.units, compensation)
-    return replace(baseline, reference_temperature_degc=_mean_temperature(healthy.covariates), law=law), fit
+    stories = _Kind(_changes(healthy, mean, updating, of, healthy.t_ns), compensation, alike=True)
+    # How windows of one record differ is learned with what the stories do together.
+    scatter = _record_scatter(healthy, [stories]) if len(set(healthy.records)) > 1 else None
+    return replace(
+        baseline,
+        reference_temperature_degc=_mean_temperature(healthy.covariates),
+        law=stories.law(healthy),
+        scatter=scatter,
+    ), fit
 
 
 def rebase_baseline(
@@ -186,7 +193,6 @@ def learn_modal_baseline(
     assert healthy.presence is not None
     mean = mean_observation(healthy.windows, MODES_ALONE)
     m, c = len(mean.model_mode), len(channels)
-    kinds = [(slice(0, m), compensation, True), (slice(m, m * c), _of_shapes(compensation), False)][: min(c, 2)]
 
     def changes(columns: slice) -> list[Change]:
         """Return the windows' changes of some of the data: `learn_law` takes relative ones, of which it uses the logarithms."""
@@ -194,39 +200,11 @@ def learn_modal_baseline(
             healthy, mean, MODES_ALONE, lambda o: (np.expm1(o.z[columns] - mean.z[columns]), o.deviations[:, columns])
         )
 
-    of_kinds = [changes(columns) for columns, _, _ in kinds]
-    every = range(len(healthy.windows))
-
-    def laws(rows: Iterable[int]) -> list[CovariateLaw | None]:
-        """Learn from some windows how frequencies, then shapes, depend on the covariates."""
-        return [
-            learn_law([one[k] for k in rows], healthy.span_s, healthy.units, settings, alike=alike)
-            for one, (_, settings, alike) in zip(of_kinds, kinds, strict=True)
-        ]
-
-    values = np.array([np.concatenate([np.log1p(one[k].relative) for one in of_kinds]) for k in every])
-    stated = np.mean(
-        [np.concatenate([(one[k].deviations ** 2).sum(axis=0) for one in of_kinds]) for k in every], axis=0
-    )
-
-    def predict(rest: NDArray[np.intp], left: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Predict what is left out from the rest, with the variance that the covariates' laws state."""
-        expected, variance = np.tile(values[rest].mean(axis=0), (left.size, 1)), np.zeros((left.size, m * c))
-        for law, (columns, _, _) in zip(laws(rest.tolist()), kinds, strict=True):
-            if law is None:
-                continue
-            for row, k in enumerate(left.tolist()):
-                effect = law.expected(healthy.covariates[k])
-                expected[row, columns] += np.log1p(effect.relative)
-                variance[row, columns] = effect.covariance.diagonal()
-        return expected, variance
-
-    columns = [of for of, _, _ in kinds]
-    scatter = learn_scatter(
-        values, stated, healthy.t_ns, healthy.records, round(healthy.window_s * 1e9), columns, predict
-    )
+    kinds = [_Kind(changes(slice(0, m)), compensation, alike=True)]
+    kinds += [_Kind(changes(slice(m, None)), _of_shapes(compensation), alike=False)] if c > 1 else []
+    scatter = _record_scatter(healthy, kinds)
     covariance = mean.deviations.T @ mean.deviations + np.diag(scatter.beyond / scatter.records)
-    law, shape_law = (*laws(every), None)[:2]
+    law, shape_law = (*(kind.law(healthy) for kind in kinds), None)[:2]
     return ModalBaseline(
         **_known(mean, covariance, healthy, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi)),
         channels=channels,
@@ -238,6 +216,44 @@ def learn_modal_baseline(
         law=law,
         shape_law=shape_law,
     )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Kind:
+    """Quantities that follow the covariates by one law: their changes in the healthy windows, and the law's prior."""
+
+    changes: Sequence[Change]
+    settings: CovariateSettings
+    alike: bool
+
+    def law(self, healthy: HealthyData, rows: Iterable[int] | None = None) -> CovariateLaw | None:
+        """Learn the dependence on the covariates from all windows, or from some."""
+        changes = self.changes if rows is None else [self.changes[k] for k in rows]
+        return learn_law(changes, healthy.span_s, healthy.units, self.settings, alike=self.alike)
+
+
+def _record_scatter(healthy: HealthyData, kinds: Sequence[_Kind]) -> RecordScatter:
+    """Learn how windows of other records scatter about what the rest and the laws of the covariates predict."""
+    every = list(zip(*(kind.changes for kind in kinds), strict=True))  # of each window, its changes of each kind
+    values = np.array([np.concatenate([np.log1p(one.relative) for one in window]) for window in every])
+    stated = np.mean([np.concatenate([(one.deviations**2).sum(axis=0) for one in window]) for window in every], axis=0)
+    ends = np.cumsum([0, *(kind.changes[0].relative.size for kind in kinds)])
+    columns = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def predict(rest: NDArray[np.intp], left: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Predict what is left out from the rest, with the variance that the covariates' laws state."""
+        expected, variance = np.tile(values[rest].mean(axis=0), (left.size, 1)), np.zeros((left.size, stated.size))
+        for kind, at in zip(kinds, columns, strict=True):
+            law = kind.law(healthy, rest.tolist())
+            if law is None:
+                continue
+            for row, k in enumerate(left.tolist()):
+                effect = law.expected(healthy.covariates[k])
+                expected[row, at] += np.log1p(effect.relative)
+                variance[row, at] = effect.covariance.diagonal()
+        return expected, variance
+
+    return learn_scatter(values, stated, healthy.t_ns, healthy.records, round(healthy.window_s * 1e9), columns, predict)
 
 
 def _known(mean: Observation, z_covariance: Array, healthy: HealthyData, frequencies_hz: Array) -> dict[str, Any]:
