@@ -28,7 +28,7 @@ from monitor.damage.common_change import Beside as BesideOthers
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import beyond_words
 from monitor.damage.detectable_loss import smallest_detectable_loss
-from monitor.damage.parts import SPECTRUM, Parts, change_words
+from monitor.damage.parts import ALONE, SPECTRUM, Parts, change_words
 from monitor.damage.presence import Beside, Sighting
 from monitor.damage.quantities import Covariates, Found, JudgeSettings, Quantities, View, explained
 from monitor.damage.slow_learning import LearningState
@@ -150,7 +150,7 @@ def _with_words(verdict: Alarm, more: Beside, parts: Parts) -> Alarm:
         return verdict
     says = more.says or change_words(SPECTRUM, 0.0, 0.0)
     if parts.unchanged in verdict.reason:
-        return replace(verdict, reason=verdict.reason.replace(parts.unchanged, says, 1))
+        return replace(verdict, reason=verdict.reason.replace(parts.unchanged, says + ALONE, 1))
     return replace(verdict, reason=f"{verdict.reason}; {says}")
 
 

@@ -106,13 +106,15 @@ class ModalStiffness:
         if self.baseline is None or len(view.array.channels) < view.array.n_channels:
             return sightings, None
         window_ns, healthy_hz = round(settings.processing.window_s * 1e9), self.baseline.frequencies_hz
+        chance = 1.0
+        if spectra is not None and self.baseline.spectrum is not None and not _is_beyond(self.baseline.law, covariates):
+            chance = self.baseline.spectrum.chance(spectra)
         newest, tolerance = (
-            Sighting.of(modes, range(healthy_hz.size), t_end_ns),
+            Sighting.of(modes, range(healthy_hz.size), t_end_ns, chance),
             2.0 * settings.selection.stable_frequency,
         )
         found = look(self.baseline.presence, sightings, newest, healthy_hz, window_ns, tolerance)
-        if spectra is not None and self.baseline.spectrum is not None and not _is_beyond(self.baseline.law, covariates):
-            found = either(found, self.baseline.spectrum.chance(spectra))
+        found = either(found, sightings, newest, window_ns)
         return kept(sightings, newest, window_ns), found
 
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:

@@ -82,6 +82,8 @@ class ModesAndShapes(Parts):
         return says, says
 
 
+ALONE = "; no mode's change tells how"
+"""What is said of the spectrum where nothing else changed. [words]"""
 SPECTRUM = "the spectrum"
 """The part, after modes and shapes, of what changed and is no mode's change of frequency or shape. [name]"""
 STORIES = Parts()
@@ -109,6 +111,6 @@ def change_words(part: str, change: float, std: float) -> str:
     'mode 2 fell by 1.3 ± 0.2 %'
     """
     if part == SPECTRUM:
-        return "the spectrum changed; no mode's change tells how"
+        return "the spectrum changed"
     verb = "changed" if part.startswith("the shape") else "fell" if change < 0.0 else "rose"
     return f"{part} {verb} by {100 * abs(change):.1f} ± {200 * std:.1f} %"

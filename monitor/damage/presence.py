@@ -48,16 +48,16 @@ class Sighting:
     """Which of the baseline's modes it lacked."""
     others_hz: Annotated[Array, "k"]
     """Frequencies of the modes that are none of them."""
+    chance: float = 1.0
+    """How often a healthy window's spectrum is as far from the healthy ones; 1 where that is not judged."""
 
     @classmethod
-    def of(cls, modes: ModalEstimate | None, wanted: Sequence[int], t_ns: int) -> Sighting:
+    def of(cls, modes: ModalEstimate, wanted: Sequence[int], t_ns: int, chance: float = 1.0) -> Sighting:
         """Note the modes of a window; `wanted` are the numbers of the baseline's."""
-        if modes is None:
-            return cls(t_ns, np.ones(len(wanted), dtype=bool), np.zeros(0))
         found = modes.model_mode.tolist()
         more = [f for f, k in zip(modes.frequencies_hz.tolist(), found, strict=True) if k not in wanted]
         others = [other.frequency_hz for other in modes.others]
-        return cls(t_ns, np.array([k not in found for k in wanted], dtype=bool), np.array([*more, *others]))
+        return cls(t_ns, np.array([k not in found for k in wanted], dtype=bool), np.array([*more, *others]), chance)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -140,7 +140,7 @@ def look(
 
     `tolerance` is how far the frequencies of one other mode differ between windows, relative to it.
     """
-    seen = [newest, *(s for s in reversed(before) if newest.t_ns - s.t_ns >= window_ns)]
+    seen = [newest, *_apart(before, newest, window_ns)]
     bands = float(np.log(presence.band_hz[1] / presence.band_hz[0])) / (2.0 * tolerance)
     tests = len(_STRETCHES) * (presence.missing.size + bands)
     best = Beside(0.0, 1, "")
@@ -149,17 +149,30 @@ def look(
         if len(part) < of:
             break
         for chance, says in (*_gone(presence, part, reference_hz), *_new(presence, part, tolerance)):
-            z = -float(ndtri(min(max(chance * tests, 1e-300), 1.0)))
-            best = max(best, Beside(z, of, says), key=lambda one: one.z)
+            best = max(best, Beside(_score(chance * tests), of, says), key=lambda one: one.z)
     return best
 
 
-def either(modes: Beside, chance: float) -> Beside:
-    """Return the more improbable of what the modes say and a spectrum's shape of this chance; that there are two counts."""
-    shape = -float(ndtri(min(max(2.0 * chance, 1e-300), 1.0)))
+def either(modes: Beside, before: Sequence[Sighting], newest: Sighting, window_ns: int) -> Beside:
+    """Return the more improbable of what the modes say and the shape of the spectrum; that there are two counts.
+
+    The shape counts as far as the last window that shares no data with the newest has it too: a transient is in one.
+    """
+    chances = [s.chance for s in (newest, *_apart(before, newest, window_ns)[:1])]
+    shape = _score(2.0 * max(chances)) if len(chances) == 2 else 0.0
     if shape > modes.z:
-        return Beside(shape, 1, "the shape of the spectrum changed; no mode's change tells how")
-    return replace(modes, z=-float(ndtri(min(2.0 * float(ndtr(-modes.z)), 1.0)))) if modes.z > 0.0 else modes
+        return Beside(shape, 2, "the shape of the spectrum changed")
+    return replace(modes, z=_score(2.0 * float(ndtr(-modes.z)))) if modes.z > 0.0 else modes
+
+
+def _score(chance: float) -> float:
+    """Return the standard normal score that is exceeded as rarely."""
+    return max(0.0, -float(ndtri(min(max(chance, 1e-300), 1.0))))
+
+
+def _apart(before: Sequence[Sighting], newest: Sighting, window_ns: int) -> list[Sighting]:
+    """List the windows that share no data with the newest, the latest first."""
+    return [s for s in reversed(before) if newest.t_ns - s.t_ns >= window_ns]
 
 
 def _gone(presence: Presence, part: Sequence[Sighting], reference_hz: Array) -> list[tuple[float, str]]:

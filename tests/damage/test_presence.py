@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -69,10 +71,18 @@ def test_windows_of_one_record_that_lack_the_same_mode_count_as_fewer() -> None:
 
 @pytest.mark.parametrize("chance", [1e-12, 0.5])
 def test_the_spectrums_shape_speaks_where_it_is_the_more_improbable(chance: float) -> None:
-    found = look(healthy(100), (), sighting(1, (1,)), HZ, WINDOW_NS, 0.02)
-    both = either(found, chance)
+    first, second = (replace(sighting(k, (1,)), chance=chance) for k in (1, 2))
+    found = look(healthy(100), (), second, HZ, WINDOW_NS, 0.02)
+    both = either(found, (first,), second, WINDOW_NS)
     assert ("shape of the spectrum" in both.says) == (chance < 1e-6)
     assert both.z > 6.0 if chance < 1e-6 else both.z <= found.z
+
+
+def test_a_transient_that_one_window_alone_shows_is_no_change_of_the_spectrum() -> None:
+    calm, shaken = sighting(1), replace(sighting(2), chance=1e-20)
+    found = look(healthy(100), (calm,), shaken, HZ, WINDOW_NS, 0.02)
+    assert either(found, (), shaken, WINDOW_NS).z == 0.0
+    assert either(found, (calm,), shaken, WINDOW_NS).z == 0.0
 
 
 def test_windows_that_share_data_are_counted_once() -> None:
