@@ -35,6 +35,7 @@ from monitor.damage import (
     ModalBaseline,
     ModalStiffness,
     Quantities,
+    Sighting,
     StoryStiffness,
     View,
     alarm,
@@ -44,8 +45,7 @@ from monitor.damage import (
     slow_learning,
 )
 from monitor.events import Event, EventState, GroundState, Site, ground, stage
-from monitor.identification import tracking
-from monitor.model import Modes
+from monitor.identification import KnownModes, tracking
 from monitor.signals import (
     BesideState,
     Conditioner,
@@ -110,6 +110,8 @@ class PipelineState:
     still: StillState
     learning: slow_learning.LearningState | None = None
     """The covariates' law as it was learned on in service; None before the first judged window."""
+    sightings: tuple[Sighting, ...] = ()
+    """Modes of the latest windows, where modes alone are judged."""
     known: dict[str, KnownBlocks] = field(default_factory=dict)
     """Latest blocks of each topic, of which none is taken a second time."""
     beside: BesideState = field(default_factory=BesideState)
@@ -127,7 +129,7 @@ class Pipeline:
         self,
         config: Configuration,
         baseline: AnyBaseline | None = None,
-        reference: Modes | None = None,
+        reference: KnownModes | None = None,
     ) -> None:
         self.config = config
         self.baseline = baseline
@@ -376,12 +378,13 @@ class Pipeline:
         modes = self.quantities.identify(item, cutoff_hz, view, c)
         if isinstance(modes, Skipped):
             return skip(modes, None, self._track_modes(None, item, view))
-        memory = Memory(self.state.alarm, self.state.learning)
-        judged = judge.step(self.quantities, memory, modes, covariates, view, item.t_end_ns, c)
+        memory = Memory(self.state.alarm, self.state.learning, self.state.sightings)
+        spectra = None if c.has_model or left_out else item.cross_spectra
+        judged = judge.step(self.quantities, memory, modes, covariates, view, item.t_end_ns, c, spectra)
         if isinstance(judged, Skipped):
             return skip(judged, modes, self._track_modes(modes, item, view))
         memory, said = judged
-        self.state = replace(self.state, alarm=memory.alarm, learning=memory.learning)
+        self.state = replace(self.state, alarm=memory.alarm, learning=memory.learning, sightings=memory.sightings)
         degc, detectable, rates_hz = covariates.get("temperature"), said.detectable_loss, self._rates_hz()
         if detectable is not None and self.baseline is not None:
             shown_per_loss = self.quantities.parts.shown_per_loss
@@ -403,6 +406,7 @@ class Pipeline:
             left_out,
             said.modal,
             None if left_out else item.sums.total[0] / item.sums.counts.sum(),
+            None if self.baseline is not None else spectra,
             rates_hz,
         )
 
@@ -469,7 +473,7 @@ class Pipeline:
 
 
 def _quantities(
-    config: Configuration, baseline: AnyBaseline | None, reference: Modes | None
+    config: Configuration, baseline: AnyBaseline | None, reference: KnownModes | None
 ) -> tuple[Quantities, Site]:
     """Make what is judged of a site, by a model or by the modes alone, and what its events are described with."""
     past = tuple(config.channels.index(name) for name in config.identification.reference_channels)

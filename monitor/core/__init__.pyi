@@ -43,6 +43,7 @@ from .results import (
     AlarmCondition as AlarmCondition,
     Array as Array,
     ComplexArray as ComplexArray,
+    CrossSpectra as CrossSpectra,
     DamageReading as DamageReading,
     Gap as Gap,
     LagSums as LagSums,

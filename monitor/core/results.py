@@ -6,6 +6,7 @@ value too (`Skipped`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Annotated, ClassVar, Self
@@ -116,6 +117,30 @@ class LagSums:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class CrossSpectra:
+    """Cross-spectra of c channels of a stretch, or their mean over parts of it, in any unit."""
+
+    power: Annotated[Array, "bins c"]
+    """Of each channel, from the first bin above 0 Hz on."""
+    cross: Annotated[ComplexArray, "bins pairs"]
+    """Of each channel with those before it."""
+
+    @classmethod
+    def of(cls, transforms: Sequence[Annotated[ComplexArray, "bins c"]]) -> Self:
+        """Average the cross-spectra of parts, given by their transforms."""
+        i, j = np.tril_indices(transforms[0].shape[1], -1)
+        power = np.mean([np.abs(x) ** 2 for x in transforms], axis=0)
+        return cls(power, np.mean([x[:, i] * x[:, j].conj() for x in transforms], axis=0))
+
+    def lowest(self, share: float) -> Self:
+        """Select the lowest bins, scaled to unit power in each channel."""
+        n = max(1, round(share * len(self.power)))
+        i, j = np.tril_indices(self.power.shape[1], -1)
+        size = np.maximum(self.power[:n].sum(axis=0), np.finfo(float).tiny)
+        return type(self)(self.power[:n] / size, self.cross[:n] / np.sqrt(size[i] * size[j]))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Window:
     """Data of one sliding window for identification."""
 
@@ -146,6 +171,11 @@ class Window:
             segments=tuple(np.ascontiguousarray(x[:, rows]) for x in self.segments),
             lost=tuple(k for k, channel in enumerate(channels) if channel in self.lost),
         )
+
+    @property
+    def cross_spectra(self) -> CrossSpectra | None:
+        """Mean over the segments; None without any."""
+        return CrossSpectra.of([x[1:] for x in self.segments]) if self.segments else None
 
     @property
     def rms_m_s2(self) -> float:
@@ -297,6 +327,10 @@ class Reading:
     """Of `loss`, with that of the baseline and of the covariates' law."""
     common_covariance: Annotated[Array, "q q"] = field(default_factory=lambda: np.zeros(()))
     """The part of it that all windows have in common; averaging does not reduce it."""
+    freedom: Annotated[Array, "q"] | float = np.inf
+    """Effective degrees of freedom of `common_covariance`, of each part or of all."""
+    own_freedom: Annotated[Array, "q"] | float | None = None
+    """The same of the rest of `covariance`, where it was learned once for all windows; None where each window estimates it."""
     model_form: float = 0.0
     """Error of any part's loss from the systematic misfit of the model, as a share of the largest loss (one standard
     deviation).  It is contained in `covariance`, but is no evidence against a part without loss."""
@@ -373,6 +407,9 @@ class ModalReading(Reading):
     either_side: ClassVar[bool] = True
     shown_per_loss: ClassVar[float] = 0.5
 
+    spectrum: float = np.nan
+    """Score (standard normal) of what changed and is no mode's change: modes that are missing, or that were never there."""
+
     @property
     @override
     def ln_stiffness(self) -> Annotated[Array, "m"]:
@@ -418,7 +455,7 @@ class Alarm:
     reason: str
     active: dict[int, Level] = field(default_factory=dict)
     """Announced level of every story that is not normal; the key of the structure as a whole is `WHOLE`.  Without a model the
-    numbers are those of the modes' frequencies, then of their shapes (`damage.modal_parts`)."""
+    numbers are those of the modes' frequencies, then of their shapes, then of the spectrum (`damage.modal_parts`)."""
     conditions: dict[int, AlarmCondition] = field(default_factory=dict)
     """Condition of every alarm that is not normal, including shelved alarms."""
 
@@ -453,6 +490,8 @@ class WindowResult:
     """Change of the modes, where they are all that is judged."""
     motion: Annotated[Array, "c c"] | None = None
     """Covariance of the accelerations, (m/s^2)^2; None where not all channels were judged."""
+    spectra: CrossSpectra | None = None
+    """Of a window of modes alone without a baseline, for calibration."""
     rates_hz: tuple[float, float] | None = None
     """Rate that the source states, and its rate by the timestamps, Hz."""
 

@@ -37,7 +37,7 @@ from .covariates import (
     law_lines as law_lines,
     learned_ranges as learned_ranges,
 )
-from .detectable_loss import clock_error as clock_error
+from .detectable_loss import clock_error as clock_error, smallest_detectable_loss as smallest_detectable_loss
 from .feature_change import (
     FeatureJudge as FeatureJudge,
     FeatureTable as FeatureTable,
@@ -49,7 +49,9 @@ from .level import drift_m as drift_m, level_db as level_db
 from .modal_stiffness import ModalStiffness as ModalStiffness
 from .origin import Origin as Origin
 from .parts import Parts as Parts, modal_parts as modal_parts
+from .presence import Presence as Presence, Sighting as Sighting, learn_presence as learn_presence
 from .quantities import Quantities as Quantities, View as View
+from .spectrum import HealthySpectrum as HealthySpectrum, learn_spectrum as learn_spectrum
 from .story_stiffness import StoryStiffness as StoryStiffness
 from .updating import (
     Observation as Observation,

@@ -1,10 +1,11 @@
-"""Alarms by significance, duration and size of a loss, in the vocabulary of IEC 62682.
+"""Alarms by significance, confirmation and size of a loss, in the vocabulary of IEC 62682.
 
 There is an alarm for each part (`parts`), a story or a mode and its shape, and one for the structure as a whole.  A part is
-announced for what it lost beyond what all have in common.  A level rises when the z-score (`sequential_test`) and the loss have
-exceeded its thresholds for the on-delay.  It is held until every reading of the off-delay has said with 95 % that they no longer
-do (deadband).  The off-delay is the on-delay, or as long as it takes for two estimates that share no data: windows overlap, and
-repeat one another's errors.  Operators acknowledge, shelve and reset alarms; this does not change what is measured.
+announced for what it lost beyond what all have in common, from the limit of the z-score (`sequential_test`) on that follows from
+the false announcements allowed in a year (`limits`).  Readings that share no data confirm it: their mean, or each by itself.  A
+level is held until every reading of the off-delay has said with 95 % that it is no longer reached (deadband): as long as it takes
+for two estimates that share no data, for windows overlap and repeat one another's errors.  Operators acknowledge, shelve and
+reset alarms; this does not change what is measured.
 
 References
 ----------
@@ -15,22 +16,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from monitor.core import WHOLE, Alarm, AlarmCondition, Level, Reading, Settings
 from monitor.damage import sequential_test
-from monitor.damage.common_change import Expected
+from monitor.damage.common_change import LOCAL_LOSS_CREDIT, Expected
+from monitor.damage.limits import Scores, as_normal, limit
 from monitor.damage.parts import STORIES, Parts
-from monitor.damage.sequential_test import SURE_STDS, History
+from monitor.damage.sequential_test import STRETCHES, SURE_STDS, History
 
 
 class AlarmSettings(Settings):
-    """``[alarm]``: thresholds and delays for announcing a loss of stiffness."""
+    """``[alarm]``: what is announced of a loss of stiffness."""
 
-    significance: float = Field(default=6.5, gt=0)
-    """z-score from which a loss is significant, in standard deviations (one-sided)."""
+    false_announcements_per_year: float = Field(default=0.1, gt=0)
+    """False announcements that chance may bring in a year, of all parts together; one is an episode, however long.  The limit of
+    the statistic follows from it, with the number of parts and of looks."""
     min_loss: float = Field(default=0.002, ge=0, lt=1)
     """Losses below this are never announced."""
     alarm_loss: float = Field(default=0.10, gt=0, lt=1)
@@ -39,13 +43,27 @@ class AlarmSettings(Settings):
     """Share of one story's loss that may appear in another because of errors in the model's form (one standard deviation)."""
     uniform_loss: float = Field(default=0.05, gt=0, lt=1)
     """A loss common to all stories is announced, as `advisory` of the whole structure, from this size on."""
-    confirm_s: float = Field(default=10.0, ge=0)
-    """On-delay: a loss is confirmed when it has stayed significant this long.  Its level falls when this long, and at least
-    over a window's length, all windows have said with 95 % that it is less."""
     latching: bool = False
     """Keep an alarm that returned to normal announced until it is reset."""
     unwatched: tuple[int, ...] = ()
     """Stories that the sensors are known not to see: they are named, but no longer keep the state from being `normal`."""
+
+    def limit(self, tests: Scores, reading_s: float, spacing_s: float) -> float:
+        """Return the z-score from which a loss is announced, by readings of `reading_s` seconds that come each `spacing_s`."""
+        apart_s, step = max(reading_s, spacing_s), min(spacing_s / reading_s, 1.0)
+        return limit(self.false_announcements_per_year, tests, LOCAL_LOSS_CREDIT, STRETCHES, apart_s, step)
+
+
+class Shown(NamedTuple):
+    """What the statistic says of one alarm."""
+
+    loss: float
+    std: float
+    z: float
+    lasting: float
+    """z-score of readings of which at least two share no data."""
+    readings: int
+    """Number of readings that share no data in the mean that is `loss`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,40 +154,55 @@ def step(
     loss and ends no announcement: there a loss becomes insignificant because less is known.
     """
     history, evidence = sequential_test.look(state.history, reading, t_ns, settings.model_form, expected)
+    tests = tests_of(reading, beside_others=expected is None)
+    least_z = settings.limit(tests, history.window_ns * 1e-9, history.spacing_ns * 1e-9)
     alarms, says = list(state.stories), dict[int, str]()
 
-    def update(alarm: int, loss: float, z: float, std: float, stretch: float, by: AlarmSettings) -> None:
-        """Update one of the alarms (0 = first) by a mean over `stretch` windows."""
+    def update(alarm: int, shown: Shown, by: AlarmSettings, confirm_ns: float = history.window_ns) -> None:
+        """Update one of the alarms (0 = first)."""
+        if reading.either_side:
+            shown = shown._replace(loss=abs(shown.loss))
         # The z-score is the largest over all stretches: it falls only when none shows the loss any more.
-        windows = stretch if z >= by.significance - SURE_STDS else 1.0
-        off_s = max(settings.confirm_s, windows * history.window_ns * 1e-9)
-        alarms[alarm] = update_alarm(alarms[alarm], abs(loss) if reading.either_side else loss, z, std, t_ns, by, off_s)
+        readings = shown.readings if shown.z >= least_z - SURE_STDS else 1
+        off_ns = readings * max(history.window_ns, history.spacing_ns)
+        alarms[alarm] = update_alarm(alarms[alarm], shown, t_ns, by, least_z, confirm_ns, off_ns)
 
-    rows = (evidence.own, evidence.z, evidence.own_std, evidence.loss, evidence.stretch)
-    for j, own, z, std, loss, stretch in zip(evidence.parts, *(row.tolist() for row in rows), strict=True):
-        says[j + 1] = parts.changed(j + 1, own, loss, std)
+    rows = (evidence.own, evidence.own_std, evidence.z, evidence.lasting, evidence.stretch)
+    for k, (j, *row) in enumerate(zip(evidence.parts, *(x.tolist() for x in rows), strict=True)):
+        shown = Shown(*row)
+        says[j + 1] = parts.changed(j + 1, shown.loss, float(evidence.loss[k]), shown.std)
         if j + 1 not in reading.unidentified:
-            update(j, own, z, std, stretch, settings)
+            update(j, shown, settings)
     shapes = state.shapes
     if shapes is not None:
         n, n_channels = reading.shape.shape
         shapes, found = sequential_test.look_at_shapes(shapes, reading, t_ns)
         for j in evidence.parts:
             best = j * n_channels + int(found.z[j * n_channels : (j + 1) * n_channels].argmax())
-            change, z, std, stretch = (float(x[best]) for x in (found.loss, found.z, found.std, found.stretch))
-            says[n + j + 1] = parts.shape_changed(j + 1, change, std, best % n_channels)
-            update(n + j, change, z, std, stretch, _warning_only(settings))
+            shown = Shown(*(x[best].item() for x in (found.loss, found.std, found.z, found.lasting, found.stretch)))
+            says[n + j + 1] = parts.shape_changed(j + 1, shown.loss, shown.std, best % n_channels)
+            update(n + j, shown, _warning_only(settings))
     shared, std = sequential_test.shared_change(evidence.loss, evidence.std), float(evidence.std.max())
-    z, whole = (abs(shared) if reading.either_side else shared) / std, state.stories[-1]
+    z = float(as_normal((abs(shared) if reading.either_side else shared) / std, evidence.freedom.min()))
+    whole = state.stories[-1]
     # Above advisory it is the alarm of a part that is gone (`carry_over`), of which no window tells.
     if not (whole.unacknowledged and whole.level.rank > Level.ADVISORY.rank):
-        update(-1, shared, z, std, float(evidence.stretch.max()), _advisory_only(settings))
+        # Nothing confirms it: the cause is unknown, so its level never exceeds advisory.
+        shown = Shown(shared, std, z, -np.inf, int(evidence.stretch.max()))
+        update(-1, shown, _of_the_whole(settings), confirm_ns=np.inf)
     says[WHOLE], beside = parts.alike(shared)
     if reading.beyond:
         alarms = [_unless_fallen(s, now) for s, now in zip(state.stories, alarms, strict=True)]
     state = AlarmState(tuple(_end_shelving(s, t_ns) for s in alarms), history, shapes)
     announced = _summarize(state.stories, says, beside if shared else "", parts)
     return state, replace(announced, reason=f"{announced.reason}; {reading.beyond}") if reading.beyond else announced
+
+
+def tests_of(reading: Reading, *, beside_others: bool) -> Scores:
+    """Count what is tested of a reading: its parts, compared with each other or not, and the components of their shapes."""
+    n, (n_modes, n_channels) = int(reading.loss.size), reading.shape.shape
+    components = n_modes * max(n_channels - 1, 0)  # the largest is 1
+    return Scores(n * beside_others, components + n * (not beside_others), 2 if reading.either_side else 1)
 
 
 def hold(state: AlarmState, t_ns: int, parts: Parts = STORIES) -> tuple[AlarmState, Alarm]:
@@ -254,9 +287,9 @@ def _end_shelving(alarm: StoryState, t_ns: int) -> StoryState:
 
 
 @lru_cache(maxsize=8)
-def _advisory_only(settings: AlarmSettings) -> AlarmSettings:
-    """Return the settings for the structure as a whole: the cause is unknown, so its level never exceeds advisory."""
-    return settings.model_copy(update={"confirm_s": np.inf, "min_loss": settings.uniform_loss})
+def _of_the_whole(settings: AlarmSettings) -> AlarmSettings:
+    """Return the settings for the structure as a whole."""
+    return settings.model_copy(update={"min_loss": settings.uniform_loss})
 
 
 @lru_cache(maxsize=8)
@@ -266,19 +299,29 @@ def _warning_only(settings: AlarmSettings) -> AlarmSettings:
 
 
 def update_alarm(
-    alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings, off_s: float
+    alarm: StoryState,
+    shown: Shown,
+    t_ns: int,
+    settings: AlarmSettings,
+    least_z: float,
+    confirm_ns: float,
+    off_ns: float,
 ) -> StoryState:
-    """Update one alarm by relative loss, z-score, and standard deviation of the loss; `off_s` is the off-delay, s."""
+    """Update one alarm, announced from the z-score `least_z` on.
+
+    It is confirmed where readings that share no data reach that together, or one does so `confirm_ns` after the first of an
+    unbroken run that reached it.  `off_ns` is the off-delay.
+    """
     is_active, since = alarm.level is not Level.NORMAL, None
-    slack = SURE_STDS if is_active else 0.0
-    says = Level.NORMAL
-    if z >= settings.significance - slack and loss >= settings.min_loss - slack * std:
+    slack, says = SURE_STDS if is_active else 0.0, Level.NORMAL
+    if shown.z >= least_z - slack and shown.loss >= settings.min_loss - slack * shown.std:
         since = t_ns if alarm.since_ns is None else min(alarm.since_ns, t_ns)  # the clock may have been set back
-        if t_ns - since < settings.confirm_s * 1e9 and alarm.level.rank < Level.WARNING.rank:
+        again = shown.z >= least_z and t_ns - since >= confirm_ns
+        if alarm.level.rank < Level.WARNING.rank and not again and shown.lasting < least_z:
             says = Level.ADVISORY
         else:
-            least = settings.alarm_loss - (slack * std if alarm.level is Level.ALARM else 0.0)
-            says = Level.ALARM if loss >= least else Level.WARNING
+            least = settings.alarm_loss - (slack * shown.std if alarm.level is Level.ALARM else 0.0)
+            says = Level.ALARM if shown.loss >= least else Level.WARNING
     if not is_active and says is Level.NORMAL:
         return alarm
     less = {
@@ -286,7 +329,7 @@ def update_alarm(
         for level in Level
         if says.rank < level.rank <= alarm.level.rank
     }
-    held = [level for level, since_ns in less.items() if t_ns - since_ns < off_s * 1e9]
+    held = [level for level, since_ns in less.items() if t_ns - since_ns < off_ns]
     level = max([says, *held], key=lambda x: x.rank)
     has_risen = level.rank > alarm.level.rank
     return replace(

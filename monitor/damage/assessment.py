@@ -25,7 +25,7 @@ from monitor.core import (
 )
 from monitor.damage.detectable_loss import WITHIN_S, clock_error
 from monitor.damage.origin import MOST_LISTED
-from monitor.damage.parts import STORIES, ModesAndShapes, Parts, change_words
+from monitor.damage.parts import ALONE, SPECTRUM, STORIES, ModesAndShapes, Parts, change_words
 from monitor.damage.sequential_test import CHANCE_STDS
 from monitor.model import FORMS
 
@@ -358,7 +358,7 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
     facts = []
     shelved = () if course.last is None else course.last.shelved
     losses = [loss for loss in course.losses if whole or (loss.t_last_ns is None and loss.story not in shelved)]
-    for loss in sorted(losses, key=lambda item: (-item.level.rank, _is_shape(item, known), -abs(item.ddi))):
+    for loss in sorted(losses, key=lambda item: (-item.level.rank, _kind(item, known), -abs(item.ddi))):
         level = loss.level if whole or course.last is None else course.last.active.get(loss.story, loss.level)
         if loss.t_last_ns is None:
             says = _since(loss, level, course, known)
@@ -366,7 +366,8 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
             says = f"{_lost(loss, known)}, until {utc(loss.t_last_ns)} UTC"
         said = (diagnosis_of(loss, findings) or "").rstrip(".")
         diagnosis = f"; diagnosis: {said[:1].lower()}{said[1:]}" if said else ""
-        facts.append((State(level.value), _sentence(says + diagnosis)))
+        alone = ALONE if len(losses) == 1 and _name(loss.story, known) == SPECTRUM else ""
+        facts.append((State(level.value), _sentence(says + alone + diagnosis)))
     return facts
 
 
@@ -374,7 +375,7 @@ def _since(loss: Loss, level: Level, course: Course, known: Known) -> str:
     """Say since when an alarm stands, how large it was then and how large it is now; `level` is the one it has now."""
     since = f"since {utc(loss.t_level_ns or loss.t_first_ns)} UTC"
     now = None if course.judged is None else course.judged.losses.get(loss.story)
-    if now is None or now[:2] == (loss.ddi, loss.ddi_std):
+    if now is None or now[:2] == (loss.ddi, loss.ddi_std) or _name(loss.story, known) == SPECTRUM:  # which has no size
         return f"{_lost(loss, known)}, {loss.level.value} {since}"
     present = replace(loss, level=level, ddi=now[0], ddi_std=now[1])
     if level is not loss.level:
@@ -711,9 +712,9 @@ def _all_frequencies(course: Course, known: Known) -> list[str]:
     return [f"by the latest window {', '.join(changes)}"]
 
 
-def _is_shape(loss: Loss, known: Known) -> bool:
-    """Tell whether a shape changed, not a frequency."""
-    return known.n_modes is not None and loss.story > known.n_modes
+def _kind(loss: Loss, known: Known) -> int:
+    """Order what is told: frequencies, or stories, then shapes, then the spectrum."""
+    return 0 if known.n_modes is None else (loss.story > known.n_modes) + (loss.story > 2 * known.n_modes)
 
 
 def _change(loss: Loss, known: Known) -> str:

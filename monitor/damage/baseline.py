@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from monitor.core import Array
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.origin import Origin
+from monitor.damage.presence import Presence
+from monitor.damage.record_scatter import RecordScatter
+from monitor.damage.spectrum import HealthySpectrum
 from monitor.damage.updating import Observation, gauge_masks
+from monitor.identification import KnownModes
 from monitor.model import Model, Modes, StructuralPrior
 
 
@@ -68,6 +72,12 @@ class HealthyModes:
 class ModalBaseline(HealthyModes):
     """Modes of a healthy structure without a model; `z` is of logarithms of eigenvalues, then of shapes."""
 
+    scatter: RecordScatter
+    """How `z` of windows of other records scatters."""
+    presence: Presence
+    """How often windows lacked a mode or showed others."""
+    spectrum: HealthySpectrum | None = None
+    """The shape of windows' spectra; None where too few are known."""
     shape_law: CovariateLaw | None = None
     """Dependence of the shapes' components but the gauges', mode by mode."""
 
@@ -77,14 +87,26 @@ class ModalBaseline(HealthyModes):
         return self.shapes_in(self.z)
 
     @property
-    def modes(self) -> Modes:
-        """The modes as the channels show them."""
-        return Modes((2.0 * np.pi * self.frequencies_hz) ** 2, self.shapes.T)
+    def known(self) -> KnownModes:
+        """The modes as the channels show them, and how healthy windows showed them."""
+        shapes, variance = self.shapes, self.scatter.stated + self.scatter.beyond
+        of_shapes = np.zeros(shapes.shape)
+        of_shapes[self.free] = variance[len(shapes) :]
+        return KnownModes(
+            Modes((2.0 * np.pi * self.frequencies_hz) ** 2, shapes.T),
+            0.5 * np.sqrt(variance[: len(shapes)]),
+            of_shapes.sum(axis=1) / (shapes**2).sum(axis=1),
+            self.presence.absent,
+            self.presence.clutter,
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Baseline(HealthyModes):
     """Modes, updated model and systematic misfit of the healthy structure."""
+
+    scatter: RecordScatter | None = None
+    """How the stories' stiffness scatters between records; None where it was learned from one."""
 
     model: Model
     """Model updated to the healthy modes."""

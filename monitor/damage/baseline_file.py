@@ -20,6 +20,8 @@ from monitor.core import (
 from monitor.damage.baseline import AnyBaseline, Baseline, ModalBaseline
 from monitor.damage.covariates import read_law
 from monitor.damage.origin import MODAL, Origin, number_differences, sensor_differences
+from monitor.damage.record_scatter import RecordScatter
+from monitor.damage.spectrum import read_spectrum
 from monitor.damage.updating import UpdatingSettings
 from monitor.model import InstrumentedModel, prior_file
 
@@ -195,6 +197,11 @@ def _refuse(path: Path, says: list[str], mend: str) -> None:
         raise BadConfigurationError(f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: {mend}")
 
 
+def _read_scatter(content: Any, p: int) -> RecordScatter | None:
+    """Read the scatter between records of p stories; ValueError if it is damaged."""
+    return None if content is None else decode(RecordScatter, content, place="scatter", d=p)
+
+
 def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
     """Build the baseline from a file's content; ValueError, KeyError or TypeError if its parts do not fit."""
     model, channels = instrumented.model, instrumented.channels
@@ -209,6 +216,7 @@ def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
             "model": drawn.with_stiffness(own.stiffness_n_per_m).with_masses(own.masses_kg),
             "law": read_law(tree["law"], p),
             "reference": prior_file.read_prior(tree["reference"], drawn, channels),
+            "scatter": _read_scatter(tree.get("scatter"), p),  # older files have none
             "doubts": (),
         },
         beside=("format", *model_keys),
@@ -232,7 +240,8 @@ def _build_modal(tree: dict[str, Any]) -> ModalBaseline:
     """Build the baseline from a file's content; ValueError, KeyError or TypeError if its parts do not fit each other."""
     m, c = len(tree["frequencies_hz"]), len(tree["channels"])
     laws = {"law": read_law(tree["law"], m), "shape_law": read_law(tree["shape_law"], m * (c - 1), "shape_law")}
-    built = decode(ModalBaseline, tree, laws | {"doubts": ()}, beside=("kind", "format"), d=m * c, m=m, c=c)
+    given = laws | {"doubts": (), "spectrum": read_spectrum(tree["spectrum"])}
+    built = decode(ModalBaseline, tree, given, beside=("kind", "format"), d=m * c, m=m, c=c)
     if not m or len(built.gauges) != m or not all(0 <= g < c for g in built.gauges):
         raise ValueError("its gauges are damaged")
     if any(law is not None and law.common is not None for law in laws.values()):

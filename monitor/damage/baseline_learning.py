@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, BadInputError, ModalEstimate
 from monitor.damage.baseline import Baseline, ModalBaseline
 from monitor.damage.covariate_law import CovariateLaw
 from monitor.damage.covariates import TEMPERATURE, Change, CovariateSettings, learn_law
 from monitor.damage.origin import Origin
+from monitor.damage.presence import Presence
+from monitor.damage.record_scatter import RecordScatter, learn_scatter
+from monitor.damage.spectrum import HealthySpectrum
 from monitor.damage.updating import (
     MODES_ALONE,
     Observation,
@@ -44,6 +49,13 @@ class HealthyData:
     """Unit of each covariate, by its name."""
     t_ns: Sequence[int] = ()
     """End of each window, UTC.  Without them it is not learned what stories do together; of modes alone it never is."""
+    records: Sequence[int] = ()
+    """Number of the record, a stretch without gaps, of each window."""
+    window_s: float = 0.0
+    presence: Presence | None = None
+    """How often windows, also those that lack a mode, showed each; of modes alone."""
+    spectrum: HealthySpectrum | None = None
+    """The shape of the spectra of the same windows."""
     motion: Sequence[Annotated[Array, "c c"]] = ()
     """Covariance of the accelerations of windows (`WindowResult.motion`), (m/s^2)^2."""
 
@@ -76,10 +88,10 @@ def learn_baseline(
     if not healthy.windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
     mean = mean_observation(healthy.windows, updating)
-    fit = _fit(instrumented, mean, updating)
+    fit, covariance = _fit(instrumented, mean, updating), mean.deviations.T @ mean.deviations
     baseline = Baseline(
-        **_known(mean, healthy, np.mean([m.frequencies_hz for m in healthy.windows], axis=0)),
-        **_fitted(instrumented, mean, fit, mean.deviations.T @ mean.deviations),
+        **_known(mean, covariance, healthy, np.mean([m.frequencies_hz for m in healthy.windows], axis=0)),
+        **_fitted(instrumented, mean, fit, covariance),
         log=mean.log,
         channels=instrumented.channels,
         floors=instrumented.floors,
@@ -95,9 +107,15 @@ def learn_baseline(
         """Estimate a window's stiffness change from the baseline, as `damage_index.step` would, with its deviations."""
         return gain @ (o.z - mean.z), o.deviations @ gain.T
 
-    changes = _changes(healthy, mean, updating, of, healthy.t_ns)
-    law = learn_law(changes, healthy.span_s, healthy.units, compensation)
-    return replace(baseline, reference_temperature_degc=_mean_temperature(healthy.covariates), law=law), fit
+    stories = _Kind(_changes(healthy, mean, updating, of, healthy.t_ns), compensation, alike=True)
+    # How windows of one record differ is learned with what the stories do together.
+    scatter = _record_scatter(healthy, [stories]) if len(set(healthy.records)) > 1 else None
+    return replace(
+        baseline,
+        reference_temperature_degc=_mean_temperature(healthy.covariates),
+        law=stories.law(healthy),
+        scatter=scatter,
+    ), fit
 
 
 def rebase_baseline(
@@ -172,32 +190,74 @@ def learn_modal_baseline(
 
     All windows have the same modes and all channels.
     """
+    assert healthy.presence is not None
     mean = mean_observation(healthy.windows, MODES_ALONE)
     m, c = len(mean.model_mode), len(channels)
 
-    def law(columns: slice, settings: CovariateSettings, *, alike: bool) -> CovariateLaw | None:
-        """Learn the dependence of some of the data on the covariates."""
+    def changes(columns: slice) -> list[Change]:
+        """Return the windows' changes of some of the data: `learn_law` takes relative ones, of which it uses the logarithms."""
+        return _changes(
+            healthy, mean, MODES_ALONE, lambda o: (np.expm1(o.z[columns] - mean.z[columns]), o.deviations[:, columns])
+        )
 
-        def of(o: Observation) -> tuple[Array, Array]:
-            """Return a window's change: `learn_law` takes relative changes, of which it uses the logarithms."""
-            return np.expm1(o.z[columns] - mean.z[columns]), o.deviations[:, columns]
-
-        changes = _changes(healthy, mean, MODES_ALONE, of)
-        return learn_law(changes, healthy.span_s, healthy.units, settings, alike=alike)
-
+    kinds = [_Kind(changes(slice(0, m)), compensation, alike=True)]
+    kinds += [_Kind(changes(slice(m, None)), _of_shapes(compensation), alike=False)] if c > 1 else []
+    scatter = _record_scatter(healthy, kinds)
+    covariance = mean.deviations.T @ mean.deviations + np.diag(scatter.beyond / scatter.records)
+    law, shape_law = (*(kind.law(healthy) for kind in kinds), None)[:2]
     return ModalBaseline(
-        **_known(mean, healthy, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi)),
+        **_known(mean, covariance, healthy, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi)),
         channels=channels,
         origin=origin,
         reference_temperature_degc=_mean_temperature(healthy.covariates),
-        law=law(slice(0, m), compensation, alike=True),
-        shape_law=law(slice(m, None), _of_shapes(compensation), alike=False) if c > 1 else None,
+        scatter=scatter,
+        presence=healthy.presence,
+        spectrum=healthy.spectrum,
+        law=law,
+        shape_law=shape_law,
     )
 
 
-def _known(mean: Observation, healthy: HealthyData, frequencies_hz: Array) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False, slots=True)
+class _Kind:
+    """Quantities that follow the covariates by one law: their changes in the healthy windows, and the law's prior."""
+
+    changes: Sequence[Change]
+    settings: CovariateSettings
+    alike: bool
+
+    def law(self, healthy: HealthyData, rows: Iterable[int] | None = None) -> CovariateLaw | None:
+        """Learn the dependence on the covariates from all windows, or from some."""
+        changes = self.changes if rows is None else [self.changes[k] for k in rows]
+        return learn_law(changes, healthy.span_s, healthy.units, self.settings, alike=self.alike)
+
+
+def _record_scatter(healthy: HealthyData, kinds: Sequence[_Kind]) -> RecordScatter:
+    """Learn how windows of other records scatter about what the rest and the laws of the covariates predict."""
+    every = list(zip(*(kind.changes for kind in kinds), strict=True))  # of each window, its changes of each kind
+    values = np.array([np.concatenate([np.log1p(one.relative) for one in window]) for window in every])
+    stated = np.mean([np.concatenate([(one.deviations**2).sum(axis=0) for one in window]) for window in every], axis=0)
+    ends = np.cumsum([0, *(kind.changes[0].relative.size for kind in kinds)])
+    columns = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def predict(rest: NDArray[np.intp], left: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Predict what is left out from the rest, with the variance that the covariates' laws state."""
+        expected, variance = np.tile(values[rest].mean(axis=0), (left.size, 1)), np.zeros((left.size, stated.size))
+        for kind, at in zip(kinds, columns, strict=True):
+            law = kind.law(healthy, rest.tolist())
+            if law is None:
+                continue
+            for row, k in enumerate(left.tolist()):
+                effect = law.expected(healthy.covariates[k])
+                expected[row, at] += np.log1p(effect.relative)
+                variance[row, at] = effect.covariance.diagonal()
+        return expected, variance
+
+    return learn_scatter(values, stated, healthy.t_ns, healthy.records, round(healthy.window_s * 1e9), columns, predict)
+
+
+def _known(mean: Observation, z_covariance: Array, healthy: HealthyData, frequencies_hz: Array) -> dict[str, Any]:
     """Return the fields of a baseline that the windows alone decide."""
-    z_covariance = mean.deviations.T @ mean.deviations
     std = np.sqrt(np.diag(z_covariance)[: frequencies_hz.size])  # of the (logarithms of the) eigenvalues
     scale = frequencies_hz * std / 2.0 if mean.log else std / (8.0 * np.pi**2 * frequencies_hz)
     return {

@@ -63,9 +63,12 @@ def step(
         misfit = _misfit_of_change(fit, observation, uncertain)
     # Where stiffness explains the change badly (a window across the onset, another cause), the noise understates its error.
     widened = max(1.0, misfit / _TOLERATED_MISFIT)
+    scatter = None if baseline is None else baseline.scatter
     effect_covariance = np.zeros((fit.parameters.size, fit.parameters.size))
+    if scatter is not None:
+        effect_covariance += np.diag(scatter.beyond * (1.0 + 1.0 / scatter.records))
     if effect is not None:
-        effect_covariance = effect.covariance
+        effect_covariance += effect.covariance
         reference = reference.with_stiffness(reference.structure.stiffness_n_per_m * (1.0 + effect.relative))
     healthy = reference.structure.stiffness_n_per_m
     estimate = StiffnessEstimate(
@@ -91,6 +94,7 @@ def step(
         ddi_sequential=sequential_reading(healthy_k, now_k) if is_chain else ddi,
         loss_n_per_m=healthy - fit.parameters,
         common_covariance=common / np.outer(healthy, healthy) + effect_covariance,
+        freedom=np.inf if scatter is None else scatter.freedom,
         temperature_effect=None if effect is None else effect.parts.get(TEMPERATURE),
         covariate_effect={} if effect is None else dict(effect.parts),
         unidentified=tuple(int(j) + 1 for j in np.flatnonzero(fit.identifiable < 1.0 - UNSEEN**2)),

@@ -1,6 +1,7 @@
 """The smallest loss of stiffness that the alarm would have seen: what "no alarm" is worth.
 
-A loss of one story appears suddenly.  It is seen if that story's alarm reaches `warning` within a stated time.  The loss that is
+A loss of one story appears suddenly.  It is seen if that story's alarm reaches `warning` within a stated time: by the mean of
+readings of which at least two share no data.  The loss that is
 seen with a stated probability follows from the covariance of a window's damage index and from the alarm's own rules, by a
 simulation of the errors of the windows.
 """
@@ -16,12 +17,15 @@ import numpy as np
 from monitor.core import Array, Reading
 from monitor.damage.alarm import AlarmSettings
 from monitor.damage.common_change import LOCAL_LOSS_CREDIT
-from monitor.damage.sequential_test import STRETCHES, History
+from monitor.damage.limits import as_student, freedom_of_sum
+from monitor.damage.sequential_test import STRETCHES, History, freedoms
 
 PROBABILITY = 0.9
 """Probability with which the smallest detectable loss is seen. [1; convention: a90 of inspection reliability, MIL-HDBK-1823A]"""
 WITHIN_S = 3600.0
 """Time after a sudden loss within which it is to be seen. [s; definition: holds the longest stretch, eight windows of 400 s]"""
+_CONFIRMING = STRETCHES[1:]
+"""Stretches of at least two readings. [count; definition]"""
 _TRIALS = 500
 """Simulated series of windows. [count; cost: the share seen errs by 1.3 percent]"""
 _LOOKS_A_WINDOW = 20
@@ -31,6 +35,8 @@ _LN_STEP = 0.1
 it is below the scatter of a window's own deviation, 0.13]"""
 _LN_COMMON_STEP = 0.3
 """The same for what windows have in common, which follows the covariates. [1; cost: half of it is 15 percent of a deviation]"""
+_KNOWN = 1e4
+"""Degrees of freedom beyond which a variance counts as known. [count; cost: a limit of 6 is then higher by 0.1 percent]"""
 _CORRELATION_STEP = 0.2
 """The same for correlations. [1; cost]"""
 
@@ -51,16 +57,16 @@ def clock_error(rates_hz: tuple[float, float] | None, calibration: float, shown_
     return 2.0 * shown_per_loss * abs(rates_hz[1] / rates_hz[0] / calibration - 1.0)
 
 
-def smallest_detectable_loss(reading: Reading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
+def smallest_detectable_loss(
+    reading: Reading, history: History, hop_s: float, settings: AlarmSettings, limit: float
+) -> Array:
     """Compute the smallest sudden loss of each part that the alarm sees with `PROBABILITY` within `WITHIN_S`, as it is shown.
 
     Where fewer data were judged in that time, because windows were skipped or the run is young, only these count.  It is
     infinite where no loss can be confirmed: too few windows, or modes that say next to nothing of the part.  `history` is the
-    alarm's after the window of `reading`, `hop_s` the time between windows.
+    alarm's after the window of `reading`, `hop_s` the time between windows, `limit` the z-score that is announced.
     """
     loss = np.full(reading.loss.size, np.inf)
-    if (history.t_ns.size - 1) * hop_s < settings.confirm_s:
-        return loss
     known = np.flatnonzero(np.isfinite(reading.loss))
     seen = history if known.size == loss.size else history.of_parts(known)
     common = seen.common.mean(axis=0)  # of the windows' conditions since the longest stretch began
@@ -71,11 +77,11 @@ def smallest_detectable_loss(reading: Reading, history: History, hop_s: float, s
         _steps(own_std, _LN_STEP),
         _steps(common_std, _LN_COMMON_STEP),
         _correlation(common),
+        tuple(_steps(np.minimum(f[known], _KNOWN), _LN_COMMON_STEP) for f in freedoms(history, reading)),
         round(max(hop_s / window_s, 1.0 / _LOOKS_A_WINDOW), 6),
         int((_judged_s(history, hop_s) + 1e-6) // window_s),
         int((WITHIN_S + 1e-6) // window_s),
-        round(settings.confirm_s / window_s, 6),
-        settings.significance,
+        round(limit, 3),
         max(settings.model_form, reading.model_form),
         settings.min_loss,
     )
@@ -115,11 +121,11 @@ def _simulated(
     own_steps: tuple[int, ...],
     common_steps: tuple[int, ...],
     correlation: tuple[int, ...],
+    freedom_steps: tuple[tuple[int, ...], ...],
     hop: float,
     windows: int,
     most_windows: int,
-    confirm: float,
-    significance: float,
+    limit: float,
     model_form: float,
     min_loss: float,
 ) -> Array:
@@ -127,24 +133,27 @@ def _simulated(
 
     A window's own errors are correlated between parts as the baseline's are: both come from modes of the same structure.
 
-    `hop` is the time between looks, `windows` the length of the data after the loss, `most_windows` that of a run that is not
-    young, and `confirm` the on-delay, all in window lengths.
+    `hop` is the time between looks, `windows` the length of the data after the loss and `most_windows` that of a run that is not
+    young, all in window lengths.  The errors are as large as they are stated; `limit` is raised by the degrees of freedom of what
+    is stated.
     """
     from monitor.damage.kernels import seen_by_most  # compiled code takes a while to load
 
     n = len(own_steps)
     apart = max(1, round(1.0 / hop))  # looks in a window
     looks = np.arange(1, windows * apart + 1)
-    held = max(2, 1 + ceil(confirm * apart - 1e-9))  # looks in a row at which the loss must be significant
-    if looks.size < held:
+    if windows < 2:
         return np.full(n, np.inf)
     own_std, common_std = np.exp(_LN_STEP * np.array(own_steps)), np.exp(_LN_COMMON_STEP * np.array(common_steps))
     rho = _nearest(correlation, n)
     own, common = rho * np.outer(own_std, own_std), rho * np.outer(common_std, common_std)
-    of_stretches = own / np.reshape(STRETCHES, (-1, 1, 1)) + common
-    against_none, contrast, leak, square = _significant(of_stretches, significance, model_form)
+    of_stretches = own / np.reshape(_CONFIRMING, (-1, 1, 1)) + common
+    own_freedom, common_freedom = np.exp(_LN_COMMON_STEP * np.array(freedom_steps))
+    parts = own_std**2 / np.reshape(_CONFIRMING, (-1, 1)), np.broadcast_to(common_std**2, (len(_CONFIRMING), n))
+    least = as_student(limit, freedom_of_sum(parts, (own_freedom, common_freedom)))
+    against_none, contrast, leak, square = _significant(of_stretches, least, model_form)
     total, white = _draws((max(STRETCHES) + most_windows) * apart, n)
-    lengths = np.array(STRETCHES) * apart
+    lengths = np.array(_CONFIRMING) * apart
     # The errors' increment from look to look is that of a window times the root of the looks in it.
     root = np.linalg.cholesky(rho)
     of_error = sqrt(apart) * own_std[:, None] * root / lengths[:, None, None]
@@ -161,7 +170,6 @@ def _simulated(
         np.maximum(against_none, min_loss),
         leak,
         square,
-        held,
         _TRIALS - ceil(PROBABILITY * _TRIALS),
     )
 
@@ -176,21 +184,21 @@ def _draws(length: int, n: int) -> tuple[Annotated[Array, "trials n length+1"], 
 
 
 def _significant(
-    covariance: Annotated[Array, "s n n"], significance: float, model_form: float
+    covariance: Annotated[Array, "s n n"], limit: Annotated[Array, "s n"], model_form: float
 ) -> tuple[Annotated[Array, "s n"], Annotated[Array, "s n n"], Annotated[Array, "s n"], Annotated[Array, "s n"]]:
-    """Compute what a loss of each part alone must reach so that the alarm's statistic is significant over each stretch.
+    """Compute what a loss of each part alone must reach so that the alarm's statistic reaches `limit` over each stretch.
 
     `covariance` is that of each stretch's mean.  Returned are against_none, contrast, leak and square as `kernels.seen_by_most`
     takes them, but for the least loss that is announced.
     """
     n, variance = covariance.shape[-1], np.diagonal(covariance, axis1=1, axis2=2)
-    against_none = significance * np.sqrt(variance)
+    against_none = limit * np.sqrt(variance)
     if n == 1:
         return against_none, np.zeros_like(covariance), np.ones_like(variance), np.zeros_like(variance)
     # Against "all stories changed alike": the loss of the others may be this story's, by the model's form.
     others = (1.0 - np.eye(n)) / variance[:, None, :]
     contrast = np.eye(n) - others / others.sum(axis=2, keepdims=True)
-    threshold = significance - LOCAL_LOSS_CREDIT
+    threshold = limit - LOCAL_LOSS_CREDIT
     square = threshold**2 * ((contrast @ covariance) * contrast).sum(axis=2)
     leak = 1.0 - threshold**2 * model_form**2 * ((contrast**2).sum(axis=2) - 1.0)
     return against_none, contrast, leak, square

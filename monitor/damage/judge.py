@@ -10,8 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from monitor.core import (
+    WHOLE,
     Alarm,
     Array,
+    CrossSpectra,
     DamageReading,
     Level,
     ModalEstimate,
@@ -21,13 +23,18 @@ from monitor.core import (
     name_stories,
 )
 from monitor.damage import alarm, slow_learning
-from monitor.damage.alarm import AlarmSettings, AlarmState
-from monitor.damage.common_change import Beside
+from monitor.damage.alarm import AlarmState, Shown
+from monitor.damage.common_change import Beside as BesideOthers
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import beyond_words
 from monitor.damage.detectable_loss import smallest_detectable_loss
+from monitor.damage.parts import ALONE, SPECTRUM, Parts, change_words
+from monitor.damage.presence import Beside, Sighting
 from monitor.damage.quantities import Covariates, Found, JudgeSettings, Quantities, View, explained
 from monitor.damage.slow_learning import LearningState
+
+_NONE_FOUND = "no mode of the baseline was found"
+"""What a window says that shows no part at all. [words]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -37,6 +44,8 @@ class Memory:
     alarm: AlarmState
     learning: LearningState | None
     """The covariates' law as it was learned on in service; None before the first judged window."""
+    sightings: tuple[Sighting, ...] = ()
+    """Modes of the latest windows."""
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -66,6 +75,7 @@ def step(
     view: View,
     t_end_ns: int,
     settings: JudgeSettings,
+    spectra: CrossSpectra | None = None,
 ) -> tuple[Memory, Judged] | Skipped:
     """Compare a window's modes with the baseline's, and update the alarms; `t_end_ns` is the UTC of the window's end."""
     if (lacking := quantities.lacking(modes, view, settings.selection)) is not None:
@@ -73,7 +83,7 @@ def step(
     baseline, law = quantities.baseline, None
     if baseline is not None:
         law = baseline.law if memory.learning is None else memory.learning.law
-    effect = explained(law, covariates, settings.alarm)
+    effect = explained(law, covariates, settings)
     if isinstance(effect, Skipped):
         return effect
     found = quantities.read(modes, view, effect, covariates, settings)
@@ -87,8 +97,22 @@ def step(
         return memory, Judged(found.modes, reading, found.stiffness, alarm=nothing)
     together = None if law is None else law.together(settings.compensation.unevenness)
     beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
-    reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, settings.alarm))
-    alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, together, quantities.parts)
+    p = settings.processing
+    limit = settings.alarm.limit(alarm.tests_of(reading, beside_others=together is None), p.window_s, p.hop_s)
+    shown_std = settings.alarm.alarm_loss / limit  # with which a loss that is an `alarm` is just announced
+    reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, shown_std))
+    sightings, more = quantities.beside(memory.sightings, modes, spectra, covariates, view, t_end_ns, settings)
+    alarms = memory.alarm if more is None else _with_spectrum(memory.alarm, more, t_end_ns, settings, limit)
+    if isinstance(reading, ModalReading) and more is not None:
+        reading = replace(reading, spectrum=more.z)
+    is_seen = bool(np.isfinite(reading.loss).any())
+    if is_seen:
+        alarms, verdict = alarm.step(alarms, reading, t_end_ns, settings.alarm, together, quantities.parts)
+    else:
+        alarms, verdict = alarm.hold(alarms, t_end_ns, quantities.parts)
+        verdict = replace(verdict, reason=_NONE_FOUND)
+    if more is not None:
+        verdict = _with_words(verdict, more, quantities.parts)
     learning, history = memory.learning, alarms.history
     if law is not None and settings.compensation.learn_in_service:
         learning = learning or slow_learning.start(law, t_end_ns)
@@ -96,16 +120,38 @@ def step(
         learning = _learn(learning, reading, covariates, t_end_ns, settings.compensation.unevenness, normal=is_normal)
     if together is not None and beside is not None:
         reading, history = together.take_out(reading, beside), history.left_by_others(together, beside)
-    detectable = smallest_detectable_loss(reading, history, settings.processing.hop_s, settings.alarm)
+    detectable = np.full(reading.loss.size, np.inf)
+    if is_seen:
+        detectable = smallest_detectable_loss(reading, history, p.hop_s, settings.alarm, limit)
     verdict = _named(verdict, quantities)
     judged = Judged(found.modes, reading, found.stiffness, alarm=verdict, detectable_loss=detectable)
-    return Memory(alarms, learning), judged
+    return Memory(alarms, learning, sightings), judged
 
 
 def hold(quantities: Quantities, state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
     """Keep the alarms over a window that was not judged."""
     state, verdict = alarm.hold(state, t_ns, quantities.parts)
     return state, _named(verdict, quantities)
+
+
+def _with_spectrum(state: AlarmState, more: Beside, t_ns: int, settings: JudgeSettings, limit: float) -> AlarmState:
+    """Update the alarm of the spectrum, the last before that of the whole; what it tells has no size, and is never an `alarm`."""
+    (*parts, spectrum, whole), by = state.stories, settings.alarm.model_copy(update={"alarm_loss": np.inf})
+    window_ns = settings.processing.window_s * 1e9
+    shown = Shown(1.0, 0.0, more.z, more.z if more.windows > 1 else -np.inf, more.windows)
+    spectrum = alarm.update_alarm(spectrum, shown, t_ns, by, limit, window_ns, more.windows * window_ns)
+    return replace(state, stories=(*parts, spectrum, whole))
+
+
+def _with_words(verdict: Alarm, more: Beside, parts: Parts) -> Alarm:
+    """Say of the spectrum, where its alarm is active, what its newest windows lack or show beside."""
+    names = {j for j in verdict.active if j != WHOLE and parts.name(j) == SPECTRUM}
+    if not names:
+        return verdict
+    says = more.says or change_words(SPECTRUM, 0.0, 0.0)
+    if parts.unchanged in verdict.reason:
+        return replace(verdict, reason=verdict.reason.replace(parts.unchanged, says + ALONE, 1))
+    return replace(verdict, reason=f"{verdict.reason}; {says}")
 
 
 def _named(verdict: Alarm, quantities: Quantities) -> Alarm:
@@ -116,16 +162,16 @@ def _named(verdict: Alarm, quantities: Quantities) -> Alarm:
 def _beyond(
     law: CovariateLaw | None,
     effect: Effect | None,
-    beside: Beside | None,
+    beside: BesideOthers | None,
     covariates: Covariates,
-    settings: AlarmSettings,
+    most_std: float,
 ) -> str:
-    """Say what lies beyond calibration where the uncertainty of the law, or of what parts do together, would hide an `alarm`."""
+    """Say what lies beyond calibration where the law, or what parts do together, is less certain than `most_std`."""
     if law is not None and effect is not None:
         std = float(np.sqrt(effect.covariance.diagonal().max()))
-        if settings.significance * std > settings.alarm_loss:
+        if std > most_std:
             return beyond_words(law, covariates)
-    return "" if beside is None else beside.beyond_words(settings.alarm_loss / settings.significance)
+    return "" if beside is None else beside.beyond_words(most_std)
 
 
 def _learn(

@@ -70,7 +70,6 @@ def _needed_in_trial(
     needed: Array,
     leak: Array,
     square: Array,
-    held: int,
     wanted: Array,
     error: Array,
     alone: Array,
@@ -105,12 +104,8 @@ def _needed_in_trial(
             against_alike = (np.sqrt(kept * alone[k] * alone[k] + of_square) - alone[k]) * per_leak
             loss = (against_alike if against_alike > against_none else against_none) * times[k]
             wanted[k] = loss if loss < wanted[k] else wanted[k]
-    later = wanted[1:]
-    for i in range(1, held):
-        for k in range(looks - i):
-            wanted[k] = later[k] if later[k] > wanted[k] else wanted[k]
     smallest = np.inf
-    for k in range(looks - held + 1):
+    for k in range(looks):
         smallest = min(smallest, wanted[k])
     return smallest
 
@@ -128,14 +123,12 @@ def seen_by_most(
     needed: Annotated[Array, "s n"],
     leak: Annotated[Array, "s n"],
     square: Annotated[Array, "s n"],
-    held: int,
     unseen: int,
 ) -> Annotated[Array, "n"]:
     """Compute the smallest loss of each story that is seen in all trials but `unseen`; infinite where none is.
 
-    In a trial it is seen where it is significant at `held` looks in a row (no more than there are), at each over one of s
-    stretches of windows.  Only the trials that need the largest losses count: of the others a bound is enough.  `unseen` is less
-    than the number of trials.
+    In a trial it is seen where it is significant at one of the looks, over one of s stretches of windows.  Only the trials that
+    need the largest losses count: of the others a bound is enough.  `unseen` is less than the number of trials.
 
     `total` are sums of standard normal increments up to each look: of the healthy data, then after the loss, from look `first`
     on; more looks may follow.  `lengths` are the looks in each stretch, increasing, at most `first`; `factor` is the length of a
@@ -153,7 +146,7 @@ def seen_by_most(
         most = np.full(trials, np.inf)  # loss that each trial needs at most
         largest = np.full(unseen + 1, -np.inf)  # losses that trials need, the largest first
         for is_bound in (True, False):  # by the last looks over one stretch alone, then by all
-            begin, low, high = (looks - held, whole - 1, whole) if is_bound else (0, 0, stretches)
+            begin, low, high = (looks - 1, whole - 1, whole) if is_bound else (0, 0, stretches)
             some_lengths, factors = lengths[low:high], factor[low:high]
             errors, alones, alone_offs = of_error[low:high, j], of_alone[low:high, j], alone_off[low:high, :, j]
             least, leaks, squares = needed[low:high, j], leak[low:high, j], square[low:high, j]
@@ -173,7 +166,6 @@ def seen_by_most(
                     least,
                     leaks,
                     squares,
-                    held,
                     wanted,
                     error,
                     alone,

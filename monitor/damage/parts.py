@@ -82,29 +82,35 @@ class ModesAndShapes(Parts):
         return says, says
 
 
+ALONE = "; no mode's change tells how"
+"""What is said of the spectrum where nothing else changed. [words]"""
+SPECTRUM = "the spectrum"
+"""The part, after modes and shapes, of what changed and is no mode's change of frequency or shape. [name]"""
 STORIES = Parts()
 """The stories of a structure with a model. [none; definition]"""
 
 
 def modal_parts(n_modes: int) -> tuple[str, ...]:
-    """Name what the alarms are about, by their numbers from 1: the modes' frequencies, then their shapes.
+    """Name what the alarms are about, by their numbers from 1: the modes' frequencies, their shapes, and what is beside them.
 
     Examples
     --------
     >>> modal_parts(2)
-    ('mode 1', 'mode 2', 'the shape of mode 1', 'the shape of mode 2')
+    ('mode 1', 'mode 2', 'the shape of mode 1', 'the shape of mode 2', 'the spectrum')
     """
     modes = [f"mode {i}" for i in range(1, n_modes + 1)]
-    return (*modes, *(f"the shape of {mode}" for mode in modes))
+    return (*modes, *(f"the shape of {mode}" for mode in modes), SPECTRUM)
 
 
 def change_words(part: str, change: float, std: float) -> str:
-    """Say how a part changed, with two standard deviations.
+    """Say how a part changed, with two standard deviations; that of the spectrum has no size.
 
     Examples
     --------
     >>> change_words("mode 2", -0.013, 0.001)
     'mode 2 fell by 1.3 ± 0.2 %'
     """
+    if part == SPECTRUM:
+        return "the spectrum changed"
     verb = "changed" if part.startswith("the shape") else "fell" if change < 0.0 else "rose"
     return f"{part} {verb} by {100 * abs(change):.1f} ± {200 * std:.1f} %"

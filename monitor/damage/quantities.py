@@ -12,12 +12,14 @@ from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 
-from monitor.core import Array, ModalEstimate, Reading, Skipped, StiffnessEstimate, Window
+from monitor.core import Array, CrossSpectra, ModalEstimate, Reading, Skipped, StiffnessEstimate, Window
 from monitor.damage.alarm import AlarmSettings, AlarmState
 from monitor.damage.baseline import AnyBaseline
 from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.damage.covariates import CovariateSettings, beyond_words
+from monitor.damage.limits import Scores
 from monitor.damage.parts import Parts
+from monitor.damage.presence import Beside, Sighting
 from monitor.damage.updating import UpdatingSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, SubArray
 from monitor.signals import ProcessingSettings
@@ -102,6 +104,19 @@ class Quantities(Protocol):
         """Identify the modes of a window of the channels in use."""
         ...
 
+    def beside(
+        self,
+        sightings: tuple[Sighting, ...],
+        modes: ModalEstimate,
+        spectra: CrossSpectra | None,
+        covariates: Covariates,
+        view: View,
+        t_end_ns: int,
+        settings: JudgeSettings,
+    ) -> tuple[tuple[Sighting, ...], Beside | None]:
+        """Return the latest windows' modes with this one's, and what they and the spectra say; None where nothing does."""
+        ...
+
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:
         """Say why a window's modes are not enough to be judged; None where they are."""
         ...
@@ -113,13 +128,14 @@ class Quantities(Protocol):
         ...
 
 
-def explained(law: CovariateLaw | None, covariates: Covariates, alarm: AlarmSettings) -> Effect | Skipped | None:
+def explained(law: CovariateLaw | None, covariates: Covariates, settings: JudgeSettings) -> Effect | Skipped | None:
     """Predict what the covariates do to healthy stiffness; None without a law.
 
     It is `Skipped` where the law's uncertainty alone would hide the loss of half a part's stiffness.
     """
     if law is None:
         return None
-    effect = law.expected(covariates)
-    hidden = alarm.significance * float(np.sqrt(effect.covariance.diagonal().max()))
+    effect, p = law.expected(covariates), settings.processing
+    hidden = float(np.sqrt(effect.covariance.diagonal().max()))
+    hidden *= settings.alarm.limit(Scores(0, len(law.slopes)), p.window_s, p.hop_s)
     return Skipped(beyond_words(law, covariates)) if hidden > _USELESS_LOSS else effect

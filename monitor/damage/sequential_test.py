@@ -1,9 +1,9 @@
-"""Sequential test for a loss of stiffness: a window-limited likelihood ratio over stretches of one to eight windows.
+"""Sequential test for a loss of stiffness: a window-limited likelihood ratio over stretches of one to eight readings.
 
-Windows overlap, so a stretch of k window lengths is averaged from the k readings that share no data.  That is the mean over
-exactly this stretch, with the variance of one window over k.  The errors of the baseline and of the covariates' law are common
-to all windows.  Their mean covariance, an upper bound where the covariates moved, is added after averaging, so averaging does
-not reduce it.  Large losses are detected in one window, small ones in eight.
+Windows overlap, so a stretch of k readings is averaged from the latest k that share no data.  Without gaps that is the mean over
+exactly k windows' lengths, with the variance of one window over k.  The errors of the baseline and of the covariates' law are
+common to all windows.  Their mean covariance, an upper bound where the covariates moved, is added after averaging, so averaging
+does not reduce it.  Large losses are detected in one window, small ones in eight.
 
 References
 ----------
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace
+from math import exp
 from typing import Annotated
 
 import numpy as np
@@ -22,12 +23,16 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, Reading
 from monitor.damage.common_change import LOCAL_LOSS_CREDIT, SIGNIFICANT_STDS, Beside, Expected
+from monitor.damage.limits import as_normal, freedom_of_sum
 
 STRETCHES = (1, 2, 4, 8)
-"""Lengths over which windows, or the shortest stretches of readings, are averaged. [1; judgement: powers of two]"""
+"""Numbers of readings that share no data over which means are taken. [count; judgement: powers of two]"""
 _STD_MEMORY_S = 8 * 3600.0
 """Time over which standard deviations are smoothed. One window's standard deviation rests on some forty segments, too
 few for tails of six standard deviations. [s; judgement]"""
+_WINDOW_FREEDOM = 30.0
+"""Effective degrees of freedom of a window's own variance, of some forty segments that overlap by half. [count; simulation: its
+standard deviation scatters by 13 %]"""
 _STD_EXCESS = 1.2
 """A window's own standard deviation counts only beyond this many times the smoothed one. [ratio; simulation: a window's
 standard deviation scatters by 10 to 15 %]"""
@@ -73,6 +78,11 @@ class History:
     before: Smoothed | None = None
     """Variance of the readings before the channels in use changed."""
 
+    @property
+    def spacing_ns(self) -> int:
+        """Time from one reading to the next, as mostly; as if they shared no data where only one is known."""
+        return int(np.median(np.diff(self.t_ns))) if self.t_ns.size > 1 else self.window_ns
+
     def channels_of(self, reading: int) -> tuple[int, ...]:
         """Return the channels of one of the readings."""
         return self.channels[reading] if self.channels else ()
@@ -100,16 +110,22 @@ class SequentialStatistic:
     parts: tuple[int, ...]
     """Their numbers (0 = first)."""
     z: Annotated[Array, "n"]
-    """Largest z-score over the stretches, for a loss of this part beyond a change common to all parts."""
+    """Largest z-score over the stretches, for a loss of this part beyond a change common to all parts.
+
+    It is the standard normal score that is exceeded by chance as rarely, whatever the degrees of freedom of its deviation."""
+    lasting: Annotated[Array, "n"]
+    """The same over the stretches of at least two readings that share no data."""
     loss: Annotated[Array, "n"]
     """Mean loss over the longest stretch with which the newest window agrees."""
     std: Annotated[Array, "n"]
     """Of `loss`."""
+    freedom: Annotated[Array, "n"]
+    """Effective degrees of freedom of `std`."""
     own: Annotated[Array, "n"]
     """The share of `loss` beyond what all parts have in common."""
     own_std: Annotated[Array, "n"]
-    stretch: Annotated[Array, "n"]
-    """Length of that stretch, in windows."""
+    stretch: Annotated[NDArray[np.intp], "n"]
+    """Number of readings in that stretch."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -124,11 +140,19 @@ class Averages:
     """Shape (k, n, n) or (k, n), as `History.common`: mean of what the readings have in common."""
     agrees: Annotated[NDArray[np.bool_], "k n"]
     """Whether the newest reading agrees with the mean."""
+    counts: Annotated[NDArray[np.intp], "k n"]
+    """Number of readings in the mean."""
 
     def of_parts(self, known: NDArray[np.intp]) -> Averages:
         """Select some of the parts (0 = first)."""
         common = self.common[:, known][:, :, known]
-        return Averages(self.means[:, known], self.variances[:, known], common, self.agrees[:, known])
+        shown = self.agrees[:, known], self.counts[:, known]
+        return Averages(self.means[:, known], self.variances[:, known], common, *shown)
+
+    def best(self, z: Annotated[Array, "k n"]) -> tuple[Annotated[Array, "n"], Annotated[Array, "n"]]:
+        """Return the largest score of each part over the stretches, and over those of at least two readings."""
+        z = np.where(self.agrees, z, -np.inf)
+        return z.max(axis=0), np.where(self.counts > 1, z, -np.inf).max(axis=0)
 
     def longest(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the index, into (k, n), of the longest stretch of each part with which the newest reading agrees."""
@@ -156,41 +180,72 @@ def look(
     stories alone: a window shows them all, and a rise is no loss.  Without it, what they have in common is a change of all
     alike.
     """
-    n, own = reading.loss.size, reading.own_covariance
+    n, own = reading.loss.size, _unbiased(reading) * reading.own_covariance
     model_form = max(model_form, reading.model_form)
     common = np.broadcast_to(reading.common_covariance, (n, n))
     history, over = average(history, reading.loss, own.diagonal(), common, reading.channels, t_ns)
+    freedom = _freedom(history, over, reading)
     known = np.flatnonzero(np.isfinite(reading.loss))
     if known.size < n:
-        over, own = over.of_parts(known), own[np.ix_(known, known)]
+        over, own, freedom = over.of_parts(known), own[np.ix_(known, known)], freedom[:, known]
     covariance = _covariance_of(over, own)
     z, std = statistic(over.means, covariance, model_form)
     if reading.either_side:
         z = np.maximum(z, statistic(-over.means, covariance, model_form)[0])
     longest = over.longest()
-    lengths = np.array(STRETCHES, dtype=float)[longest[0]]
     loss, loss_std = over.means[longest], std[longest]
     if expected is None:
         beyond, beyond_std = loss - shared_by_others(loss, loss_std), loss_std
     else:
         z, losses, stds = _beside_others(over.means, covariance, model_form, expected)
         beyond, beyond_std = losses[longest], stds[longest]
-    best = np.where(over.agrees, z, -np.inf).max(axis=0)
-    parts = tuple(known.tolist())
-    return history, SequentialStatistic(parts, best, loss, loss_std, beyond, beyond_std, lengths)
+    best, lasting = over.best(as_normal(z, freedom))
+    return history, SequentialStatistic(
+        tuple(known.tolist()),
+        best,
+        lasting,
+        loss,
+        loss_std,
+        freedom[longest],
+        beyond,
+        beyond_std,
+        over.counts[longest],
+    )
 
 
 def look_at_shapes(history: History, reading: Reading, t_ns: int) -> tuple[History, SequentialStatistic]:
     """Update the test statistic of the shapes' components, each by itself and to either side."""
-    own, common = reading.shape_variance - reading.shape_common_variance, np.nan_to_num(reading.shape_common_variance)
+    common = np.nan_to_num(reading.shape_common_variance)
+    own = _unbiased(reading) * (reading.shape_variance - common)
     history, over = average(history, reading.shape.ravel(), own.ravel(), common.ravel(), reading.channels, t_ns)
     std = np.sqrt(over.variances + over.common)
-    z = np.where(over.agrees, np.abs(over.means) / np.maximum(std, 1e-12), -np.inf).max(axis=0)
+    freedom = _freedom(history, over, reading)
+    best, lasting = over.best(as_normal(np.abs(over.means) / np.maximum(std, 1e-12), freedom))
     longest = over.longest()
-    lengths = np.array(STRETCHES, dtype=float)[longest[0]]
-    change, change_std = over.means[longest], std[longest]
-    parts = tuple(range(z.size))
-    return history, SequentialStatistic(parts, z, change, change_std, change, change_std, lengths)
+    size = over.means[longest], std[longest]
+    parts = tuple(range(best.size))
+    return history, SequentialStatistic(parts, best, lasting, *size, freedom[longest], *size, over.counts[longest])
+
+
+def _unbiased(reading: Reading) -> float:
+    """Return the factor that makes the mean logarithm of estimated variances that of the true one (of chi-square: -1/freedom)."""
+    return exp(1.0 / _WINDOW_FREEDOM) if reading.own_freedom is None else 1.0
+
+
+def _freedom(history: History, over: Averages, reading: Reading) -> Annotated[Array, "k n"]:
+    """Compute the effective degrees of freedom of the means' variances; of shapes, each component has those of its mode."""
+    components = over.means.shape[1] // reading.loss.size
+    common = over.common if over.common.ndim == 2 else np.diagonal(over.common, axis1=1, axis2=2)
+    each = (np.repeat(f, components) for f in freedoms(history, reading))
+    return freedom_of_sum((over.variances, common), tuple(each))
+
+
+def freedoms(history: History, reading: Reading) -> tuple[Annotated[Array, "q"], Annotated[Array, "q"]]:
+    """Return the degrees of freedom of the smoothed own variances, and of what is common, of each part."""
+    windows = 1.0 + history.memory_s * 1e9 / history.window_ns  # whose variances are smoothed
+    own = _WINDOW_FREEDOM * windows if reading.own_freedom is None else reading.own_freedom
+    n = reading.loss.size
+    return np.broadcast_to(own, n), np.broadcast_to(reading.freedom, n)
 
 
 def _beside_others(
@@ -218,9 +273,8 @@ def average(
     `channels` are those that the reading rests on (empty: all), `t_ns` is the UTC of the window's end.
     """
     history = _append(_of_channels(history, channels), values, variance, common, channels, t_ns)
-    chain = _comparable(history, _disjoint_readings(history), common)
-    age = (t_ns - history.t_ns[chain]) / history.window_ns
-    last = np.array([np.count_nonzero(age < stretch - 1e-6) for stretch in STRETCHES]) - 1
+    chain = _comparable(history, _disjoint(history.t_ns, history.window_ns), common)
+    last = np.minimum(STRETCHES, len(chain)) - 1
     shown = np.isfinite(history.loss[chain])
     counts = np.maximum(np.cumsum(shown, axis=0)[last], 1)
     means = np.cumsum(np.where(shown, history.loss[chain], 0.0), axis=0)[last] / counts
@@ -230,7 +284,7 @@ def average(
     newest, own = np.where(shown[0], history.loss[-1], 0.0), np.where(shown[0], history.variance[-1], 0.0)
     agrees = np.abs(newest - means) <= CHANCE_STDS * np.sqrt(own * (1.0 - 2.0 / counts) + variances)
     agrees[0] = True
-    return history, Averages(means, variances, shared, agrees)
+    return history, Averages(means, variances, shared, agrees, counts)
 
 
 def _covariance_of(over: Averages, own: Annotated[Array, "n n"]) -> Annotated[Array, "k n n"]:
@@ -270,8 +324,9 @@ def _append(
     The smoothed standard deviation is used, because a window's own may be too small by chance.  The window's own is used where
     it is clearly larger: conditions got worse, or the window lies across the onset of a change.
     """
-    first, last = np.searchsorted(history.t_ns, (t_ns - max(STRETCHES) * history.window_ns + 1, t_ns))
-    keep = slice(first, last)
+    known = np.append(history.t_ns[: np.searchsorted(history.t_ns, t_ns)], t_ns)  # the clock may have been set back
+    needed = _disjoint(known, history.window_ns)[max(STRETCHES) - 1 :]
+    keep = slice(needed[0] if needed else 0, known.size - 1)
     ln_variance, memory_s = np.log(variance), 0.0
     n_before = history.t_ns.size
     is_new = history.before is not None and history.memory_s == 0.0  # the first reading of these channels
@@ -286,7 +341,7 @@ def _append(
         ln_variance = np.where(np.isnan(smooth), kept, smooth)
     return History(
         history.window_ns,
-        np.append(history.t_ns[keep], t_ns),
+        known[keep.start :],
         np.concatenate([history.loss[keep], values[None]]),
         np.concatenate([history.variance[keep], np.maximum(variance / _STD_EXCESS**2, np.exp(ln_variance))[None]]),
         np.concatenate([history.common[keep], common[None]]),
@@ -297,11 +352,11 @@ def _append(
     )
 
 
-def _disjoint_readings(history: History) -> list[int]:
+def _disjoint(t_ns: NDArray[np.int64], window_ns: int) -> list[int]:
     """List the indices of readings that share no data, newest first."""
-    t_ns = history.t_ns.tolist()  # a few look-ups in a short list: bisect is faster than numpy's search
-    chain = [len(t_ns) - 1]
-    while i := bisect_right(t_ns, t_ns[chain[-1]] - history.window_ns + 1_000_000):
+    times = t_ns.tolist()  # a few look-ups in a short list: bisect is faster than numpy's search
+    chain = [len(times) - 1]
+    while i := bisect_right(times, times[chain[-1]] - window_ns + 1_000_000):
         chain.append(i - 1)
     return chain
 

@@ -16,6 +16,7 @@ from monitor.damage.baseline import Baseline
 from monitor.damage.covariate_law import Effect
 from monitor.damage.level import drift_weights, drift_weights_of_some
 from monitor.damage.parts import STORIES, Parts
+from monitor.damage.presence import Sighting
 from monitor.damage.quantities import LEAST_SHARE, UNCERTAIN, Covariates, Found, JudgeSettings, View
 from monitor.identification import SelectionSettings, SubArray, expected_modes, identify, refine
 from monitor.model import InstrumentedModel
@@ -101,6 +102,10 @@ class StoryStiffness:
             measured=self.baseline is not None,
         )
         return modes if isinstance(modes, Skipped) else view.array.correct(modes)
+
+    def beside(self, sightings: tuple[Sighting, ...], *_: object) -> tuple[tuple[Sighting, ...], None]:
+        """Return that nothing is said beside the stories' stiffness."""
+        return sightings, None
 
     def lacking(self, modes: ModalEstimate, view: View, select: SelectionSettings) -> Skipped | None:
         """Say why a window's modes are not enough to be judged; None where they are.

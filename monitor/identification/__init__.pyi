@@ -1,4 +1,5 @@
 from . import stabilization as stabilization, tracking as tracking
+from .association import KnownModes as KnownModes
 from .free_decay import with_decay_deviations as with_decay_deviations
 from .model_free import identify_modes as identify_modes
 from .single_modes import (

@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray, compiled
 
-IMPOSSIBLE = 1e3
-"""Cost of a match that is not allowed. [1; definition: above any cost that occurs]"""
-
 
 @compiled()
 def scatter(products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]) -> Array:
@@ -131,34 +128,31 @@ def grouped(
 
 
 @compiled()
-def unlikeness(
+def compared(
     group: Annotated[NDArray[np.intp], "poles"],
     frequency: Annotated[Array, "poles"],
     shape: Annotated[ComplexArray, "poles c"],
     n_orders: int,
     model_ln_f: Annotated[Array, "k"],
     model_shape: Annotated[Array, "k c"],
-    most_distance: float,
-    least_likeness: float,
-) -> Annotated[Array, "k modes"]:
-    """Compute the cost of matching each of the model's modes to each identified mode; IMPOSSIBLE beyond the bounds.
+) -> tuple[Annotated[Array, "k modes"], Annotated[Array, "k modes"], Annotated[Array, "modes"]]:
+    """Compare each of the model's modes with each identified mode.
 
-    The cost has terms for frequency (the median over orders), for shape, and for the share of orders in which the mode was
-    found.  That share is a better criterion than the closeness to the structure file's frequency.  `group` is the number of each
-    pole's mode, -1 for none; `most_distance` is in ln f, and `least_likeness` a modal assurance criterion.
+    Returned are the distance in ln f (the median over orders), the modal assurance criterion, and the share of orders in which
+    the identified mode was found.  `group` is the number of each pole's mode, -1 for none.
     """
     n_modes = group.max() + 1 if group.size else 0
-    out = np.full((model_ln_f.size, n_modes), IMPOSSIBLE)
+    away, like = np.empty((model_ln_f.size, n_modes)), np.empty((model_ln_f.size, n_modes))
+    share = np.empty(n_modes)
     for j in range(n_modes):
         members = np.flatnonzero(group == j)
         ln_f, middle = np.log(np.median(frequency[members])), shape[members[members.size // 2]]
+        share[j] = members.size / n_orders
         for i in range(model_ln_f.size):
-            distance, total, power = abs(ln_f - model_ln_f[i]), 0j, 0.0
+            total, power = 0j, 0.0
             for s in range(middle.size):
                 total += model_shape[i, s] * middle[s]
                 power += model_shape[i, s] ** 2
-            mac = (total.real**2 + total.imag**2) / power if power > 0.0 else 0.0
-            if distance <= most_distance and mac >= least_likeness:
-                share = members.size / n_orders
-                out[i, j] = 0.5 * distance / most_distance + 2.0 * (1.0 - mac) + (1.0 - share)
-    return out
+            away[i, j] = abs(ln_f - model_ln_f[i])
+            like[i, j] = (total.real**2 + total.imag**2) / power if power > 0.0 else 0.0
+    return away, like, share

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from monitor.core import Array, ComplexArray, ModalEstimate, OtherMode, Settings, Skipped, Window
+from monitor.identification.association import KnownModes, associated
 from monitor.identification.ssi import PoleTable, Realisation, SsiSettings, poles as all_poles, realise, state_space
 from monitor.identification.ssi_uncertainty import mode_deviations
 from monitor.model import Modes
@@ -37,6 +38,11 @@ have room]"""
 _RATE_STEPS = 0.7
 """Advised rate, in steps of 5 Hz, for each Hz of the highest mode looked for. [1; the lowpass: a cutoff of 1.4 times
 the highest mode is 0.4 of the rate]"""
+_IMPOSSIBLE = 1e3
+"""Cost of a match that is not allowed. [1; definition: above any cost that occurs]"""
+_NEAR = 3.0
+"""Distance up to which a mode may be one that was learned though its pole is uncertain. [standard deviations; convention: three
+sigma]"""
 _SPLIT = 4.0
 """Standard deviation of a frequency, over what ambient vibration allows, from which the order is taken to split the
 mode. [ratio; simulation: white and coloured forces give 1 to 3.5; measured frames: earthquakes give 3 to 43]"""
@@ -113,6 +119,7 @@ def identify(
     known: str = "by the model",
     *,
     measured: bool = False,
+    learned: KnownModes | None = None,
 ) -> ModalEstimate | Skipped:
     """Identify the modes of a window: poles of all orders, stabilisation, and match to the model's modes.
 
@@ -132,6 +139,9 @@ def identify(
     measured : bool
         Whether the reference was measured on the structure.  Modes that then lie at one another's places are exchanged, as few
         channels do where they see both modes alike, and are no reading.
+    learned : KnownModes, optional
+        How healthy windows showed the reference's modes.  A mode is then known by its likelihood, and where it is not surely one
+        of the reference's, it is among the others.
     """
     if wanted is None:
         wanted = expected_modes(reference, BAND * window.rate_hz, select)
@@ -143,7 +153,13 @@ def identify(
     poles = marked.table
     in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
     frequencies = reference.frequencies_hz[list(wanted)]
-    modes, rest = _match(marked, frequencies, shapes, select, in_band, in_places=measured)
+    modes, rest = _match(marked, frequencies, shapes, select, in_band, learned, in_places=measured)
+    if learned is not None and ssi.uncertainty:
+        near = _NEAR * np.hypot(learned.ln_f_std, select.stable_frequency)
+        modes = [
+            m if m is None or abs(log(_median_hz(poles, m) / f)) <= most or _is_certain(marked, m, select) else None
+            for m, f, most in zip(modes, frequencies.tolist(), near.tolist(), strict=True)
+        ]
     clusters = [m for m in modes if m is not None]
     # Canonical correlations rank all modes alike, also those not wanted, which need room; by energy the strong ones come first.
     crowd = min(in_band, ssi.max_order // 2 - 2) if ssi.used(window.sums.head.shape[1]) in ("CVA", "UPC") else 0
@@ -159,11 +175,11 @@ def identify(
     ]
     others = _other_modes(marked, beside, select, with_std=ssi.uncertainty)
     missing = tuple(
-        (i, _why_missing(i, f, shape, others, select, known))
+        (i, _why_missing(i, f, shape, others, select, known, by_shape=learned is None))
         for i, f, shape, m in zip(wanted, frequencies.tolist(), shapes, modes, strict=True)
         if m is None
     )
-    if not clusters and not others:
+    if not clusters and not others and learned is None:
         return Skipped("; ".join(why for _, why in missing))
     found = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
     estimate = _estimate(marked, chosen, found, refiner, ssi, select)
@@ -175,6 +191,17 @@ def identify(
 def has_intervals(estimate: ModalEstimate) -> bool:
     """Test that no mode is stated without scatter: a single block, or samples without noise, show none, which is no certainty."""
     return not len(estimate.deviations) or bool((estimate.frequencies_std_hz > 0.0).all())
+
+
+def _median_hz(poles: PoleTable, cluster: list[int]) -> float:
+    """Return the frequency of a mode, the median over its poles."""
+    return float(median(poles.frequency[cluster].tolist()))
+
+
+def _is_certain(marked: MarkedPoles, cluster: list[int], select: SelectionSettings) -> bool:
+    """Test that a mode's middle pole is more certain than stable poles may differ: others are chance, or forces."""
+    deviations = marked.deviations([cluster[len(cluster) // 2]])
+    return bool((deviations[:, 0, 0] ** 2).sum() <= select.stable_frequency**2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -250,26 +277,35 @@ def group_poles(marked: MarkedPoles, select: SelectionSettings, in_band: int) ->
 
 
 def _match(
-    marked: MarkedPoles, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int, *, in_places: bool
-) -> tuple[list[list[int] | None], list[list[int]]]:
+    marked: MarkedPoles, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int,
+    learned: KnownModes | None, *, in_places: bool,
+) -> tuple[list[list[int] | None], list[list[int]]]:  # fmt: skip
     """Find for each of the model's modes the stable poles of its counterpart, None where there is none, and the other modes'.
 
-    With `in_places` modes that lie at one another's places are put each at its own, or left out where their shapes do not
-    allow it.
+    A model's counterparts may be as far away as drawings err; the share of orders in which a mode was found is then a better
+    criterion than its frequency.  With `in_places` modes that lie at one another's places are put each at its own, or left out
+    where their shapes do not allow it.
     """
     from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
 
-    from monitor.identification.kernels import IMPOSSIBLE, unlikeness
+    from monitor.identification.kernels import compared
 
     poles, group = marked.table, group_poles(marked, select, in_band)
-    known = np.log(frequencies), shapes, log(select.max_frequency_ratio), select.min_model_mac
-    cost = unlikeness(group, poles.frequency, poles.shape, len(poles.orders), *known)
+    away, mac, share = compared(group, poles.frequency, poles.shape, len(poles.orders), np.log(frequencies), shapes)
+    reach = log(select.max_frequency_ratio)
     found: list[list[int] | None] = [None] * len(frequencies)
-    rest = {j: np.flatnonzero(group == j).tolist() for j in range(cost.shape[1])}
-    matched = {int(i): int(j) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < IMPOSSIBLE}
+    rest = {j: np.flatnonzero(group == j).tolist() for j in range(share.size)}
+    possible = (away <= reach) & (mac >= select.min_model_mac)
+    if learned is not None:
+        least = select.stable_frequency, 1.0 - select.stable_mac, select.min_model_mac
+        matched = associated(away, mac, learned, shapes.shape[1], reach, least)
+    else:
+        cost = np.where(possible, 0.5 * away / reach + 2.0 * (1.0 - mac) + (1.0 - share), _IMPOSSIBLE)
+        pairs = zip(*linear_sum_assignment(cost), strict=True)
+        matched = {int(i): int(j) for i, j in pairs if possible[i, j]}
     for moves, is_ring in _moves(matched, group, poles.frequency, frequencies, select) if in_places else ():
         own = {place: matched[i] for i, place in moves.items()}
-        is_possible = all(cost[i, j] < IMPOSSIBLE for i, j in own.items())
+        is_possible = all(possible[i, j] for i, j in own.items())
         if is_ring or is_possible:
             matched = {i: j for i, j in matched.items() if i not in moves} | (own if is_possible else {})
     for i, j in matched.items():
@@ -316,13 +352,16 @@ def distinct(
 
 
 def _why_missing(
-    mode: int, frequency_hz: float, shape: Array, others: tuple[OtherMode, ...], select: SelectionSettings, known: str
-) -> str:
+    mode: int, frequency_hz: float, shape: Array, others: tuple[OtherMode, ...], select: SelectionSettings, known: str,
+    *, by_shape: bool,
+) -> str:  # fmt: skip
     """State why a mode of the model has no counterpart beside `others`."""
     says = f"mode {mode + 1} ({frequency_hz:.3g} Hz {known}): "
     nearest = min(others, key=lambda other: abs(log(other.frequency_hz / frequency_hz)), default=None)
     if nearest is None or abs(log(nearest.frequency_hz / frequency_hz)) > log(select.max_frequency_ratio):
         return says + "no stable pole near it"
+    if not by_shape:
+        return says + f"no mode that surely is this one; the nearest is at {nearest.frequency_hz:.3g} Hz"
     power = float(shape @ shape) * float(np.linalg.norm(nearest.shape)) ** 2
     there = f"{nearest.frequency_hz:.3g} Hz, MAC {abs(nearest.shape @ shape) ** 2 / max(power, 1e-300):.2f}"
     return says + f"no stable pole of its shape, but a mode of another one ({there}): another direction, or torsion?"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,25 +13,30 @@ import numpy as np
 from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
 from monitor.config import Configuration
-from monitor.core import BadInputError, OnProgress, Step, WindowResult, sha256
+from monitor.core import BadInputError, CrossSpectra, Gap, ModalEstimate, OnProgress, Step, WindowResult, sha256
 from monitor.damage import (
     AnyBaseline,
     Baseline,
     HealthyData,
+    HealthySpectrum,
     ModalBaseline,
     Observation,
     Origin,
+    Presence,
+    Sighting,
     Update,
     learn_baseline,
     learn_modal_baseline,
+    learn_presence,
+    learn_spectrum,
     load_baseline,
     rebase_baseline,
     second_solutions,
 )
 from monitor.diagnosis import clock_drift_in_words, contradicted, correct_clock_drifts, standing_causes
-from monitor.identification import tracking
+from monitor.identification import KnownModes, tracking
 from monitor.inference import Segments, gather
-from monitor.model import FORMS, Modes, StructuralPrior
+from monitor.model import FORMS, StructuralPrior
 from monitor.pipeline import Pipeline
 from monitor.runs import diagnose
 from monitor.runs.baselines import modal_origin
@@ -48,6 +53,8 @@ _MAX_LEARNED_S = 40_000.0
 """Greatest length of the healthy data from which the reference of diagnoses is learned, s: 4000 segments of 20 s."""
 _SHORT_RECORDINGS_BYTES = 40_000_000
 _HOUR_NS = 3_600_000_000_000
+_MOST_SPECTRA = 100
+"""Most windows from which the shape of the spectrum is learned. [count; cost: each look at one takes milliseconds]"""
 _LEARNS, _SEARCHES = "updates the model to the modes", "looks for what is so from the start"
 
 Learned = TypeVar("Learned", Baseline, ModalBaseline)
@@ -106,7 +113,7 @@ def calibrate_modes(
     first = _Pass(paths, config, on_progress, Step("looks for the modes", then="evaluates the windows with them"))
     first.read(on_warning)
     first.require_window()
-    reference = _common_modes(first.pipeline.state.track, config.selection.max_modes)
+    reference = first.known_modes()
     if reference is None:
         because = f", the last because: {first.skipped}" if first.skipped else "; record for longer"
         raise BadInputError(f"{file_names(paths)}: no mode is found again and again{because}")
@@ -120,6 +127,16 @@ def calibrate_modes(
     return healthy.with_clock(baseline, on_warning)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Looked:
+    """A window of all channels in which modes were looked for; those that are noted share no data."""
+
+    t_ns: int
+    """End of the window, UTC."""
+    modes: ModalEstimate
+    spectra: CrossSpectra | None
+
+
 class _Pass:
     """A pass over healthy recordings: their windows, and what is learned from those that are kept."""
 
@@ -129,24 +146,36 @@ class _Pass:
         config: Configuration,
         on_progress: OnProgress,
         step: Step,
-        reference: Modes | None = None,
+        reference: KnownModes | None = None,
     ) -> None:
         self.pipeline, self.skipped = Pipeline(config, reference=reference), ""
         self._paths, self._config = paths, config
         self._progress = Progress(on_progress, paths, config.topics, step)
-        self._good, self._reasons = list[WindowResult](), list[str]()
+        self._good, self._reasons, self._gaps_ns = list[WindowResult](), list[str](), list[int]()
+        self._seen = list[_Looked]()
 
     def blocks(self, on_warning: OnWarning) -> Iterator[SampleBlock]:
         """Yield the blocks after the pipeline has evaluated them."""
         for block in read_blocks(self._paths, self._config, on_warning):
             self._progress.add(block)
             for result in push_block(self.pipeline, block, self._paths):
+                if isinstance(result, Gap):
+                    self._gaps_ns.append(result.t_ns)
                 if isinstance(result, WindowResult):
                     self.skipped = self.skipped if result.skipped is None else result.skipped.mend
                     why = _why_not_learned(result)
+                    self._note(result)
                     self._good.extend([] if why else [result])
                     self._reasons.extend([why] if why else [])
             yield block
+
+    def _note(self, result: WindowResult) -> None:
+        """Note a window of all channels in which modes were looked for, if it shares no data with those noted before."""
+        window_ns = round(self._config.processing.window_s * 1e9)
+        is_apart = not self._seen or result.t_end_ns - self._seen[-1].t_ns >= window_ns
+        if result.modes is None or result.left_out or not is_apart:
+            return
+        self._seen.append(_Looked(result.t_end_ns, result.modes, result.spectra))
 
     def read(self, on_warning: OnWarning) -> None:
         """Evaluate all blocks."""
@@ -156,6 +185,15 @@ class _Pass:
     def require_window(self) -> None:
         """Refuse recordings without a window (BadInputError)."""
         self._progress.require_window(self.pipeline, len(self._good) + len(self._reasons), self._paths)
+
+    def known_modes(self) -> KnownModes | None:
+        """Take the tracked modes that come again and again, and how the windows showed them; None where there are none."""
+        select, windows = self._config.selection, [w.modes for w in self._good if w.modes is not None]
+        often = _common_tracks(self.pipeline.state.track, select.max_modes)
+        if not often:
+            return None
+        spread = float(np.log(self._config.processing.cutoff_hz / select.min_frequency_hz))
+        return KnownModes.of(often, windows, self._config.tracking, spread)
 
     def kept(self, on_warning: OnWarning) -> list[WindowResult]:
         """Select the windows that are learned from, with the modes in common to them; BadInputError if there are too few."""
@@ -183,8 +221,36 @@ class _Pass:
             covariates=[r.covariates for r in kept if r.modes is not None],
             units={"level": "dB", "temperature": "degC", **{t.name: t.unit for t in self._config.covariates}},
             t_ns=[r.t_end_ns for r in kept if r.modes is not None],
+            records=self._records_of(r.t_end_ns for r in kept),
+            window_s=self._config.processing.window_s,
+            presence=None if self._config.has_model else self._presence(kept),
+            spectrum=None if self._config.has_model else self._spectrum(),
             motion=[r.motion for r in kept if r.motion is not None],
         )
+
+    def _presence(self, kept: list[WindowResult]) -> Presence:
+        """Learn from all windows that share no data, those left out for lack of a mode too, how often each mode is found."""
+        assert kept[0].modes is not None
+        wanted = kept[0].modes.model_mode.tolist()
+        band_hz = self._config.selection.min_frequency_hz, self._config.processing.cutoff_hz
+        sightings = [Sighting.of(w.modes, wanted, w.t_ns) for w in self._seen]
+        return learn_presence(sightings, self._records_of(w.t_ns for w in self._seen), len(wanted), band_hz)
+
+    def _spectrum(self) -> HealthySpectrum | None:
+        """Learn the shape of the spectrum from windows that share no data, of many as many as `_MOST_SPECTRA`."""
+        seen = [w for w in self._seen if w.spectra is not None]
+        seen = (
+            [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, _MOST_SPECTRA).round().astype(int))]
+            if seen
+            else []
+        )
+        return learn_spectrum(
+            [w.spectra for w in seen if w.spectra is not None], self._records_of(w.t_ns for w in seen)
+        )
+
+    def _records_of(self, ends_ns: Iterable[int]) -> list[int]:
+        """Number the record, a stretch without gaps, of each window by its end."""
+        return [int(k) for k in np.searchsorted(self._gaps_ns, list(ends_ns))]
 
     def with_clock(self, baseline: Learned, on_warning: OnWarning) -> Learned:
         """Note the clock of the healthy data in a baseline, and warn of it and of covariates that ran together."""
@@ -263,16 +329,11 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
         return None
 
 
-def _common_modes(state: tracking.TrackState, most: int) -> Modes | None:
-    """Take the tracked modes that were found in most looks, at most `most`, by frequency; None where there are none."""
+def _common_tracks(state: tracking.TrackState, most: int) -> list[tracking.Track]:
+    """Take the tracked modes that were found in most looks, at most `most`, by frequency."""
     looks = max((t.hits + t.misses for t in state.tracks), default=0.0)
     often = sorted((t for t in state.tracks if t.hits >= _FOUND_SHARE * looks), key=lambda t: -t.hits)[:most]
-    if not often:
-        return None
-    often.sort(key=lambda t: t.ln_f)
-    shapes = np.nan_to_num(np.array([t.shape for t in often]))
-    shapes = shapes / shapes[np.arange(len(often)), np.abs(shapes).argmax(axis=1)][:, None]
-    return Modes((2.0 * np.pi * np.exp([t.ln_f for t in often])) ** 2, shapes.real.T)
+    return sorted(often, key=lambda t: t.ln_f)
 
 
 def _why_not_learned(result: WindowResult) -> str:

@@ -231,7 +231,9 @@ class Session:
             "common_change": common_words(self.pipeline.law),
             "findings": [{key: f.get(key) for key in FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
-            "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),
+            "thresholds": self.config.alarm.model_dump(
+                include={"false_announcements_per_year", "min_loss", "alarm_loss"}
+            ),
         }
 
     def _assess(self, whole: bool) -> Assessment:

@@ -6,8 +6,8 @@ import numpy as np
 
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
-from monitor.core import WindowResult
-from monitor.damage import AnyBaseline, Baseline, Expected
+from monitor.core import Reading, WindowResult
+from monitor.damage import AlarmSettings, AnyBaseline, Baseline, Expected, alarm, smallest_detectable_loss
 from monitor.model import Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.synthetic_recording import cut_into_blocks
@@ -57,14 +57,21 @@ def warm_up(config: Configuration | None = None, baseline: AnyBaseline | None = 
     seen = np.eye(motion.floors.shape[1]) if not config.has_model else config.instrumented().sensor_matrix
     samples = motion.floors @ seen.T
     blocks = list(cut_into_blocks(ACCELERATION, samples, config.channels, rate_hz, 0, round(rate_hz)))
-    # The smallest detectable loss is simulated from the first window that can confirm one: with a long on-delay that is later.
-    at_once = config.alarm.model_copy(update={"confirm_s": 0.0})
     judged = 0
     for is_refined in {config.refinement.enabled, False}:
         refinement = config.refinement.model_copy(update={"enabled": is_refined})
-        pipeline = Pipeline(config.model_copy(update={"refinement": refinement, "alarm": at_once}), baseline)
+        pipeline = Pipeline(config.model_copy(update={"refinement": refinement}), baseline)
         results = [result for block in blocks for result in pipeline.push(block)]
         judged += sum(isinstance(r, WindowResult) and r.skipped is None for r in results)
-    if baseline is not None:  # what the stories do together is known after weeks of service
-        Expected(np.eye(2), np.zeros(2), 1.0, np.zeros((2, 2)), 0.0).beside_others(np.zeros(2), np.eye(2))
+    if baseline is not None:
+        _warm_up_later()
     return judged
+
+
+def _warm_up_later() -> None:
+    """Compile what the second reading of other data than the first needs, and what is known after weeks of service."""
+    state, reading, settings = alarm.start(2, 1.0), Reading(np.zeros(2), np.eye(2)), AlarmSettings()
+    for t_s in (1, 2):
+        state, _ = alarm.step(state, reading, t_s * 1_000_000_000, settings)
+    smallest_detectable_loss(reading, state.history, 1.0, settings, 6.0)
+    Expected(np.eye(2), np.zeros(2), 1.0, np.zeros((2, 2)), 0.0).beside_others(np.zeros(2), np.eye(2))

@@ -23,9 +23,18 @@ from monitor.core import finish, from_plain, partial, to_plain
 _log = logging.getLogger(__name__)
 
 FORMAT = "shm-monitor state"
-VERSION = 1
+VERSION = 2
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
-UPGRADES: Mapping[int, Callable[[Any], Any]] = {}
+
+
+def _with_sightings(tree: Any) -> Any:
+    """Give a session its windows' modes, of which version 1 kept none."""
+    if "session" in tree:
+        tree["session"]["pipeline"]["sightings"] = []
+    return tree
+
+
+UPGRADES: Mapping[int, Callable[[Any], Any]] = {1: _with_sightings}
 """Version -> function that converts its plain value (`core.to_plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"

@@ -70,7 +70,8 @@ class WindowGrid:
     @property
     def segment_step(self) -> int:
         """Blocks from the start of one segment to the start of the next, half a segment; 0 without segments."""
-        return max(1, round(0.5 * self.segment_s * self.rate_hz / self.block_n)) if self.segment_s else 0
+        step = max(1, round(0.5 * self.segment_s * self.rate_hz / self.block_n)) if self.segment_s else 0
+        return min(step, max(1, self.window_n // (2 * self.block_n)))  # a window of seconds has one segment
 
     @property
     def segments(self) -> SegmentDesign:

@@ -63,7 +63,7 @@ class Site:
         self.quick.write_text(frame_text)
         self.watch = folder / "watch.toml"
         slow = frame_text.replace("window_s = 20.0", "window_s = 60.0").replace("block_rows = 10", "block_rows = 20")
-        self.watch.write_text(slow + "\n[alarm]\nalarm_loss = 0.08\nconfirm_s = 30\n")
+        self.watch.write_text(slow + "\n[alarm]\nalarm_loss = 0.08\nfalse_announcements_per_year = 1\n")
         self.healthy = folder / "healthy.mcap"
         self.done = self.simulate(self.healthy, "--duration", 240, "--seed", 1)
         self._values = np.zeros((0, 3))

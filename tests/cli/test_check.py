@@ -89,7 +89,7 @@ def test_types_in_a_fleet_file_are_checked(tmp_path: Path, main: Cli) -> None:
 def test_a_host_of_bad_files_alone_ends_with_their_problems(tmp_path: Path, frame_text: str, main: Cli) -> None:
     one, other = tmp_path / "one.toml", tmp_path / "other.toml"
     one.write_text(frame_text.replace("window_s = 20.0", 'window_s = "20"'))
-    other.write_text(frame_text + "\n[alarms]\nconfirm_s = 3\n")
+    other.write_text(frame_text + "\n[alarms]\nmin_loss = 0.01\n")
     for files in ((one,), (one, other)):
         done = main("host", *files)
         assert done.returncode == 78

@@ -220,7 +220,7 @@ def test_what_is_no_toml_is_named_with_its_line(load: Load, text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[alarm]\nconfirm_s = " + "9" * 10_000, "not a TOML file"),
+        ("[alarm]\nalarm_loss = " + "9" * 10_000, "not a TOML file"),
         (f"[{'.'.join(['a'] * 20_000)}]", "nested too deeply"),
         ("[alarm]\nx = " + "[" * 100_000, "not a TOML file"),
     ],

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from monitor.core import Array
-from monitor.damage import AlarmSettings, sequential_test
+from monitor.damage import AlarmSettings, limits, sequential_test
 from monitor.signals import overlap_correlation
 
 HOP_S, WINDOW_S = 10.0, 400.0
@@ -24,7 +24,7 @@ YEAR = 3_155_760
 """Hops."""
 MONTH = YEAR // 12
 SURE_STDS = sequential_test.SURE_STDS
-MEMORY_S, EXCESS = 8 * 3600.0, 1.2
+MEMORY_S, EXCESS, FREEDOM = 8 * 3600.0, 1.2, 30.0
 """Of the alarm's smoothed standard deviations, for which `test_the_twin_judges_as_the_alarm_does` vouches."""
 
 
@@ -39,7 +39,7 @@ class Twin:
     scatter: tuple[float, ...] = (0.13, 0.13, 0.13)
     """Relative standard deviation of the stated standard deviation."""
     correlation: tuple[float, ...] = (0.07, 0.03, -0.12)
-    """Between the stories 1-2, 1-3, 2-3."""
+    """Between the stories 1-2, 1-3, ... 2-3, ..."""
     skewness: float = 0.0
     """Of one window's reading."""
 
@@ -48,13 +48,13 @@ class Twin:
 
         Returns
         -------
-        ndarray, shape (hops, 3), twice; ndarray, shape (3,)
+        ndarray, shape (hops, n), twice; ndarray, shape (n,)
         """
-        r12, r13, r23 = self.correlation
-        factor = (
-            np.linalg.cholesky(np.array([[1, r12, r13], [r12, 1, r23], [r13, r23, 1]])) * np.array(self.std)[:, None]
-        )
-        influence = rng.standard_normal((hops + SEGMENTS, 3))
+        n = len(self.std)
+        matrix = np.zeros((n, n))
+        matrix[np.triu_indices(n, 1)] = self.correlation
+        factor = np.linalg.cholesky(matrix + matrix.T + np.eye(n)) * np.array(self.std)[:, None]
+        influence = rng.standard_normal((hops + SEGMENTS, n))
         if self.skewness:
             bend = self.skewness * np.sqrt(SEGMENTS) / 6.0
             influence = (influence + bend * (influence**2 - 1.0)) / np.sqrt(1.0 + 2.0 * bend**2)
@@ -71,7 +71,7 @@ class Twin:
         variance = exact + share * (square * SEGMENTS / (SEGMENTS - 1.0) - exact)
         variance = np.maximum(variance, 0.05 * exact) * np.array(self.stated) ** 2
         common = exact * WINDOW_S / baseline_s
-        off = rng.standard_normal(3) @ factor.T * np.sqrt(WINDOW_S / baseline_s)
+        off = rng.standard_normal(n) @ factor.T * np.sqrt(WINDOW_S / baseline_s)
         dof = 0.5 / np.array(self.scatter) ** 2 * baseline_s / WINDOW_S
         stated = common * rng.chisquare(dof) / dof * np.array(self.stated) ** 2
         return mean * np.sqrt(SEGMENTS / full) + off, variance, stated
@@ -80,13 +80,25 @@ class Twin:
 TWIN = Twin()
 
 
+def ideal(n: int) -> Twin:
+    """A twin of n parts that err independently, as large as they are stated."""
+    return Twin((0.001,) * n, (1.0,) * n, (0.13,) * n, (0.0,) * (n * (n - 1) // 2))
+
+
 def _boxcar(values: Array, n: int) -> Array:
     total = np.cumsum(values, axis=0)
     return (total[n - 1 :] - np.vstack([np.zeros((1, values.shape[1])), total[:-n]])) / n
 
 
-def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
-    """`sequential.look` over a series of windows without holes: its z, shape (hops, n), right wherever it exceeds `floor`."""
+def evidence(
+    ddi: Array, variance: Array, common: Array, floor: float, *, either_side: bool = False
+) -> tuple[Array, Array]:
+    """`sequential.look` over a series of windows without holes: its `z` and `lasting`, right wherever they exceed `floor`.
+
+    Returns
+    -------
+    ndarray, shape (hops, n), twice
+    """
     n_hops, n = ddi.shape
     memory = round(MEMORY_S / HOP_S)
     log = np.log(variance)
@@ -95,8 +107,8 @@ def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
         share = 1.0 / (memory + 1)
         rest, _ = lfilter([share], [1.0, share - 1.0], log[memory + 1 :], axis=0, zi=(1.0 - share) * smooth[-1:])
         smooth = np.vstack([smooth, rest])
-    variance = np.maximum(variance / EXCESS**2, np.exp(smooth))
-    best = np.full((n_hops, n), -np.inf)
+    variance = np.maximum(variance / EXCESS**2, np.exp(smooth)) * np.exp(1.0 / FREEDOM)
+    best, lasting = np.full((2, n_hops, n), -np.inf)
     for stretch in sequential_test.STRETCHES:
         sums, spreads, counts = np.zeros_like(ddi), np.zeros_like(ddi), np.zeros((n_hops, 1))
         for back in range(0, stretch * WINDOW, WINDOW):
@@ -104,15 +116,23 @@ def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
             spreads[back:] += variance[: n_hops - back]
             counts[back:] += 1.0
         mean, spread = sums / counts, spreads / counts**2
-        at = np.flatnonzero((mean > floor * np.sqrt(spread + common)).any(axis=1))
+        away = np.abs(mean) if either_side else mean
+        at = np.flatnonzero((away > floor * np.sqrt(spread + common)).any(axis=1))
         if not at.size:
             continue
         covariance = (spread[at] + common)[:, :, None] * np.eye(n)
         z, _ = sequential_test.statistic(mean[at], covariance, AlarmSettings().model_form)
+        if either_side:
+            z = np.maximum(z, sequential_test.statistic(-mean[at], covariance, AlarmSettings().model_form)[0])
+        own = FREEDOM * (1.0 + np.minimum(at, memory) * HOP_S / WINDOW_S)[:, None]
+        freedom = limits.freedom_of_sum((spread[at], np.broadcast_to(common, spread[at].shape)), (own, np.inf))
+        z = limits.as_normal(z, freedom)
         limit = sequential_test.CHANCE_STDS * np.sqrt(variance[at] * (1.0 - 2.0 / counts[at]) + spread[at])
         agrees = (np.abs(ddi[at] - mean[at]) <= limit) | (stretch == 1)
-        best[at] = np.maximum(best[at], np.where(agrees, z, -np.inf))
-    return best
+        z = np.where(agrees, z, -np.inf)
+        best[at] = np.maximum(best[at], z)
+        lasting[at] = np.maximum(lasting[at], np.where(counts[at] > 1, z, -np.inf))
+    return best, lasting
 
 
 def episodes(z: Array, threshold: float, apart: int = 360) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,10 +12,12 @@ from monitor.damage import alarm
 from monitor.damage.alarm import AlarmSettings, AlarmState
 from monitor.damage.detectable_loss import PROBABILITY, WITHIN_S, smallest_detectable_loss
 from monitor.damage.kernels import seen_by_most
+from monitor.damage.limits import Scores
 from tests.support.results import damage_reading
 
 HOP_S, WINDOW_S, N = 10.0, 400.0, 40
 SETTINGS = AlarmSettings()
+LIMIT = SETTINGS.limit(Scores(3, 0), WINDOW_S, HOP_S)
 STD = np.array([0.00108, 0.00137, 0.00152])
 
 
@@ -32,7 +36,7 @@ def after(hours: float, std: Array = STD) -> AlarmState:
 
 
 def smallest(state: AlarmState, std: Array = STD, **more: tuple[int, ...]) -> Array:
-    return smallest_detectable_loss(reading(0.0 * std, std, 0.3 * std, **more), state.history, HOP_S, SETTINGS)
+    return smallest_detectable_loss(reading(0.0 * std, std, 0.3 * std, **more), state.history, HOP_S, SETTINGS, LIMIT)
 
 
 def seen(loss: float, story: int, rng: np.random.Generator) -> bool:
@@ -65,13 +69,13 @@ def test_of_500_such_losses_the_stated_share_is_seen() -> None:
     assert abs(power(500, 2) - PROBABILITY) < 0.05
 
 
-def test_a_longer_on_delay_sees_less() -> None:
+def test_a_higher_limit_and_fewer_degrees_of_freedom_see_less() -> None:
     state, damage = after(2.0), reading(0.0 * STD)
     losses = [
-        smallest_detectable_loss(damage, state.history, HOP_S, SETTINGS.model_copy(update={"confirm_s": confirm_s}))
-        for confirm_s in (10.0, 1800.0, 3000.0, 3500.0)
+        smallest_detectable_loss(replace(damage, freedom=freedom), state.history, HOP_S, SETTINGS, limit)
+        for limit, freedom in ((4.5, np.inf), (5.5, np.inf), (5.5, 10.0), (5.5, 3.0))
     ]
-    assert (losses[1] > losses[0]).all() and (losses[2] > losses[1]).all() and np.isinf(losses[3]).all()
+    assert (np.diff(losses, axis=0) > 0.0).all()
 
 
 def test_a_young_run_sees_less_and_one_window_confirms_nothing() -> None:
@@ -88,8 +92,8 @@ def test_scale_follows_the_deviations_and_what_the_modes_do_not_see_is_never_see
     assert (again == small).all(), "the same state gives the same number"
 
 
-@pytest.mark.parametrize(("n", "looks", "held"), [(3, 30, 2), (3, 9, 9), (2, 30, 5), (1, 30, 2)])
-def test_leaving_out_trials_that_need_little_changes_nothing(n: int, looks: int, held: int) -> None:
+@pytest.mark.parametrize(("n", "looks"), [(3, 30), (3, 9), (2, 30), (1, 30)])
+def test_leaving_out_trials_that_need_little_changes_nothing(n: int, looks: int) -> None:
     rng, trials, first, unseen = np.random.default_rng(5), 60, 33, 6
     lengths = np.array([4, 8, 16, 32])
     total = np.cumsum(rng.standard_normal((trials, n, first + looks + 3)), axis=2)
@@ -108,8 +112,7 @@ def test_leaving_out_trials_that_need_little_changes_nothing(n: int, looks: int,
             alike = (np.sqrt((1.0 - a) * alone**2 + a * square[s, :, None]) - alone) / a
         loss = factor[s] * np.maximum(needed[s, :, None] - error, alike)
         needs = np.where(a > 0.0, np.minimum(needs, loss), needs)
-    in_a_row = np.lib.stride_tricks.sliding_window_view(needs, held, axis=2).max(axis=3).min(axis=2)
-    rest = needed, leak, square, held, unseen
+    rest = needed, leak, square, unseen
     seen = seen_by_most(total, first, lengths, factor, of_error, off, of_alone, alone_off, *rest)
-    np.testing.assert_allclose(seen, np.sort(in_a_row, axis=0)[-1 - unseen], rtol=1e-9)
+    np.testing.assert_allclose(seen, np.sort(needs.min(axis=2), axis=0)[-1 - unseen], rtol=1e-9)
     assert np.isinf(seen).tolist() == [False, True, False][:n]

@@ -14,6 +14,7 @@ from monitor.core import Level, ModalEstimate, Reading, Skipped
 from monitor.damage import judge
 from monitor.damage.alarm import AlarmState, start
 from monitor.damage.parts import Parts
+from monitor.damage.presence import Sighting
 from monitor.damage.quantities import Found, View
 from monitor.identification import SubArray
 from tests.support.results import modal_estimate
@@ -50,6 +51,9 @@ class SpringStiffness:
 
     def identify(self, *_: object) -> ModalEstimate:
         raise NotImplementedError
+
+    def beside(self, sightings: tuple[Sighting, ...], *_: object) -> tuple[tuple[Sighting, ...], None]:
+        return sightings, None
 
     def lacking(self, modes: ModalEstimate, *_: object) -> Skipped | None:
         return None if modes.model_mode.size > 1 else Skipped("one mode alone")

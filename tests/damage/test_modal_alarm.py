@@ -82,7 +82,7 @@ def test_a_mode_that_a_window_does_not_show_keeps_its_alarm() -> None:
 
 
 def test_a_small_change_is_found_by_averaging_and_the_baselines_error_does_not_average_out() -> None:
-    small = 5.0 * STD
+    small = 3.8 * STD
     _, said = run([reading([0.0, -small, 0.0])])
     assert said[0].level is Level.NORMAL
     _, said = run([reading([0.0, -small, 0.0])] * 16)
@@ -93,7 +93,7 @@ def test_a_small_change_is_found_by_averaging_and_the_baselines_error_does_not_a
 
 def test_how_small_a_change_would_be_seen_is_told_of_each_mode_that_is_seen() -> None:
     state, _ = run([reading([0.0, 0.0, 0.0])] * 9)
-    seen = smallest_detectable_loss(reading([0.0, np.nan, 0.0]), state.history, WINDOW_S, SETTINGS)
+    seen = smallest_detectable_loss(reading([0.0, np.nan, 0.0]), state.history, WINDOW_S, SETTINGS, 6.0)
     assert np.isinf(seen[1])
     assert (seen[[0, 2]] > 4.0 * STD).all()
     assert (seen[[0, 2]] < 12.0 * STD).all()

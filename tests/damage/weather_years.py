@@ -23,6 +23,7 @@ from scipy.signal import lfilter
 from monitor.core import WHOLE, Level
 from monitor.damage import AlarmSettings, CovariateLaw, CovariateSettings, alarm, slow_learning
 from monitor.damage.covariates import Change, learn_law
+from monitor.damage.limits import Scores
 from monitor.signals import LAGS_S
 from tests.statistics.lag_bound import lagged
 from tests.support.campaign import gone_on_with
@@ -169,7 +170,10 @@ def watch(
     """The alarm over a year; `more` is the difference of the noise of further windows of each hour, 400 s apart."""
     state, verdicts = alarm.start(3, 400.0), []
     learning = None if law is None else slow_learning.start(law, CALIBRATION_H * HOUR_NS)
-    common = np.diag(STD**2) / case.calibration_h
+    common, least_z = (
+        np.diag(STD**2) / case.calibration_h,
+        ALARM.limit(Scores(0, 3), 400.0, 3600.0 if case.looks == 1 else 400.0),
+    )
     skipped = 0
     for k in range(CALIBRATION_H, len(y)):
         t_ns, seen = k * HOUR_NS, felt[k]
@@ -178,7 +182,7 @@ def watch(
             together = learning.law.together(SETTINGS.unevenness) if case.separated else None
             effect = learning.law.expected(seen)
             added, relative = effect.covariance, effect.relative
-            hidden = ALARM.significance * float(np.sqrt(added.diagonal().max()))
+            hidden = least_z * float(np.sqrt(added.diagonal().max()))
             if hidden > _USELESS:
                 skipped += 1
                 continue
@@ -191,7 +195,7 @@ def watch(
             ddi = 1.0 - np.exp(row) / (1.0 + relative)
             if together is not None and not beyond:
                 beside = together.beside_others(ddi, own + shared)
-                beyond = beside.beyond_words(ALARM.alarm_loss / ALARM.significance)
+                beyond = beside.beyond_words(ALARM.alarm_loss / least_z)
             reading = damage_reading(ddi, own + shared, common_covariance=shared, beyond=beyond)
             state, verdict = alarm.step(state, reading, t_ns + look * 400_000_000_000, ALARM, together)
             told |= {s for s, lv in verdict.active.items() if s != WHOLE and lv.rank >= Level.WARNING.rank}

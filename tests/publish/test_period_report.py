@@ -50,7 +50,7 @@ def months(tmp_path_factory: pytest.TempPathFactory) -> Path:
     when = np.datetime64(alarm_ns + 2 * HOP, "ns").astype("datetime64[s]")
     asked = {"when": f"{when}+00:00", "who": "ada", "what": "acknowledge alarm of story 2: seen on site"}
     json_lines(folder / "ledger.jsonl", [asked])
-    limits = {"significance": 5.0, "min_loss": 0.01, "alarm_loss": 0.1}
+    limits = {"false_announcements_per_year": 0.5, "min_loss": 0.01, "alarm_loss": 0.1}
     (folder / "summary.json").write_text(json.dumps({"alarms": [], "thresholds": limits}))
     return folder
 
@@ -79,7 +79,7 @@ def test_the_figures_of_the_run_are_said(page: Page) -> None:
     for wanted in (
         f"{100 * judged / WINDOWS:.1f} %", "99.01 %", "Story 2 lost 8", "channel a3 was stuck",
         f"{len(SKIPPED)}", f"{len(AWAY)}", "acknowledge by ada", "story 2 is 8.0 % softer <than> before",
-        "seen on site", "5 standard deviations", "10 % is an alarm", "bridge-7 <b>&", "n1", "12",
+        "seen on site", "0.5 false announcements a year", "10 % is an alarm", "bridge-7 <b>&", "n1", "12",
     ):  # fmt: skip
         assert wanted in said, wanted
     assert not any(name.startswith(("#", "@")) for table in page.tables for name in table[0])

@@ -49,7 +49,7 @@ def test_no_window_compiles_anything(
 ) -> None:
     """Up to an alarm; in a process of its own: here other tests have compiled everything already."""
     structure, recording, baseline = tmp_path / "frame.toml", tmp_path / "r.mcap", ""
-    structure.write_text(frame_text + "[alarm]\nconfirm_s = 5.0\n")
+    structure.write_text(frame_text)
     healthy = configuration.load(structure).model()
     damaged = healthy.with_stiffness(healthy.structure.stiffness_n_per_m * [1.0, 0.7, 1.0])
     lost = simulate(damaged, duration_s=60.0, rate_hz=128.0, noise=0.03, seed=7).floors

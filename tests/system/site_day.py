@@ -80,7 +80,7 @@ min_free_gb = 0.0
 file_s = 600.0
 
 [alarm]
-confirm_s = 10.0
+false_announcements_per_year = 0.10
 
 [watch]
 diagnose = false
@@ -339,8 +339,8 @@ class Day:
             self._start(stream)
         elif name == "reload":
             site = self._folder / "site.toml"
-            seconds = self._draw.randrange(10, 20)
-            site.write_text(re.sub(r"confirm_s = \d+\.0", f"confirm_s = {seconds}.0", site.read_text()))
+            rate = f"per_year = 0.{self._draw.randrange(10, 20)}"
+            site.write_text(re.sub(r"per_year = 0\.\d+", rate, site.read_text()))
             running.send(signal.SIGHUP)
         elif name == "hang" and disk is not None:
             disk.hang()

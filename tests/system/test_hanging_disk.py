@@ -95,7 +95,7 @@ def test_windows_go_on_what_does_not_answer_is_told_and_all_is_there_when_the_di
     (requests / "1.json").write_text('{"action": "acknowledge", "story": 1, "who": "ann"}')
     running.disk.hang()
     begun_s, before = time.monotonic(), running.windows()
-    running.file.write_text(running.file.read_text() + "\n[alarm]\nconfirm_s = 40.0\n")
+    running.file.write_text(running.file.read_text() + "\n[alarm]\nfalse_announcements_per_year = 0.2\n")
     daemon.send(signal.SIGHUP)
     until(lambda: {"recorder", "results.jsonl"} <= running.failed(), "told")
     assert time.monotonic() - begun_s < 10.0

@@ -80,7 +80,7 @@ class Period:
     event_alarms: Sequence[EventAlarm] = ()
     """Of these events, and of earlier ones those that nobody has acknowledged."""
     thresholds: Mapping[str, float] = field(default_factory=dict)
-    """`alarm_loss`, `min_loss`, `significance`; empty where the run did not record them."""
+    """`alarm_loss`, `min_loss`, `false_announcements_per_year`; empty where the run did not record them."""
     learned: Mapping[str, LearnedRange] = field(default_factory=dict)
     """Range of each covariate at calibration."""
     contact: str = ""
@@ -432,11 +432,11 @@ def _sight(story: int, period: Period) -> tuple[bool, str]:
 def _thresholds(thresholds: Mapping[str, float]) -> str:
     """Describe the thresholds in words."""
     shades = "Shaded from the first announcement on; orange: advisory or warning; red: what became an alarm."
-    if not {"alarm_loss", "min_loss", "significance"} <= thresholds.keys():
+    if not {"alarm_loss", "min_loss", "false_announcements_per_year"} <= thresholds.keys():
         return f"{shades} The run did not note its thresholds."
     return (
-        f"{shades} Announced from {thresholds['significance']:g} standard deviations of the evidence and a loss of "
-        f"{100 * thresholds['min_loss']:g} % on; dashed red: a confirmed loss of "
+        f"{shades} Announced with {thresholds['false_announcements_per_year']:g} false announcements a year allowed, "
+        f"from a loss of {100 * thresholds['min_loss']:g} % on; dashed red: a confirmed loss of "
         f"{100 * thresholds['alarm_loss']:g} % is an alarm."
     )
 

@@ -112,11 +112,13 @@ def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
 def _sizes(line: Mapping[str, Any], *, is_modal: bool) -> list[tuple[Any, Any, Any]]:
     """List each story's loss, its deviation and the stiffness lost; of modes alone each frequency's change, then each shape's.
 
-    What the window does not show is None; of a change no stiffness lost is told.
+    What the window does not show is None; of a change no stiffness lost is told.  The last of modes alone is the score of the
+    spectrum, of standard deviation 1.
     """
     if is_modal:
-        changes = [*line["frequency_change"], *line["shape_change"]]
-        stds = [*line["frequency_change_std"], *line["shape_change_std"]]
+        score = line.get("spectrum_score")
+        changes = [*line["frequency_change"], *line["shape_change"], score]
+        stds = [*line["frequency_change_std"], *line["shape_change_std"], None if score is None else 1.0]
         return [(None, None, None) if None in pair else (*pair, None) for pair in zip(changes, stds, strict=True)]
     losses = line["ddi"] or []
     return list(zip(losses, line["ddi_std"] or [], line.get("loss_n_per_m") or [None] * len(losses), strict=True))

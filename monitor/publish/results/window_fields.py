@@ -223,6 +223,9 @@ FIELDS = (
     Field("shape_change", Kind.NUMBERS, _of_shape(0),
           "Without a model: largest change of each mode's shape since the baseline.", shown=True),
     Field("shape_change_std", Kind.NUMBERS, _of_shape(1), "Its standard deviation.", shown=True),
+    Field("spectrum_score", Kind.NUMBER, lambda r: r.modal and rounded(r.modal.spectrum),
+          "Without a model: score, in standard deviations, of modes that are missing or were never there, by the rates of "
+          "calibration; null where that is not judged.", shown=True),
     Field("frequency_effect", Kind.LISTS_BY_NAME,
           lambda r: r.modal and {name: rounded(np.expm1(part)) for name, part in r.modal.ln_frequency_effect.items()},
           "Without a model: relative change of each frequency that each covariate explains and that was taken out."),
