@@ -29,7 +29,7 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core import Array, ComplexArray
+from monitor.core import Array, ComplexArray, CrossSpectra
 
 _BAND_RATIO = 4
 """Width of a band over that of the next lower one. [1; cost: as the bands of `look`]"""
@@ -60,9 +60,9 @@ class _Band:
     """Inverse Cholesky factors of the correlations over the lags."""
 
     @classmethod
-    def of(cls, transforms: Sequence[ComplexArray], share: float) -> Self:
+    def of(cls, spectra: Sequence[CrossSpectra], share: float) -> Self:
         """Fit the models to stretches, each with the same weight; their order is that of the least BIC."""
-        parts = [_lowest(x, share) for x in transforms]
+        parts = [x.lowest(share).power for x in spectra]
         most = min(_MOST_LAGS, min(map(len, parts)) // _BINS_PER_LAG)
         lags = np.mean([_correlations(part, most) for part in parts], axis=0)
         samples = sum(2 * len(part) for part in parts)
@@ -76,17 +76,17 @@ class _Band:
             np.linalg.inv(np.linalg.cholesky(matrices)),
         )
 
-    def describe(self, transform: ComplexArray) -> Annotated[Array, "features"]:
+    def describe(self, spectra: CrossSpectra) -> Annotated[Array, "features"]:
         """Describe a stretch: scores channel by channel, then correlations of the channels' prediction errors."""
-        x = _lowest(transform, self.share)
-        n, order = len(x), self.coefficients.shape[1]
-        filters = np.concatenate([np.ones((x.shape[1], 1)), -self.coefficients], axis=1)
-        errors = x * np.fft.rfft(filters, 2 * n).T[1:]
-        errors /= np.maximum(np.sqrt((np.abs(errors) ** 2).sum(axis=0)), _LEAST_NOISE)
-        scores = np.array([_correlation(e * y.conj(), order)[1:] for e, y in zip(errors.T, x.T, strict=True)])
+        x = spectra.lowest(self.share)
+        (n, c), order = x.power.shape, self.coefficients.shape[1]
+        filters = np.fft.rfft(np.concatenate([np.ones((c, 1)), -self.coefficients], axis=1), 2 * n).T[1:]
+        error = np.maximum(np.sqrt((np.abs(filters) ** 2 * x.power).sum(axis=0)), _LEAST_NOISE)
+        filters /= error
+        scores = np.array([_correlation(one, order)[1:] for one in (filters * x.power).T])
         white = np.einsum("cij,cj->ci", self.whitening, scores)
-        i, j = np.tril_indices(x.shape[1], -1)
-        between = np.einsum("fc,fc->c", errors[:, i], errors[:, j].conj()).real
+        i, j = np.tril_indices(c, -1)
+        between = (filters[:, i] * filters[:, j].conj() * x.cross).sum(axis=0).real
         limit = 1.0 - _LEAST_NOISE  # of channels that are copies
         between = np.arctanh(np.clip(between, -limit, limit))
         return np.asarray(np.sqrt(2.0 * n) * np.concatenate([white.ravel(), between]))
@@ -112,17 +112,25 @@ class SpectralShape:
     @classmethod
     def of(cls, stretches: Sequence[Annotated[Array, "n c"]]) -> Self:
         """Learn it of stretches at one rate; the bands are those that the shortest one resolves, at least one."""
-        transforms = [_transform(stretch) for stretch in stretches]
-        bins, share, shares = min(map(len, transforms)), 1.0, [1.0]
+        return cls.of_spectra([CrossSpectra.of([_transform(stretch)]) for stretch in stretches])
+
+    @classmethod
+    def of_spectra(cls, spectra: Sequence[CrossSpectra]) -> Self:
+        """Learn it of the cross-spectra of stretches, as `of`."""
+        bins, share, shares = min(len(x.power) for x in spectra), 1.0, [1.0]
         while bins * share / _BAND_RATIO >= _LEAST_BINS:
             share /= _BAND_RATIO
             shares.append(share)
-        return cls(tuple(_Band.of(transforms, share) for share in shares))
+        return cls(tuple(_Band.of(spectra, share) for share in shares))
 
     def describe_bands(self, stretch: Annotated[Array, "n c"]) -> list[Annotated[Array, "features"]]:
         """Describe a stretch, band by band, in features that scatter by about 1."""
-        transform = _transform(stretch)
-        return [band.describe(transform) for band in self.bands]
+        spectra = CrossSpectra.of([_transform(stretch)])
+        return [band.describe(spectra) for band in self.bands]
+
+    def describe_spectra(self, spectra: CrossSpectra) -> Annotated[Array, "features"]:
+        """Describe a stretch by its cross-spectra, in the features of all bands."""
+        return np.concatenate([band.describe(spectra) for band in self.bands])
 
     def describe(self, stretch: Annotated[Array, "n c"]) -> Annotated[Array, "features"]:
         """Describe a stretch by the features of all bands."""
@@ -139,21 +147,15 @@ def _transform(stretch: Annotated[Array, "n c"]) -> Annotated[ComplexArray, "bin
     return np.asarray(np.fft.rfft(centred * np.sin(0.5 * np.pi * edge)[:, None], axis=0)[1 : n // 2 + 1])
 
 
-def _lowest(transform: ComplexArray, share: float) -> Annotated[ComplexArray, "bins c"]:
-    """Select the lowest bins, of unit power in each channel."""
-    x = transform[: max(1, round(share * len(transform)))]
-    return np.asarray(x / np.maximum(np.sqrt((np.abs(x) ** 2).sum(axis=0)), np.finfo(float).tiny))
-
-
 def _correlation(cross: Annotated[ComplexArray, "bins"], most: int) -> Annotated[Array, "1+most"]:
     """Compute the correlation over lags of 0 to `most` samples from a cross-spectrum above 0 Hz of unit power."""
     n = len(cross)
     return np.asarray(np.fft.irfft(np.concatenate([[0.0], cross[:-1], 2.0 * cross[-1:].real]), 2 * n)[: most + 1] * n)
 
 
-def _correlations(x: Annotated[ComplexArray, "bins c"], most: int) -> Annotated[Array, "c 1+most"]:
+def _correlations(power: Annotated[Array, "bins c"], most: int) -> Annotated[Array, "c 1+most"]:
     """Compute the autocorrelations of channels."""
-    return np.array([_correlation(np.abs(column) ** 2 + 0j, most) for column in x.T])
+    return np.array([_correlation(column + 0j, most) for column in power.T])
 
 
 def _prediction_errors(lags: Annotated[Array, "1+most"]) -> Annotated[Array, "most"]:
