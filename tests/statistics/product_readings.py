@@ -1,0 +1,174 @@
+"""What the product says of readings and pairs at its own limit, and at one that is moved: by its public functions.
+
+A limit that no setting moves is a constant of the module that has it; it is set for the call.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.base import ACCELERATION
+from drivers.mcap_file import McapWriter
+from monitor.config import Configuration
+from monitor.core import Array, BadInputError, Level, WindowResult
+from monitor.damage import FeatureTable, ModalBaseline, judge_features
+from monitor.pipeline import Pipeline
+from monitor.runs import calibrate, compare, cut_into_blocks
+
+_FEATURES: Any = sys.modules[judge_features.__module__]
+HOP = 8
+"""Windows of `modal` that begin in one window's length. [1; choice]"""
+T0_NS = 1_800_000_000_000_000_000
+Flags = Annotated[NDArray[np.bool_], "w"]
+
+
+class Features:
+    """Later readings of a series, judged by `features`; nothing is judged where it refuses."""
+
+    steps, limits = 12, (0.3, 60.0)
+
+    def __init__(self, table: FeatureTable, learned_until_ns: int, is_changed: Flags) -> None:
+        self.is_changed = is_changed
+        seen: list[float] = []
+        evidence = _FEATURES._evidence
+
+        def noted(*given: Any) -> Any:
+            found = evidence(*given)
+            seen.append(found[0])
+            return found
+
+        self.z = np.full(is_changed.size, np.nan)
+        try:
+            with patch.object(_FEATURES, "_evidence", noted):
+                _, verdicts = judge_features(table, learned_until_ns)
+        except BadInputError:
+            return
+        self.z[[v.skipped is None for v in verdicts]] = seen
+
+    def announced(self, limit: float | None) -> Flags:
+        """Tell at which readings there is a warning, at a limit of the z-score."""
+        limit = _FEATURES._SIGNIFICANCE if limit is None else limit
+        alarm, out = _FEATURES._Alarm(), np.zeros(self.z.size, dtype=bool)
+        with patch.object(_FEATURES, "_SIGNIFICANCE", limit):
+            for row in np.flatnonzero(np.isfinite(self.z)):
+                alarm = alarm.after(float(self.z[row]))
+                out[row] = alarm.level.rank >= Level.WARNING.rank
+        return out
+
+    def healthy(self, limit: float | None = None) -> Flags:
+        return self.announced(limit)[~self.is_changed]
+
+    def changed(self, limit: float | None = None) -> Flags:
+        return self.announced(limit)[self.is_changed]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Pieces of recordings."""
+
+    rate_hz: float
+    window_s: float
+    learned: Sequence[Array]
+    healthy: Sequence[Array]
+    changed: Sequence[Array]
+
+    def site(self, limit: float | None) -> Configuration:
+        """Form the site's configuration; `limit` is the significance."""
+        return Configuration.model_validate(
+            {
+                "structure": {"kind": "modal"},
+                "sensors": [{"channel": f"a{j + 1}"} for j in range(self.learned[0].shape[1])],
+                "processing": {
+                    "rate_hz": self.rate_hz,
+                    "cutoff_hz": 0.4 * self.rate_hz,
+                    "window_s": self.window_s,
+                    "hop_s": self.window_s / HOP,
+                },
+                "alarm": {} if limit is None else {"significance": limit},
+            }
+        )
+
+
+class Modes:
+    """Windows of recordings, judged by `modal`: a baseline of the learned pieces, each later piece replayed."""
+
+    steps, limits = 7, (0.5, 100.0)
+
+    def __init__(self, record: Record) -> None:
+        self.record = record
+        try:
+            self.baseline: ModalBaseline | None = _calibrated(record)
+        except BadInputError:
+            self.baseline = None
+        self.healthy = cache(self._healthy)  # type: ignore[method-assign]
+        self.changed = cache(self._changed)  # type: ignore[method-assign]
+
+    def _healthy(self, limit: float | None = None) -> Flags:
+        return self._announced(self.record.healthy, limit)
+
+    def _changed(self, limit: float | None = None) -> Flags:
+        return self._announced(self.record.changed, limit)
+
+    healthy = _healthy
+    changed = _changed
+
+    def _announced(self, pieces: Sequence[Array], limit: float | None) -> Flags:
+        """Tell at which windows anything is announced; one that does not come, or is skipped, says nothing."""
+        out = []
+        for piece in pieces:
+            hop_s = self.record.window_s / HOP
+            due = int((len(piece) / self.record.rate_hz - self.record.window_s) / hop_s + 1e-9) + 1
+            told = [] if self.baseline is None else self._replayed(piece, limit, self.baseline)
+            said = [w.alarm.level is not Level.NORMAL and w.skipped is None for w in told][:due]
+            out += said + [False] * (due - len(said))
+        return np.array(out, dtype=bool)
+
+    def _replayed(self, piece: Array, limit: float | None, baseline: ModalBaseline) -> list[WindowResult]:
+        pipeline = Pipeline(self.record.site(limit), baseline)
+        blocks = cut_into_blocks(ACCELERATION, piece, pipeline.config.channels, self.record.rate_hz, T0_NS, 10_000)
+        return [r for block in blocks for r in pipeline.push(block) if isinstance(r, WindowResult)]
+
+
+def _calibrated(record: Record) -> ModalBaseline:
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [
+            _written(Path(folder) / f"{n}.mcap", piece, record.rate_hz, T0_NS - (len(record.learned) - n) * 3_600_000_000_000)
+            for n, piece in enumerate(record.learned)
+        ]
+        return calibrate.calibrate_modes(paths, record.site(None))
+
+
+def _written(path: Path, piece: Array, rate_hz: float, t0_ns: int) -> Path:
+    """Write samples as a recording."""
+    names = tuple(f"a{j + 1}" for j in range(piece.shape[1]))
+    with McapWriter(path) as writer:
+        for block in cut_into_blocks(ACCELERATION, piece, names, rate_hz, t0_ns, 10_000):
+            writer.write(block)
+    return path
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Pairs of recordings, judged by `compare`."""
+
+    rate_hz: float
+
+    def statistic(self, a: Array, b: Array) -> float:
+        """Compare two records; return the largest z-score over its limit, 0 where the comparison is refused."""
+        with tempfile.TemporaryDirectory() as folder:
+            paths = [_written(Path(folder) / f"{n}.mcap", x, self.rate_hz, T0_NS) for n, x in enumerate((a, b))]
+            try:
+                content = compare.compare(*paths)
+            except BadInputError:
+                return 0.0
+        return max((abs(test["z"]) / content["limit"] for test in content["tests"]), default=0.0)
