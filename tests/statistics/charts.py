@@ -48,7 +48,7 @@ class Chart:
         return out
 
 
-def of_series(table: FeatureTable, learned_until_ns: int) -> Chart:
+def of_series(table: FeatureTable, learned_until_ns: int, in_a_row: int = IN_A_ROW) -> Chart:
     """Judge the rows after a time by the regression on the rows up to it."""
     y, x = np.column_stack(list(table.features.values())), _regressors(table)
     learned = int(np.searchsorted(table.t_ns, learned_until_ns, side="right"))
@@ -58,7 +58,7 @@ def of_series(table: FeatureTable, learned_until_ns: int) -> Chart:
     left = y - x @ coefficients
     freedom = rows.size - int(np.linalg.matrix_rank(x[rows]))
     covariance = left[rows].T @ left[rows] / max(freedom, 1)
-    return Chart(_over_limit(left[learned:], covariance, 1.0 + 1.0 / rows.size, freedom), IN_A_ROW)
+    return Chart(_over_limit(left[learned:], covariance, 1.0 + 1.0 / rows.size, freedom), in_a_row)
 
 
 def of_segments(learned: Annotated[Array, "n k"], later: Annotated[Array, "m k"]) -> Chart:

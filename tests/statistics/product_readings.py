@@ -9,7 +9,6 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 from unittest.mock import patch
@@ -71,6 +70,9 @@ class Features:
     def changed(self, limit: float | None = None) -> Flags:
         return self.announced(limit)[self.is_changed]
 
+    def unjudged(self) -> int:
+        return int(np.isnan(self.z).sum())
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
@@ -110,28 +112,29 @@ class Modes:
             self.baseline: ModalBaseline | None = _calibrated(record)
         except BadInputError:
             self.baseline = None
-        self.healthy = cache(self._healthy)  # type: ignore[method-assign]
-        self.changed = cache(self._changed)  # type: ignore[method-assign]
+        self._known: dict[tuple[bool, float | None], list[bool | None]] = {}
 
-    def _healthy(self, limit: float | None = None) -> Flags:
-        return self._announced(self.record.healthy, limit)
+    def healthy(self, limit: float | None = None) -> Flags:
+        return np.array([said is True for said in self._told(False, limit)])
 
-    def _changed(self, limit: float | None = None) -> Flags:
-        return self._announced(self.record.changed, limit)
+    def changed(self, limit: float | None = None) -> Flags:
+        return np.array([said is True for said in self._told(True, limit)])
 
-    healthy = _healthy
-    changed = _changed
+    def unjudged(self) -> int:
+        return (self._told(False, None) + self._told(True, None)).count(None)
 
-    def _announced(self, pieces: Sequence[Array], limit: float | None) -> Flags:
-        """Tell at which windows anything is announced; one that does not come, or is skipped, says nothing."""
-        out = []
-        for piece in pieces:
-            hop_s = self.record.window_s / HOP
-            due = int((len(piece) / self.record.rate_hz - self.record.window_s) / hop_s + 1e-9) + 1
-            told = [] if self.baseline is None else self._replayed(piece, limit, self.baseline)
-            said = [w.alarm.level is not Level.NORMAL and w.skipped is None for w in told][:due]
-            out += said + [False] * (due - len(said))
-        return np.array(out, dtype=bool)
+    def _told(self, is_changed: bool, limit: float | None) -> list[bool | None]:
+        """Tell at which windows anything is announced, None of one that does not come or is skipped; each is made once."""
+        if (is_changed, limit) not in self._known:
+            out: list[bool | None] = []
+            for piece in self.record.changed if is_changed else self.record.healthy:
+                hop_s = self.record.window_s / HOP
+                due = int((len(piece) / self.record.rate_hz - self.record.window_s) / hop_s + 1e-9) + 1
+                windows = [] if self.baseline is None else self._replayed(piece, limit, self.baseline)[:due]
+                out += [None if w.skipped else w.alarm.level is not Level.NORMAL for w in windows]
+                out += [None] * (due - len(windows))
+            self._known[is_changed, limit] = out
+        return self._known[is_changed, limit]
 
     def _replayed(self, piece: Array, limit: float | None, baseline: ModalBaseline) -> list[WindowResult]:
         pipeline = Pipeline(self.record.site(limit), baseline)
@@ -142,7 +145,9 @@ class Modes:
 def _calibrated(record: Record) -> ModalBaseline:
     with tempfile.TemporaryDirectory() as folder:
         paths = [
-            _written(Path(folder) / f"{n}.mcap", piece, record.rate_hz, T0_NS - (len(record.learned) - n) * 3_600_000_000_000)
+            _written(
+                Path(folder) / f"{n}.mcap", piece, record.rate_hz, T0_NS - (len(record.learned) - n) * 3_600_000_000_000
+            )
             for n, piece in enumerate(record.learned)
         ]
         return calibrate.calibrate_modes(paths, record.site(None))
@@ -157,18 +162,12 @@ def _written(path: Path, piece: Array, rate_hz: float, t0_ns: int) -> Path:
     return path
 
 
-@dataclass(frozen=True)
-class Pair:
-    """Pairs of recordings, judged by `compare`."""
-
-    rate_hz: float
-
-    def statistic(self, a: Array, b: Array) -> float:
-        """Compare two records; return the largest z-score over its limit, 0 where the comparison is refused."""
-        with tempfile.TemporaryDirectory() as folder:
-            paths = [_written(Path(folder) / f"{n}.mcap", x, self.rate_hz, T0_NS) for n, x in enumerate((a, b))]
-            try:
-                content = compare.compare(*paths)
-            except BadInputError:
-                return 0.0
-        return max((abs(test["z"]) / content["limit"] for test in content["tests"]), default=0.0)
+def statistic_of_pair(a: Array, b: Array, rate_hz: float) -> float:
+    """Compare two records by `compare`; return the largest z-score over its limit, NaN where it is refused."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [_written(Path(folder) / f"{n}.mcap", x, rate_hz, T0_NS) for n, x in enumerate((a, b))]
+        try:
+            content = compare.compare(*paths)
+        except BadInputError:
+            return float("nan")
+    return max((abs(test["z"]) / content["limit"] for test in content["tests"]), default=0.0)

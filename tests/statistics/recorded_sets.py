@@ -18,6 +18,7 @@ from scipy.signal import resample
 
 from monitor.core import Array
 from tests.measured.sensor_faults import RECORDINGS
+from tests.statistics import charts
 
 KEPT = 0.9
 """Rate of all pieces over their source's: a spectrum that is moved then leaves nothing empty at its end. [ratio; choice]"""
@@ -54,6 +55,10 @@ class Recorded:
         """Whether the repository has it."""
         return not self.file
 
+    def coefficients(self, piece: Piece) -> Annotated[Array, "m k"]:
+        """Compute what the chart judges of a piece."""
+        return charts.ar_coefficients(piece, round(self.segment_s * self.rate_hz), self.order)
+
     def is_there(self, data: Path | None) -> bool:
         """Tell if its file is there."""
         return self.committed or (data is not None and (data / self.file).exists())
@@ -78,7 +83,7 @@ def read(path: Path) -> Piece:
     """Read the samples of a file as the library does."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return shm.read(path).samples
+        return np.asarray(shm.read(path).samples)
 
 
 def _frame(folder: Path) -> Pieces:
@@ -96,7 +101,11 @@ def _propeller(file: Path) -> Pieces:
 def _f16(file: Path) -> Pieces:
     levels = [loadmat(file.with_name(f"F16_FM_Level{n}.mat"))["Acceleration"].T[8192:] for n in (1, 3, 5, 7)]
     learned, healthy, _ = quarters(levels[0])
-    return learned, healthy, {f"a joint at level {n}": quarters(x)[0] for n, x in zip((3, 5, 7), levels[1:], strict=True)}
+    return (
+        learned,
+        healthy,
+        {f"a joint at level {n}": quarters(x)[0] for n, x in zip((3, 5, 7), levels[1:], strict=True)},
+    )
 
 
 def _silverbox(file: Path) -> Pieces:
@@ -123,7 +132,11 @@ def _munich(file: Path) -> Pieces:
 
 def _one_channel(folder: Path) -> Pieces:
     learned, healthy, changed = _frame(folder)
-    return [x[:, :1] for x in learned], [x[:, :1] for x in healthy], {k: [x[:, :1] for x in v] for k, v in changed.items()}
+    return (
+        [x[:, :1] for x in learned],
+        [x[:, :1] for x in healthy],
+        {k: [x[:, :1] for x in v] for k, v in changed.items()},
+    )
 
 
 _MUNICH = "munich-test-bridge/Settlements/UniBw_2022-04-11_ref_support_load_01AllM100Hz.csv.zip"
