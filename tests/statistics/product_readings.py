@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any
 from unittest.mock import patch
@@ -20,15 +21,27 @@ from drivers.base import ACCELERATION
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
 from monitor.core import Array, BadInputError, Level, WindowResult
-from monitor.damage import FeatureTable, ModalBaseline, judge_features
+from monitor.damage import FeatureTable, FeatureVerdict, ModalBaseline, judge_features
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, compare, cut_into_blocks
 
 _FEATURES: Any = sys.modules[judge_features.__module__]
+_RATE = "false_announcements_per_year"
 HOP = 8
 """Windows of `modal` that begin in one window's length. [1; choice]"""
 T0_NS = 1_800_000_000_000_000_000
 Flags = Annotated[NDArray[np.bool_], "w"]
+
+
+def takes_rate() -> bool:
+    """Tell if `features` takes its limit as false announcements a year."""
+    return _RATE in signature(judge_features).parameters
+
+
+def judged(table: FeatureTable, learned_until_ns: int, rate: float) -> list[FeatureVerdict]:
+    """Judge the later readings of a series at a limit of false announcements a year, where one can be given."""
+    given: dict[str, Any] = {_RATE: rate} if takes_rate() else {}
+    return judge_features(table, learned_until_ns, **given)[1]
 
 
 class Features:

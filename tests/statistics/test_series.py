@@ -52,11 +52,14 @@ def test_modes_are_missing_in_calm_hours_rather_than_in_others() -> None:
     assert lost[calm].mean() > 1.5 * lost[~calm].mean()
 
 
-def test_years_follow_what_is_learned_and_hold_no_change() -> None:
-    made = years("mast", 0.5, 7)
-    assert made.table.t_ns[-1] - made.learned_until_ns == pytest.approx(0.5 * 8766 * HOUR_NS, rel=0.01)
-    assert made.changed_from_ns > made.table.t_ns[-1] > START_NS
-    assert not made.change.any()
+def test_years_follow_what_is_learned_and_days_with_a_change_follow_them() -> None:
+    made = years("mast", 0.5, 7, 0.01, days=10)
+    assert made.changed_from_ns - made.learned_until_ns == pytest.approx(0.5 * 8766 * HOUR_NS, rel=0.01)
+    assert made.table.t_ns[-1] - made.changed_from_ns == pytest.approx(240 * HOUR_NS, abs=30 * HOUR_NS)
+    assert made.changed_from_ns > START_NS
+    after = made.table.t_ns >= made.changed_from_ns
+    assert not made.change[~after].any()
+    assert made.change[after, 0] == pytest.approx(np.log(0.99))
 
 
 def test_coefficients_of_records_scatter_as_estimates_do_and_from_record_to_record() -> None:

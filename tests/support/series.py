@@ -130,11 +130,11 @@ def series(name: str, seed: int, change: float = 0.0, how: str = "one") -> Serie
     return of_nature(NATURES[name], seed, change, how)
 
 
-def years(name: str, count: float, seed: int) -> Series:
-    """Simulate so many healthy years after what is learned."""
+def years(name: str, count: float, seed: int, change: float = 0.0, days: int = 0) -> Series:
+    """Simulate so many healthy years after what is learned, and days with a change in the first feature after that."""
     nature = NATURES[name]
-    hours = nature.learned + round(8766 * count)
-    return of_nature(replace(nature, hours=hours, changed=hours), seed)
+    changed = nature.learned + round(8766 * count)
+    return of_nature(replace(nature, hours=changed + 24 * days, changed=changed), seed, change)
 
 
 def of_nature(nature: Nature, seed: int, change: float = 0.0, how: str = "one") -> Series:
