@@ -1,6 +1,6 @@
 """Simulated feature series that have what measured ones have, each of a seed and with its truth.
 
-    ln f = ln f0 + s (warm slope * T above 0 degC + frost slope * T below) + what level and wind do, in frost and out of it
+    ln f = ln f0 + s (warm slope * T above 0 degC + frost slope * T below) + what level and wind do, more in warm air
          + common factors + what was not measured + a level of the day + AR(1) + white noise of heavy tails + a change put in
 
 T is the air's temperature behind a first-order lag, s the share of a mode.  The noise is larger in frost.  Modes are not found in
@@ -64,7 +64,9 @@ class Nature:
     wandering: float = 0.001
     """What was not measured: it wanders over three weeks and moves all modes."""
     softening: float = 0.0
-    """Per unit of level (the logarithm of the motion), less in frost: the interaction."""
+    """Per unit of level (the logarithm of the motion), at the mean temperature."""
+    interaction: float = 0.04
+    """Share by which a kelvin raises it."""
     wind: float = 0.0
     """Per unit of wind, quadratic, of odd modes."""
     missing: tuple[float, ...] = (0.05, 0.1, 0.25, 0.4)
@@ -149,7 +151,7 @@ def of_nature(nature: Nature, seed: int, change: float = 0.0, how: str = "one") 
     law = nature.warm_slope * np.maximum(deck, 0.0) + nature.frost_slope * np.minimum(deck, 0.0)
     factors = np.column_stack([_wander(rng, w, 12.0), _wander(rng, w, 12.0)]) @ rng.standard_normal((2, k))
     expected = np.log(nature.hz) + np.outer(law, nature.shares)
-    expected += nature.softening * (level * (1.0 - 0.6 * frozen))[:, None]
+    expected += nature.softening * (level * (1.0 + nature.interaction * (deck - nature.mean_c)))[:, None]
     expected += nature.wind * np.outer(wind**2, np.arange(k) % 2)
     expected += nature.factors * factors
     expected += nature.wandering * np.outer(_wander(rng, w, 500.0), rng.uniform(0.5, 1.5, k))
