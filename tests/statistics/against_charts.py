@@ -4,7 +4,7 @@
 
 Same data, same split.  Sets: the mast of `tests/data/tower-modal`, simulated series (`tests.support.series`), the repository's
 recordings, and those of FOLDER (docs/measured.md) that are there.  Where nothing happened to a structure a change is put in: its
-frequencies fall by 0.5, 1 or 2 %.  A row that is in OUT.jsonl is not made again; the whole table is printed at the end.
+frequencies fall by 0.5, 1 or 2 %.  A row that is in OUT.jsonl is not made again; all that are there are printed at the end.
 
 Product and chart are compared at their own limits, and at equal false readings: the limit of one is moved until it has as many as
 the other has at its own, one at least.  A reading that is not judged counts as not found.  Of series a reading counts at
@@ -24,6 +24,7 @@ from itertools import combinations, groupby, product
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,12 +34,14 @@ from tests.statistics import charts, tower
 from tests.statistics.product_readings import Features, Modes, Record, statistic_of_pair
 from tests.statistics.recorded_sets import SETS, Recorded, stretched
 from tests.support import series
-from tests.support.tower import DAY_NS
+from tests.support.tower import DAY_NS, HOUR_NS
 
 CHANGES = (0.005, 0.01, 0.02)
 """Shares of a frequency that are put in. [1; the issue's]"""
 LESS_FOUND, LATER = 0.02, 2
 """What a row may lack to be level: share of the readings found, and delay in readings. [the issue's]"""
+MAST_TEMPERATURES = "tower-modal-temperature/tests/data/result_db_short/60-minutes/stats_temp.nc"
+FIVE = tuple(f"temperature_{n}" for n in range(1, 6))
 Flags = Annotated[NDArray[np.bool_], "w"]
 
 
@@ -175,23 +178,36 @@ def of_table(table: FeatureTable, learned_until_ns: int, changed_from_ns: float)
     return Features(table, learned_until_ns, is_changed), Chart(charts.of_series(table, learned_until_ns), is_changed)
 
 
-def mast() -> Iterator[Case]:
-    """Change the last five days of a mast's three weeks."""
-    for days, known in product((6, 9, 12, 15), ((), ("temperature",), ("temperature", "level"))):
+def mast(data: Path | None) -> Iterator[Case]:
+    """Change the last five days of a mast's three weeks; its five temperatures one by one are in the folder of downloads."""
+    kinds: list[tuple[str, ...]] = [(), ("temperature",), ("temperature", "level")]
+    if data is not None and (data / MAST_TEMPERATURES).exists():
+        kinds.append(FIVE)
+    for days, known in product((6, 9, 12, 15), kinds):
         for change, how in ((0.0, "one"), *product(CHANGES, ("all", "one"))):
-            row = f"mast, {days} days learned, {' and '.join(known) or 'no covariate'}: {_put_in(change, how)}"
-            yield Case(row, 0, partial(_of_mast, days, known, change, how))
+            told_of = "five temperatures" if known is FIVE else " and ".join(known) or "no covariate"
+            row = f"mast, {days} days learned, {told_of}: {_put_in(change, how)}"
+            yield Case(row, 0, partial(_of_mast, days, known, change, how, data))
 
 
-def _of_mast(days: int, known: Sequence[str], change: float, how: str) -> tuple[Judge, Judge]:
+def _of_mast(days: int, known: Sequence[str], change: float, how: str, data: Path | None) -> tuple[Judge, Judge]:
     whole = tower.table()
+    covariates = dict(whole.covariates) | (_five_temperatures(data, whole.t_ns) if data is not None else {})
     from_ns = int(whole.t_ns[-1] - tower.LOSS_DAYS * DAY_NS) + 1
     features = {
         name: np.where((whole.t_ns >= from_ns) & (j == 0 or how == "all"), 1.0 - change, 1.0) * values
         for j, (name, values) in enumerate(whole.features.items())
     }
-    table = FeatureTable(whole.t_ns, features, {name: whole.covariates[name] for name in known})
+    table = FeatureTable(whole.t_ns, features, {name: covariates[name] for name in known})
     return of_table(table, int(whole.t_ns[0] + days * DAY_NS), from_ns if change else math.inf)
+
+
+def _five_temperatures(data: Path, t_ns: NDArray[np.int64]) -> dict[str, Array]:
+    """Read the mast's five thermometers at its hours, of which the file's are more."""
+    with h5py.File(data / MAST_TEMPERATURES) as file:
+        begun = np.datetime64(file["time"].attrs["units"].decode().removeprefix("hours since "), "ns").astype(np.int64)
+        rows = np.searchsorted(begun + HOUR_NS * file["time"][...], t_ns)
+        return dict(zip(FIVE, file["mean"][...][rows].T, strict=True))
 
 
 def simulated(seeds: int) -> Iterator[Case]:
@@ -296,7 +312,7 @@ def main() -> None:
     parser.add_argument("--only", default="")
     parser.add_argument("--seeds", type=int, default=2)
     given = parser.parse_args()
-    cases = [*mast(), *simulated(given.seeds), *recorded(given.data)]
+    cases = [*mast(given.data), *simulated(given.seeds), *recorded(given.data)]
     made = {}
     if given.out.exists():
         made = {line["key"]: line for line in map(json.loads, given.out.read_text().splitlines())}
