@@ -38,6 +38,8 @@ from tests.support.tower import DAY_NS, HOUR_NS
 
 CHANGES = (0.005, 0.01, 0.02)
 """Shares of a frequency that are put in. [1; the issue's]"""
+LONG = 2000
+"""Readings from which a series is long; of shorter ones five times as many are made. [readings; choice]"""
 LESS_FOUND, LATER = 0.02, 2
 """What a row may lack to be level: share of the readings found, and delay in readings. [the issue's]"""
 MAST_TEMPERATURES = "tower-modal-temperature/tests/data/result_db_short/60-minutes/stats_temp.nc"
@@ -213,8 +215,9 @@ def _five_temperatures(data: Path, t_ns: NDArray[np.int64]) -> dict[str, Array]:
 def simulated(seeds: int) -> Iterator[Case]:
     """Change simulated series, and coefficients of simulated records."""
     puts = ((0.0, "one"), *((change, "one") for change in CHANGES), (0.01, "all"), (0.02, "slow"))
-    for name, (change, how), seed in product(series.NATURES, puts, range(seeds)):
-        yield Case(f"simulated {name}: {_put_in(change, how)}", seed, partial(_of_nature, name, seed, change, how))
+    for (name, nature), (change, how) in product(series.NATURES.items(), puts):
+        for seed in range(seeds if nature.hours > LONG else 5 * seeds):
+            yield Case(f"simulated {name}: {_put_in(change, how)}", seed, partial(_of_nature, name, seed, change, how))
     for learned, change, seed in product((20, 60), (0.0, 0.02, 0.05), range(5 * seeds)):
         row = f"simulated AR(10) of {learned} records: {_put_in(change, 'one')}"
         yield Case(row, seed, partial(_of_coefficients, learned, seed, change))

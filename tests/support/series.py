@@ -69,9 +69,9 @@ class Nature:
     """Share by which a kelvin raises it."""
     wind: float = 0.0
     """Per unit of wind, quadratic, of odd modes."""
-    missing: tuple[float, ...] = (0.05, 0.1, 0.25, 0.4)
+    missing: tuple[float, ...] = (0.05, 0.05, 0.1, 0.25)
     """Share of the rows in which a mode is not found, more of them in calm hours."""
-    outliers: float = 0.01
+    outliers: float = 0.001
     """Share of the readings that are of another mode."""
     pauses: float = 0.02
     """Share of the hours in which the logger stood still, some 12 h each."""
@@ -80,7 +80,7 @@ class Nature:
 
 
 BRIDGE = Nature(11_000, 5_500, 9_000)
-HOUSE = Nature(720, 432, 600, (1.9, 2.2, 6.1, 7.4), (1.0, 1.0, 1.1, 0.9), mean_c=15.0, season_c=4.0)
+HOUSE = Nature(720, 432, 600, (1.9, 2.2, 6.1, 7.4), (1.0, 1.0, 1.1, 0.9), mean_c=15.0, season_c=4.0, outliers=0.003)
 NATURES: Mapping[str, Nature] = {
     "bridge": BRIDGE,
     "bridge, three temperatures": replace(
@@ -95,6 +95,7 @@ NATURES: Mapping[str, Nature] = {
         softening=-0.0015,
         wind=-0.0006,
         noise=0.001,
+        missing=(0.05, 0.1, 0.25, 0.4),
     ),
     "mast, wind not measured": replace(HOUSE, softening=-0.0015, wind=-0.0006),
     "palace": replace(
@@ -107,6 +108,7 @@ NATURES: Mapping[str, Nature] = {
         noise=0.003,
         wandering=0.003,
         missing=(0.1, 0.2, 0.4, 0.4),
+        outliers=0.01,
     ),
 }
 """The simulators by name."""
