@@ -19,7 +19,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import combinations, groupby, product
 from pathlib import Path
 from typing import Annotated, Any, Protocol
@@ -237,10 +237,18 @@ def _of_coefficients(learned: int, seed: int, change: float) -> tuple[Judge, Jud
 def recorded(data: Path | None) -> Iterator[Case]:
     """Judge recordings: their windows by `modal` and their segments by the chart, then pairs of them."""
     there = [one for one in SETS if one.is_there(data)]
-    for of, judge in (("`modal` windows of {:g} s", _of_windows), ("`compare`", _of_pairs)):
+    windows, pairs = "`modal` windows of {:g} s, chart of", "`compare`"
+    for of, judge in ((f"{windows} segments", _of_segments), (f"{windows} windows", _of_windows), (pairs, _of_pairs)):
         for one in there:
             for name in (*one.changes, *(_put_in(change, "all") for change in CHANGES)):
                 yield Case(f"{one.name}, {of.format(one.window_s)}: {name}", 0, partial(judge, one, data, name))
+
+
+@cache
+def _modes(one: Recorded, data: Path | None) -> Modes:
+    """Learn a set's modes once."""
+    learned, healthy, _ = _pieces(one, data, _put_in(CHANGES[0], "all"))
+    return Modes(Record(one.rate_hz, one.window_s, learned, healthy, []))
 
 
 def _pieces(one: Recorded, data: Path | None, name: str) -> tuple[list[Array], list[Array], list[Array]]:
@@ -251,13 +259,24 @@ def _pieces(one: Recorded, data: Path | None, name: str) -> tuple[list[Array], l
     return [stretched(x) for x in learned], [stretched(x) for x in healthy], later
 
 
+def _of_segments(one: Recorded, data: Path | None, name: str) -> tuple[Judge, Judge]:
+    learned, healthy, changed = (
+        np.concatenate([one.coefficients(piece) for piece in pieces]) for pieces in _pieces(one, data, name)
+    )
+    chart = charts.of_segments(learned, np.concatenate([healthy, changed]))
+    is_changed = np.arange(chart.statistic.size) >= len(healthy)
+    return _modes(one, data).beside(_pieces(one, data, name)[2]), Chart(chart, is_changed)
+
+
 def _of_windows(one: Recorded, data: Path | None, name: str) -> tuple[Judge, Judge]:
     learned, healthy, changed = _pieces(one, data, name)
-    of = [np.concatenate([one.coefficients(piece) for piece in pieces]) for pieces in (learned, healthy, changed)]
-    chart = charts.of_segments(of[0], np.concatenate(of[1:]))
-    return Modes(Record(one.rate_hz, one.window_s, learned, healthy, changed)), Chart(
-        chart, np.arange(chart.statistic.size) >= len(of[1])
-    )
+    modes = _modes(one, data).beside(changed)
+    segments = np.concatenate([one.coefficients(piece) for piece in learned])
+    of = [
+        [charts.between(segments, one.coefficients(x[part])) for x in pieces for part in modes.record.windows(len(x))]
+        for pieces in (healthy, changed)
+    ]
+    return modes, Chart(charts.Chart(np.concatenate(of), 1), np.arange(len(of[0]) + len(of[1])) >= len(of[0]))
 
 
 def _of_pairs(one: Recorded, data: Path | None, name: str) -> tuple[Judge, Judge]:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any
@@ -97,6 +98,11 @@ class Record:
     healthy: Sequence[Array]
     changed: Sequence[Array]
 
+    def windows(self, n: int) -> list[slice]:
+        """List the samples of the windows that a piece of n samples has."""
+        size = round(self.window_s * self.rate_hz)
+        return [slice(start, start + size) for start in range(0, n - size + 1, size // HOP)]
+
     def site(self, limit: float | None) -> Configuration:
         """Form the site's configuration; `limit` is the significance."""
         return Configuration.model_validate(
@@ -125,29 +131,39 @@ class Modes:
             self.baseline: ModalBaseline | None = _calibrated(record)
         except BadInputError:
             self.baseline = None
-        self._known: dict[tuple[bool, float | None], list[bool | None]] = {}
+        self._healthy: dict[float | None, list[bool | None]] = {}
+        self._changed: dict[float | None, list[bool | None]] = {}
+
+    def beside(self, changed: Sequence[Array]) -> Modes:
+        """Judge other changed pieces by the same baseline, beside the same healthy ones."""
+        out = copy(self)
+        out.record, out._changed = replace(self.record, changed=changed), {}
+        return out
 
     def healthy(self, limit: float | None = None) -> Flags:
-        return np.array([said is True for said in self._told(False, limit)])
+        return np.array([said is True for said in self._told(self._healthy, self.record.healthy, limit)])
 
     def changed(self, limit: float | None = None) -> Flags:
-        return np.array([said is True for said in self._told(True, limit)])
+        return np.array([said is True for said in self._told(self._changed, self.record.changed, limit)])
 
     def unjudged(self) -> int:
-        return (self._told(False, None) + self._told(True, None)).count(None)
+        told = self._told(self._healthy, self.record.healthy, None) + self._told(
+            self._changed, self.record.changed, None
+        )
+        return told.count(None)
 
-    def _told(self, is_changed: bool, limit: float | None) -> list[bool | None]:
+    def _told(
+        self, known: dict[float | None, list[bool | None]], pieces: Sequence[Array], limit: float | None
+    ) -> list[bool | None]:
         """Tell at which windows anything is announced, None of one that does not come or is skipped; each is made once."""
-        if (is_changed, limit) not in self._known:
-            out: list[bool | None] = []
-            for piece in self.record.changed if is_changed else self.record.healthy:
-                hop_s = self.record.window_s / HOP
-                due = int((len(piece) / self.record.rate_hz - self.record.window_s) / hop_s + 1e-9) + 1
-                windows = [] if self.baseline is None else self._replayed(piece, limit, self.baseline)[:due]
-                out += [None if w.skipped else w.alarm.level is not Level.NORMAL for w in windows]
-                out += [None] * (due - len(windows))
-            self._known[is_changed, limit] = out
-        return self._known[is_changed, limit]
+        if limit not in known:
+            known[limit] = []
+            for piece in pieces:
+                due = self.record.windows(len(piece))
+                windows = [] if self.baseline is None else self._replayed(piece, limit, self.baseline)[: len(due)]
+                known[limit] += [None if w.skipped else w.alarm.level is not Level.NORMAL for w in windows]
+                known[limit] += [None] * (len(due) - len(windows))
+        return known[limit]
 
     def _replayed(self, piece: Array, limit: float | None, baseline: ModalBaseline) -> list[WindowResult]:
         pipeline = Pipeline(self.record.site(limit), baseline)
