@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,12 +23,15 @@ from drivers.base import ACCELERATION
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
 from monitor.core import Array, BadInputError, Level, WindowResult
-from monitor.damage import FeatureTable, FeatureVerdict, ModalBaseline, judge_features
+from monitor.damage import AlarmSettings, FeatureTable, FeatureVerdict, ModalBaseline, judge_features
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, compare, cut_into_blocks
 
 _FEATURES: Any = sys.modules[judge_features.__module__]
 _RATE = "false_announcements_per_year"
+_BY_SCORE = "significance" in AlarmSettings.model_fields
+_RATE_LIMITS = 1e-4, 1e4
+"""Years a false announcement, between which a limit is looked for. [years; choice]"""
 HOP = 8
 """Windows of `modal` that begin in one window's length. [1; choice]"""
 T0_NS = 1_800_000_000_000_000_000
@@ -39,44 +43,31 @@ def takes_rate() -> bool:
     return _RATE in signature(judge_features).parameters
 
 
-def judged(table: FeatureTable, learned_until_ns: int, rate: float) -> list[FeatureVerdict]:
+def judged(table: FeatureTable, learned_until_ns: int, rate: float | None = None) -> list[FeatureVerdict]:
     """Judge the later readings of a series at a limit of false announcements a year, where one can be given."""
-    given: dict[str, Any] = {_RATE: rate} if takes_rate() else {}
+    given: dict[str, Any] = {_RATE: rate} if takes_rate() and rate is not None else {}
     return judge_features(table, learned_until_ns, **given)[1]
 
 
 class Features:
     """Later readings of a series, judged by `features`; nothing is judged where it refuses."""
 
-    steps, limits = 12, (0.3, 60.0)
-
     def __init__(self, table: FeatureTable, learned_until_ns: int, is_changed: Flags) -> None:
         self.is_changed = is_changed
-        seen: list[float] = []
-        evidence = _FEATURES._evidence
-
-        def noted(*given: Any) -> Any:
-            found = evidence(*given)
-            seen.append(found[0])
-            return found
-
-        self.z = np.full(is_changed.size, np.nan)
+        self.steps, self.limits = (9, _RATE_LIMITS) if takes_rate() else (12, (0.3, 60.0))
         try:
-            with patch.object(_FEATURES, "_evidence", noted):
-                _, verdicts = judge_features(table, learned_until_ns)
+            self._at: Callable[[float | None], Sequence[bool | None]] = (
+                cache(partial(_at_rate, table, learned_until_ns))
+                if takes_rate()
+                else _Scores(table, learned_until_ns).at
+            )
+            self._at(None)
         except BadInputError:
-            return
-        self.z[[v.skipped is None for v in verdicts]] = seen
+            self._at = lambda _: [None] * is_changed.size
 
     def announced(self, limit: float | None) -> Flags:
-        """Tell at which readings there is a warning, at a limit of the z-score."""
-        limit = _FEATURES._SIGNIFICANCE if limit is None else limit
-        alarm, out = _FEATURES._Alarm(), np.zeros(self.z.size, dtype=bool)
-        with patch.object(_FEATURES, "_SIGNIFICANCE", limit):
-            for row in np.flatnonzero(np.isfinite(self.z)):
-                alarm = alarm.after(float(self.z[row]))
-                out[row] = alarm.level.rank >= Level.WARNING.rank
-        return out
+        """Tell at which readings there is a warning."""
+        return np.array([said is True for said in self._at(limit)])
 
     def healthy(self, limit: float | None = None) -> Flags:
         return self.announced(limit)[~self.is_changed]
@@ -85,7 +76,40 @@ class Features:
         return self.announced(limit)[self.is_changed]
 
     def unjudged(self) -> int:
-        return int(np.isnan(self.z).sum())
+        return sum(said is None for said in self._at(None))
+
+
+def _at_rate(table: FeatureTable, learned_until_ns: int, limit: float | None) -> list[bool | None]:
+    """Tell at which readings there is a warning, None of one that is not judged; `limit` is years a false announcement."""
+    verdicts = judged(table, learned_until_ns, None if limit is None else 1.0 / limit)
+    return [None if v.skipped else v.level.rank >= Level.WARNING.rank for v in verdicts]
+
+
+class _Scores:
+    """The z-scores of a series' later readings, which are judged at any limit: a constant of the module."""
+
+    def __init__(self, table: FeatureTable, learned_until_ns: int) -> None:
+        seen: list[float] = []
+        evidence = _FEATURES._evidence
+
+        def noted(*given: Any) -> Any:
+            found = evidence(*given)
+            seen.append(found[0])
+            return found
+
+        with patch.object(_FEATURES, "_evidence", noted):
+            verdicts = judged(table, learned_until_ns)
+        scores = iter(seen)
+        self.z = [None if v.skipped else next(scores) for v in verdicts]
+
+    def at(self, limit: float | None) -> list[bool | None]:
+        """Tell at which readings there is a warning, None of one that is not judged."""
+        alarm, out = _FEATURES._Alarm(), list[bool | None]()
+        with patch.object(_FEATURES, "_SIGNIFICANCE", _FEATURES._SIGNIFICANCE if limit is None else limit):
+            for z in self.z:
+                alarm = alarm if z is None else alarm.after(z)
+                out.append(None if z is None else alarm.level.rank >= Level.WARNING.rank)
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +128,7 @@ class Record:
         return [slice(start, start + size) for start in range(0, n - size + 1, size // HOP)]
 
     def site(self, limit: float | None) -> Configuration:
-        """Form the site's configuration; `limit` is the significance."""
+        """Form the site's configuration; `limit` is the significance, or years a false announcement."""
         return Configuration.model_validate(
             {
                 "structure": {"kind": "modal"},
@@ -115,7 +139,7 @@ class Record:
                     "window_s": self.window_s,
                     "hop_s": self.window_s / HOP,
                 },
-                "alarm": {} if limit is None else {"significance": limit},
+                "alarm": {} if limit is None else {"significance": limit} if _BY_SCORE else {_RATE: 1.0 / limit},
             }
         )
 
@@ -123,7 +147,7 @@ class Record:
 class Modes:
     """Windows of recordings, judged by `modal`: a baseline of the learned pieces, each later piece replayed."""
 
-    steps, limits = 7, (0.5, 100.0)
+    steps, limits = (7, (0.5, 100.0)) if _BY_SCORE else (9, _RATE_LIMITS)
 
     def __init__(self, record: Record) -> None:
         self.record = record
@@ -191,12 +215,22 @@ def _written(path: Path, piece: Array, rate_hz: float, t0_ns: int) -> Path:
     return path
 
 
-def statistic_of_pair(a: Array, b: Array, rate_hz: float) -> float:
-    """Compare two records by `compare`; return the largest z-score over its limit, NaN where it is refused."""
+TAKES_HEALTHY = "healthy" in signature(compare.compare).parameters
+"""Whether `compare` takes more records of one state."""
+
+
+def statistic_of_pair(a: Array, b: Array, rate_hz: float, healthy: Sequence[Array] = ()) -> float:
+    """Compare two records by `compare`; return what it differs by, over its limit, NaN where it cannot say."""
     with tempfile.TemporaryDirectory() as folder:
-        paths = [_written(Path(folder) / f"{n}.mcap", x, rate_hz, T0_NS) for n, x in enumerate((a, b))]
+        paths = [_written(Path(folder) / f"{n}.mcap", x, rate_hz, T0_NS) for n, x in enumerate((a, b, *healthy))]
         try:
-            content = compare.compare(*paths)
+            content = compare.compare(*paths[:2], **({"healthy": paths[2:]} if healthy else {}))
         except BadInputError:
             return float("nan")
+    if "chance" in content:
+        return (
+            float("nan")
+            if content["chance"] is None
+            else (1.0 + 1e-9) * content["rate"] / max(content["chance"], 1e-12)
+        )
     return max((abs(test["z"]) / content["limit"] for test in content["tests"]), default=0.0)
