@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from monitor.damage import FeatureTable
-from tests.statistics import charts
+from monitor.core import Level
+from monitor.damage import FeatureTable, FeatureVerdict
+from tests.statistics import charts, product_readings
 from tests.statistics.against_charts import Chart, Told, at_equal, level_with, limit_of, rows, told
 from tests.statistics.product_readings import Features, Modes, Record
 from tests.statistics.recorded_sets import KEPT, stretched
@@ -65,6 +66,23 @@ def test_a_refused_series_and_records_without_a_baseline_are_not_judged() -> Non
     noise = np.random.default_rng(1).standard_normal((3, 1000, 1))
     short = Modes(Record(100.0, 4.0, noise[:1], noise[1:2], noise[2:]))
     assert told(short) == Told(0, 13, 0, 13, 26, NEVER)
+
+
+def test_a_limit_that_is_a_rate_is_moved_by_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    t_ns = np.arange(6)
+    at_rates = [0.5, 9.0, 9.0, 0.01, 2.0]
+
+    def judge_features(
+        table: FeatureTable, until_ns: int, *, false_announcements_per_year: float = 0.1
+    ) -> tuple[None, list[FeatureVerdict]]:
+        levels = [Level.WARNING if false_announcements_per_year > rate else Level.NORMAL for rate in at_rates]
+        return None, [FeatureVerdict(t, (), level, (), "", None) for t, level in enumerate(levels)]
+
+    monkeypatch.setattr(product_readings, "judge_features", judge_features)
+    judge = Features(FeatureTable(t_ns, {}, {}), 0, np.arange(5) >= 3)
+    assert told(judge) == Told(0, 3, 1, 2, 0, 1.0)
+    moved = told(judge, limit_of(judge, Told(1, 3, 0, 2, 0, NEVER)))
+    assert (moved.false, moved.found) == (1, 2)
 
 
 def test_frequencies_fall_by_what_is_put_in() -> None:
