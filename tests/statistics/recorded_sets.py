@@ -34,7 +34,7 @@ class Recorded:
     name: str
     source_hz: float
     window_s: float
-    """Windows of `modal`; they follow every eighth of it."""
+    """Windows of `modal`; they follow every eighth of it, whole samples of a piece."""
     segment_s: float
     """Segments of the chart."""
     order: int
@@ -109,6 +109,7 @@ def _f16(file: Path) -> Pieces:
 
 
 def _silverbox(file: Path) -> Pieces:
+    """Read the multisines; their 610.35 Hz are called 600."""
     return quarters(loadmat(file)["V2"].T[45_000:])
 
 
@@ -147,8 +148,8 @@ SETS = (
     Recorded("shake table, flexible frame", 120.0, 10.0, 1.0, 8, _flexible),
     Recorded("shake table, stiff frame", 120.0, 10.0, 1.0, 8, _stiff),
     Recorded("propeller", 1600.0, 2.0, 0.25, 8, _propeller, "propeller/propeller50.npz", ("a hole",)),
-    Recorded("Munich bridge, one channel", 100.0, 30.0, 2.0, 10, _munich, _MUNICH),
-    Recorded("footbridge", 200.0, 1.0, 0.25, 8, _footbridge, "usc-bridge/usc_roller.npz"),
+    Recorded("Munich bridge, one channel", 100.0, 32.0, 2.0, 10, _munich, _MUNICH),
+    Recorded("footbridge", 200.0, 2.4, 0.25, 8, _footbridge, "usc-bridge/usc_roller.npz"),
     Recorded(
         "F-16",
         400.0,
@@ -159,6 +160,6 @@ SETS = (
         "f16/F16_FM_Level1.mat",
         tuple(f"a joint at level {n}" for n in (3, 5, 7)),
     ),
-    Recorded("Silverbox", 610.35, 5.0, 0.25, 10, _silverbox, "silverbox/SNLS80mV.mat"),
+    Recorded("Silverbox", 600.0, 4.8, 0.25, 10, _silverbox, "silverbox/SNLS80mV.mat"),
 )
 """The sets, by the order of the table."""
