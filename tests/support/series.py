@@ -88,7 +88,9 @@ NATURES: Mapping[str, Nature] = {
     ),
     "bridge, no covariate": replace(BRIDGE, covariates=()),
     "bridge, learned in the warm half": replace(BRIDGE, learned=2_500, changed=9_000, season_c=-11.0),
-    "144 hours learned": replace(HOUSE, hours=240, learned=144, changed=192, missing=(0.05, 0.05, 0.1, 0.1)),
+    "144 hours learned": replace(
+        HOUSE, hours=240, learned=144, changed=192, missing=(0.05, 0.05, 0.1, 0.1), wandering=0.0
+    ),
     "mast": replace(
         HOUSE,
         covariates=("air_temperature", "level"),
