@@ -29,6 +29,8 @@ from monitor.runs import calibrate, compare, cut_into_blocks
 
 _FEATURES: Any = sys.modules[judge_features.__module__]
 _RATE = "false_announcements_per_year"
+_ALARM = "alarm"
+"""What a limit may be given by: the rate, or the settings of the alarm. [names]"""
 _BY_SCORE = "significance" in AlarmSettings.model_fields
 _RATE_LIMITS = 1e-4, 1e4
 """Years a false announcement, between which a limit is looked for. [years; choice]"""
@@ -40,12 +42,15 @@ Flags = Annotated[NDArray[np.bool_], "w"]
 
 def takes_rate() -> bool:
     """Tell if `features` takes its limit as false announcements a year."""
-    return _RATE in signature(judge_features).parameters
+    return bool({_RATE, _ALARM} & {*signature(judge_features).parameters})
 
 
 def judged(table: FeatureTable, learned_until_ns: int, rate: float | None = None) -> list[FeatureVerdict]:
     """Judge the later readings of a series at a limit of false announcements a year, where one can be given."""
-    given: dict[str, Any] = {_RATE: rate} if takes_rate() and rate is not None else {}
+    given: dict[str, Any] = {}
+    if rate is not None and takes_rate():
+        by_itself = _RATE in signature(judge_features).parameters
+        given = {_RATE: rate} if by_itself else {_ALARM: AlarmSettings.model_validate({_RATE: rate})}
     return judge_features(table, learned_until_ns, **given)[1]
 
 
