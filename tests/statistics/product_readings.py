@@ -32,8 +32,9 @@ _RATE = "false_announcements_per_year"
 _ALARM = "alarm"
 """What a limit may be given by: the rate, or the settings of the alarm. [names]"""
 _BY_SCORE = "significance" in AlarmSettings.model_fields
-_RATE_LIMITS = 1e-4, 1e4
-"""Years a false announcement, between which a limit is looked for. [years; choice]"""
+_RATE_LIMITS, _RATE_STEPS = (1e-8, 1e4), 12
+"""Years a false announcement, between which a limit is looked for, and halvings. [years, 1; choice: every reading of a second, and
+none]"""
 HOP = 8
 """Windows of `modal` that begin in one window's length. [1; choice]"""
 T0_NS = 1_800_000_000_000_000_000
@@ -59,7 +60,7 @@ class Features:
 
     def __init__(self, table: FeatureTable, learned_until_ns: int, is_changed: Flags) -> None:
         self.is_changed = is_changed
-        self.steps, self.limits = (9, _RATE_LIMITS) if takes_rate() else (12, (0.3, 60.0))
+        self.steps, self.limits = (_RATE_STEPS, _RATE_LIMITS) if takes_rate() else (12, (0.3, 60.0))
         try:
             self._at: Callable[[float | None], Sequence[bool | None]] = (
                 cache(partial(_at_rate, table, learned_until_ns))
@@ -152,7 +153,7 @@ class Record:
 class Modes:
     """Windows of recordings, judged by `modal`: a baseline of the learned pieces, each later piece replayed."""
 
-    steps, limits = (7, (0.5, 100.0)) if _BY_SCORE else (9, _RATE_LIMITS)
+    steps, limits = (7, (0.5, 100.0)) if _BY_SCORE else (_RATE_STEPS, _RATE_LIMITS)
 
     def __init__(self, record: Record) -> None:
         self.record = record
