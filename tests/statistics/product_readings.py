@@ -33,8 +33,8 @@ _ALARM = "alarm"
 """What a limit may be given by: the rate, or the settings of the alarm. [names]"""
 _BY_SCORE = "significance" in AlarmSettings.model_fields
 _RATE_LIMITS, _RATE_STEPS = (1e-8, 1e4), 12
-"""Years a false announcement, between which a limit is looked for, and halvings. [years, 1; choice: every reading of a second, and
-none]"""
+"""Years a false announcement, between which a limit is looked for, and halvings. [years, 1; choice: from one a third of a
+second]"""
 HOP = 8
 """Windows of `modal` that begin in one window's length. [1; choice]"""
 T0_NS = 1_800_000_000_000_000_000
