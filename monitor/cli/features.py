@@ -27,6 +27,9 @@ def features(
     covariates: Annotated[
         str, Option(metavar="C1,C2", help="Columns of the covariates, as temperature and wind.")
     ] = "",
+    false_announcements_per_year: Annotated[
+        float, Option(min=1e-6, max=1e4, help="False announcements that are allowed in a year.")
+    ] = 0.1,
     *,
     reading: Options,
     as_json: Json = False,
@@ -45,12 +48,23 @@ def features(
         raise BadParameter("--features: name at least one column")
     others = [name.strip() for name in covariates.split(",") if name.strip()]
     with progress("features") as on_progress:
-        summary = run.features(table, replace(reading, time=time), wanted, others, until_ns, out, warn, on_progress)
+        summary = run.features(
+            table,
+            replace(reading, time=time),
+            wanted,
+            others,
+            until_ns,
+            out,
+            warn,
+            on_progress,
+            false_announcements_per_year,
+        )
     lines = [
         f"{f['feature']}: {100 * f['variance_explained']:.0f} % of its healthy variance explained, "
         f"{f['residual_std']:.3g} left (one standard deviation)"
         for f in summary["features"]
     ]
     lines.append(f"{summary['judged']} rows judged, {summary['skipped']} not; {summary['announced']} announced")
-    lines += [alarm["reason"] for alarm in summary["alarms"][:3]]
+    lines += [f"{alarm['level']}: {alarm['reason']}" for alarm in summary["alarms"][-3:]]
+    lines.append(summary["headline"])
     say("\n".join([*lines, f"results in {out}"]), {**summary, "out": str(out)}, as_json)

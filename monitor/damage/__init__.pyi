@@ -39,11 +39,13 @@ from .covariates import (
 )
 from .detectable_loss import clock_error as clock_error, smallest_detectable_loss as smallest_detectable_loss
 from .feature_change import (
+    FALSE_ANNOUNCEMENTS_PER_YEAR as FALSE_ANNOUNCEMENTS_PER_YEAR,
     FeatureJudge as FeatureJudge,
     FeatureTable as FeatureTable,
     FeatureVerdict as FeatureVerdict,
     judge_features as judge_features,
 )
+from .healthy_series import LAGS_H as LAGS_H
 from .judge import Memory as Memory
 from .level import drift_m as drift_m, level_db as level_db
 from .modal_stiffness import ModalStiffness as ModalStiffness

@@ -10,7 +10,14 @@ from typing import Annotated, Any
 import numpy as np
 
 from monitor.core import Array, BadInputError, Level, OnProgress, Step, rounded, write_atomically
-from monitor.damage import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
+from monitor.damage import (
+    FALSE_ANNOUNCEMENTS_PER_YEAR,
+    LAGS_H,
+    FeatureJudge,
+    FeatureTable,
+    FeatureVerdict,
+    judge_features,
+)
 from monitor.runs.readers import delimited, stamps
 from monitor.runs.readers.base import Options, read_bytes
 from monitor.runs.readers.delimited import Text
@@ -35,6 +42,7 @@ def features(
     out: Path,
     on_warning: Callable[[str], None] = lambda _: None,
     on_progress: OnProgress = lambda _: None,
+    false_announcements_per_year: float = FALSE_ANNOUNCEMENTS_PER_YEAR,
 ) -> dict[str, Any]:
     """Learn the features' law from the rows up to a time, judge the later ones, and write results.jsonl and summary.json.
 
@@ -47,7 +55,7 @@ def features(
     table = read_table(path, options, names, covariates, on_warning)
     on_progress(Step(_LEARNS, then="judges the rows"))
     try:
-        judge, verdicts = judge_features(table, train_until_ns, on_progress)
+        judge, verdicts = judge_features(table, train_until_ns, on_progress, false_announcements_per_year)
     except BadInputError as error:
         raise BadInputError(f"{path}: {error}: choose a later --train-until, or leave the feature out") from error
     if not verdicts:
@@ -143,38 +151,64 @@ def _doubt_zeros(path: Path, name: str, values: Annotated[Array, "n"], on_warnin
 def _line(verdict: FeatureVerdict) -> dict[str, Any]:
     return {
         "t_end_ns": verdict.t_ns,
+        "time": f"{np.datetime64(verdict.t_ns, 'ns').astype('datetime64[s]')}Z",
         "residual_sigma": rounded(list(verdict.residual_sigma), 6),
         "alarm": {"level": verdict.level.value, "features": list(verdict.changed), "reason": verdict.reason},
+        "years": rounded(verdict.years, 4),
         "skipped": verdict.skipped and verdict.skipped.reason,
     }
 
 
 def _summary(judge: FeatureJudge, verdicts: list[FeatureVerdict]) -> dict[str, Any]:
-    learned = []
-    for model in judge.models:
-        axes = () if model.law is None else model.law.axes
-        learned.append(
-            {
-                "feature": model.name,
-                "relative": model.log,
-                "readings": model.readings,
-                "residual_std": rounded(model.std, 6),
-                "variance_explained": rounded(model.explained, 4),
-                "covariates": {a.name: {"range": list(a.range), "lag_s": a.lag_s} for a in axes},
-                "confounded": [] if model.law is None else [[a, b, round(r, 3)] for a, b, r in model.law.confounded()],
-            }
-        )
-    announced = [v for v in verdicts if v.level is not Level.NORMAL]
-    begun = [
-        v
-        for before, v in zip([None, *verdicts], verdicts, strict=False)
-        if v.level is not Level.NORMAL and (before is None or before.level is Level.NORMAL)
+    learned = [
+        {
+            "feature": model.name,
+            "relative": model.log,
+            "readings": model.readings,
+            "residual_std": rounded(model.std, 6),
+            "variance_explained": rounded(model.explained, 4),
+            "covariates": {
+                c.name: {"range": list(c.range), "lag_s": 3600.0 * LAGS_H[c.lag]} for c in model.basis.covariates
+            },
+            "confounded": [[a, b, round(r, 3)] for a, b, r in model.confounded()],
+        }
+        for model in judge.models
     ]
+    episodes = _episodes(verdicts)
+    skipped = sum(v.skipped is not None for v in verdicts)
+    last = verdicts[-1]
+    state = "not_judged" if skipped == len(verdicts) else last.level.value
+    headline = {
+        "not_judged": "No feature could be judged.",
+        "normal": f"No change of {', '.join(m.name for m in judge.models)} beyond what the covariates explain.",
+    }.get(state, f"{state.upper()}: {last.reason}")
     return {
-        "judged": sum(v.skipped is None for v in verdicts),
-        "skipped": sum(v.skipped is not None for v in verdicts),
-        "announced": len(announced),
-        "alarms": [{"t_ns": v.t_ns, "features": list(v.changed), "reason": v.reason} for v in begun],
-        "together": None if judge.together is None else {"stretches": round(judge.together.expected.stretches, 1)},
+        "state": state,
+        "headline": headline,
+        "windows": len(verdicts),
+        "judged": len(verdicts) - skipped,
+        "skipped": skipped,
+        "announced": sum(v.level is not Level.NORMAL for v in verdicts),
+        "alarms": episodes,
         "features": learned,
     }
+
+
+def _episodes(verdicts: list[FeatureVerdict]) -> list[dict[str, Any]]:
+    """List the announcements, each by its highest level and what was said of it last."""
+    episodes: list[dict[str, Any]] = []
+    is_open = False
+    for verdict in verdicts:
+        if verdict.level is Level.NORMAL:
+            if is_open:
+                episodes[-1]["t_last_ns"] = verdict.t_ns
+            is_open = False
+            continue
+        if not is_open:
+            episodes.append({"level": verdict.level.value, "t_first_ns": verdict.t_ns, "t_last_ns": None})
+        highest = max(Level(episodes[-1]["level"]), verdict.level, key=lambda level: level.rank)
+        episodes[-1]["level"] = highest.value
+        if verdict.skipped is None:
+            episodes[-1] |= {"features": list(verdict.changed), "reason": verdict.reason}
+        is_open = True
+    return episodes

@@ -68,8 +68,8 @@ def test_frost_that_training_did_not_see_is_no_damage() -> None:
     )
     _, verdicts = judge_features(table, 80 * 24 * HOUR_NS)
     assert share_announced(verdicts) < 0.01
-    said = {v.skipped.reason for v in verdicts if v.skipped is not None}
-    assert any("temperature" in reason and "below" in reason for reason in said)
+    assert all(v.skipped is None for v in verdicts if any(r is not None for r in v.residual_sigma))
+    assert any("temperature" in v.reason and "below anything learned from" in v.reason for v in verdicts)
 
 
 def test_missing_covariates_widen_and_do_not_silence() -> None:
@@ -106,8 +106,7 @@ def unlike(seed: int, loss: float = 0.0, days: int = 120) -> FeatureTable:
 
 
 def test_without_a_covariate_each_feature_is_compared_with_the_others() -> None:
-    judge, healthy = judge_features(unlike(61), 80 * 24 * HOUR_NS)
-    assert judge.together is not None and judge.together.expected.stretches > 20.0
+    _, healthy = judge_features(unlike(61), 80 * 24 * HOUR_NS)
     assert share_announced(healthy) == 0.0
     _, hurt = judge_features(unlike(61, 0.03), 80 * 24 * HOUR_NS)
     first = next(v for v in hurt if v.level is Level.WARNING)

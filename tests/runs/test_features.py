@@ -45,7 +45,7 @@ def test_a_table_is_judged_and_bad_rows_are_told_by_line(table: Path, main: Cli,
     lines = [json.loads(line) for line in (tmp_path / "out/results.jsonl").read_text().splitlines()]
     summary = json.loads((tmp_path / "out/summary.json").read_text())
     assert json.loads(done.stdout) == {**summary, "out": str(tmp_path / "out")}
-    assert list(lines[0]) == ["t_end_ns", "residual_sigma", "alarm", "skipped"]
+    assert list(lines[0]) == ["t_end_ns", "time", "residual_sigma", "alarm", "years", "skipped"]
     assert list(lines[0]["alarm"]) == ["level", "features", "reason"]
     assert lines[-1]["alarm"]["level"] == "warning" and lines[-1]["alarm"]["features"] == ["f1"]
     first = next(line["t_end_ns"] for line in lines if line["alarm"]["level"] != "normal")

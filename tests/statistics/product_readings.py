@@ -1,20 +1,14 @@
-"""What the product says of readings and pairs at its own limit, and at one that is moved: by its public functions.
-
-A limit that no setting moves is a constant of the module that has it; it is set for the call.
-"""
+"""What the product says of readings and pairs at its own limit, and at one that is moved: by its public functions."""
 
 from __future__ import annotations
 
-import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cache, partial
 from inspect import signature
 from pathlib import Path
-from typing import Annotated, Any
-from unittest.mock import patch
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +17,11 @@ from drivers.base import ACCELERATION
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
 from monitor.core import Array, BadInputError, Level, WindowResult
-from monitor.damage import AlarmSettings, FeatureTable, FeatureVerdict, ModalBaseline, judge_features
+from monitor.damage import FeatureTable, ModalBaseline, judge_features
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate, compare, cut_into_blocks
 
-_FEATURES: Any = sys.modules[judge_features.__module__]
 _RATE = "false_announcements_per_year"
-_ALARM = "alarm"
-"""What a limit may be given by: the rate, or the settings of the alarm. [names]"""
-_BY_SCORE = "significance" in AlarmSettings.model_fields
 _RATE_LIMITS, _RATE_STEPS = (1e-8, 1e4), 12
 """Years a false announcement, between which a limit is looked for, and halvings. [years, 1; choice: from one a third of a
 second]"""
@@ -41,39 +31,28 @@ T0_NS = 1_800_000_000_000_000_000
 Flags = Annotated[NDArray[np.bool_], "w"]
 
 
-def takes_rate() -> bool:
-    """Tell if `features` takes its limit as false announcements a year."""
-    return bool({_RATE, _ALARM} & {*signature(judge_features).parameters})
-
-
-def judged(table: FeatureTable, learned_until_ns: int, rate: float | None = None) -> list[FeatureVerdict]:
-    """Judge the later readings of a series at a limit of false announcements a year, where one can be given."""
-    given: dict[str, Any] = {}
-    if rate is not None and takes_rate():
-        by_itself = _RATE in signature(judge_features).parameters
-        given = {_RATE: rate} if by_itself else {_ALARM: AlarmSettings.model_validate({_RATE: rate})}
-    return judge_features(table, learned_until_ns, **given)[1]
-
-
 class Features:
-    """Later readings of a series, judged by `features`; nothing is judged where it refuses."""
+    """Later readings of a series, judged by `features`; nothing is judged where it refuses.
+
+    A limit is the years in which a healthy structure shows as much once.
+    """
+
+    steps, limits = _RATE_STEPS, _RATE_LIMITS
 
     def __init__(self, table: FeatureTable, learned_until_ns: int, is_changed: Flags) -> None:
         self.is_changed = is_changed
-        self.steps, self.limits = (_RATE_STEPS, _RATE_LIMITS) if takes_rate() else (12, (0.3, 60.0))
         try:
-            self._at: Callable[[float | None], Sequence[bool | None]] = (
-                cache(partial(_at_rate, table, learned_until_ns))
-                if takes_rate()
-                else _Scores(table, learned_until_ns).at
-            )
-            self._at(None)
+            self.verdicts = judge_features(table, learned_until_ns)[1]
         except BadInputError:
-            self._at = lambda _: [None] * is_changed.size
+            self.verdicts = []
 
     def announced(self, limit: float | None) -> Flags:
         """Tell at which readings there is a warning."""
-        return np.array([said is True for said in self._at(limit)])
+        if not self.verdicts:
+            return np.zeros(self.is_changed.size, dtype=bool)
+        if limit is None:
+            return np.array([v.skipped is None and v.level.rank >= Level.WARNING.rank for v in self.verdicts])
+        return np.array([v.skipped is None and v.years >= limit for v in self.verdicts])
 
     def healthy(self, limit: float | None = None) -> Flags:
         return self.announced(limit)[~self.is_changed]
@@ -82,40 +61,7 @@ class Features:
         return self.announced(limit)[self.is_changed]
 
     def unjudged(self) -> int:
-        return sum(said is None for said in self._at(None))
-
-
-def _at_rate(table: FeatureTable, learned_until_ns: int, limit: float | None) -> list[bool | None]:
-    """Tell at which readings there is a warning, None of one that is not judged; `limit` is years a false announcement."""
-    verdicts = judged(table, learned_until_ns, None if limit is None else 1.0 / limit)
-    return [None if v.skipped else v.level.rank >= Level.WARNING.rank for v in verdicts]
-
-
-class _Scores:
-    """The z-scores of a series' later readings, which are judged at any limit: a constant of the module."""
-
-    def __init__(self, table: FeatureTable, learned_until_ns: int) -> None:
-        seen: list[float] = []
-        evidence = _FEATURES._evidence
-
-        def noted(*given: Any) -> Any:
-            found = evidence(*given)
-            seen.append(found[0])
-            return found
-
-        with patch.object(_FEATURES, "_evidence", noted):
-            verdicts = judged(table, learned_until_ns)
-        scores = iter(seen)
-        self.z = [None if v.skipped else next(scores) for v in verdicts]
-
-    def at(self, limit: float | None) -> list[bool | None]:
-        """Tell at which readings there is a warning, None of one that is not judged."""
-        alarm, out = _FEATURES._Alarm(), list[bool | None]()
-        with patch.object(_FEATURES, "_SIGNIFICANCE", _FEATURES._SIGNIFICANCE if limit is None else limit):
-            for z in self.z:
-                alarm = alarm if z is None else alarm.after(z)
-                out.append(None if z is None else alarm.level.rank >= Level.WARNING.rank)
-        return out
+        return sum(v.skipped is not None for v in self.verdicts) if self.verdicts else self.is_changed.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +80,7 @@ class Record:
         return [slice(start, start + size) for start in range(0, n - size + 1, size // HOP)]
 
     def site(self, limit: float | None) -> Configuration:
-        """Form the site's configuration; `limit` is the significance, or years a false announcement."""
+        """Form the site's configuration; `limit` is years a false announcement."""
         return Configuration.model_validate(
             {
                 "structure": {"kind": "modal"},
@@ -145,7 +91,7 @@ class Record:
                     "window_s": self.window_s,
                     "hop_s": self.window_s / HOP,
                 },
-                "alarm": {} if limit is None else {"significance": limit} if _BY_SCORE else {_RATE: 1.0 / limit},
+                "alarm": {} if limit is None else {_RATE: 1.0 / limit},
             }
         )
 
@@ -153,7 +99,7 @@ class Record:
 class Modes:
     """Windows of recordings, judged by `modal`: a baseline of the learned pieces, each later piece replayed."""
 
-    steps, limits = (7, (0.5, 100.0)) if _BY_SCORE else (_RATE_STEPS, _RATE_LIMITS)
+    steps, limits = _RATE_STEPS, _RATE_LIMITS
 
     def __init__(self, record: Record) -> None:
         self.record = record

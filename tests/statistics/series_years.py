@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import BadInputError, Level
-from monitor.damage import FeatureVerdict
-from tests.statistics.product_readings import judged, takes_rate
+from monitor.damage import FeatureVerdict, judge_features
 from tests.support import series
 
 DAYS = 60
@@ -32,7 +31,7 @@ def year(name: str, seed: int, change: float, rate: float) -> dict[str, Any]:
     """Judge a year and the days after it."""
     made = series.years(name, 1.0, seed, change, DAYS)
     try:
-        verdicts = judged(made.table, made.learned_until_ns, rate)
+        verdicts = judge_features(made.table, made.learned_until_ns, false_announcements_per_year=rate)[1]
     except BadInputError as error:
         return {"episodes": 0, "confirmed": 0, "readings": 1, "judged": 0, "delay_h": math.inf, "refused": str(error)}
     healthy = [v for v in verdicts if v.t_ns < made.changed_from_ns]
@@ -86,7 +85,7 @@ def main() -> None:
             if (name, seed) not in made:
                 made[name, seed] = {"name": name, "seed": seed, **year(name, seed, given.change, given.rate)}
                 print(json.dumps(made[name, seed]), file=file, flush=True)
-    print(f"limit: {given.rate:g} a year" if takes_rate() else "limit: the judge's own constant; it takes no rate yet")
+    print(f"limit: {given.rate:g} a year")
     print("\n".join(table([made[key] for key in keys])))
 
 
