@@ -137,7 +137,7 @@ class CrossSpectra:
         n = max(1, round(share * len(self.power)))
         i, j = np.tril_indices(self.power.shape[1], -1)
         size = np.maximum(self.power[:n].sum(axis=0), np.finfo(float).tiny)
-        return type(self)(self.power[:n] / size, self.cross[:n] / np.sqrt(size[i] * size[j]))
+        return type(self)(self.power[:n] / size, self.cross[:n] / (np.sqrt(size[i]) * np.sqrt(size[j])))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -30,19 +30,20 @@ from scipy.stats import f as fisher, rankdata, t as student
 from monitor.core import Array, Level, OnProgress, Skipped, Step
 from monitor.damage.healthy_series import FOLDS, FeatureModel, Left, correlation_time, lagged, learn
 
-_STRETCHES = (1, 8, 16, 32, 64, 128, 256)
+_LENGTHS = (1, 8, 16, 32, 64, 128, 256)
 """Readings over which what is left is averaged. [readings; judgement: one, and powers of two whose middle half is not moved by
 two outliers]"""
 _IN_A_ROW = 4
 """Readings in a row by which single ones confirm a change. [readings; convention: control charts; outliers of 1 % are so once in
 100 million]"""
 FALSE_ANNOUNCEMENTS_PER_YEAR = 0.1
-"""False announcements that are allowed. [1/year; convention: that of a site, ``[alarm]``]"""
+"""False announcements that are allowed. [1/year; convention: as of a site]"""
 _TRUSTED = 8
 """Episodes that the probability of the tests counts as, beside those of the healthy time. [1; judgement: a mean that is right
 within a factor of 1.4]"""
 _YEAR_NS = 365.25 * 86400e9
-_SURE = 0.05
+"""A year. [ns; definition]"""
+_OVER = 0.05
 """Chance at which what an announcement began with may be over. [1; convention: 95 %]"""
 
 
@@ -221,7 +222,7 @@ def _judge(
             level = Level.WARNING if is_confirmed else Level.ADVISORY
         else:
             # An announcement ends when readings in a row surely say less than it began with.
-            over = over + 1 if confirmed < judge.least_years * _SURE else 0
+            over = over + 1 if confirmed < judge.least_years * _OVER else 0
             level = Level.NORMAL if over >= _IN_A_ROW or level is Level.ADVISORY else level
         changed, reason = tuple[str, ...](), "no significant change"
         if level is not Level.NORMAL:
@@ -302,7 +303,7 @@ def _learn_looks(t_ns: NDArray[np.int64], left: Left) -> tuple[Look, ...]:
     """Learn the scatter of means of healthy readings, and how often they reach an evidence by what the other parts taught."""
     years, looks = float(t_ns[-1] - t_ns[0]) / _YEAR_NS, []
     everything = np.ones(len(t_ns), dtype=bool)
-    for m in _STRETCHES:
+    for m in _LENGTHS:
         means = _means(left, m)
         if 2 * FOLDS * m > len(t_ns) or (scatter := _scatter(means, everything)) is None:
             continue

@@ -34,9 +34,9 @@ LAGS_H = (0.0, 3.0, 6.0, 12.0, 24.0, 48.0)
 """First-order lags that are tried. [h; judgement: air to steel deck, and to thick concrete]"""
 FOLDS = 8
 """Parts of the healthy time that are left out of the learning in turn. [1; convention: cross-validation by 5 to 10 folds]"""
-_LEAST = 20
+_LEAST_READINGS = 20
 """Fewest healthy readings from which a feature is learned. [readings; judgement: two or three of each fold]"""
-_STEPS = 8
+_BEND_STEPS = 8
 """Steps between bends over the learned range of a covariate, and as many beyond it. [1; judgement: finer steps of as much prior
 variance give the same law]"""
 _FROST_PER_K = 0.01
@@ -70,8 +70,8 @@ class Covariate:
     def parts(self, values: Annotated[Array, "w"]) -> tuple[Array, ...]:
         """Compute the straight part (w, 1), the bends (w, b), and, where there may be frost, the bend at 0 (w, 1)."""
         low, high = self.range
-        step = (high - low) / _STEPS
-        knots = low + step * np.arange(-_STEPS // 2, _STEPS + _STEPS // 2 + 1)
+        step = (high - low) / _BEND_STEPS
+        knots = low + step * np.arange(-_BEND_STEPS // 2, _BEND_STEPS + _BEND_STEPS // 2 + 1)
         rising, falling = knots[knots >= self.mean], knots[knots < self.mean]
         column = values[:, None]
         bends = np.hstack([np.maximum(column - rising, 0.0), np.maximum(falling - column, 0.0)])
@@ -204,8 +204,8 @@ def learn(
     Raises BadInputError if there are too few readings, or most are the same number.
     """
     rows = np.flatnonzero(np.isfinite(values))
-    if rows.size < _LEAST:
-        raise BadInputError(f"feature {name!r}: {rows.size} healthy readings, at least {_LEAST} are needed")
+    if rows.size < _LEAST_READINGS:
+        raise BadInputError(f"feature {name!r}: {rows.size} healthy readings, at least {_LEAST_READINGS} are needed")
     log = bool((values[rows] > 0.0).all())
     y = _scaled(values[rows], log=log)
     size = NORMAL_MAD * float(np.median(np.abs(y - np.median(y))))
@@ -356,11 +356,11 @@ def _fit(x: Annotated[Array, "w k"], y: Annotated[Array, "w"], certainty: Annota
         if done:
             break
     each = prior[basis.groups]
-    covariance = np.asarray(np.linalg.inv(information + np.diag(1.0 / each)), dtype=float)
+    covariance = np.linalg.inv(information + np.diag(1.0 / each))
     mean = covariance @ moment
     root = np.sqrt(each)
     evidence = moment @ mean - np.linalg.slogdet(np.eye(each.size) + root[:, None] * information * root)[1]
-    return _Fit(mean, covariance, each, 0.5 * float(evidence))
+    return _Fit(mean, np.asarray(covariance, dtype=float), each, 0.5 * float(evidence))
 
 
 def _left_out(
