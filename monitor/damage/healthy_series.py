@@ -49,7 +49,7 @@ _LOG_SQUARE = (-(np.euler_gamma + np.log(2.0)), 0.5 * np.pi**2)
 """Mean and variance of the logarithm of the square of a normal number. [1; definition]"""
 _TAILS = (2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 30.0, 100.0)
 """Degrees of freedom that are tried for the tails. [1; convention: from the least with a variance to nearly normal]"""
-_LEAST_PRIOR, _MOST_PRIOR = 1e-12, 1e4
+_PRIORS = (1e-12, 1e4)
 """Range of a prior variance over the variance of the readings. [ratio; rounding]"""
 
 
@@ -338,7 +338,7 @@ def _fit(x: Annotated[Array, "w k"], y: Annotated[Array, "w"], certainty: Annota
     weighted = x * certainty[:, None]
     information, moment = weighted.T @ x, weighted.T @ y
     total = float(np.average((y - np.average(y, weights=certainty)) ** 2, weights=certainty))
-    low, high = _LEAST_PRIOR * total, _MOST_PRIOR * max(total, float(np.average(y, weights=certainty)) ** 2)
+    low, high = _PRIORS[0] * total, _PRIORS[1] * max(total, float(np.average(y, weights=certainty)) ** 2)
     prior = np.full(int(basis.groups.max()) + 1, total)
     for group, value in basis.fixed.items():
         prior[group] = min(value, high)

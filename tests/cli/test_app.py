@@ -677,7 +677,9 @@ def bare(command: Callable[..., None]) -> list[str]:
     hints, words = get_type_hints(command, include_extras=True), []
     for name, parameter in inspect.signature(command).parameters.items():
         if parameter.default is parameter.empty:
-            words += ["1"] if isinstance(hints[name].__metadata__[0], ArgumentInfo) else [f"--{name}", "1"]
+            info = hints[name].__metadata__[0]
+            option = next(iter(info.param_decls or ()), f"--{name.replace('_', '-')}")
+            words += ["1"] if isinstance(info, ArgumentInfo) else [option, "1"]
     return words
 
 
@@ -702,6 +704,7 @@ def test_numbers_that_are_not_finite_or_absurd_are_wrong_usage(
 def test_every_command_with_such_numbers_is_among_them() -> None:
     assert {option for _, option in FLOATS} == {
         "--duration", "--noise", "--rate", "--level-spread", "--shelve", "--every", "--gap", "--scale", "--mass-kg",
+        "--false-announcements-per-year",
     }  # fmt: skip
 
 

@@ -70,7 +70,7 @@ def test_a_refused_series_and_records_without_a_baseline_are_not_judged() -> Non
 
 def test_a_limit_is_moved_until_as_many_healthy_readings_are_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     t_ns = np.arange(6)
-    in_years = [2.0, 0.1, 0.1, 100.0, 0.5]
+    in_years = [2.0, 0.1, 0.1, 100.0, 3.0]
 
     def judge_features(table: FeatureTable, until_ns: int) -> tuple[None, list[FeatureVerdict]]:
         levels = [Level.WARNING if years > 10.0 else Level.NORMAL for years in in_years]
@@ -80,7 +80,7 @@ def test_a_limit_is_moved_until_as_many_healthy_readings_are_announced(monkeypat
     judge = Features(FeatureTable(t_ns, {}, {}), 0, np.arange(5) >= 3)
     assert told(judge) == Told(0, 3, 1, 2, 0, 1.0)
     moved = told(judge, limit_of(judge, Told(1, 3, 0, 2, 0, NEVER)))
-    assert moved.false == 1 and moved.found == 1
+    assert (moved.false, moved.found) == (1, 2)
 
 
 def test_frequencies_fall_by_what_is_put_in() -> None:
