@@ -87,7 +87,7 @@ def compare(
     """
     paths = [first, second, *healthy]
     if len({path.is_dir() for path in paths}) > 1:
-        raise BadInputError(f"{', '.join(map(str, paths))}: compare recordings, or folders of results")
+        raise BadInputError(f"{', '.join(map(str, paths))}: compare two recordings, or two folders of results")
     if first.is_dir() and (given := options.given()):
         raise BadInputError(f"{first}: is a folder of results: leave {', '.join(given)} out")
     ready = {path: are_recordings([path]) for path in paths if not path.is_dir()}
@@ -110,7 +110,7 @@ def compare(
     blocks = [side.cut(block_s) for side in sides]
     matches = [match(sides[0].modes, side.modes) for side in sides[1:]]
     pairs = matches[0]
-    answer = _answer(sides, [_thinned(own) for own in blocks], matches, block_s)
+    answer = _answer(sides, blocks, matches, block_s)
     a, b = (_Cut(side, own, side.left_out(own)) for side, own in zip(sides[:2], blocks[:2], strict=True))
     scatter = partial(_between, matches[1:], sides[2:])
     tests = [
@@ -154,23 +154,23 @@ def _tell_of(path: Path, on_progress: OnProgress, step: Step) -> None:
 
 
 def _block_s(sides: Sequence[Side]) -> float:
-    """Choose the length of the blocks: the longest of which each side holds enough, and no less than ten decay times.
+    """Choose the length of the blocks: the longest of which each side holds enough.
 
-    The decay time is the longer one of the lowest modes of A and B.
+    Where blocks are permuted it is no less than ten decay times of the lowest mode, the longer one of A and B.  Beside healthy
+    records each record counts as a whole.
     """
 
     def longest(lengths_s: Sequence[float]) -> float:
         lengths = (length / k for length in lengths_s for k in range(1, _BLOCKS + 1))
         return max(s for s in lengths if sum(int(length / s + 1e-9) for length in lengths_s) >= _BLOCKS)
 
-    decay_s = max(side.decay_s for side in sides[:2])
+    decay_s = max(side.decay_s for side in sides) if len(sides) == 2 else 0.0
     return max(_DECAYS * decay_s, min(longest(side.lengths_s) for side in sides))
 
 
-def _thinned(blocks: list[Any]) -> list[Any]:
-    """Take of many blocks twice as many as the shorter side has, evenly: the others would hardly add to the answer."""
-    most = 2 * _BLOCKS
-    return [blocks[k * len(blocks) // most] for k in range(most)] if len(blocks) > most else blocks
+def _thinned(blocks: Sequence[Any], most: int) -> list[Any]:
+    """Take so many blocks at most, evenly."""
+    return [blocks[k * len(blocks) // most] for k in range(most)] if len(blocks) > most else list(blocks)
 
 
 def _describe(sides: Sequence[Any], blocks: Sequence[Any], matches: Sequence[dict[int, int]]) -> list[Array]:
@@ -196,14 +196,14 @@ def _answer(
         )
     if 0 < n_healthy < _LEAST_HEALTHY:
         return _Answer(None, f"{n_healthy} healthy records show no scatter; give {_LEAST_HEALTHY} or more")
-    parts = _describe(sides, blocks, matches)
+    # As many of each record beside healthy ones; else of the longer side no more than still add to the answer.
+    most = min(counts) if n_healthy else 2 * _BLOCKS
+    parts = _describe(sides, [_thinned(own, most) for own in blocks], matches)
     if not parts:
         return _Answer(None, "no mode is found on both sides")
     if not n_healthy:
-        return _Answer(permute(parts, counts[0]))
-    begins, length = np.concatenate([[0], np.cumsum(counts)[:-1]]), min(counts)
-    whole = np.concatenate(parts, axis=1)
-    means = np.sqrt(length) * np.array([whole[k : k + length].mean(axis=0) for k in begins])
+        return _Answer(permute(parts, min(counts[0], most)))
+    means = np.concatenate(parts, axis=1).reshape(len(sides), most, -1).mean(axis=1) * np.sqrt(most)
     return _Answer(Scatter.of(means[2:]).chance(means[1], means[0]))
 
 

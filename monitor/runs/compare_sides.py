@@ -20,7 +20,7 @@ from monitor.core import (
 )
 from monitor.identification import SelectionSettings, SpectralShape
 from monitor.publish import LookedRecording, read_line, read_lines
-from monitor.runs.look import Stretches, look, mac
+from monitor.runs.look import LEAST_SAMPLES, Stretches, look, mac, too_short
 from monitor.runs.readers import Options, as_recordings
 from monitor.runs.recordings import OnWarning
 
@@ -115,15 +115,13 @@ class Recorded:
     def read(cls, path: Path, options: Options, on_warning: OnWarning, on_progress: OnProgress) -> Recorded:
         """Read it, and look for its modes (errors as `look`)."""
         # That no unit is stated is a doubt of `look`, and no warning.
-        options, modes, influence, reason = replace(options, unknown_start_ns=0), list[Mode](), list[Array](), ""
+        options, modes, influence = replace(options, unknown_start_ns=0), list[Mode](), list[Array]()
         with as_recordings([path], options, on_warning, ask_unit=lambda _: "m/s^2") as recordings:
             samples = Stretches.of(recordings, on_warning, lambda _: None)
-            try:
-                found = look(recordings, on_progress=on_progress)
-            except BadInputError as error:  # it can be read, and is too short to state modes
-                reason = str(error).replace(str(recordings[0]), str(path))
-            else:
-                modes, influence = _of_look(found)
+            longest = max(map(len, samples.values))
+            reason = too_short(str(path), longest, samples.rate_hz) if longest >= LEAST_SAMPLES else ""
+            if not reason:
+                modes, influence = _of_look(look(recordings, on_progress=on_progress))
                 reason = "" if modes else f"{path}: no modes found"
         return cls(
             str(path), samples.channels, tuple(modes), tuple(influence), reason, samples.rate_hz, samples.values

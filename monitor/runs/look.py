@@ -64,6 +64,8 @@ _LEAST_CYCLES = 100.0
 """Cycles of the lowest mode that is looked for. [count; judgement: its frequency is then known within 1 %]"""
 _LEAST_BLOCKS = 12
 """Blocks from which an uncertainty is estimated. [count; judgement: it is then known within a fifth]"""
+LEAST_SAMPLES = 2 * SsiSettings().block_rows * _LEAST_BLOCKS
+"""Samples of the longest stretch, at least. [count; definition: the lags of the identification in each block]"""
 _SEGMENT_BLOCKS_S = 10.0
 """Length of the blocks from which uncertainties are estimated. [s; as of the pipeline's windows]"""
 _SEGMENT_CYCLES = 100.0
@@ -146,16 +148,13 @@ def _look(
     notes = notes_of(read.rate_hz, read.runs[0].t_ns)
     runs, rate_hz, held = read.each_once()
     longest = max(runs, key=lambda run: len(run.values))
-    if len(longest.values) < 2 * SsiSettings().block_rows * _LEAST_BLOCKS:
+    if len(longest.values) < LEAST_SAMPLES:
         raise BadInputError(
             f"{file_names(paths)}: the longest stretch without a gap has {len(longest.values)} samples, too few to look at; "
-            f"record at least {2 * SsiSettings().block_rows * _LEAST_BLOCKS}"
+            f"record at least {LEAST_SAMPLES}"
         )
-    if len(longest.values) / rate_hz < LEAST_RECORD_S * (1.0 - 1e-9):
-        raise BadInputError(
-            f"{file_names(paths)}: the longest stretch without a gap is {len(longest.values) / rate_hz:.4g} s, "
-            f"too short to state modes; record at least {LEAST_RECORD_S:g} s"
-        )
+    if reason := too_short(file_names(paths), len(longest.values), rate_hz):
+        raise BadInputError(reason)
     duration_s = (runs[-1].t_ns - runs[0].t_ns) * 1e-9 + len(runs[-1].values) / rate_hz
     transforms, design, middles_s = _transforms(runs, rate_hz)
     spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms)
@@ -213,6 +212,16 @@ def _look(
         bands=tuple(bands),
         modes=facts.modes,
         doubts=find_doubts(facts),
+    )
+
+
+def too_short(name: str, samples: int, rate_hz: float) -> str:
+    """Say that the longest stretch of a recording is too short to state modes; nothing where it is not."""
+    if samples / rate_hz >= LEAST_RECORD_S * (1.0 - 1e-9):
+        return ""
+    return (
+        f"{name}: the longest stretch without a gap is {samples / rate_hz:.4g} s, too short to state modes; record at least "
+        f"{LEAST_RECORD_S:g} s"
     )
 
 

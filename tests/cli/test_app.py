@@ -678,7 +678,8 @@ def bare(command: Callable[..., None]) -> list[str]:
     for name, parameter in inspect.signature(command).parameters.items():
         if parameter.default is parameter.empty:
             info = hints[name].__metadata__[0]
-            option = next(iter(info.param_decls or ()), f"--{name.replace('_', '-')}")
+            declared = [text for text in (info.default, *(info.param_decls or ())) if str(text).startswith("--")]
+            option = next(iter(declared), f"--{name.replace('_', '-')}")
             words += ["1"] if isinstance(info, ArgumentInfo) else [option, "1"]
     return words
 
