@@ -88,8 +88,9 @@ def step(
     together = None if law is None else law.together(settings.compensation.unevenness)
     beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
     p = settings.processing
-    limit = settings.alarm.limit(alarm.tests_of(reading, beside_others=together is None), p.window_s, p.hop_s)
-    shown_std = settings.alarm.alarm_loss / limit  # with which a loss that is an `alarm` is just announced
+    tests = alarm.tests_of(reading, beside_others=together is None)
+    # With which a loss that is an `alarm` is just announced.
+    shown_std = settings.alarm.alarm_loss / settings.alarm.limit(tests, p.window_s, p.hop_s)
     reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, shown_std))
     alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm, together, quantities.parts)
     learning, history = memory.learning, alarms.history
@@ -99,7 +100,7 @@ def step(
         learning = _learn(learning, reading, covariates, t_end_ns, settings.compensation.unevenness, normal=is_normal)
     if together is not None and beside is not None:
         reading, history = together.take_out(reading, beside), history.left_by_others(together, beside)
-    detectable = smallest_detectable_loss(reading, history, p.hop_s, settings.alarm, limit)
+    detectable = smallest_detectable_loss(reading, history, settings.alarm, tests)
     verdict = _named(verdict, quantities)
     judged = Judged(found.modes, reading, found.stiffness, alarm=verdict, detectable_loss=detectable)
     return Memory(alarms, learning), judged
