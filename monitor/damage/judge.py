@@ -98,7 +98,8 @@ def step(
     together = None if law is None else law.together(settings.compensation.unevenness)
     beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
     p = settings.processing
-    limit = settings.alarm.limit(alarm.tests_of(reading, beside_others=together is None), p.window_s, p.hop_s)
+    tests = alarm.tests_of(reading, beside_others=together is None)
+    limit = settings.alarm.limit(tests, p.window_s, p.hop_s)
     shown_std = settings.alarm.alarm_loss / limit  # with which a loss that is an `alarm` is just announced
     reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, shown_std))
     sightings, more = quantities.beside(memory.sightings, modes, spectra, covariates, view, t_end_ns, settings)
@@ -122,7 +123,7 @@ def step(
         reading, history = together.take_out(reading, beside), history.left_by_others(together, beside)
     detectable = np.full(reading.loss.size, np.inf)
     if is_seen:
-        detectable = smallest_detectable_loss(reading, history, p.hop_s, settings.alarm, limit)
+        detectable = smallest_detectable_loss(reading, history, settings.alarm, tests)
     verdict = _named(verdict, quantities)
     judged = Judged(found.modes, reading, found.stiffness, alarm=verdict, detectable_loss=detectable)
     return Memory(alarms, learning, sightings), judged
