@@ -98,6 +98,7 @@ class ModalBaseline(HealthyModes):
             of_shapes.sum(axis=1) / (shapes**2).sum(axis=1),
             self.presence.absent,
             self.presence.clutter,
+            0.5 / (self.presence.windows + 1.0),
         )
 
 
