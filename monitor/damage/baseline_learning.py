@@ -203,7 +203,7 @@ def learn_modal_baseline(
     kinds = [_Kind(changes(slice(0, m)), compensation, alike=True)]
     kinds += [_Kind(changes(slice(m, None)), _of_shapes(compensation), alike=False)] if c > 1 else []
     scatter = _record_scatter(healthy, kinds)
-    covariance = mean.deviations.T @ mean.deviations + np.diag(scatter.beyond / scatter.records)
+    covariance = scatter.of_mean(mean.deviations.T @ mean.deviations)
     law, shape_law = (*(kind.law(healthy) for kind in kinds), None)[:2]
     return ModalBaseline(
         **_known(mean, covariance, healthy, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi)),
