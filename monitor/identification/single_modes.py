@@ -69,7 +69,7 @@ def _fit(
     bandwidth = 2.0 * damping * hz / bin_hz
     half = max(BELL_PARAMETERS, int(np.ceil(_HALF_BAND * bandwidth)))
     low, high = max(1, centre - half), min(transforms.shape[1] - 1, centre + half)
-    if high - low < 2 * BELL_PARAMETERS - 2:
+    if centre > high or high - low < 2 * BELL_PARAMETERS - 2:
         return Skipped("the peak lies at the edge of the band")
     part = transforms[:, low : high + 1]
     values, vectors = np.linalg.eigh(np.einsum("ska,skb->kab", part, part.conj()) / len(part))  # ascending

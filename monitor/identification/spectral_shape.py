@@ -43,6 +43,8 @@ _TAPERED = 0.1
 """Share of a stretch over which it is faded in and out. [1; convention]"""
 _LEAST_NOISE = 1e-9
 """Variance of the noise added to a channel's, over the channel's. [1; rounding]"""
+_DOUBT = 0.05
+"""Probability that T2 scatters less than is taken for sure. [1; convention]"""
 MOST_LABELS = 2000
 """Most ways to permute the labels; where there are no more, all are taken. [count; cost: 5 % within half a percent]"""
 
@@ -252,8 +254,8 @@ class Scatter:
     replayed_t2: float
     """Mean T2 of each description by the scatter of the others, or of other records: that of a further one."""
     dof: float
-    """Directions, as many as vary alike, over which the descriptions scatter, or fewer where their T2 scatter more: degrees of
-    freedom of a T2."""
+    """Degrees of freedom of a T2: directions, as many as vary alike, over which the descriptions scatter; fewer where T2 surely
+    scatters more than that."""
     replayed_dof: float
     """Degrees of freedom of `replayed_t2`: as many for each record but one."""
 
@@ -263,6 +265,8 @@ class Scatter:
 
         Descriptions of one record are then left out together: what makes records differ is in the limit.
         """
+        from scipy.special import chdtri  # takes a while to load
+
         m, p = descriptions.shape
         number = np.arange(m) if records is None else np.asarray(records)
         mean = descriptions.mean(axis=0)
@@ -274,9 +278,9 @@ class Scatter:
             replayed += [_whiten(left, len(others) - 1, deviation, p) for deviation in deviations]
         products = np.array(replayed) @ np.transpose(replayed)
         size = float(np.trace(products)) / m
-        # Of Gaussian descriptions both are the same; those that scatter now more, now less, have a T2 of longer tails.
-        alike = max(float((products[~np.eye(m, dtype=bool)] ** 2).mean()), 0.5 * float(products.diagonal().var(ddof=1)))
-        dof = max(1.0, size**2 / max(alike, np.finfo(float).tiny))
+        alike = float((products[~np.eye(m, dtype=bool)] ** 2).mean())
+        surely = float(np.diag(products).var()) * m / chdtri(m - 1.0, _DOUBT)
+        dof = max(1.0, size**2 / max(alike, 0.5 * surely, np.finfo(float).tiny))
         return cls(descriptions - mean, mean, size, dof, (len(np.unique(number)) - 1) * dof)
 
     def t2(self, deviation: Annotated[Array, "p"]) -> float:

@@ -83,7 +83,7 @@ def compare(
     """
     paths = [first, second, *healthy]
     if len({path.is_dir() for path in paths}) > 1:
-        raise BadInputError(f"{', '.join(map(str, paths))}: compare recordings, or folders of results")
+        raise BadInputError(f"{', '.join(map(str, paths))}: compare two recordings, or two folders of results")
     sides: list[Side] = [
         Results.read(path) if path.is_dir() else Recorded.read(path, on_warning, partial(_tell_of, path, on_progress))
         for path in paths
@@ -98,7 +98,7 @@ def compare(
     blocks = [side.cut(block_s) for side in sides]
     matches = [match(sides[0].modes, side.modes) for side in sides[1:]]
     pairs = matches[0]
-    answer = _answer(sides, [_thinned(own) for own in blocks], matches, block_s)
+    answer = _answer(sides, blocks, matches, block_s)
     a, b = (_Cut(side, own, side.left_out(own)) for side, own in zip(sides[:2], blocks[:2], strict=True))
     scatter = partial(_between, matches[1:], sides[2:])
     tests = [
@@ -106,8 +106,10 @@ def compare(
         for number, (i, j) in enumerate(sorted(pairs.items()), start=1)
         for one in _mode_tests(f"mode {number}: ", a, b, i, j, scatter)
     ]
-    tests += _value_tests("index", "", *(side.indices(own) for side, own in zip(sides, blocks, strict=True)))
-    levels = _value_tests("level", "dB", *(side.powers(own) for side, own in zip(sides, blocks, strict=True)))
+    levels = []
+    if all(blocks):
+        tests += _value_tests("index", "", *(side.indices(own) for side, own in zip(sides, blocks, strict=True)))
+        levels = _value_tests("level", "dB", *(side.powers(own) for side, own in zip(sides, blocks, strict=True)))
     dof = (len(healthy) - 1) if healthy else len(a.blocks) + len(b.blocks) - 2
     limit, level_limit = _limit(tests, dof), _limit(levels, dof)
     for test in tests:
@@ -140,23 +142,23 @@ def _tell_of(path: Path, on_progress: OnProgress, step: Step) -> None:
 
 
 def _block_s(sides: Sequence[Side]) -> float:
-    """Choose the length of the blocks: the longest of which each side holds enough, and no less than ten decay times.
+    """Choose the length of the blocks: the longest of which each side holds enough.
 
-    The decay time is the longer one of the lowest modes of A and B.
+    Where blocks are permuted it is no less than ten decay times of the lowest mode, the longer one of A and B.  Beside healthy
+    records each record counts as a whole.
     """
 
     def longest(lengths_s: Sequence[float]) -> float:
         lengths = (length / k for length in lengths_s for k in range(1, _BLOCKS + 1))
         return max(s for s in lengths if sum(int(length / s + 1e-9) for length in lengths_s) >= _BLOCKS)
 
-    decay_s = max((side.modes[0].decay_s for side in sides[:2] if side.modes), default=0.0)
+    decay_s = max(side.decay_s for side in sides) if len(sides) == 2 else 0.0
     return max(_DECAYS * decay_s, min(longest(side.lengths_s) for side in sides))
 
 
-def _thinned(blocks: list[Any]) -> list[Any]:
-    """Take of many blocks twice as many as the shorter side has, evenly: the others would hardly add to the answer."""
-    most = 2 * _BLOCKS
-    return [blocks[k * len(blocks) // most] for k in range(most)] if len(blocks) > most else blocks
+def _thinned(blocks: Sequence[Any], most: int) -> list[Any]:
+    """Take so many blocks at most, evenly."""
+    return [blocks[k * len(blocks) // most] for k in range(most)] if len(blocks) > most else list(blocks)
 
 
 def _describe(sides: Sequence[Any], blocks: Sequence[Any], matches: Sequence[dict[int, int]]) -> list[Array]:
@@ -182,14 +184,14 @@ def _answer(
         )
     if 0 < n_healthy < _LEAST_HEALTHY:
         return _Answer(None, f"{n_healthy} healthy records show no scatter; give {_LEAST_HEALTHY} or more")
-    parts = _describe(sides, blocks, matches)
+    # As many of each record beside healthy ones; else of the longer side no more than still add to the answer.
+    most = min(counts) if n_healthy else 2 * _BLOCKS
+    parts = _describe(sides, [_thinned(own, most) for own in blocks], matches)
     if not parts:
         return _Answer(None, "no mode is found on both sides")
     if not n_healthy:
-        return _Answer(permute(parts, counts[0]))
-    begins, length = np.concatenate([[0], np.cumsum(counts)[:-1]]), min(counts)
-    whole = np.concatenate(parts, axis=1)
-    means = np.sqrt(length) * np.array([whole[k : k + length].mean(axis=0) for k in begins])
+        return _Answer(permute(parts, min(counts[0], most)))
+    means = np.concatenate(parts, axis=1).reshape(len(sides), most, -1).mean(axis=1) * np.sqrt(most)
     return _Answer(Scatter.of(means[2:]).chance(means[1], means[0]))
 
 

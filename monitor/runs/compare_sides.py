@@ -62,6 +62,10 @@ class Side(Protocol):
         """Why there are none; empty where there are."""
 
     @property
+    def decay_s(self) -> float:
+        """Time in which the free motion of the lowest mode falls to 1/e, s; without modes what the spectrum shows of it."""
+
+    @property
     def lengths_s(self) -> tuple[float, ...]:
         """Lengths of its stretches without a gap."""
 
@@ -124,6 +128,17 @@ class Recorded:
         return cls(
             str(path), samples.channels, tuple(modes), tuple(influence), reason, samples.rate_hz, samples.values
         )  # fmt: skip
+
+    @property
+    def decay_s(self) -> float:
+        """Decay time of the lowest mode; without modes that of one mode whose spectrum would be as narrow."""
+        if self.modes:
+            return self.modes[0].decay_s
+        run = max(self.values, key=len)
+        power = np.abs(np.fft.rfft(run - run.mean(axis=0), axis=0)) ** 2
+        # The squared correlation of one mode has the integral tau / 2; the periodogram's scatter doubles its mean square.
+        narrow = 0.5 * (power**2).sum(axis=0) / np.maximum(power.sum(axis=0) ** 2, np.finfo(float).tiny)
+        return float(len(run) / self.rate_hz * narrow.max())
 
     @property
     def lengths_s(self) -> tuple[float, ...]:
@@ -215,6 +230,11 @@ class Results:
         """Read it; BadInputError or MissingInputError where no window has modes."""
         lines = _windows_with_modes(folder / _RESULTS)
         return cls(str(folder), (), _modes_of_lines(lines), "", tuple(lines))
+
+    @property
+    def decay_s(self) -> float:
+        """Decay time of the lowest mode."""
+        return self.modes[0].decay_s
 
     @property
     def lengths_s(self) -> tuple[float, ...]:

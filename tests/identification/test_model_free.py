@@ -50,3 +50,14 @@ def test_the_second_opinion_does_not_rest_on_the_first() -> None:
         assert not isinstance(a, Skipped)
         assert not isinstance(b, Skipped)
         assert abs(a.frequency_hz - b.frequency_hz) < a.frequency_std_hz
+
+
+def test_a_mode_beyond_the_band_has_no_second_opinion() -> None:
+    """A refined mode of much damping may lie there: its band reaches far into the transforms, its peak does not."""
+    rng = np.random.default_rng(0)
+    hz, shapes = shear_frame(3, rng)
+    window, modes = identified(response(hz, shapes, 0.01, 120.0, rng))
+    assert isinstance(modes, ModalEstimate)
+    beyond = replace(modes, frequencies_hz=modes.frequencies_hz + 60.0, damping_ratio=modes.damping_ratio + 0.05)
+    second = fit_single_modes(window.segments, window.segment_bin_hz, beyond)
+    assert all(isinstance(one, Skipped) and "edge of the band" in one.reason for one in second)

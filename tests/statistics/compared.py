@@ -81,14 +81,19 @@ def seconds_of(kind: str) -> float:
     return 60.0 / (2.0 * np.pi * LOWEST_HZ * (0.003 if kind == "light" else 0.01))
 
 
+def recorded(path: Path, samples: Array, *, rate_hz: float = RATE_HZ, gaps: tuple[float, ...] = ()) -> Path:
+    """Write a recording; `gaps` are where a second of it is missing, as shares of it."""
+    names = tuple(f"a{i + 1}" for i in range(samples.shape[1]))
+    size = int(rate_hz)
+    blocks = list(cut_into_blocks(ACCELERATION, samples, names, rate_hz, 10**18, size))
+    lost = {int(share * len(blocks)) for share in gaps}
+    return write(path, [block for k, block in enumerate(blocks) if k not in lost])
+
+
 def compared(sides: list[Array]) -> Told:
     """Compare the first two records, with the others as the healthy ones."""
     with tempfile.TemporaryDirectory() as folder:
-        paths = []
-        for k, samples in enumerate(sides):
-            names = tuple(f"a{i + 1}" for i in range(samples.shape[1]))
-            blocks = cut_into_blocks(ACCELERATION, samples, names, RATE_HZ, 10**18, 1000)
-            paths.append(write(Path(folder, f"{k}.mcap"), list(blocks)))
+        paths = [recorded(Path(folder, f"{k}.mcap"), samples) for k, samples in enumerate(sides)]
         content = compare.compare(paths[0], paths[1], healthy=paths[2:])
     tests = [test for test in content["tests"] if test["kind"] != "level"]
     return Told(
