@@ -89,7 +89,7 @@ class ModalBaseline(HealthyModes):
     @property
     def known(self) -> KnownModes:
         """The modes as the channels show them, and how healthy windows showed them."""
-        shapes, variance = self.shapes, self.scatter.stated + self.scatter.beyond
+        shapes, variance = self.shapes, self.scatter.total
         of_shapes = np.zeros(shapes.shape)
         of_shapes[self.free] = variance[len(shapes) :]
         return KnownModes(
@@ -98,6 +98,7 @@ class ModalBaseline(HealthyModes):
             of_shapes.sum(axis=1) / (shapes**2).sum(axis=1),
             self.presence.absent,
             self.presence.clutter,
+            0.5 / (self.presence.windows + 1.0),
         )
 
 

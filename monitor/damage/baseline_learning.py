@@ -202,8 +202,12 @@ def learn_modal_baseline(
 
     kinds = [_Kind(changes(slice(0, m)), compensation, alike=True)]
     kinds += [_Kind(changes(slice(m, None)), _of_shapes(compensation), alike=False)] if c > 1 else []
-    scatter = _record_scatter(healthy, kinds)
-    covariance = mean.deviations.T @ mean.deviations + np.diag(scatter.beyond / scatter.records)
+    first = _record_scatter(healthy, kinds)
+    # The laws are as sure as windows really scatter, whatever they state.
+    real = np.split(np.sqrt(first.total / first.stated), [m])
+    kinds = [kind.scaled(by) for kind, by in zip(kinds, real, strict=False)]
+    scatter = _record_scatter(healthy, kinds, first.stated)
+    covariance = scatter.of_mean(mean.deviations.T @ mean.deviations)
     law, shape_law = (*(kind.law(healthy) for kind in kinds), None)[:2]
     return ModalBaseline(
         **_known(mean, covariance, healthy, np.exp(0.5 * mean.z[:m]) / (2.0 * np.pi)),
@@ -226,23 +230,32 @@ class _Kind:
     settings: CovariateSettings
     alike: bool
 
+    def scaled(self, by: Annotated[Array, "n"]) -> _Kind:
+        """Return the changes with other standard deviations."""
+        return replace(self, changes=[replace(one, deviations=one.deviations * by) for one in self.changes])
+
     def law(self, healthy: HealthyData, rows: Iterable[int] | None = None) -> CovariateLaw | None:
         """Learn the dependence on the covariates from all windows, or from some."""
         changes = self.changes if rows is None else [self.changes[k] for k in rows]
         return learn_law(changes, healthy.span_s, healthy.units, self.settings, alike=self.alike)
 
 
-def _record_scatter(healthy: HealthyData, kinds: Sequence[_Kind]) -> RecordScatter:
-    """Learn how windows of other records scatter about what the rest and the laws of the covariates predict."""
+def _record_scatter(healthy: HealthyData, kinds: Sequence[_Kind], stated: Array | None = None) -> RecordScatter:
+    """Learn how windows of other records scatter about what the rest and the laws of the covariates predict.
+
+    The windows state the variance `stated`, by default that of their changes.
+    """
     every = list(zip(*(kind.changes for kind in kinds), strict=True))  # of each window, its changes of each kind
     values = np.array([np.concatenate([np.log1p(one.relative) for one in window]) for window in every])
-    stated = np.mean([np.concatenate([(one.deviations**2).sum(axis=0) for one in window]) for window in every], axis=0)
+    if stated is None:
+        stated = np.mean([np.concatenate([(one.deviations**2).sum(axis=0) for one in w]) for w in every], axis=0)
+    n = stated.size
     ends = np.cumsum([0, *(kind.changes[0].relative.size for kind in kinds)])
     columns = [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     def predict(rest: NDArray[np.intp], left: NDArray[np.intp]) -> tuple[Array, Array]:
         """Predict what is left out from the rest, with the variance that the covariates' laws state."""
-        expected, variance = np.tile(values[rest].mean(axis=0), (left.size, 1)), np.zeros((left.size, stated.size))
+        expected, variance = np.tile(values[rest].mean(axis=0), (left.size, 1)), np.zeros((left.size, n))
         for kind, at in zip(kinds, columns, strict=True):
             law = kind.law(healthy, rest.tolist())
             if law is None:

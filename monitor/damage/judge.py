@@ -103,7 +103,11 @@ def step(
     shown_std = settings.alarm.alarm_loss / limit  # with which a loss that is an `alarm` is just announced
     reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, shown_std))
     sightings, more = quantities.beside(memory.sightings, modes, spectra, covariates, view, t_end_ns, settings)
-    alarms = memory.alarm if more is None else _with_spectrum(memory.alarm, more, t_end_ns, settings, limit)
+    alarms = memory.alarm
+    if more is not None:
+        spacing_s = alarms.history.spacing_ns * 1e-9
+        least_z = settings.alarm.limit(alarm.tests_of(reading, beside_others=together is None), p.window_s, spacing_s)
+        alarms = _with_spectrum(alarms, more, t_end_ns, settings, least_z)
     if isinstance(reading, ModalReading) and more is not None:
         reading = replace(reading, spectrum=more.z)
     is_seen = bool(np.isfinite(reading.loss).any())
@@ -151,7 +155,8 @@ def _with_words(verdict: Alarm, more: Beside, parts: Parts) -> Alarm:
         return verdict
     says = more.says or change_words(SPECTRUM, 0.0, 0.0)
     if parts.unchanged in verdict.reason:
-        return replace(verdict, reason=verdict.reason.replace(parts.unchanged, says + ALONE, 1))
+        says += ALONE if len(verdict.active) == 1 else ""
+        return replace(verdict, reason=verdict.reason.replace(parts.unchanged, says, 1))
     return replace(verdict, reason=f"{verdict.reason}; {says}")
 
 

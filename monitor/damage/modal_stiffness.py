@@ -152,13 +152,13 @@ def _reading(
         seen = observe(replace(modes, weight_factor=None), MODES_ALONE, tuple(healthy.gauges[k] for k in found))
     change, variance = np.full(healthy.z.size, np.nan), np.full(healthy.z.size, np.nan)
     # Few blocks tell a window's own variance badly: it is no less than that of the healthy ones.
-    own = (seen.deviations**2).sum(axis=0)
-    deviations = seen.deviations * np.sqrt(np.fmax(healthy.scatter.stated[rows] / own, 1.0))
+    own, scatter = (seen.deviations**2).sum(axis=0), healthy.scatter
+    deviations = seen.deviations * np.sqrt(np.fmax(scatter.stated[rows] / own, 1.0) * scatter.scale[rows])
     change[rows], variance[rows] = seen.z - healthy.z[rows], (deviations**2).sum(axis=0)
     covariance = np.full((m, m), np.nan)
     influence = deviations[:, : found.size]
     covariance[np.ix_(found, found)] = influence.T @ influence
-    common = healthy.z_covariance + np.diag(healthy.scatter.beyond)
+    common = healthy.z_covariance + np.diag(scatter.beyond)
     common_variance, common = common.diagonal().copy(), common[:m, :m]
     if effect is not None:
         change[:m] -= np.log1p(effect.relative)
@@ -169,8 +169,8 @@ def _reading(
         change[m:] -= np.log1p(of_shapes.relative)
         common_variance[m:] += of_shapes.covariance.diagonal()
     # Of each mode the fewest of its frequency and shape.
-    freedom = healthy.scatter.freedom[:m].copy()
-    np.minimum.at(freedom, np.nonzero(free)[0], healthy.scatter.freedom[m:])
+    freedom = scatter.freedom[:m].copy()
+    np.minimum.at(freedom, np.nonzero(free)[0], scatter.freedom[m:])
     return ModalReading(
         -change[:m],
         covariance + common,

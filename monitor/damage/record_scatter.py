@@ -40,12 +40,24 @@ class RecordScatter:
 
     stated: Annotated[Array, "d"]
     """Mean variance that a healthy window stated."""
+    scale: Annotated[Array, "d"]
+    """What a window's stated variance is to be multiplied by, at most 1: less where windows differ by less than they state."""
     beyond: Annotated[Array, "d"]
     """Variance beyond it, which all windows of a record have in common."""
     freedom: Annotated[Array, "d"]
     """Degrees of freedom of the sum of both; 0 where no second window shared no data with the first."""
     records: int
     """Records that were left out in turn; of one record alone, windows that share no data."""
+
+    @property
+    def total(self) -> Annotated[Array, "d"]:
+        """Variance of a window of another record."""
+        return np.asarray(self.stated * self.scale + self.beyond)
+
+    def of_mean(self, covariance: Annotated[Array, "d d"]) -> Annotated[Array, "d d"]:
+        """Return the covariance of the mean over all windows, from the stated one."""
+        root = np.sqrt(self.scale)
+        return np.asarray(covariance * np.outer(root, root) + np.diag(self.beyond / self.records))
 
 
 def learn_scatter(
@@ -66,7 +78,9 @@ def learn_scatter(
     record = np.asarray(records) if len(set(records)) > 1 else np.arange(ends.size)
     names = np.unique(record[apart])
     if names.size < 2:
-        return RecordScatter(stated, np.zeros_like(stated), np.zeros_like(stated), int(names.size))
+        return RecordScatter(
+            stated, np.ones_like(stated), np.zeros_like(stated), np.zeros_like(stated), int(names.size)
+        )
     left = np.zeros((apart.size, stated.size))
     folds = np.array_split(names, min(_LEFT_OUT, names.size))
     for fold in folds:
@@ -79,7 +93,8 @@ def learn_scatter(
     left /= np.sqrt(1.0 + 1.0 / (names.size * (1.0 - 1.0 / len(folds))))
     ratio, freedom = _ratio(left, np.searchsorted(names, record[apart]), names.size)
     ratio, freedom = _moderated(ratio, freedom, kinds)
-    return RecordScatter(stated, stated * np.maximum(ratio - 1.0, 0.0), freedom, int(names.size))
+    beyond = stated * np.maximum(ratio - 1.0, 0.0)
+    return RecordScatter(stated, np.minimum(ratio, 1.0), beyond, freedom, int(names.size))
 
 
 def _apart(ends: NDArray[np.int64], window_ns: int) -> NDArray[np.intp]:

@@ -1,8 +1,9 @@
 """Which of a window's modes is which of a structure's, by likelihood against what healthy windows taught.
 
-A mode lies where the healthy windows' scatter lets expect it or, as the structure may have changed, anywhere in reach.  Against
-that stands that the mode was not found, and that what lies there is none of the modes known (clutter).  Frequency counts and,
-where there are two channels or more, the shape: one channel sees all shapes alike.
+A mode lies where the healthy windows' scatter lets expect it or, as the structure may have changed, anywhere in reach: a small
+change is as probable as one of twice its size (a uniform density of the logarithm of the change).  Against that stands that the
+mode was not found, and that what lies there is none of the modes known (clutter).  Frequency counts and, where there are two
+channels or more, the shape: one channel sees all shapes alike.
 
 References
 ----------
@@ -27,8 +28,6 @@ from monitor.signals import NORMAL_MAD
 
 _SURE = 19.0
 """Odds from which a mode counts as known. [ratio; convention: 95 percent]"""
-_MOVED = 0.5
-"""Probability that a mode is not as it was, before the window is seen. [1; definition: nothing is known of it]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,6 +44,8 @@ class KnownModes:
     """Probability that a window does not show the mode."""
     clutter: float
     """Modes in a window that are none of these, for each unit of ln f."""
+    changed: float
+    """Probability that a window is the first of a changed structure, which none of the healthy ones was."""
 
     @classmethod
     def of(
@@ -68,6 +69,7 @@ class KnownModes:
             np.array([1.0 - one[:, 1].mean() if len(one) else 0.0 for one in seen]),
             (n - found - 0.5) / n,
             (max(others, 0) + 0.5) / n / spread,
+            0.5 / n,
         )
 
 
@@ -124,13 +126,14 @@ def _ln_odds(
     """Compute ln of the odds that a mode of the window is the known one, against clutter beside a known one that is absent."""
     std = np.hypot(known.ln_f_std, least[0])[:, None]
     healthy = np.exp(-0.5 * (distance / std) ** 2) / (std * np.sqrt(2.0 * np.pi))
-    changed, clutter = np.full_like(distance, 0.5 / reach), np.full_like(distance, known.clutter)
+    changed = 0.5 / (np.maximum(distance, std) * np.log(np.maximum(reach / std, np.e)))
+    clutter = np.full_like(distance, known.clutter)
     if n_channels > 1:
         unlike, mean = np.maximum(1.0 - mac, least[1]), (known.unlikeness + least[1])[:, None]
         healthy *= np.exp(-unlike / mean) / mean
         changed /= 1.0 - least[2]
         clutter *= (n_channels - 1) * unlike ** (n_channels - 2)  # of a shape in any direction
-    shown = (1.0 - _MOVED) * healthy + _MOVED * changed
+    shown = (1.0 - known.changed) * healthy + known.changed * changed
     absent = known.absent[:, None]
     return np.asarray(np.log(np.maximum((1.0 - absent) * shown, 1e-300)) - np.log(absent * clutter))
 

@@ -35,7 +35,7 @@ def test_windows_of_a_record_that_was_not_learned_have_scores_of_students_t(
     for seed in range(400):
         rng = np.random.default_rng(seed)
         scatter, mean = learned(rng, records, windows, between)
-        total = scatter.stated + scatter.beyond * (1.0 + 1.0 / scatter.records) + STATED / (records * windows)
+        total = scatter.total + np.diag(scatter.of_mean(np.diag(STATED / (records * windows))))
         new = (rng.standard_normal(3) * np.sqrt(between) + rng.standard_normal(3)) * np.sqrt(STATED)
         levels.append(t.cdf((new - mean) / np.sqrt(total), scatter.freedom))
     levels = np.array(levels)

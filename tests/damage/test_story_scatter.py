@@ -1,4 +1,4 @@
-"""Stories between records: what healthy ones differ by is in the baseline, and no window of a further one is a loss by it."""
+"""Stories between records: what healthy records differ by is in the baseline, and in the reading of each window."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ REACH, LEAST = float(np.log(1.5)), (0.01, 0.05, 0.5)
 def known(clutter: float = 0.01, absent: float = 0.05, std: float = 0.005) -> KnownModes:
     shapes = np.eye(3)
     return KnownModes(
-        Modes((2.0 * np.pi * HZ) ** 2, shapes), np.full(3, std), np.full(3, 0.01), np.full(3, absent), clutter
+        Modes((2.0 * np.pi * HZ) ** 2, shapes), np.full(3, std), np.full(3, 0.01), np.full(3, absent), clutter, 0.05
     )
 
 
@@ -50,4 +50,4 @@ def test_records_that_scatter_widely_keep_their_modes() -> None:
 def test_with_several_channels_the_shape_decides_beside_clutter(mac: float, is_known: bool) -> None:
     likeness = np.full((3, 1), 0.0)
     likeness[2] = mac
-    assert match([7.6], known(clutter=1.0, absent=0.3), likeness, channels=4) == ({2: 0} if is_known else {})
+    assert match([7.6], known(clutter=0.2, absent=0.1), likeness, channels=4) == ({2: 0} if is_known else {})

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from monitor.core import GAP, BadInputError, Level, WindowResult
-from monitor.damage import ModalBaseline, load_modal_baseline, save_baseline
+from monitor.damage import (
+    Course,
+    Known,
+    ModalBaseline,
+    State,
+    assess,
+    follow,
+    load_modal_baseline,
+    modal_parts,
+    save_baseline,
+)
 from monitor.pipeline import Pipeline
+from monitor.publish import facts_of_line, to_json, window_line
 from monitor.runs.baselines import modal_origin
 from tests.support.scattered import Scattered, calibrated, site, watched
 
@@ -40,14 +52,27 @@ def test_the_baseline_states_how_far_its_records_differ(train: ModalBaseline) ->
     assert (train.scatter.freedom <= 28.0).all(), "two modes, fifteen records"
 
 
-def test_healthy_records_are_not_announced_and_changed_ones_are_confirmed_by_the_second(train: ModalBaseline) -> None:
+def test_healthy_records_are_not_announced_and_changed_ones_are_confirmed_and_told_without_a_size(
+    train: ModalBaseline,
+) -> None:
     assert {w.alarm.level for w in seen(train, 2, 10)} == {Level.NORMAL}
     changed = seen(train, 3, 6, FALLEN)
     assert changed[-1].alarm.level is Level.WARNING
-    assert changed[-1].alarm.reason == (
+    assert all(w.modal is not None for w in changed)
+    alone = next(w for w in changed if w.alarm.active == {5: Level.WARNING})
+    assert alone.alarm.reason == (
         "changed since the baseline: the shape of the spectrum changed; no mode's change tells how"
     )
-    assert all(w.modal is not None for w in changed)
+    line = json.loads(to_json(window_line(alone)))
+    assert line["alarm"]["changed"] == ["the spectrum"]
+    facts = facts_of_line(line)
+    assert facts.losses == {5: (line["spectrum_score"], 1.0, None)}
+    known = Known(modal_parts(2), True, 0.1, 5.0, (0.0, 10.0), n_modes=2)
+    state = assess(follow(Course(), facts, known), known)
+    assert state.state is State.WARNING
+    assert "the spectrum changed, warning since" in state.headline
+    assert state.headline.endswith("no mode's change tells how.")
+    assert "%" not in state.headline, "what cannot be matched has no size"
 
 
 def test_the_baselines_file_holds_scatter_rates_and_spectrum(train: ModalBaseline, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
     .venv/bin/python -m tests.statistics.scattered_records SEEDS [PROPELLER.npz]
 
-Each seed learns from records of one simulated structure and judges others, each by a run of its own: as many healthy ones, and as
+Each seed learns from records of one simulated structure and judges others: as many healthy ones in one run, and in another as
 many in which one mode's frequency is lower.  With a file of `healthy` and `damaged` runs, shape (runs, axes, samples), and their
 `rate_hz`, three of the healthy runs are learned from at a time, and the other two and the damaged ones judged.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from monitor.core import GAP, Array, BadInputError, Level, WindowResult
+from monitor.core import GAP, Array, BadInputError, Level
 from monitor.pipeline import Pipeline
 from tests.support.campaign import words
 from tests.support.scattered import Scattered, calibrated, site, watched
@@ -45,18 +45,14 @@ CASES = {
 """Structure; number and length of the records, length of the windows and time between them; change of each frequency."""
 
 
-def told(pipelines: list[Pipeline], records: list[Array], rate_hz: float) -> str:
-    """Judge records, each by a pipeline of its own, and say how many of them, and of their windows, were announced."""
-    rows = [_windows(pipeline, record, rate_hz) for pipeline, record in zip(pipelines, records, strict=True)]
+def told(pipeline: Pipeline, records: list[Array], rate_hz: float) -> str:
+    """Judge records one after the other, and say in how many of them, and of their windows, something was announced."""
+    rows = watched(pipeline, records, rate_hz)
+    rows = [[w for w in row if w.skipped is None or not w.skipped.reason.startswith(GAP)] for row in rows]
     high = [[w.alarm.level is not Level.NORMAL for w in row] for row in rows]
     skipped = sum(w.skipped is not None for row in rows for w in row)
     n = sum(map(len, rows))
     return f"{sum(map(any, high))} of {len(rows)} records, {sum(map(sum, high))} of {n} windows, {skipped} skipped"
-
-
-def _windows(pipeline: Pipeline, record: Array, rate_hz: float) -> list[WindowResult]:
-    windows = watched(pipeline, [record], rate_hz)[0]
-    return [w for w in windows if w.skipped is None or not w.skipped.reason.startswith(GAP)]
 
 
 def propeller(path: Path) -> None:
@@ -70,7 +66,7 @@ def propeller(path: Path) -> None:
             runs = [run[:, list(axes)] for run in healthy]
             baseline = calibrated([runs[k] for k in learned], config, rate_hz)
             others = [runs[k] for k in range(5) if k not in learned], [run[:, list(axes)] for run in damaged]
-            says = [told([Pipeline(config, baseline) for _ in group], group, rate_hz) for group in others]
+            says = [told(Pipeline(config, baseline), group, rate_hz) for group in others]
             what = f"propeller, runs {learned}, axes {axes}, {window_s:g} s"
             print(f"{what}: healthy {says[0]}; damaged {says[1]}", flush=True)
 
@@ -88,7 +84,7 @@ def main() -> None:
                 print(f"{name}, seed {seed}: {error}", flush=True)
                 continue
             says = [
-                told([Pipeline(config, baseline) for _ in group], group, structure.rate_hz)
+                told(Pipeline(config, baseline), group, structure.rate_hz)
                 for group in (
                     structure.records(n, seconds, 500 + seed),
                     structure.records(n, seconds, 900 + seed, change),

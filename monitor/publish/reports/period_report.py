@@ -19,7 +19,19 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from monitor.core import WHOLE, AlarmCondition, BadInputError, Level, Skipped
-from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, State, advice, assess, diagnosis_of, is_seen
+from monitor.damage import (
+    SPECTRUM,
+    Assessment,
+    Course,
+    Known,
+    LearnedRange,
+    Loss,
+    State,
+    advice,
+    assess,
+    diagnosis_of,
+    is_seen,
+)
 from monitor.events import Event, EventAlarm
 from monitor.publish.page.charts import Chart
 from monitor.publish.page.sheet import Link, Sheet
@@ -217,7 +229,7 @@ def _standing(period: Period) -> list[Loss]:
     """List the alarms that last, the gravest first, each with the level that it has now where the page is live."""
     now = period.course.judged.active if period.live is not None and period.course.judged is not None else {}
     lasting = (replace(a, level=now.get(a.story, a.level)) for a in period.course.losses if a.t_last_ns is None)
-    return sorted(lasting, key=lambda a: (-a.level.rank, -abs(a.ddi)))
+    return sorted(lasting, key=lambda a: (-a.level.rank, _name(a.story, period) == SPECTRUM, -abs(a.ddi)))
 
 
 def _since(alarm: Loss) -> int:
@@ -456,8 +468,9 @@ def _alarms(page: Sheet, period: Period) -> None:
         actions = actions or ("nobody yet" if period.live is None else _UNKNOWN)
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
         diagnosis = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
-        size = f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"
-        rows.append((e.level, _name(e.story, period), utc(e.t_first_ns), ended, size, diagnosis, actions))
+        where, size = _name(e.story, period), f"{100 * e.ddi:.2f} ± {200 * e.ddi_std:.2f} %"
+        size = _UNKNOWN if where == SPECTRUM else size  # which changes by no size
+        rows.append((e.level, where, utc(e.t_first_ns), ended, size, diagnosis, actions))
     began = {event.id: utc(event.begin_ns) for event in period.events}
     for alarm in period.event_alarms:
         seen = "nobody yet" if alarm.unacknowledged else f"by {alarm.acknowledged_by}"
