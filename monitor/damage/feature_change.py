@@ -34,13 +34,12 @@ _LENGTHS = (1, 8, 16, 32, 64, 128, 256)
 """Readings over which what is left is averaged. [readings; judgement: one, and powers of two whose middle half is not moved by
 two outliers]"""
 _IN_A_ROW = 4
-"""Readings in a row by which single ones confirm a change. [readings; convention: control charts; outliers of 1 % are so once in
-100 million]"""
+"""Readings in a row that confirm a change. [readings; convention: control charts; outliers of 1 % are so once in 100 million]"""
 FALSE_ANNOUNCEMENTS_PER_YEAR = 0.1
 """False announcements that are allowed. [1/year; convention: as of a site]"""
-_TRUSTED = 8
-"""Episodes that the probability of the tests counts as, beside those of the healthy time. [1; judgement: a mean that is right
-within a factor of 1.4]"""
+_TRUSTED = 2
+"""Episodes that the chance of the tests counts as, beside those of the healthy time. [1; judgement: a mean that is right within a
+factor of 2; one alone leaves nothing to be found after 6 days, eight announced half a day of a healthy mast's 9]"""
 _YEAR_NS = 365.25 * 86400e9
 """A year. [ns; definition]"""
 _OVER = 0.05
@@ -148,8 +147,8 @@ class Look:
 
     @property
     def confirms(self) -> bool:
-        """Whether more than one reading says so."""
-        return self.scatter.m * self.in_a_row > 1
+        """Whether readings in a row say so."""
+        return self.in_a_row > 1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -307,13 +306,18 @@ def _learn_looks(t_ns: NDArray[np.int64], left: Left) -> tuple[Look, ...]:
         means = _means(left, m)
         if 2 * FOLDS * m > len(t_ns) or (scatter := _scatter(means, everything)) is None:
             continue
-        for in_a_row in (1, _IN_A_ROW) if m == 1 else (1,):
+        for in_a_row in (1, _IN_A_ROW) if m == 1 else (_IN_A_ROW,):
             evidence = np.zeros(len(t_ns))
             for part in np.array_split(np.arange(len(t_ns)), FOLDS):
                 rest = everything.copy()
                 rest[part] = False
                 evidence[part] = _evidence(_scatter(means, rest) or scatter, means, in_a_row)[0][part]
-            looks.append(Look(scatter, in_a_row, _rate(evidence, m * in_a_row, years)))
+            looks.append(Look(scatter, in_a_row, _rate(evidence, m + in_a_row - 1, years)))
+    if not looks:
+        raise BadInputError(
+            f"too few of the {len(t_ns)} healthy rows are independent of each other to learn how {left.residual.shape[1]} "
+            "features scatter"
+        )
     return tuple(looks)
 
 

@@ -155,8 +155,9 @@ class FeatureModel:
         return Left(_scaled(values, log=self.log) - expected, self.variance(x), law)
 
     def variance(self, x: Annotated[Array, "w k"]) -> Annotated[Array, "w"]:
-        """Compute the variance of a reading about the law at values of the functions."""
-        return np.asarray(np.exp(np.clip(np.nan_to_num(x) @ self.scatter.mean, *self.scatter_range)))
+        """Compute the variance of a reading about the law at values of the functions, the larger the less its own law is known."""
+        ln, error = self.scatter.predict(x, self.basis.spread)
+        return np.asarray(np.exp(np.clip(ln, *self.scatter_range) + 0.5 * error))
 
     def confounded(self, limit: float = 0.8) -> list[tuple[str, str, float]]:
         """List the pairs of covariates whose changes over the learned ranges are correlated beyond a limit, with it."""
