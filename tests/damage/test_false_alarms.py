@@ -7,13 +7,12 @@ import pytest
 
 from monitor.core import DamageReading, Level
 from monitor.damage import AlarmSettings, alarm, sequential_test
-from tests.damage.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S, evidence, ideal
+from tests.damage.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S, evidence, ideal, limit
 from tests.statistics.alarms import (
     THRESHOLD,
     delay,
     detection,
     false_alarms,
-    limit,
     ramp,
     raw_baseline,
     raw_detection,
