@@ -86,7 +86,7 @@ class _Band:
         scores = np.array([_correlation(e * y.conj(), order)[1:] for e, y in zip(errors.T, x.T, strict=True)])
         white = np.einsum("cij,cj->ci", self.whitening, scores)
         i, j = np.tril_indices(x.shape[1], -1)
-        between = np.einsum("fc,fc->c", errors[:, i], errors[:, j].conj()).real
+        between = (errors.T @ errors.conj()).real[i, j]
         limit = 1.0 - _LEAST_NOISE  # of channels that are copies
         between = np.arctanh(np.clip(between, -limit, limit))
         return np.asarray(np.sqrt(2.0 * n) * np.concatenate([white.ravel(), between]))
