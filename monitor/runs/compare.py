@@ -60,10 +60,9 @@ class _Answer:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Cut:
-    """A side in blocks, and what is found of it without each of them."""
+    """A side, and what is found of it without each of its blocks."""
 
     side: Side
-    blocks: list[Any]
     left_out: list[dict[int, Mode]]
     """Modes by the number of the same mode of the whole, one entry a block that is left out."""
 
@@ -111,18 +110,8 @@ def compare(
     matches = [match(sides[0].modes, side.modes) for side in sides[1:]]
     pairs = matches[0]
     answer = _answer(sides, blocks, matches, block_s)
-    a, b = (_Cut(side, own, side.left_out(own)) for side, own in zip(sides[:2], blocks[:2], strict=True))
-    scatter = partial(_between, matches[1:], sides[2:])
-    tests = [
-        one
-        for number, (i, j) in enumerate(sorted(pairs.items()), start=1)
-        for one in _mode_tests(f"mode {number}: ", a, b, i, j, scatter)
-    ]
-    levels = []
-    if all(blocks):
-        tests += _value_tests("index", "", *(side.indices(own) for side, own in zip(sides, blocks, strict=True)))
-        levels = _value_tests("level", "dB", *(side.powers(own) for side, own in zip(sides, blocks, strict=True)))
-    dof = (len(healthy) - 1) if healthy else len(a.blocks) + len(b.blocks) - 2
+    tests, levels = _tests(sides, blocks, matches)
+    dof = len(healthy) - 1 if healthy else len(blocks[0]) + len(blocks[1]) - 2
     limit, level_limit = _limit(tests, dof), _limit(levels, dof)
     for test in tests:
         test["significant"] = bool(answer.differs and abs(test["z"]) > limit)
@@ -146,6 +135,23 @@ def compare(
         "significant": sum(test["significant"] for test in tests + levels),
     }
     return content | {"answer": _sentence(content)}
+
+
+def _tests(
+    sides: Sequence[Side], blocks: Sequence[list[Any]], matches: Sequence[dict[int, int]]
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Test what A and B both have: modes and damage indices, and levels."""
+    a, b = (_Cut(side, side.left_out(own)) for side, own in zip(sides[:2], blocks[:2], strict=True))
+    between = partial(_between, matches[1:], sides[2:])
+    tests = [
+        one
+        for number, (i, j) in enumerate(sorted(matches[0].items()), start=1)
+        for one in _mode_tests(f"mode {number}: ", a, b, i, j, between)
+    ]
+    if not all(blocks):
+        return tests, []
+    tests += _value_tests("index", "", *(side.indices(own) for side, own in zip(sides, blocks, strict=True)))
+    return tests, _value_tests("level", "dB", *(side.powers(own) for side, own in zip(sides, blocks, strict=True)))
 
 
 def _tell_of(path: Path, on_progress: OnProgress, step: Step) -> None:

@@ -14,6 +14,7 @@ from monitor.core import BadInputError
 from monitor.identification import least_chance
 from monitor.runs import compare
 from tests.statistics.compared import RATE_HZ, motion, recorded, seconds_of
+from tests.support.period_lines import json_lines, line_of
 from tests.support.samples import Cli
 
 SECONDS = seconds_of("frame")
@@ -91,6 +92,40 @@ def test_the_command_takes_healthy_records_after_the_two_and_answers_last(main: 
     lost = main("compare", *names, cwd=tmp_path)
     assert lost.returncode == 2
     assert "2.mcap: compare takes two; name healthy records of other days after --healthy" in lost.stderr
+
+
+def run(folder: Path, seed: int, *, moved: float = 0.0, day: float = 0.0, windows: int = 160) -> Path:
+    """A folder of results: two modes that scatter by 0.1 % in windows of 20 s, one each 5 s, and an index."""
+    rng = np.random.default_rng(seed)
+    folder.mkdir()
+    noise = np.apply_along_axis(np.convolve, 0, rng.standard_normal((windows + 3, 3)), np.ones(4) / 2.0, "valid")
+    rows = []
+    for k, row in enumerate(noise):
+        hz = np.array([2.0 * (1.0 - moved), 5.0]) * (1.0 + 0.001 * row[:2] + day)
+        modes = {
+            "frequencies_hz": hz.tolist(),
+            "damping_ratio": [0.01, 0.012],
+            "mode_tracks": [0, 1],
+            "ddi": [0.01 * row[2]],
+        }
+        shapes = [[[0.5, 0.0], [1.0, 0.0]], [[1.0, 0.0], [-0.5, 0.0]]]
+        rows.append(line_of(k) | modes | {"t_end_ns": (20 + 5 * k) * 10**9, "window_s": 20.0, "mode_shapes": shapes})
+    json_lines(folder / "results.jsonl", rows)
+    return folder
+
+
+def test_folders_of_results_are_compared_by_their_modes_and_with_healthy_ones(tmp_path: Path) -> None:
+    a, b = run(tmp_path / "a", 1), run(tmp_path / "b", 2)
+    equal = compare.compare(a, b)
+    assert (equal["differs"], equal["blocks"]["a"]) == (False, 4)
+    moved = compare.compare(a, run(tmp_path / "c", 3, moved=0.004))
+    assert moved["differs"] is True
+    assert named(moved) == {"mode 1: frequency"}
+    days = [run(tmp_path / f"d{k}", 10 + k, day=day) for k, day in enumerate((0.004, -0.003, 0.001, -0.004, 0.002))]
+    assert compare.compare(a, days[0])["differs"] is True
+    assert compare.compare(a, days[0], healthy=days[1:])["differs"] is False
+    short = compare.compare(run(tmp_path / "s", 4, windows=10), b)
+    assert (short["differs"], "record" in short["cannot_say"]) == (None, True)
 
 
 def test_a_level_alone_is_listed_and_is_no_difference(tmp_path: Path) -> None:
