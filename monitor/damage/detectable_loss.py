@@ -17,7 +17,7 @@ import numpy as np
 from monitor.core import Array, Reading
 from monitor.damage.alarm import AlarmSettings
 from monitor.damage.common_change import LOCAL_LOSS_CREDIT
-from monitor.damage.limits import as_student, freedom_of_sum
+from monitor.damage.limits import Scores, as_student, freedom_of_sum
 from monitor.damage.sequential_test import STRETCHES, History, freedoms
 
 PROBABILITY = 0.9
@@ -57,31 +57,30 @@ def clock_error(rates_hz: tuple[float, float] | None, calibration: float, shown_
     return 2.0 * shown_per_loss * abs(rates_hz[1] / rates_hz[0] / calibration - 1.0)
 
 
-def smallest_detectable_loss(
-    reading: Reading, history: History, hop_s: float, settings: AlarmSettings, limit: float
-) -> Array:
+def smallest_detectable_loss(reading: Reading, history: History, settings: AlarmSettings, tests: Scores) -> Array:
     """Compute the smallest sudden loss of each part that the alarm sees with `PROBABILITY` within `WITHIN_S`, as it is shown.
 
-    Where fewer data were judged in that time, because windows were skipped or the run is young, only these count.  It is
-    infinite where no loss can be confirmed: too few windows, or modes that say next to nothing of the part.  `history` is the
-    alarm's after the window of `reading`, `hop_s` the time between windows, `limit` the z-score that is announced.
+    Where readings come seldom, it is within the time of as many as the longest stretch needs.  Where fewer data were judged in
+    that time, because windows were skipped or the run is young, only these count.  It is infinite where no loss can be confirmed:
+    too few windows, or modes that say next to nothing of the part.  `history` is the alarm's after the window of `reading`;
+    `tests` is what is tested of one.
     """
     loss = np.full(reading.loss.size, np.inf)
     known = np.flatnonzero(np.isfinite(reading.loss))
     seen = history if known.size == loss.size else history.of_parts(known)
     common = seen.common.mean(axis=0)  # of the windows' conditions since the longest stretch began
     own_std = np.exp(0.5 * seen.ln_variance)
-    window_s = history.window_ns * 1e-9
+    window_s, spacing_s = history.window_ns * 1e-9, history.spacing_ns * 1e-9
     common_std = np.sqrt(np.maximum(np.diag(common), 1e-24))
     loss[known] = reading.shown_per_loss * _simulated(
         _steps(own_std, _LN_STEP),
         _steps(common_std, _LN_COMMON_STEP),
         _correlation(common),
         tuple(_steps(np.minimum(f[known], _KNOWN), _LN_COMMON_STEP) for f in freedoms(history, reading)),
-        round(max(hop_s / window_s, 1.0 / _LOOKS_A_WINDOW), 6),
-        int((_judged_s(history, hop_s) + 1e-6) // window_s),
-        int((WITHIN_S + 1e-6) // window_s),
-        round(limit, 3),
+        round(max(spacing_s / window_s, 1.0 / _LOOKS_A_WINDOW), 6),
+        _readings_after(history),
+        max(int((WITHIN_S + 1e-6) // window_s), max(STRETCHES)),
+        round(settings.limit(tests, window_s, spacing_s), 3),
         max(settings.model_form, reading.model_form),
         settings.min_loss,
     )
@@ -89,13 +88,14 @@ def smallest_detectable_loss(
     return loss
 
 
-def _judged_s(history: History, hop_s: float) -> float:
-    """Estimate the length of the judged data within the last `WITHIN_S` from the windows that the alarm remembers, s."""
-    window_s = history.window_ns * 1e-9
-    begun_s = history.memory_s + window_s  # since the first judged window began
-    remembered_s = min(begun_s, max(STRETCHES) * window_s)
-    judged_s = (history.t_ns.size - 1) * hop_s + window_s
-    return min(begun_s, WITHIN_S) * min(judged_s / remembered_s, 1.0)
+def _readings_after(history: History) -> int:
+    """Estimate the number of readings that share no data within the time after a loss, from those that the alarm remembers."""
+    window_ns, t_ns = history.window_ns, history.t_ns
+    judged_ns = int(np.minimum(np.diff(t_ns), window_ns).sum()) + window_ns
+    share = judged_ns / (int(t_ns[-1] - t_ns[0]) + window_ns)
+    within_ns = max(WITHIN_S * 1e9, max(STRETCHES) * max(window_ns, history.spacing_ns))
+    begun_ns = history.memory_s * 1e9 + window_ns  # judged since the first window began
+    return int((min(begun_ns, within_ns * share) + 1e3) // window_ns)
 
 
 def _steps(std: Array, step: float) -> tuple[int, ...]:

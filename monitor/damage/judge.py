@@ -98,18 +98,18 @@ def step(
     together = None if law is None else law.together(settings.compensation.unevenness)
     beside = None if together is None else together.beside_others(reading.loss, reading.covariance)
     p = settings.processing
-    limit = settings.alarm.limit(alarm.tests_of(reading, beside_others=together is None), p.window_s, p.hop_s)
-    shown_std = settings.alarm.alarm_loss / limit  # with which a loss that is an `alarm` is just announced
+    tests = alarm.tests_of(reading, beside_others=together is None)
+    # With which a loss that is an `alarm` is just announced.
+    shown_std = settings.alarm.alarm_loss / settings.alarm.limit(tests, p.window_s, p.hop_s)
     reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, shown_std))
     sightings, more = quantities.beside(memory.sightings, modes, spectra, covariates, view, t_end_ns, settings)
-    alarms = memory.alarm
-    if more is not None:
-        spacing_s = alarms.history.spacing_ns * 1e-9
-        least_z = settings.alarm.limit(alarm.tests_of(reading, beside_others=together is None), p.window_s, spacing_s)
-        alarms = _with_spectrum(alarms, more, t_end_ns, settings, least_z)
     if isinstance(reading, ModalReading) and more is not None:
         reading = replace(reading, spectrum=more.z)
     is_seen = bool(np.isfinite(reading.loss).any())
+    alarms = memory.alarm
+    if more is not None:
+        least_z = settings.alarm.limit(tests, p.window_s, alarms.history.spacing_ns * 1e-9)
+        alarms = _with_spectrum(alarms, more, t_end_ns, settings, least_z)
     if is_seen:
         alarms, verdict = alarm.step(alarms, reading, t_end_ns, settings.alarm, together, quantities.parts)
     else:
@@ -126,7 +126,7 @@ def step(
         reading, history = together.take_out(reading, beside), history.left_by_others(together, beside)
     detectable = np.full(reading.loss.size, np.inf)
     if is_seen:
-        detectable = smallest_detectable_loss(reading, history, p.hop_s, settings.alarm, limit)
+        detectable = smallest_detectable_loss(reading, history, settings.alarm, tests)
     verdict = _named(verdict, quantities)
     judged = Judged(found.modes, reading, found.stiffness, alarm=verdict, detectable_loss=detectable)
     return Memory(alarms, learning, sightings), judged

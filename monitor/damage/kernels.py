@@ -17,12 +17,13 @@ def evidence_of_loss(
     model_form: float,
     significant: float,
     credit: float,
+    sure: float,
 ) -> tuple[Annotated[Array, "k n"], Annotated[Array, "k n"]]:
     """Compute the z-scores of `sequential_test.statistic`, and the standard deviations of the means.
 
     `model_form` is the share of another part's change that may show in a part (one standard deviation), `significant` the
     distance up to which two parts' changes agree, and `credit` what is added to the z-score against a uniform change, in
-    standard deviations.
+    standard deviations, unless the others by themselves show one of more than `sure` standard deviations.
     """
     k, n = means.shape
     z, std = np.empty((k, n)), np.empty((k, n))
@@ -46,13 +47,16 @@ def evidence_of_loss(
                 weight[i] = 1.0 / std[s, i] ** 2 if agrees else 0.0
             contrast = -weight / weight.sum()
             contrast[j] = 1.0
-            difference, square = 0.0, 0.0
+            difference, square, of_others = 0.0, 0.0, 0.0
             for i in range(n):
                 difference += contrast[i] * mean[i]
                 square += (contrast[i] * leak[i]) ** 2
                 for other in range(n):
-                    square += contrast[i] * covariance[s, i, other] * contrast[other]
-            z[s, j] = min(z[s, j], difference / np.sqrt(square) + credit)
+                    part = contrast[i] * covariance[s, i, other] * contrast[other]
+                    square += part
+                    of_others += part if i != j and other != j else 0.0
+            unchanged = abs(mean[j] - difference) <= sure * np.sqrt(of_others)
+            z[s, j] = min(z[s, j], difference / np.sqrt(square) + (credit if unchanged else 0.0))
     return z, std
 
 

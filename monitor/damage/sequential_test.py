@@ -372,7 +372,7 @@ def statistic(
     """
     from monitor.damage.kernels import evidence_of_loss  # compiled code takes a while to load
 
-    return evidence_of_loss(means, covariance, model_form, SIGNIFICANT_STDS, LOCAL_LOSS_CREDIT)
+    return evidence_of_loss(means, covariance, model_form, SIGNIFICANT_STDS, LOCAL_LOSS_CREDIT, SURE_STDS)
 
 
 def shared_change(loss: Annotated[Array, "n"], std: Annotated[Array, "n"]) -> float:

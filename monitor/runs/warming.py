@@ -73,5 +73,5 @@ def _warm_up_later() -> None:
     state, reading, settings = alarm.start(2, 1.0), Reading(np.zeros(2), np.eye(2)), AlarmSettings()
     for t_s in (1, 2):
         state, _ = alarm.step(state, reading, t_s * 1_000_000_000, settings)
-    smallest_detectable_loss(reading, state.history, 1.0, settings, 6.0)
+    smallest_detectable_loss(reading, state.history, settings, alarm.tests_of(reading, beside_others=True))
     Expected(np.eye(2), np.zeros(2), 1.0, np.zeros((2, 2)), 0.0).beside_others(np.zeros(2), np.eye(2))

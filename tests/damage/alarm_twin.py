@@ -85,6 +85,12 @@ def ideal(n: int) -> Twin:
     return Twin((0.001,) * n, (1.0,) * n, (0.13,) * n, (0.0,) * (n * (n - 1) // 2))
 
 
+def limit(per_year: float, parts: int = 3, *, either_side: bool = False) -> float:
+    """The limit for so many false announcements a year."""
+    tests = limits.Scores(parts, 0, 2 if either_side else 1)
+    return AlarmSettings(false_announcements_per_year=per_year).limit(tests, WINDOW_S, HOP_S)
+
+
 def _boxcar(values: Array, n: int) -> Array:
     total = np.cumsum(values, axis=0)
     return (total[n - 1 :] - np.vstack([np.zeros((1, values.shape[1])), total[:-n]])) / n

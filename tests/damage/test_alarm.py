@@ -123,6 +123,8 @@ def test_a_deviation_that_few_records_gave_must_be_exceeded_by_more() -> None:
     for loss, freedom, level in ((0.05, np.inf, "advisory"), (0.11, 5.0, "normal"), (0.14, 5.0, "advisory")):
         few = reading(loss, std=1e-4, common=STD, freedom=freedom)
         assert alarm.step(site.states, few, 0, SETTINGS)[1].level.value == level
+        once = replace(reading(loss), own_freedom=freedom)
+        assert alarm.step(site.states, once, 0, SETTINGS)[1].level.value == level
 
 
 def test_losses_below_min_loss_are_never_announced() -> None:

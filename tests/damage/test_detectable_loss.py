@@ -17,7 +17,7 @@ from tests.support.results import damage_reading
 
 HOP_S, WINDOW_S, N = 10.0, 400.0, 40
 SETTINGS = AlarmSettings()
-LIMIT = SETTINGS.limit(Scores(3, 0), WINDOW_S, HOP_S)
+TESTS = Scores(3, 0)
 STD = np.array([0.00108, 0.00137, 0.00152])
 
 
@@ -36,7 +36,7 @@ def after(hours: float, std: Array = STD) -> AlarmState:
 
 
 def smallest(state: AlarmState, std: Array = STD, **more: tuple[int, ...]) -> Array:
-    return smallest_detectable_loss(reading(0.0 * std, std, 0.3 * std, **more), state.history, HOP_S, SETTINGS, LIMIT)
+    return smallest_detectable_loss(reading(0.0 * std, std, 0.3 * std, **more), state.history, SETTINGS, TESTS)
 
 
 def seen(loss: float, story: int, rng: np.random.Generator) -> bool:
@@ -69,13 +69,22 @@ def test_of_500_such_losses_the_stated_share_is_seen() -> None:
     assert abs(power(500, 2) - PROBABILITY) < 0.05
 
 
-def test_a_higher_limit_and_fewer_degrees_of_freedom_see_less() -> None:
-    state, damage = after(2.0), reading(0.0 * STD)
+def test_fewer_false_announcements_and_fewer_degrees_of_freedom_see_less() -> None:
+    history, damage = after(2.0).history, reading(0.0 * STD)
     losses = [
-        smallest_detectable_loss(replace(damage, freedom=freedom), state.history, HOP_S, SETTINGS, limit)
-        for limit, freedom in ((4.5, np.inf), (5.5, np.inf), (5.5, 10.0), (5.5, 3.0))
+        smallest_detectable_loss(
+            replace(damage, freedom=freedom), history, AlarmSettings(false_announcements_per_year=rate), TESTS
+        )
+        for rate, freedom in ((10.0, np.inf), (0.1, np.inf), (0.1, 10.0), (0.1, 3.0))
     ]
     assert (np.diff(losses, axis=0) > 0.0).all()
+
+
+def test_readings_that_come_once_an_hour_see_a_loss_too_by_as_many_of_them() -> None:
+    state = alarm.start(3, WINDOW_S)
+    for hour in range(12):
+        state, _ = alarm.step(state, reading(0.0 * STD), hour * 3_600_000_000_000, SETTINGS)
+    assert (smallest(state) < 1.1 * smallest(after(2.0))).all()
 
 
 def test_a_young_run_sees_less_and_one_window_confirms_nothing() -> None:

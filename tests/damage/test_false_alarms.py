@@ -7,13 +7,12 @@ import pytest
 
 from monitor.core import DamageReading, Level
 from monitor.damage import AlarmSettings, alarm, sequential_test
-from tests.damage.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S, evidence, ideal
+from tests.damage.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S, evidence, ideal, limit
 from tests.statistics.alarms import (
     THRESHOLD,
     delay,
     detection,
     false_alarms,
-    limit,
     ramp,
     raw_baseline,
     raw_detection,
@@ -90,7 +89,7 @@ def test_small_losses_are_found_in_time(story: int) -> None:
 @pytest.mark.engine
 def test_a_raw_record_is_judged_like_the_twin() -> None:
     healthy = raw_baseline(1200.0, 105)
-    windows = raw_readings([(600.0, {}), (500.0, {3: 0.03})], 106, healthy, hop_s=25.0)
+    windows = raw_readings([(600.0, {}), (600.0, {3: 0.03})], 106, healthy, hop_s=25.0)
     assert {r.alarm.level for r in windows if r.t_end_ns <= 600e9} == {Level.NORMAL}
     assert windows[-1].alarm.level is Level.WARNING and windows[-1].alarm.stories == (3,)
     assert {j for r in windows for j in r.alarm.active} == {3}

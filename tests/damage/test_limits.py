@@ -51,6 +51,14 @@ def test_more_parts_looks_and_sides_raise_the_limit_and_a_rarer_announcement_doe
     assert AlarmSettings(false_announcements_per_year=1.0).limit(Scores(0, 1), 3600.0, 3600.0) < hourly
 
 
+def test_less_must_differ_from_others_only_where_these_show_no_change_alike() -> None:
+    std, contrast = 0.001, 5.0 * np.sqrt(1.5)  # five standard deviations from the mean of two others
+    for alike, waived in ((0.0, LOCAL_LOSS_CREDIT), (15.0, 0.0), (-15.0, 0.0)):
+        means = std * (alike + np.array([contrast, 0.0, 0.0]))
+        z, _ = sequential_test.statistic(means[None], std**2 * np.eye(3)[None], 0.0)
+        assert z[0, 0] == pytest.approx(min(alike + contrast, 5.0 + waived))
+
+
 def tilted(u: float, parts: int, step: float, windows: int, rng: np.random.Generator) -> float:
     """An unbiased estimate of the probability that the statistic reaches u within some windows: of one rare course of readings.
 

@@ -9,6 +9,7 @@ from monitor.core import WHOLE, Alarm, Level, ModalReading
 from monitor.damage import AlarmState, modal_parts
 from monitor.damage.alarm import AlarmSettings, acknowledge, hold, start, step
 from monitor.damage.detectable_loss import smallest_detectable_loss
+from monitor.damage.limits import Scores
 from monitor.damage.parts import ModesAndShapes
 from monitor.publish import current_alarm_line
 
@@ -93,7 +94,7 @@ def test_a_small_change_is_found_by_averaging_and_the_baselines_error_does_not_a
 
 def test_how_small_a_change_would_be_seen_is_told_of_each_mode_that_is_seen() -> None:
     state, _ = run([reading([0.0, 0.0, 0.0])] * 9)
-    seen = smallest_detectable_loss(reading([0.0, np.nan, 0.0]), state.history, WINDOW_S, SETTINGS, 6.0)
+    seen = smallest_detectable_loss(reading([0.0, np.nan, 0.0]), state.history, SETTINGS, Scores(3, 3, 2))
     assert np.isinf(seen[1])
     assert (seen[[0, 2]] > 4.0 * STD).all()
     assert (seen[[0, 2]] < 12.0 * STD).all()

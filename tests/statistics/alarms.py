@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, Level, WindowResult
-from monitor.damage import AlarmSettings, Baseline, limits
+from monitor.damage import AlarmSettings, Baseline
 from monitor.pipeline import Pipeline
-from tests.damage.alarm_twin import HOP_S, MONTH, SURE_STDS, TWIN, WINDOW, WINDOW_S, Twin, episodes, evidence
+from tests.damage.alarm_twin import HOP_S, MONTH, SURE_STDS, TWIN, WINDOW, WINDOW_S, Twin, episodes, evidence, limit
 from tests.statistics import figures
 from tests.statistics.estimates import configuration
 from tests.support.campaign import words
@@ -26,12 +26,6 @@ from tests.support.simulated import ambient, learned, seeded, windows_of
 
 BASELINE_S = 14400.0
 SEED = 20270131
-
-
-def limit(per_year: float, parts: int = 3, *, either_side: bool = False) -> float:
-    """The limit for so many false announcements a year."""
-    tests = limits.Scores(parts, 0, 2 if either_side else 1)
-    return AlarmSettings(false_announcements_per_year=per_year).limit(tests, WINDOW_S, HOP_S)
 
 
 THRESHOLD = limit(AlarmSettings().false_announcements_per_year)

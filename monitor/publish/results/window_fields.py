@@ -192,8 +192,8 @@ FIELDS = (
     Field("unidentified", Kind.INTEGERS, lambda r: r.damage and list(r.damage.unidentified),
           "Stories of which the modes say next to nothing."),
     Field("detectable_loss", Kind.NUMBERS, _numbers("detectable_loss"),
-          "Smallest sudden loss of each story that would be seen (90 % to reach `warning` within an hour), with "
-          "what the clock leaves open; null where none would, or without a baseline.", shown=True),
+          "Smallest sudden loss of each story that would be seen (90 % to reach `warning` within an hour, or eight readings), "
+          "with what the clock leaves open; null where none would, or without a baseline.", shown=True),
     Field("rms_m_s2", Kind.NUMBER, _numbers("rms_m_s2"), "Level of motion, mean over channels, m/s^2.", shown=True),
     Field("model_modes", Kind.INTEGERS, lambda r: r.modes and [int(k) + 1 for k in r.modes.model_mode],
           "Which mode of the model, or without one of the baseline, each frequency is; 1 = lowest.", shown=True),
