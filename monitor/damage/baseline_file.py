@@ -216,7 +216,7 @@ def _build(tree: dict[str, Any], instrumented: InstrumentedModel) -> Baseline:
             "model": drawn.with_stiffness(own.stiffness_n_per_m).with_masses(own.masses_kg),
             "law": read_law(tree["law"], p),
             "reference": prior_file.read_prior(tree["reference"], drawn, channels),
-            "scatter": _read_scatter(tree.get("scatter"), p),  # older files have none
+            "scatter": _read_scatter(tree["scatter"], p),
             "doubts": (),
         },
         beside=("format", *model_keys),

@@ -103,14 +103,13 @@ def step(
     shown_std = settings.alarm.alarm_loss / limit  # with which a loss that is an `alarm` is just announced
     reading = replace(reading, beyond=_beyond(law, effect, beside, covariates, shown_std))
     sightings, more = quantities.beside(memory.sightings, modes, spectra, covariates, view, t_end_ns, settings)
-    alarms = memory.alarm
-    if more is not None:
-        spacing_s = alarms.history.spacing_ns * 1e-9
-        least_z = settings.alarm.limit(alarm.tests_of(reading, beside_others=together is None), p.window_s, spacing_s)
-        alarms = _with_spectrum(alarms, more, t_end_ns, settings, least_z)
     if isinstance(reading, ModalReading) and more is not None:
         reading = replace(reading, spectrum=more.z)
     is_seen = bool(np.isfinite(reading.loss).any())
+    alarms = memory.alarm
+    if more is not None:
+        least_z = settings.alarm.limit(tests, p.window_s, alarms.history.spacing_ns * 1e-9)
+        alarms = _with_spectrum(alarms, more, t_end_ns, settings, least_z)
     if is_seen:
         alarms, verdict = alarm.step(alarms, reading, t_end_ns, settings.alarm, together, quantities.parts)
     else:

@@ -67,7 +67,7 @@ def test_a_reading_states_it_as_common_to_all_windows_with_the_records_degrees_o
     assert np.array_equal(window.damage.freedom, healthy.scatter.freedom)
 
 
-def test_the_file_keeps_it_and_older_files_have_none(site: Configuration, healthy: Baseline, tmp_path: Path) -> None:
+def test_the_file_keeps_it(site: Configuration, healthy: Baseline, tmp_path: Path) -> None:
     save_baseline(healthy, tmp_path / "b.json")
     read = load_baseline(tmp_path / "b.json", site.instrumented(), site.updating)
     assert read.scatter is not None

@@ -24,6 +24,7 @@ from monitor.publish import to_json, window_line
 from monitor.runs import Session, SessionState
 from monitor.service.restart import Saved
 from monitor.service.serialization import (
+    UPGRADES,
     VERSION,
     CheckpointError,
     fingerprint,
@@ -171,6 +172,12 @@ def test_an_older_version_is_upgraded_step_by_step() -> None:
     upgrades[present + 1] = lambda tree: tree | {"number": 2 * tree["number"], "array": tree["array"] * 2.0}
     found = from_bytes(old, "k", Leaf, present + 2, upgrades)
     assert found.number == 22 and found.array.tolist() == [0.0, 2.0, 4.0]
+
+
+def test_a_session_of_version_1_begins_to_count_its_windows_modes_and_kept_alarms_stay_as_they_are() -> None:
+    old = {"session": {"pipeline": {"run": None}}}
+    assert UPGRADES[1](old)["session"]["pipeline"] == {"run": None, "sightings": []}
+    assert UPGRADES[1]({"stories": []}) == {"stories": []}
 
 
 def test_the_one_before_is_used_when_the_last_is_damaged(tmp_path: Path) -> None:
