@@ -4,7 +4,7 @@ A few blocks do not tell how much they scatter, and a mode that rings on from on
 of the identified modes, with the forces and the noise that fit the record best, is simulated over many records as long, and their
 lag sums go through the same linearized estimate (a parametric bootstrap to first order).  The result depends on the estimated
 damping, and so is uncertain itself: intervals are those of Student's t, with degrees of freedom by Satterthwaite.  Where the
-record's own blocks scatter significantly more, as with gusts or blows, theirs is stated, with the degrees of freedom of the blocks.
+record's own blocks scatter significantly more, as with gusts or blows, theirs is stated, with the blocks' degrees of freedom.
 
 References
 ----------
