@@ -20,7 +20,7 @@ from typing import Annotated
 import numpy as np
 
 from monitor.core import Array, LagSums, ModalEstimate, Window
-from monitor.identification.whittle import score_weights, starting_point
+from monitor.identification.whittle import WEAK_STD, score_weights, starting_point
 from monitor.identification.whittle_model import Layout, Point, cross_spectra, layout_of, predict, product, upper
 from monitor.signals import WindowGrid, windows
 
@@ -28,8 +28,6 @@ RECORDS = 48
 """Simulated records. [count; judgement: a standard deviation is then known within a tenth, which its interval allows for]"""
 _FITS = 6
 """Steps of scoring of forces and noise. [count; cost: two or three are enough where the modes fit]"""
-_NOISE_STD = 3.0
-"""Prior standard deviation of ln noise, which far below the motion is hardly determined. [1; as in `whittle`]"""
 _LEAST_FORCE = 1e-3
 """Least eigenvalue of the forces' covariance over the largest. [ratio; as in `whittle`]"""
 _LEAD = 10.0
@@ -71,7 +69,7 @@ def _with_forces(layout: Layout, point: Point, data: Annotated[Array, "pairs poo
         score = product((data - upper(model.value))[None], weights)[0]
         normal = information[part, part].copy()
         noise = np.arange(n_pairs, len(normal))
-        normal[noise, noise] += 1.0 / (_NOISE_STD**2 * n_segments)
+        normal[noise, noise] += 1.0 / (WEAK_STD**2 * n_segments)
         step = np.linalg.solve(normal, score[part])
         forces = point.forces.copy()
         forces[rows, columns] += step[:n_pairs]

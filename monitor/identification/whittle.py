@@ -39,7 +39,7 @@ from monitor.identification.whittle_model import (
 )
 from monitor.signals import overlap_correlation
 
-_WEAK_STD = 3.0
+WEAK_STD = 3.0
 """Prior standard deviation of a parameter that the data hardly determine. [1; not recorded]"""
 _MAX_START_RATIO = 20.0
 """Power of the data over the model's from which no fit is tried. [ratio; simulation: between 1 and 2 where a start
@@ -92,7 +92,7 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
             score = product((mean - upper(model.value))[None], weights)[0]
             # Noise far below the response is hardly determined by the data: a wide prior bounds it.
             weak = np.arange(n_modal + len(layout.pairs), len(information))
-            information[weak, weak] += 1.0 / (_WEAK_STD**2 * n_segments)
+            information[weak, weak] += 1.0 / (WEAK_STD**2 * n_segments)
             if not np.diag(information).min() > 0.0:  # more modes than the channels can distinguish
                 return modes
             scale = 1.0 / np.sqrt(np.diag(information))
