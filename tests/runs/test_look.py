@@ -232,6 +232,7 @@ def test_a_doubtful_mode_stands_below_a_line_without_a_number(found: LookedRecor
     page = Page((tmp_path / "look.html").read_text())
     assert "1 mode in" in page.head
     assert [row[0] for row in page.table("second opinion, Hz")] == ["1"]
+    assert "Peaks of the spectra that no mode explains: 1.25 Hz" in page.words
 
 
 def test_opinions_that_differ_widen_the_interval_over_both(found: LookedRecording) -> None:

@@ -125,19 +125,19 @@ def _duration(seconds: float) -> str:
 def _modes(sheet: Sheet, found: LookedRecording) -> None:
     sheet.section("Modes")
     rows, below = mode_rows(found), doubtful_rows(found)
-    if not rows:
+    if not rows and below:
+        sheet.text("None that is sure.")
+    elif not rows:
         reasons = {band.modes.reason for band in found.bands if isinstance(band.modes, Skipped)}
-        sheet.text(
-            f"None found: {'; '.join(sorted(reasons)) or 'all are doubtful' if found.modes else 'the record is too short'}."
-        )
+        sheet.text(f"None found: {'; '.join(sorted(reasons)) or 'the record is too short'}.")
     head = ["mode", "#frequency, Hz", "#damping, %", "#second opinion, Hz", "#second opinion, %", "remark"]
     shown = len(head) if any(row[-1] for row in rows) else len(head) - 1
     sheet.table(head[:shown], [row[:shown] for row in rows])
     if below:
-        sheet.text(
-            "Doubtful: modes that one opinion alone shows, or whose damping is hardly told, and peaks without a mode."
-        )
+        sheet.text("Doubtful: modes that one opinion alone shows, or whose damping is hardly told.")
         sheet.table(head[1:], [row[1:] for row in below])
+    words = peaks_in_words(found)
+    sheet.text(words[:1].upper() + words[1:])
     if not found.modes:
         return
     sheet.note(
