@@ -14,7 +14,7 @@ RATE_HZ, N = 100.0, 1000
 
 def peaks_hz(samples: np.ndarray) -> list[float]:
     transforms, step_hz = segments_of(samples, RATE_HZ, N, N // 2 + 1)
-    return [k * step_hz for k in find_peaks(transforms)]
+    return [k * step_hz for k in find_peaks(transforms.astype(complex))]
 
 
 def test_each_mode_is_one_peak_in_whichever_channel_it_shows() -> None:
